@@ -1,0 +1,22 @@
+"""cnclik: closed-loop inverse kinematics as a time-stepping problem.
+
+A robot (`planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), many of them
+studied. Pure functions over frozen records; jit, vmap and grad go through everything.
+"""
+
+from cnclik.errors import ArgumentError
+from cnclik.hints import hints
+from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
+from cnclik.integrate.solve import Step, Trajectory, solve, step
+from cnclik.integrate.stage import picard
+from cnclik.integrate.status import Status, StepError, require_ok
+from cnclik.law.inverse import damped, pseudoinverse, transpose
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference, circle, hold, line, lissajous, path, waypoints, with_feedforward
+from cnclik.law.task import Task, orientation, position
+from cnclik.law.task import pose as pose_task
+from cnclik.record import replace
+from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
+from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
+
+__version__ = "0.1.0"

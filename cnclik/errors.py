@@ -1,0 +1,86 @@
+"""User errors, in one grammar: "Argument `Ts` must be positive, but is -0.1."
+
+Shapes are always checked; values only where they are concrete (never a tracer).
+"""
+
+import difflib
+import math
+
+import jax
+import numpy as np
+
+
+class ArgumentError(ValueError):
+    """An argument that cannot be used; the message is one line fit for a terminal."""
+
+
+def fail(name: str, must: str, found) -> ArgumentError:
+    return ArgumentError(f"Argument `{name}` must {must}, but {found}.")
+
+
+def concrete(value) -> bool:
+    """Whether the value is known now, and may be looked at."""
+    return not isinstance(value, jax.core.Tracer)
+
+
+def number(name: str, value, *, positive=False, at_least=None):
+    """A finite real number (or a traced scalar); returned as it came."""
+    if np.ndim(value) != 0 or isinstance(value, (str, bytes)) or value is None:
+        raise fail(name, "be a number", f"is {value!r}")
+    if concrete(value):
+        try:
+            known = float(value)
+        except (TypeError, ValueError):
+            raise fail(name, "be a number", f"is {value!r}") from None
+        if not math.isfinite(known):
+            raise fail(name, "be finite", f"is {known}")
+        if positive and known <= 0:
+            raise fail(name, "be positive", f"is {known:g}")
+        if at_least is not None and known < at_least:
+            raise fail(name, f"be at least {at_least:g}", f"is {known:g}")
+    return value
+
+
+def integer(name: str, value, *, at_least: int) -> int:
+    """A Python integer not below `at_least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise fail(name, "be an integer", f"is {value!r}")
+    if value < at_least:
+        raise fail(name, f"be at least {at_least}", f"is {value}")
+    return int(value)
+
+
+def array(name: str, value, *shapes, finite=True):
+    """A real array of one of the shapes (None matches any length); returned as an array."""
+    try:
+        found = value if isinstance(value, (jax.Array, np.ndarray)) else np.asarray(value, float)
+        if not np.issubdtype(found.dtype, np.number) or np.issubdtype(found.dtype, np.complexfloating):
+            raise TypeError
+    except (TypeError, ValueError):
+        raise fail(name, "be an array of real numbers", f"is {value!r}") from None
+    if shapes and not any(_fits(found.shape, s) for s in shapes):
+        wanted = " or ".join(_show(s) for s in shapes)
+        raise fail(name, f"have shape {wanted}", f"has shape {_show(found.shape)}")
+    if finite and concrete(found) and not np.all(np.isfinite(np.asarray(found))):
+        where = np.argwhere(~np.isfinite(np.asarray(found)))[0]
+        place = f" at index {tuple(int(i) for i in where)}" if found.ndim else ""
+        raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
+    return found
+
+
+def one_of(name: str, value, names):
+    """A name from a list; the nearest one is suggested."""
+    if value not in names:
+        near = difflib.get_close_matches(str(value), [str(n) for n in names], n=1, cutoff=0.5)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        raise fail(name, f"be one of {', '.join(str(n) for n in names)}", f"is {value!r}{hint}")
+    return value
+
+
+def _fits(shape, wanted):
+    return len(shape) == len(wanted) and all(w is None or s == w for s, w in zip(shape, wanted, strict=True))
+
+
+def _show(shape):
+    inner = ", ".join("n" if s is None else str(s) for s in shape)
+    return f"({inner},)" if len(shape) == 1 else f"({inner})"

@@ -1,0 +1,59 @@
+"""Compiler hints, and the one switch that turns them off.
+
+XLA's CPU fusion copies a producer into every consumer: without a fence it recomputes each sine dozens of
+times. `opaque` puts a stage behind a call the compiler may not inline. Hints change speed, never the
+meaning: `with hints(False): ...` (or CNCLIK_HINTS=0 in the environment) runs the same code without them.
+"""
+
+import functools
+import os
+
+import jax
+from jax.experimental.xla_metadata import set_xla_metadata
+
+from cnclik.record import combine, partition
+
+_context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
+
+
+def hints(on: bool):
+    """Context manager: turn every compiler hint of cnclik on or off. Part of JAX's cache keys."""
+    return _context(bool(on))
+
+
+def hints_on() -> bool:
+    """Whether stages are fenced: the switch is on and the program is for a CPU."""
+    return _context.value and jax.default_backend() == "cpu"
+
+
+def opaque(fn):
+    """Fence a stage in component form: `fn` maps trees of scalars to trees of scalars.
+
+    Literals among the arguments and results stay literals across the fence.
+    """
+
+    @functools.lru_cache(maxsize=None)
+    def fenced(literals):
+        made = {}
+
+        def body(*arrays):
+            results, made["literals"] = partition(fn(*combine(arrays, literals)))
+            return results
+
+        jitted = jax.jit(body, inline=False)
+
+        def call(arrays):
+            with set_xla_metadata(inlineable="false"):
+                results = jitted(*arrays)
+            return combine(results, made["literals"])
+
+        return call
+
+    @functools.wraps(fn)
+    def stage(*args):
+        if not hints_on():
+            return fn(*args)
+        arrays, literals = partition(args)
+        return fenced(literals)(arrays) if arrays else fn(*args)
+
+    return stage

@@ -1,0 +1,195 @@
+"""step and solve: the loop in time.
+
+`advance` is one step in component form; `solve` scans it over N steps. Everything is pure with static
+shapes: jit, vmap, jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik import errors
+from cnclik.integrate.method import EE, METHODS, Method
+from cnclik.integrate.stage import picard
+from cnclik.integrate.status import flags
+from cnclik.law import reference as ref
+from cnclik.law.law import Law, evaluate, task_coordinates
+from cnclik.record import record
+from cnclik.robot import spatial as sp
+from cnclik.robot.kinematics import as_joint_values
+
+
+@record
+class Trajectory:
+    """A loop in time: N steps between N + 1 instants t[k] = t0 + k·Ts.
+
+    Attributes:
+      t: (N + 1,) [s].
+      q: (N + 1, n) joint values [rad, m].
+      x: (N + 1, m) task coordinates of the tip [m, rad].
+      e: (N + 1, m) error, x_d − x (rotations: vector of the turn that is left) [m, rad].
+      qdot: (N, n) joint velocity held during step k, (q[k+1] − q[k])/Ts [rad/s, m/s].
+      residual: (N,) last change of the implicit stage, as a joint displacement; 0 for explicit methods.
+      contraction: (N,) ratio of its last two changes; at 1 or more it diverges.
+      status: (N,) bits of `Status`.
+      evaluations: evaluations of f(q, t) in the whole run, each one a Jacobian and an inverse.
+    """
+
+    t: jax.Array
+    q: jax.Array
+    x: jax.Array
+    e: jax.Array
+    qdot: jax.Array
+    residual: jax.Array
+    contraction: jax.Array
+    status: jax.Array
+    evaluations: jax.Array
+
+
+@record
+class Step:
+    """One step of the loop: q after it, and e before it. Fields as in `Trajectory`, without the time axis."""
+
+    q: jax.Array
+    e: jax.Array
+    qdot: jax.Array
+    residual: jax.Array
+    contraction: jax.Array
+    status: jax.Array
+
+
+def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
+    """One step in component form; the fields of the result are tuples of scalars."""
+
+    def field(c, q):
+        return evaluate(law, reference, t + c * Ts if c else t, q)
+
+    first = field(0.0, q)  # the explicit Euler slope: a stage of most methods, the start of implicit ones
+    slopes = []
+    residual = contraction = jnp.zeros_like(q[0])
+    for i, (row, c) in enumerate(zip(method.A, method.c, strict=True)):
+        base = _move(q, Ts, row[:i], slopes)
+        if row[i] == 0:
+            slopes.append(first.qdot if c == 0 and not any(row) else field(c, base).qdot)
+            continue
+        h = sp.mul(row[i], Ts)
+        solved = stage(lambda k, c=c, base=base, h=h: field(c, _move(base, h, (1.0,), (k,))), first.qdot, h)
+        slopes.append(solved.slope)
+        residual = jnp.maximum(residual, solved.residual)
+        contraction = jnp.maximum(contraction, solved.contraction)
+    qdot = _combine(method.b, slopes)
+    moved = _move(q, Ts, (1.0,), (qdot,))
+    status = flags(law.chain, law, moved, first.e, residual, stage.tolerance, first.least)
+    return Step(q=moved, e=first.e, qdot=qdot, residual=residual, contraction=contraction, status=status)
+
+
+def _combine(weights, slopes):
+    return tuple(sp.dot(weights, components) for components in zip(*slopes, strict=True))
+
+
+def _move(q, h, weights, slopes):
+    """q + h Σ wᵢ kᵢ."""
+    if not any(weights):
+        return q
+    return tuple(a + sp.mul(h, v) for a, v in zip(q, _combine(weights, slopes), strict=True))
+
+
+def evaluations_per_step(method: Method, stage) -> object:
+    """Evaluations of f(q, t) that one step costs; an array where the stage's M is one."""
+    explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
+    implicit = len(method.A) - explicit
+    start = 0 if method.A[0][0] == 0 else 1  # implicit stages start from the explicit Euler slope
+    return explicit + start + implicit * stage.M
+
+
+# --- public -------------------------------------------------------------------------------------------
+
+
+def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0=0.0) -> Trajectory:
+    """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
+
+    Args:
+      law: the right-hand side f(q, t), see `Law`.
+      reference: the desired path, such as hold(...), line(...), circle(...).
+      q0: (n,) joint values at t0 [rad, m].
+      Ts: sampling time [s], positive.
+      N: number of steps, a Python integer.
+      method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4, or a `Method` of your own; also by name.
+      stage: how implicit stages are solved, such as picard(5); explicit methods don't use it.
+      t0: time at q0 [s].
+
+    Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
+    Raises: ArgumentError for shapes, types and concrete values that do not fit.
+    """
+    q0, method = _arguments(law, reference, q0, Ts, method, stage)
+    N = errors.integer("N", N, at_least=0)
+    errors.number("t0", t0)
+    return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
+
+
+def step(law: Law, reference, q, t, Ts, method=EE, stage=picard(5)) -> Step:
+    """One step, for use inside a control loop of one's own: from q(t) to q(t + Ts).
+
+    Args and raises: as `solve`, with q (n,) and t [s] in place of q0 and t0.
+    Returns: `Step` with q (n,) after the step, qdot (n,) to send to the robot, e (m,) before the step.
+    """
+    q, method = _arguments(law, reference, q, Ts, method, stage, name="q")
+    errors.number("t", t)
+    return _step(law, reference, q, t, Ts, stage, method=method)
+
+
+def _arguments(law, reference, q, Ts, method, stage, name="q0"):
+    if not isinstance(law, Law):
+        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    if not isinstance(method, Method):
+        method = METHODS[errors.one_of("method", method, METHODS)]
+    if not hasattr(stage, "tolerance"):
+        raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
+    ref.check(reference, law.task)
+    errors.number("Ts", Ts, positive=True)
+    q = as_joint_values(law.chain, q, name)
+    if errors.concrete(q):
+        errors.array(name, q)
+    return q, method
+
+
+def cast(tree, dtype):
+    """The tree with every floating leaf in one dtype, so that a loop's types can't drift."""
+
+    def one(leaf):
+        leaf = jnp.asarray(leaf)
+        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(one, tree)
+
+
+@functools.partial(jax.jit, static_argnames=("N", "method"))
+def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
+    law, reference, Ts, t0 = cast((law, reference, Ts, t0), q0.dtype)
+    evaluations = jnp.asarray(N * evaluations_per_step(method, stage))
+
+    def one(q, k):
+        made = advance(law, reference, q, t0 + k * Ts, Ts, method, stage)
+        return made.q, (q, made.e, made.qdot, made.residual, made.contraction, made.status)
+
+    k = jnp.arange(N + 1).astype(q0.dtype)
+    q, (qs, es, qdot, residual, contraction, status) = lax.scan(one, tuple(q0), k[:-1])
+    e = evaluate(law, reference, t0 + k[-1] * Ts, q).e
+    qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
+    x = task_coordinates(law, qs)
+    columns = functools.partial(jnp.stack, axis=-1)
+    return Trajectory(
+        t=t0 + k * Ts, q=columns(qs), x=columns(x), e=columns(es), qdot=columns(qdot), residual=residual,
+        contraction=contraction, status=status, evaluations=evaluations,
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("method",))
+def _step(law, reference, q, t, Ts, stage, *, method):
+    law, reference, t, Ts = cast((law, reference, t, Ts), q.dtype)
+    made = advance(law, reference, tuple(q), t, Ts, method, stage)
+    return Step(q=jnp.stack(made.q), e=jnp.stack(made.e), qdot=jnp.stack(made.qdot), residual=made.residual,
+                contraction=made.contraction, status=made.status)

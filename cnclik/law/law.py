@@ -1,0 +1,133 @@
+"""Law: what the loop does at each instant, q̇ = f(q, t).
+
+f(q, t) = J#(q) (ẋ_d + K e) + (I − J# J) q̇₀, the closed-loop inverse kinematics of Drexler (2016), eqs. 1-2,
+with K the gain and q̇₀ an optional joint velocity in the null space of the task (Siciliano et al. 2009,
+eq. 3.54).
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.hints import opaque
+from cnclik.law import reference as ref
+from cnclik.law.inverse import Pseudoinverse
+from cnclik.law.task import Task, coordinates, error_and_rows
+from cnclik.record import record
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import Chain
+from cnclik.robot.kinematics import frames
+
+
+@record(kw_only=False)
+class Law:
+    """A closed-loop inverse kinematics law on a chain: `Law(chain, task, alpha=5.0)`.
+
+    Args:
+      chain: the robot.
+      task: which coordinates of its tip are controlled: position(...), orientation(...), pose(...).
+      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix. A rate, not the
+        dimensionless gain per step of pink and mink, which is z = alpha·Ts.
+      inverse: J#: pseudoinverse(), damped(λ), transpose().
+      null_velocity: joint velocity q̇₀ asked for in the null space: (n,) [rad/s, m/s], or a function of q.
+      feedforward: factor of the desired velocity ẋ_d: 1 tracks, 0 is pure feedback.
+      near_singular: steps whose least singular value of the task Jacobian (an estimate from below; with
+        the pseudoinverse exact) is under this are marked NEAR_SINGULAR [m or 1].
+
+    Raises: ArgumentError naming the argument that does not fit.
+    """
+
+    chain: Chain
+    task: Task
+    _: dataclasses.KW_ONLY
+    alpha: object
+    inverse: object = Pseudoinverse()
+    null_velocity: object = None
+    feedforward: object = 1.0
+    near_singular: object = 0.01
+
+    def __post_init__(self):
+        m = _checked("task", self.task, Task).m
+        n = _checked("chain", self.chain, Chain).n
+        alpha = errors.array("alpha", self.alpha, (), (m,), (m, m))
+        object.__setattr__(self, "alpha", alpha)
+        for name in ("feedforward", "near_singular"):
+            value = errors.number(name, getattr(self, name))
+            object.__setattr__(self, name, np.asarray(value, float) if sp.is_number(value) else value)
+        if not callable(self.inverse):
+            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
+        if self.null_velocity is not None and not callable(self.null_velocity):
+            object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
+
+
+def _checked(name, value, kind):
+    if not isinstance(value, kind):
+        raise errors.fail(name, f"be a {kind.__name__}", f"is {type(value).__name__}")
+    return value
+
+
+class Evaluation(NamedTuple):
+    """One evaluation of f(q, t) in component form, and what it was made of."""
+
+    qdot: tuple  # n joint velocities
+    e: tuple  # m task errors
+    rows: tuple  # of the task Jacobian, weighted
+    apply: Callable  # J#: m task components (weighted) to n joint components
+    least: object  # estimate of the least singular value
+
+
+def evaluate(law: Law, reference, t, q) -> Evaluation:
+    """f(q, t) for q a tuple of n scalars."""
+    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
+    e, rows = error_and_rows(law.task, law.chain, frames(law.chain, q), position_d, rotation_d)
+    velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, e))
+    rows, velocity = _weigh(law.task, rows), _weigh(law.task, velocity)
+    factored = law.inverse(rows)
+    qdot = factored.apply(velocity)
+    wanted = null_velocity(law, q)
+    if wanted is not None:
+        qdot = sp.vadd(qdot, sp.vsub(wanted, factored.apply(sp.matvec(rows, wanted))))
+    return Evaluation(qdot=qdot, e=e, rows=rows, apply=factored.apply, least=factored.least)
+
+
+def gain(alpha, e):
+    """K e for a scalar, per-axis or matrix gain."""
+    if alpha.ndim == 0:
+        return sp.scale(alpha, e)
+    if alpha.ndim == 1:
+        return tuple(alpha[i] * x for i, x in enumerate(e))
+    return tuple(sp.total(alpha[i, j] * x for j, x in enumerate(e)) for i in range(len(e)))
+
+
+def null_velocity(law: Law, q):
+    """q̇₀ as a tuple, or None. A plain function of q is given an array; a record works on the tuple."""
+    wanted = law.null_velocity
+    if wanted is None:
+        return None
+    if not callable(wanted):
+        return tuple(wanted[i] for i in range(law.chain.n))
+    if dataclasses.is_dataclass(wanted):
+        return wanted(q)
+    values = wanted(jnp.stack(q))
+    return tuple(values[i] for i in range(law.chain.n))
+
+
+def _weigh(task: Task, items):
+    """Rows or components times the task's weights."""
+    if task.weights is None:
+        return items
+    return tuple(
+        sp.scale(task.weights[i], x) if isinstance(x, tuple) else sp.mul(task.weights[i], x)
+        for i, x in enumerate(items)
+    )
+
+
+@opaque
+def task_coordinates(law: Law, q):
+    """x(q): the task coordinates of the tip (m scalars)."""
+    at = frames(law.chain, q)
+    return coordinates(law.task, at.position, at.rotation)

@@ -1,0 +1,106 @@
+"""Task: which coordinates of the tip's pose the loop controls, and their error.
+
+x are the task coordinates, e = x_d − x their error: positions along chosen axes [m], then the rotation
+vector [rad] that turns the tip into the desired orientation, in the base frame.
+"""
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.hints import opaque
+from cnclik.record import record
+from cnclik.robot import spatial as sp
+from cnclik.robot.kinematics import Frames, jacobian_rows
+
+_AXES = "xyz"
+
+
+@record
+class Task:
+    """Task coordinates: positions along `position`, then rotations about `orientation` (letters of "xyz")."""
+
+    position: str
+    orientation: str
+    weights: object = None  # (m,) or None
+
+    @property
+    def m(self) -> int:
+        """Number of task coordinates."""
+        return len(self.position) + len(self.orientation)
+
+    @property
+    def linear(self) -> tuple:
+        return tuple(_AXES.index(a) for a in self.position)
+
+    @property
+    def angular(self) -> tuple:
+        return tuple(_AXES.index(a) for a in self.orientation)
+
+    @property
+    def names(self) -> tuple:
+        """Names of the task coordinates, in order: x, y, z for positions, rx, ry, rz for rotations."""
+        return (*self.position, *("r" + a for a in self.orientation))
+
+    @property
+    def units(self) -> tuple:
+        return ("m",) * len(self.position) + ("rad",) * len(self.orientation)
+
+
+def position(axes: str = "xyz", *, weights=None) -> Task:
+    """Position of the tip along some of the base axes [m].
+
+    Args:
+      axes: letters of "xyz" in that order, such as "xy".
+      weights: (m,) positive weights of the coordinates in the least-squares sense, or None.
+    """
+    return _task(_letters("axes", axes), "", weights)
+
+
+def orientation(axes: str = "xyz", *, weights=None) -> Task:
+    """Orientation of the tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
+
+    Args:
+      axes: components of the rotation vector that count, such as "z" for a planar arm.
+      weights: (m,) positive weights, or None.
+    """
+    return _task("", _letters("axes", axes), weights)
+
+
+def pose(axes: str = "xyz", rotation_axes: str = "xyz", *, weights=None) -> Task:
+    """Position [m] and orientation [rad] of the tip; `pose("xy", "z")` is the whole pose in a plane."""
+    return _task(_letters("axes", axes), _letters("rotation_axes", rotation_axes), weights)
+
+
+def _letters(name, axes):
+    if not isinstance(axes, str) or not axes or axes != "".join(a for a in _AXES if a in axes):
+        raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
+    return axes
+
+
+def _task(position, orientation, weights):
+    task = Task(position=position, orientation=orientation)
+    if weights is None:
+        return task
+    weights = errors.array("weights", weights, (task.m,))
+    if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
+        raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
+    return Task(position=position, orientation=orientation, weights=weights)
+
+
+@opaque
+def error_and_rows(task: Task, chain, at: Frames, position_d, rotation_d):
+    """The error e (m scalars) and the rows of the task Jacobian, before weighting."""
+    e = tuple(sp.sub(d, at.position[i]) for d, i in zip(position_d, task.linear, strict=True))
+    if task.orientation:
+        turn = sp.log_so3(sp.matmul(rotation_d, sp.transpose(at.rotation)))
+        e += tuple(turn[i] for i in task.angular)
+    return e, jacobian_rows(chain, at, task.linear, task.angular)
+
+
+def coordinates(task: Task, position, rotation):
+    """Task coordinates x of a pose: positions [m], then components of its rotation vector [rad]."""
+    x = tuple(position[i] for i in task.linear)
+    if task.orientation:
+        turn = sp.log_so3(rotation)
+        x += tuple(turn[i] for i in task.angular)
+    return x

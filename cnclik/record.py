@@ -1,0 +1,95 @@
+"""Records: the one kind of data in cnclik.
+
+A record is a frozen, keyword-only dataclass that JAX sees as a pytree. One rule says what is compiled
+in and what is a parameter: **a number written as a Python float or int is literal, an array is a leaf**.
+Literals (also strings, None and functions) belong to the tree's structure: they reach the compiled
+program as constants, and geometry that is zero costs nothing. Arrays are differentiated, vmapped, swept.
+"""
+
+import dataclasses
+
+import jax
+
+_LITERAL = (float, int, bool, str, type(None))
+
+
+def is_literal(value) -> bool:
+    """True for what is compiled in: exactly a Python number, a string, None, or a plain function."""
+    return type(value) in _LITERAL or (callable(value) and not dataclasses.is_dataclass(value))
+
+
+class Literals:
+    """The literal part of a flattened tree, hashed once: it is a key of JAX's compilation caches."""
+
+    __slots__ = ("treedef", "values", "_hash")
+
+    def __init__(self, treedef, values):
+        self.treedef, self.values = treedef, values
+        self._hash = hash((treedef, values))
+
+    def __hash__(self):
+        return self._hash
+
+    def __eq__(self, other):
+        return self is other or (
+            self._hash == other._hash and self.treedef == other.treedef and self.values == other.values
+        )
+
+    def __repr__(self):
+        return f"Literals{tuple(v for v in self.values if v is not HOLE)}"
+
+
+class _Hole:
+    """Marks, among the literals, the place of an array."""
+
+    __slots__ = ()
+
+    def __repr__(self):
+        return "·"
+
+
+HOLE = _Hole()
+
+
+def partition(tree):
+    """Split any tree into its arrays (a list) and its literals (hashable)."""
+    leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
+    arrays = [v for v in leaves if not is_literal(v)]
+    return arrays, Literals(treedef, tuple(v if is_literal(v) else HOLE for v in leaves))
+
+
+def combine(arrays, literals: Literals):
+    """Inverse of `partition`."""
+    arrays = iter(arrays)
+    leaves = [next(arrays) if v is HOLE else v for v in literals.values]
+    return jax.tree.unflatten(literals.treedef, leaves)
+
+
+def record(cls=None, *, kw_only=True):
+    """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above."""
+    if cls is None:
+        return lambda cls: record(cls, kw_only=kw_only)
+    cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False)(cls)
+    names = tuple(f.name for f in dataclasses.fields(cls))
+
+    def flatten(self):
+        # A record never changes, so it is taken apart once; repeated jit calls find the answer here.
+        found = self.__dict__.get("_flat")
+        if found is None:
+            found = partition(tuple(getattr(self, n) for n in names))
+            object.__setattr__(self, "_flat", found)
+        return found
+
+    def unflatten(literals, arrays):
+        self = object.__new__(cls)  # no __init__: leaves may be tracers, None, or any object
+        for name, value in zip(names, combine(arrays, literals), strict=True):
+            object.__setattr__(self, name, value)
+        return self
+
+    jax.tree_util.register_pytree_node(cls, flatten, unflatten)
+    return cls
+
+
+def replace(rec, **changes):
+    """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
+    return dataclasses.replace(rec, **changes)

@@ -1,0 +1,252 @@
+"""Chain: a robot from base to tip, and the ways to build one.
+
+A joint is a fixed offset from the frame before it, then a rotation about (revolute) or a translation along
+(prismatic) an axis through its own origin. Geometry written in Python floats is compiled in; geometry given
+as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik.record`.
+"""
+
+import math
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import record
+from cnclik.robot import spatial as sp
+
+REVOLUTE, PRISMATIC = "revolute", "prismatic"
+
+
+@record
+class Offset:
+    """A fixed transform in component form: rotation (rows), then position, as seen from the frame before."""
+
+    position: tuple = sp.ZERO  # [m]
+    rotation: tuple = sp.IDENTITY
+
+
+@record
+class Joint:
+    """One joint. Its value is `multiplier · q[coordinate] + offset`: mimic joints share a coordinate."""
+
+    kind: str
+    axis: tuple  # unit vector in the joint's own frame
+    origin: Offset
+    coordinate: int
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@record
+class Chain:
+    """A serial robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]."""
+
+    joints: tuple
+    tip: Offset
+    joint_names: tuple
+    lower: tuple  # [rad or m], −inf where unlimited
+    upper: tuple
+    velocity_limit: tuple  # [rad/s or m/s], inf where unlimited
+
+    @property
+    def n(self) -> int:
+        """Number of joint coordinates."""
+        return len(self.joint_names)
+
+    def __repr__(self):
+        kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
+        return f"Chain({kinds}, joint_names={list(self.joint_names)})"
+
+
+def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
+    """Planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).
+
+    Joint i sits at (0, l₁ + … + lᵢ₋₁, 0), the tip at (0, l₁ + … + lₙ, 0).
+
+    Args:
+      lengths: (n,) link lengths [m]. A list of floats is compiled in, an array is a differentiable leaf.
+      clockwise: positive angles turn clockwise seen from +z (axes along −z). The paper's text does not fix
+        the sense; only the clockwise one starts its Case II on the path.
+      joint_names: names, by default q1 … qn.
+    """
+    lengths = _scalars("lengths", lengths)
+    for i, length in enumerate(lengths):
+        errors.number(f"lengths[{i}]", length, at_least=0)
+    axis = (0.0, 0.0, -1.0 if clockwise else 1.0)
+    steps = (0.0, *lengths)
+    joints = [
+        Joint(kind=REVOLUTE, axis=axis, origin=Offset(position=(0.0, steps[i], 0.0)), coordinate=i)
+        for i in range(len(lengths))
+    ]
+    return assemble(joints, Offset(position=(0.0, lengths[-1], 0.0)), joint_names=joint_names)
+
+
+def from_dh(a, alpha, d, theta=None, *, convention="standard", kinds=None, base=None, tool=None,
+            joint_names=None, lower=None, upper=None, velocity_limit=None) -> Chain:
+    """Chain from Denavit-Hartenberg parameters.
+
+    standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α) per joint (Siciliano et al. 2009, eq. 2.52);
+    modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d) (Craig 2005, eq. 3.6).
+
+    Args:
+      a, d: (n,) link lengths and offsets [m].
+      alpha: (n,) link twists [rad] (no relation to the gain).
+      theta: (n,) joint angle offsets [rad], 0 by default; the fixed angle of a prismatic joint.
+      convention: "standard" or "modified".
+      kinds: string such as "RRP", by default all revolute; for P, q adds to d.
+      base, tool: fixed 4×4 transforms before the first and after the last frame, or None.
+      joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
+    """
+    a, alpha, d = _scalars("a", a), _scalars("alpha", alpha), _scalars("d", d)
+    n = len(a)
+    theta = _scalars("theta", theta) if theta is not None else (0.0,) * n
+    for name, values in (("alpha", alpha), ("d", d), ("theta", theta)):
+        if len(values) != n:
+            raise errors.fail(name, f"have shape ({n},) like `a`", f"has shape ({len(values)},)")
+    errors.one_of("convention", convention, ("standard", "modified"))
+    kinds = _kinds(kinds, n)
+
+    joints, before = [], _offset("base", base)
+    for i in range(n):
+        along_x = Offset(position=(a[i], 0.0, 0.0), rotation=_turn((1.0, 0.0, 0.0), alpha[i]))
+        along_z = Offset(position=(0.0, 0.0, d[i]), rotation=_turn((0.0, 0.0, 1.0), theta[i]))
+        if convention == "modified":
+            before = compose(before, along_x)
+        # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
+        joints.append(Joint(kind=kinds[i], axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
+        before = along_z if convention == "modified" else compose(along_z, along_x)
+    return assemble(joints, compose(before, _offset("tool", tool)), joint_names=joint_names, lower=lower,
+                    upper=upper, velocity_limit=velocity_limit)
+
+
+def from_screws(points, axes, home, *, kinds=None, joint_names=None, lower=None, upper=None,
+                velocity_limit=None) -> Chain:
+    """Chain from a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
+
+    Args:
+      points: (n, 3) a point on each joint's axis in the home configuration q = 0 [m].
+      axes: (n, 3) the direction of each axis in the home configuration; normalised here.
+      home: (3,) tip position [m], or 4×4 tip pose, at q = 0.
+      kinds: string such as "RRP", by default all revolute.
+      joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
+    """
+    points = [_scalars(f"points[{i}]", p, 3) for i, p in enumerate(points)]
+    axes = [_unit(f"axes[{i}]", _scalars(f"axes[{i}]", w, 3)) for i, w in enumerate(axes)]
+    if len(axes) != len(points):
+        raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
+    kinds = _kinds(kinds, len(points))
+    tip = Offset(position=_scalars("home", home, 3)) if np.ndim(home) == 1 else _offset("home", home)
+    joints, last = [], sp.ZERO
+    for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
+        joints.append(
+            Joint(kind=kinds[i], axis=axis, origin=Offset(position=sp.vsub(point, last)), coordinate=i)
+        )
+        last = point
+    tip = Offset(position=sp.vsub(tip.position, last), rotation=tip.rotation)
+    return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper,
+                    velocity_limit=velocity_limit)
+
+
+def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velocity_limit=None) -> Chain:
+    """Chain from joints built one by one, with limits checked against the number of coordinates."""
+    joints = tuple(joints)
+    if not joints:
+        raise errors.fail("joints", "hold at least one joint", "is empty")
+    n = 1 + max(j.coordinate for j in joints)
+    names = tuple(joint_names) if joint_names is not None else tuple(f"q{i + 1}" for i in range(n))
+    if len(names) != n or len(set(names)) != n:
+        raise errors.fail("joint_names", f"hold {n} different names", f"is {list(names)}")
+
+    def limits(name, values, default):
+        if values is None:
+            return (default,) * n
+        values = tuple(float(v) for v in errors.array(name, values, (n,), finite=False))
+        if any(math.isnan(v) for v in values):
+            raise errors.fail(name, "hold no NaN", f"is {values}")
+        return values
+
+    lower = limits("lower", lower, -math.inf)
+    upper = limits("upper", upper, math.inf)
+    for i in range(n):
+        if lower[i] > upper[i]:
+            raise errors.fail("lower", "not exceed `upper`", f"is {lower[i]:g} > {upper[i]:g} at joint {names[i]}")
+    return Chain(joints=joints, tip=tip or Offset(), joint_names=names, lower=lower, upper=upper,
+                 velocity_limit=limits("velocity_limit", velocity_limit, math.inf))
+
+
+def with_tool(chain: Chain, tool) -> Chain:
+    """The chain with a fixed tool after its tip: a (3,) offset [m] or a 4×4 transform."""
+    offset = Offset(position=_scalars("tool", tool, 3)) if np.ndim(tool) == 1 else _offset("tool", tool)
+    from cnclik.record import replace
+
+    return replace(chain, tip=compose(chain.tip, offset))
+
+
+def compose(first: Offset, second: Offset) -> Offset:
+    """The transform `first`, then `second` as seen from there."""
+    return Offset(
+        position=sp.vadd(first.position, sp.matvec(first.rotation, second.position)),
+        rotation=sp.matmul(first.rotation, second.rotation),
+    )
+
+
+# --- reading arguments --------------------------------------------------------------------------------
+
+
+def _scalars(name, values, size=None) -> tuple:
+    """A sequence as a tuple of scalars: Python numbers stay literal, entries of an array stay leaves."""
+    if isinstance(values, (list, tuple)):
+        out = tuple(float(v) if sp.is_number(v) else v for v in values)
+    else:
+        array = errors.array(name, values, (None,))
+        out = tuple(array[i] for i in range(array.shape[0]))
+    if not out or (size is not None and len(out) != size):
+        raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(out)},)")
+    for i, value in enumerate(out):
+        errors.number(f"{name}[{i}]", value)
+    return out
+
+
+def _kinds(kinds, n):
+    letters = {"R": REVOLUTE, "P": PRISMATIC}
+    kinds = "R" * n if kinds is None else kinds
+    if len(kinds) != n or any(k not in letters for k in kinds):
+        raise errors.fail("kinds", f"be {n} letters R or P", f"is {kinds!r}")
+    return tuple(letters[k] for k in kinds)
+
+
+def _offset(name, transform) -> Offset:
+    """Offset of a 4×4 homogeneous transform; None is the identity. Nested lists stay literal."""
+    if transform is None:
+        return Offset()
+    if isinstance(transform, Offset):
+        return transform
+    if np.shape(transform) != (4, 4):
+        raise errors.fail(name, "have shape (4, 4)", f"has shape {np.shape(transform)}")
+    rows = [_scalars(f"{name}[{i}]", transform[i], 4) for i in range(4)]
+    if all(errors.concrete(x) for row in rows for x in row):
+        r = np.array([[float(x) for x in row[:3]] for row in rows[:3]])
+        if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
+            raise errors.fail(name, "hold a rotation in its upper left 3×3 block", "does not")
+    return Offset(position=tuple(row[3] for row in rows[:3]), rotation=tuple(row[:3] for row in rows[:3]))
+
+
+def _unit(name, axis):
+    if all(sp.is_number(a) for a in axis):
+        length = math.sqrt(sum(a * a for a in axis))
+        if length == 0:
+            raise errors.fail(name, "not be the zero vector", f"is {axis}")
+        return tuple(a / length for a in axis)
+    length = sp.safe_norm(axis)
+    return tuple(a / length for a in axis)
+
+
+def _turn(axis, angle):
+    """Rotation by a fixed angle; sines of literal multiples of π/2 are made exact, so that they fold."""
+    if sp.is_number(angle):
+        sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))
+        sine, cosine = (round(v) * 1.0 if abs(abs(v) - 1) < 1e-15 else v for v in (sine, cosine))
+    else:
+        import jax.numpy as jnp
+
+        sine, cosine = jnp.sin(angle), jnp.cos(angle)
+    return sp.rotation_about(axis, sine, cosine)
