@@ -32,7 +32,7 @@ def opaque(fn):
     Literals among the arguments and results stay literals across the fence.
     """
 
-    @functools.lru_cache(maxsize=None)
+    @functools.cache
     def fenced(literals):
         made = {}
 

@@ -21,7 +21,7 @@ def is_literal(value) -> bool:
 class Literals:
     """The literal part of a flattened tree, hashed once: it is a key of JAX's compilation caches."""
 
-    __slots__ = ("treedef", "values", "_hash")
+    __slots__ = ("_hash", "treedef", "values")
 
     def __init__(self, treedef, values):
         self.treedef, self.values = treedef, values

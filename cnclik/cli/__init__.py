@@ -1,0 +1,73 @@
+"""The command line: one module per verb, each loaded only when its verb is used.
+
+A verb's module holds a dataclass `Args` (its options, read by tyro) and `run(args)`. To add one, name it
+in `VERBS`.
+"""
+
+import importlib
+import os
+import sys
+
+VERBS = {
+    "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
+}
+
+
+def main(argv=None) -> None:
+    """Entry point of `cnclik`. Exit code 2, and one line on stderr, for arguments that can't be used."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if argv[:1] in (["-V"], ["--version"]):
+        from cnclik import __version__
+
+        print(f"cnclik {__version__}")
+        return
+    if not argv or argv[0] in ("-h", "--help"):
+        print(_overview())
+        return
+    from cnclik import errors
+
+    try:
+        verb = errors.one_of("verb", argv[0], VERBS)
+    except errors.ArgumentError as error:
+        _leave(error)
+    _prepare()
+    import tyro
+
+    module = importlib.import_module(f"cnclik.cli.{verb}")
+    args = tyro.cli(module.Args, args=argv[1:], prog=f"cnclik {verb}", description=VERBS[verb])
+    try:
+        module.run(args)
+    except errors.ArgumentError as error:
+        _leave(error)
+    except KeyboardInterrupt:
+        print("Interrupted; what was complete is kept.", file=sys.stderr)
+        sys.exit(130)
+
+
+def _prepare() -> None:
+    """Float64 and no window: the command line is for numbers that are quoted and figures that are saved."""
+    os.environ.setdefault("MPLBACKEND", "agg")
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    lines = [f"  {verb:<{width}}  {what}" for verb, what in VERBS.items()]
+    return "\n".join(
+        [
+            "usage: cnclik VERB [options]",
+            "",
+            "Closed-loop inverse kinematics as time stepping.",
+            "",
+            *lines,
+            "",
+            "cnclik VERB --help lists a verb's options; cnclik --version tells the version.",
+        ]
+    )
+
+
+def _leave(error) -> None:
+    print(f"cnclik: {error}", file=sys.stderr)
+    sys.exit(2)

@@ -42,12 +42,20 @@ class Method:
 
 
 EE = Method(
-    name="EE", A=((0.0,),), b=(1.0,), c=(0.0,), order=1,
+    name="EE",
+    A=((0.0,),),
+    b=(1.0,),
+    c=(0.0,),
+    order=1,
     source="explicit Euler, Drexler (2016), eq. 2; R(z) = 1 − z",
 )
 
 IE = Method(
-    name="IE", A=((1.0,),), b=(1.0,), c=(1.0,), order=1,
+    name="IE",
+    A=((1.0,),),
+    b=(1.0,),
+    c=(1.0,),
+    order=1,
     source="implicit Euler, Drexler (2016), eqs. 4 and 6-10; R(z) = 1/(1 + z)",
 )
 
@@ -55,29 +63,48 @@ IE = Method(
 # *implicit Euler*, not at its own end point: this is not the textbook Crank-Nicolson (see TRAPEZOID) and it
 # is not A-stable.
 CN = Method(
-    name="CN", A=((0.0,), (0.0, 1.0)), b=(0.5, 0.5), c=(0.0, 1.0), order=2,
+    name="CN",
+    A=((0.0,), (0.0, 1.0)),
+    b=(0.5, 0.5),
+    c=(0.0, 1.0),
+    order=2,
     source="the paper's Crank-Nicolson, Drexler (2016), eqs. 11-12; R(z) = (1 − z²/2)/(1 + z)",
 )
 
 # The textbook Crank-Nicolson: the second slope is taken at the step's own end point. A-stable.
 TRAPEZOID = Method(
-    name="TRAPEZOID", A=((0.0,), (0.5, 0.5)), b=(0.5, 0.5), c=(0.0, 1.0), order=2,
+    name="TRAPEZOID",
+    A=((0.0,), (0.5, 0.5)),
+    b=(0.5, 0.5),
+    c=(0.0, 1.0),
+    order=2,
     source="trapezoidal rule, Crank & Nicolson (1947); R(z) = (1 − z/2)/(1 + z/2)",
 )
 
 HEUN = Method(
-    name="HEUN", A=((0.0,), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0), order=2,
+    name="HEUN",
+    A=((0.0,), (1.0, 0.0)),
+    b=(0.5, 0.5),
+    c=(0.0, 1.0),
+    order=2,
     source="Heun (1900); R(z) = 1 − z + z²/2",
 )
 
 MIDPOINT = Method(
-    name="MIDPOINT", A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2,
+    name="MIDPOINT",
+    A=((0.0,), (0.5, 0.0)),
+    b=(0.0, 1.0),
+    c=(0.0, 0.5),
+    order=2,
     source="explicit midpoint rule, Runge (1895); R(z) = 1 − z + z²/2",
 )
 
 RK4 = Method(
-    name="RK4", A=((0.0,), (0.5, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0, 0.0)),
-    b=(1 / 6, 1 / 3, 1 / 3, 1 / 6), c=(0.0, 0.5, 0.5, 1.0), order=4,
+    name="RK4",
+    A=((0.0,), (0.5, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0, 0.0)),
+    b=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    c=(0.0, 0.5, 0.5, 1.0),
+    order=4,
     source="Kutta (1901); R(z) = 1 − z + z²/2 − z³/6 + z⁴/24",
 )
 

@@ -8,7 +8,6 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from cnclik import errors
@@ -182,8 +181,15 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     x = task_coordinates(law, qs)
     columns = functools.partial(jnp.stack, axis=-1)
     return Trajectory(
-        t=t0 + k * Ts, q=columns(qs), x=columns(x), e=columns(es), qdot=columns(qdot), residual=residual,
-        contraction=contraction, status=status, evaluations=evaluations,
+        t=t0 + k * Ts,
+        q=columns(qs),
+        x=columns(x),
+        e=columns(es),
+        qdot=columns(qdot),
+        residual=residual,
+        contraction=contraction,
+        status=status,
+        evaluations=evaluations,
     )
 
 
@@ -191,5 +197,11 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
 def _step(law, reference, q, t, Ts, stage, *, method):
     law, reference, t, Ts = cast((law, reference, t, Ts), q.dtype)
     made = advance(law, reference, tuple(q), t, Ts, method, stage)
-    return Step(q=jnp.stack(made.q), e=jnp.stack(made.e), qdot=jnp.stack(made.qdot), residual=made.residual,
-                contraction=made.contraction, status=made.status)
+    return Step(
+        q=jnp.stack(made.q),
+        e=jnp.stack(made.e),
+        qdot=jnp.stack(made.qdot),
+        residual=made.residual,
+        contraction=made.contraction,
+        status=made.status,
+    )

@@ -1,0 +1,1 @@
+"""What the loop is asked to do: q̇ = f(q, t)."""

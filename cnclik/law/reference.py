@@ -126,9 +126,7 @@ class _Lissajous:
 
     def __call__(self, t):
         omega = 2 * math.pi / self.period
-        parts = zip(
-            *(_vector(v) for v in (self.center, self.amplitude, self.frequency, self.phase)), strict=True
-        )
+        parts = zip(*(_vector(v) for v in (self.center, self.amplitude, self.frequency, self.phase)), strict=True)
         return tuple(c + a * jnp.sin(f * omega * t + p) for c, a, f, p in parts), _rows(self.rotation)
 
 
@@ -277,8 +275,13 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
     else:
         raise errors.fail("center", "have shape (2,) or (3,)", f"has shape {center.shape}")
     c, s = jnp.cos(phase), jnp.sin(phase)
-    curve = _Circle(center=center, first=radius * (c * u + s * v), second=radius * (c * v - s * u),
-                    rotation=_rotation("rotation", rotation), period=_leaf(period))
+    curve = _Circle(
+        center=center,
+        first=radius * (c * u + s * v),
+        second=radius * (c * v - s * u),
+        rotation=_rotation("rotation", rotation),
+        period=_leaf(period),
+    )
     return Reference(curve=curve, period=_leaf(period))
 
 
@@ -298,8 +301,14 @@ def lissajous(center, amplitude, *, period, frequency=None, phase=None, rotation
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
     _nonzero("period", period)
-    curve = _Lissajous(center=center, amplitude=amplitude, frequency=frequency, phase=phase,
-                       rotation=_rotation("rotation", rotation), period=_leaf(period))
+    curve = _Lissajous(
+        center=center,
+        amplitude=amplitude,
+        frequency=frequency,
+        phase=phase,
+        rotation=_rotation("rotation", rotation),
+        period=_leaf(period),
+    )
     return Reference(curve=curve, period=_leaf(period))
 
 

@@ -1,0 +1,1 @@
+"""Geometry: chains, where their tip is, and how it moves."""

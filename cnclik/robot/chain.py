@@ -80,8 +80,21 @@ def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
     return assemble(joints, Offset(position=(0.0, lengths[-1], 0.0)), joint_names=joint_names)
 
 
-def from_dh(a, alpha, d, theta=None, *, convention="standard", kinds=None, base=None, tool=None,
-            joint_names=None, lower=None, upper=None, velocity_limit=None) -> Chain:
+def from_dh(
+    a,
+    alpha,
+    d,
+    theta=None,
+    *,
+    convention="standard",
+    kinds=None,
+    base=None,
+    tool=None,
+    joint_names=None,
+    lower=None,
+    upper=None,
+    velocity_limit=None,
+) -> Chain:
     """Chain from Denavit-Hartenberg parameters.
 
     standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α) per joint (Siciliano et al. 2009, eq. 2.52);
@@ -114,12 +127,19 @@ def from_dh(a, alpha, d, theta=None, *, convention="standard", kinds=None, base=
         # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
         joints.append(Joint(kind=kinds[i], axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
         before = along_z if convention == "modified" else compose(along_z, along_x)
-    return assemble(joints, compose(before, _offset("tool", tool)), joint_names=joint_names, lower=lower,
-                    upper=upper, velocity_limit=velocity_limit)
+    return assemble(
+        joints,
+        compose(before, _offset("tool", tool)),
+        joint_names=joint_names,
+        lower=lower,
+        upper=upper,
+        velocity_limit=velocity_limit,
+    )
 
 
-def from_screws(points, axes, home, *, kinds=None, joint_names=None, lower=None, upper=None,
-                velocity_limit=None) -> Chain:
+def from_screws(
+    points, axes, home, *, kinds=None, joint_names=None, lower=None, upper=None, velocity_limit=None
+) -> Chain:
     """Chain from a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
 
     Args:
@@ -137,13 +157,10 @@ def from_screws(points, axes, home, *, kinds=None, joint_names=None, lower=None,
     tip = Offset(position=_scalars("home", home, 3)) if np.ndim(home) == 1 else _offset("home", home)
     joints, last = [], sp.ZERO
     for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
-        joints.append(
-            Joint(kind=kinds[i], axis=axis, origin=Offset(position=sp.vsub(point, last)), coordinate=i)
-        )
+        joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=sp.vsub(point, last)), coordinate=i))
         last = point
     tip = Offset(position=sp.vsub(tip.position, last), rotation=tip.rotation)
-    return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper,
-                    velocity_limit=velocity_limit)
+    return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
 def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velocity_limit=None) -> Chain:
@@ -169,8 +186,14 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
     for i in range(n):
         if lower[i] > upper[i]:
             raise errors.fail("lower", "not exceed `upper`", f"is {lower[i]:g} > {upper[i]:g} at joint {names[i]}")
-    return Chain(joints=joints, tip=tip or Offset(), joint_names=names, lower=lower, upper=upper,
-                 velocity_limit=limits("velocity_limit", velocity_limit, math.inf))
+    return Chain(
+        joints=joints,
+        tip=tip or Offset(),
+        joint_names=names,
+        lower=lower,
+        upper=upper,
+        velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
+    )
 
 
 def with_tool(chain: Chain, tool) -> Chain:

@@ -5,8 +5,6 @@ contiguous row of lanes, so the same code serves one robot and a million. A scal
 products with a literal 0 or 1 then vanish while the program is traced.
 """
 
-import math
-
 import jax.numpy as jnp
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -1,0 +1,1 @@
+"""What many loops teach."""
