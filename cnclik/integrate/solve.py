@@ -145,9 +145,10 @@ def _arguments(law, reference, q, Ts, method, stage, name="q0"):
         raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
     if not isinstance(method, Method):
         method = METHODS[errors.one_of("method", method, METHODS)]
+    if not isinstance(reference, ref.Reference):
+        raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
-    ref.check(reference, law.task)
     errors.number("Ts", Ts, positive=True)
     q = as_joint_values(law.chain, q, name)
     if errors.concrete(q):
@@ -167,6 +168,7 @@ def cast(tree, dtype):
 
 @functools.partial(jax.jit, static_argnames=("N", "method"))
 def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
+    ref.check(reference, law.task)  # shapes only: once, while tracing
     law, reference, Ts, t0 = cast((law, reference, Ts, t0), q0.dtype)
     evaluations = jnp.asarray(N * evaluations_per_step(method, stage))
 
@@ -195,6 +197,7 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
 
 @functools.partial(jax.jit, static_argnames=("method",))
 def _step(law, reference, q, t, Ts, stage, *, method):
+    ref.check(reference, law.task)
     law, reference, t, Ts = cast((law, reference, t, Ts), q.dtype)
     made = advance(law, reference, tuple(q), t, Ts, method, stage)
     return Step(

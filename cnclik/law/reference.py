@@ -59,8 +59,6 @@ def _pick(task, position):
 
 def check(reference: Reference, task: Task) -> None:
     """Raise ArgumentError where the reference's target does not fit the task."""
-    if not isinstance(reference, Reference):
-        raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
     position, rotation = jax.eval_shape(reference.curve, 0.0)
     if task.position:
         m = len(task.position)
