@@ -402,8 +402,7 @@ def _nonzero(name, value):
 def _position(name, value):
     if value is None:
         return None
-    value = errors.array(name, value, (None,))
-    return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
+    return errors.array(name, value, (None,))
 
 
 def _rotation(name, value):
