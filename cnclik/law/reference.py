@@ -179,10 +179,12 @@ class _Path:
     fn: object
 
     def __call__(self, t):
-        target = self.fn(t)
+        target, dtype = self.fn(t), jnp.result_type(t)
         if isinstance(target, Pose):
-            return _vector(target.position), _rows(target.rotation)
-        return _vector(target), None
+            return _vector(jnp.asarray(target.position, dtype)), _rows(jnp.asarray(target.rotation, dtype))
+        if isinstance(target, (tuple, list)):
+            return tuple(jnp.asarray(v, dtype) for v in target), None
+        return _vector(jnp.asarray(target, dtype)), None
 
 
 def _vector(array):
@@ -256,7 +258,7 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
       phase: angle on the circle at t = 0 [rad].
       rotation: constant orientation, (3, 3) or (4,) quaternion.
     """
-    center = _position("center", center)
+    center = errors.array("center", center, (2,), (3,))
     errors.number("radius", radius, at_least=0)
     errors.number("phase", phase)
     _nonzero("period", period)
@@ -264,7 +266,7 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
         if normal is not None:
             raise errors.fail("normal", "be None for a 2-D centre", f"is {normal!r}")
         u, v = np.eye(2)
-    elif center.shape[0] == 3:
+    else:
         w = np.asarray(errors.array("normal", (0.0, 0.0, 1.0) if normal is None else normal, (3,)), float)
         if not np.linalg.norm(w) > 0:
             raise errors.fail("normal", "not be the zero vector", f"is {w.tolist()}")
@@ -272,8 +274,6 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
         u = np.cross(np.eye(3)[1] if abs(w[1]) < 0.9 else np.eye(3)[2], w)
         u = u / np.linalg.norm(u)
         v = np.cross(w, u)
-    else:
-        raise errors.fail("center", "have shape (2,) or (3,)", f"has shape {center.shape}")
     c, s = jnp.cos(phase), jnp.sin(phase)
     curve = _Circle(
         center=center,
@@ -295,7 +295,7 @@ def lissajous(center, amplitude, *, period, frequency=None, phase=None, rotation
       phase: (d,) [rad], 0 by default.
       rotation: constant orientation.
     """
-    center = _position("center", center)
+    center = errors.array("center", center, (None,))
     d = center.shape[0]
     amplitude = errors.array("amplitude", amplitude, (d,))
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
@@ -350,7 +350,7 @@ def waypoints(times, positions=None, rotations=None, *, closed=False) -> Referen
 
 
 def path(fn) -> Reference:
-    """Any differentiable function t -> position (d,), or t -> Pose, as a reference."""
+    """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference."""
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")
     return Reference(curve=_Path(fn=fn))
@@ -368,9 +368,10 @@ def _cubic(times, values, closed, name):
         a = a.at[k, k - 1 : k + 2].set(jnp.stack([h[k], 2 * (h[k - 1] + h[k]), h[k - 1]]))
         b = b.at[k].set(3 * (h[k] * slope[k - 1] + h[k - 1] * slope[k]))
     if closed:
-        if errors.concrete(values) and np.abs(np.abs(values[0]) - np.abs(values[-1])).max() > 1e-6:
-            raise errors.fail(name, "end where it starts for a closed path", "does not")
+        # A full turn comes back with the quaternion's other sign, which is the same rotation.
         sign = jnp.where(jnp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
+        if errors.concrete(values) and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+            raise errors.fail(name, "end where it starts for a closed path", "does not")
         a = a.at[0, 0].set(-sign).at[0, -1].set(1.0)
         end = jnp.zeros(count, values.dtype)
         end = end.at[0].add(2 * sign * h[-1]).at[1].add(sign * h[-1]).at[-2].add(h[0]).at[-1].add(2 * h[0])
