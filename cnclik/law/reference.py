@@ -241,7 +241,7 @@ def line(start, end, *, duration, rotation=None, rotation_end=None) -> Reference
     if rotation_end is not None:
         if rotation is None:
             raise errors.fail("rotation", "be given with `rotation_end`", "is None")
-        turn = jnp.stack(sp.log_so3(_rows(rotation_end @ rotation.T)))
+        turn = _turn(rotation, rotation_end)
     duration = _leaf(duration)
     curve = _Line(start=start, end=end, rotation=rotation, turn=turn, duration=duration)
     return Reference(curve=curve, period=duration)
@@ -334,17 +334,14 @@ def waypoints(times, positions=None, rotations=None, *, closed=False) -> Referen
         raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
     if positions is None and rotations is None:
         raise errors.fail("positions", "be given, or `rotations`", "is None")
-    times = jnp.asarray(times)
     position = quaternion = None
     if positions is not None:
         positions = errors.array("positions", positions, (count, None))
-        position = _cubic(times, jnp.asarray(positions), closed, "positions")
+        position = _cubic(times, positions, closed, "positions")
     if rotations is not None:
         rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
-        q = jnp.stack([_quaternion(rotations[k]) for k in range(count)])
-        for k in range(1, count):  # the sign nearer to the one before
-            q = q.at[k].multiply(jnp.where(jnp.dot(q[k - 1], q[k]) < 0, -1.0, 1.0))
-        quaternion = _cubic(times, q, closed, "rotations")
+        quaternion = _cubic(times, _quaternions(rotations), closed, "rotations")
+    times = jnp.asarray(times)
     curve = _Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=bool(closed))
     return Reference(curve=curve, period=times[-1])
 
@@ -358,32 +355,37 @@ def path(fn) -> Reference:
 
 def _cubic(times, values, closed, name):
     """Coefficients (4, K−1, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
-    h = jnp.diff(times)
-    slope = jnp.diff(values, axis=0) / h[:, None]
-    count = times.shape[0]
-    # Unknown: the velocities v at the knots. Rows: continuity of acceleration; then the two end conditions.
-    a = jnp.zeros((count, count), values.dtype)
-    b = jnp.zeros_like(values)
-    for k in range(1, count - 1):
-        a = a.at[k, k - 1 : k + 2].set(jnp.stack([h[k], 2 * (h[k - 1] + h[k]), h[k - 1]]))
-        b = b.at[k].set(3 * (h[k] * slope[k - 1] + h[k - 1] * slope[k]))
+    known = errors.concrete(times) and errors.concrete(values)
+    xp = np if known else jnp  # NumPy compiles nothing
+    times, values = xp.asarray(times), xp.asarray(values)
+    h = xp.diff(times)
+    slope = xp.diff(values, axis=0) / h[:, None]
+    zero, one = xp.zeros(1), xp.ones(1)
+    # Unknown: the velocities v at the knots. Rows: continuity of acceleration, and the two end conditions.
+    a = (
+        xp.diag(xp.concatenate([one, 2 * (h[:-1] + h[1:]), one]))
+        + xp.diag(xp.concatenate([h[1:], zero]), -1)
+        + xp.diag(xp.concatenate([zero, h[:-1]]), 1)
+    )
+    b = 3 * (h[1:, None] * slope[:-1] + h[:-1, None] * slope[1:])
+    rest = xp.zeros_like(values[:1])
+    last = rest
     if closed:
         # A full turn comes back with the quaternion's other sign, which is the same rotation.
-        sign = jnp.where(jnp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
-        if errors.concrete(values) and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+        sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
+        if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
             raise errors.fail(name, "end where it starts for a closed path", "does not")
-        a = a.at[0, 0].set(-sign).at[0, -1].set(1.0)
-        end = jnp.zeros(count, values.dtype)
-        end = end.at[0].add(2 * sign * h[-1]).at[1].add(sign * h[-1]).at[-2].add(h[0]).at[-1].add(2 * h[0])
-        a = a.at[-1].set(end)
-        b = b.at[-1].set(3 * (sign * h[-1] * slope[0] + h[0] * slope[-1]))
-    else:
-        a = a.at[0, 0].set(1.0).at[-1, -1].set(1.0)
-    v = jnp.linalg.solve(a, b)
+        inner = a[1:-1]
+        eye = xp.eye(times.shape[0])
+        same_velocity = eye[-1] - sign * eye[0]
+        same_acceleration = sign * h[-1] * (2 * eye[0] + eye[1]) + h[0] * (eye[-2] + 2 * eye[-1])
+        a = xp.concatenate([same_velocity[None], inner, same_acceleration[None]])
+        last = 3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:])
+    v = xp.linalg.solve(a, xp.concatenate([rest, b, last]))
     hh = h[:, None]
     second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
     third = (v[:-1] + v[1:] - 2 * slope) / hh**2
-    return jnp.stack([values[:-1], v[:-1], second, third])
+    return jnp.asarray(xp.stack([values[:-1], v[:-1], second, third]))
 
 
 # --- reading arguments --------------------------------------------------------------------------------
@@ -417,13 +419,30 @@ def _rotation(name, value):
             raise errors.fail(name, "be a unit quaternion", f"has norm {np.linalg.norm(known):.6g}")
         if known.ndim == 2 and (np.abs(known @ known.T - np.eye(3)).max() > 1e-3 or np.linalg.det(known) < 0):
             raise errors.fail(name, "be a rotation matrix", "is not orthogonal with determinant 1")
-    if value.ndim == 1:
-        rows = sp.rotation_from_quaternion(_vector(value / jnp.linalg.norm(value)))
-        return jnp.stack([jnp.stack(row) for row in rows])
-    return value
+    return _from_quaternion(value) if value.ndim == 1 else value
 
 
-def _quaternion(rotation):
-    if rotation.shape == (4,):
-        return rotation / jnp.linalg.norm(rotation)
-    return jnp.stack(sp.quaternion_from_rotation(_rows(rotation)))
+# Compiled as wholes: one by one, their many small operations would each be compiled on first use.
+
+
+@jax.jit
+def _from_quaternion(q):
+    rows = sp.rotation_from_quaternion(_vector(q / jnp.linalg.norm(q)))
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+@jax.jit
+def _turn(first, last):
+    """Rotation vector, in the base frame, from one rotation to another."""
+    return jnp.stack(sp.log_so3(_rows(last @ first.T)))
+
+
+@jax.jit
+def _quaternions(rotations):
+    """Unit quaternions (K, 4) of rotations, each with the sign nearer to the one before."""
+    if rotations.shape[1:] == (4,):
+        q = rotations / jnp.linalg.norm(rotations, axis=1, keepdims=True)
+    else:
+        q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(_rows(r))))(rotations)
+    flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]
