@@ -7,6 +7,7 @@ import difflib
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -15,7 +16,8 @@ class ArgumentError(ValueError):
 
 
 def fail(name: str, must: str, found) -> ArgumentError:
-    return ArgumentError(f"Argument `{name}` must {must}, but {found}.")
+    found = " ".join(found.split())  # one line, whatever the value's repr is
+    return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 
 def concrete(value) -> bool:
@@ -51,9 +53,9 @@ def integer(name: str, value, *, at_least: int) -> int:
 
 
 def array(name: str, value, *shapes, finite=True):
-    """A real array of one of the shapes (None matches any length); returned as an array."""
+    """A real array of one of the shapes (None matches any length); returned as an array of floats."""
     try:
-        found = value if isinstance(value, (jax.Array, np.ndarray)) else np.asarray(value, float)
+        found = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
         if not np.issubdtype(found.dtype, np.number) or np.issubdtype(found.dtype, np.complexfloating):
             raise TypeError
     except (TypeError, ValueError):
@@ -65,12 +67,19 @@ def array(name: str, value, *shapes, finite=True):
         where = np.argwhere(~np.isfinite(np.asarray(found)))[0]
         place = f" at index {tuple(int(i) for i in where)}" if found.ndim else ""
         raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
-    return found
+    return found if np.issubdtype(found.dtype, np.floating) else found.astype(float)
+
+
+def _gather(value):
+    """Nested sequences as one array; entries may be traced."""
+    if any(not concrete(v) for v in jax.tree.leaves(value)):
+        return jnp.asarray(value)
+    return np.asarray(value, float)
 
 
 def one_of(name: str, value, names):
     """A name from a list; the nearest one is suggested."""
-    if value not in names:
+    if not isinstance(value, str) or value not in names:
         near = difflib.get_close_matches(str(value), [str(n) for n in names], n=1, cutoff=0.5)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         raise fail(name, f"be one of {', '.join(str(n) for n in names)}", f"is {value!r}{hint}")

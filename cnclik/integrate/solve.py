@@ -169,7 +169,8 @@ def cast(tree, dtype):
 @functools.partial(jax.jit, static_argnames=("N", "method"))
 def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     ref.check(reference, law.task)  # shapes only: once, while tracing
-    law, reference, Ts, t0 = cast((law, reference, Ts, t0), q0.dtype)
+    law, reference = cast((law, reference), q0.dtype)
+    Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
     evaluations = jnp.asarray(N * evaluations_per_step(method, stage))
 
     def one(q, k):
@@ -180,7 +181,8 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     q, (qs, es, qdot, residual, contraction, status) = lax.scan(one, tuple(q0), k[:-1])
     e = evaluate(law, reference, t0 + k[-1] * Ts, q).e
     qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
-    x = task_coordinates(law, qs)
+    # A coordinate that no joint moves is a literal.
+    x = [jnp.broadcast_to(jnp.asarray(v, q0.dtype), (N + 1,)) for v in task_coordinates(law, qs)]
     columns = functools.partial(jnp.stack, axis=-1)
     return Trajectory(
         t=t0 + k * Ts,
@@ -198,8 +200,8 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
 @functools.partial(jax.jit, static_argnames=("method",))
 def _step(law, reference, q, t, Ts, stage, *, method):
     ref.check(reference, law.task)
-    law, reference, t, Ts = cast((law, reference, t, Ts), q.dtype)
-    made = advance(law, reference, tuple(q), t, Ts, method, stage)
+    law, reference = cast((law, reference), q.dtype)
+    made = advance(law, reference, tuple(q), jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
     return Step(
         q=jnp.stack(made.q),
         e=jnp.stack(made.e),

@@ -112,7 +112,9 @@ def null_velocity(law: Law, q):
         return tuple(wanted[i] for i in range(law.chain.n))
     if dataclasses.is_dataclass(wanted):
         return wanted(q)
-    values = wanted(jnp.stack(q))
+    values = jnp.asarray(wanted(jnp.stack(q)))
+    if values.shape != (law.chain.n,):
+        raise errors.fail("null_velocity", f"return shape ({law.chain.n},)", f"returns shape {values.shape}")
     return tuple(values[i] for i in range(law.chain.n))
 
 

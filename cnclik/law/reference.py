@@ -177,10 +177,12 @@ class _Path:
     fn: object
 
     def __call__(self, t):
-        target = self.fn(t)
+        target, dtype = self.fn(t), jnp.result_type(t)
         if isinstance(target, Pose):
-            return _vector(target.position), _rows(target.rotation)
-        return _vector(target), None
+            return _vector(jnp.asarray(target.position, dtype)), _rows(jnp.asarray(target.rotation, dtype))
+        if isinstance(target, (tuple, list)):
+            return tuple(jnp.asarray(v, dtype) for v in target), None
+        return _vector(jnp.asarray(target, dtype)), None
 
 
 def _vector(array):
@@ -237,7 +239,7 @@ def line(start, end, *, duration, rotation=None, rotation_end=None) -> Reference
     if rotation_end is not None:
         if rotation is None:
             raise errors.fail("rotation", "be given with `rotation_end`", "is None")
-        turn = jnp.stack(sp.log_so3(_rows(rotation_end @ rotation.T)))
+        turn = _turn(rotation, rotation_end)
     duration = _leaf(duration)
     curve = _Line(start=start, end=end, rotation=rotation, turn=turn, duration=duration)
     return Reference(curve=curve, period=duration)
@@ -254,7 +256,7 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
       phase: angle on the circle at t = 0 [rad].
       rotation: constant orientation, (3, 3) or (4,) quaternion.
     """
-    center = _position("center", center)
+    center = errors.array("center", center, (2,), (3,))
     errors.number("radius", radius, at_least=0)
     errors.number("phase", phase)
     _nonzero("period", period)
@@ -262,7 +264,7 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
         if normal is not None:
             raise errors.fail("normal", "be None for a 2-D centre", f"is {normal!r}")
         u, v = np.eye(2)
-    elif center.shape[0] == 3:
+    else:
         w = np.asarray(errors.array("normal", (0.0, 0.0, 1.0) if normal is None else normal, (3,)), float)
         if not np.linalg.norm(w) > 0:
             raise errors.fail("normal", "not be the zero vector", f"is {w.tolist()}")
@@ -270,8 +272,6 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
         u = np.cross(np.eye(3)[1] if abs(w[1]) < 0.9 else np.eye(3)[2], w)
         u = u / np.linalg.norm(u)
         v = np.cross(w, u)
-    else:
-        raise errors.fail("center", "have shape (2,) or (3,)", f"has shape {center.shape}")
     c, s = jnp.cos(phase), jnp.sin(phase)
     curve = _Circle(
         center=center,
@@ -293,7 +293,7 @@ def lissajous(center, amplitude, *, period, frequency=None, phase=None, rotation
       phase: (d,) [rad], 0 by default.
       rotation: constant orientation.
     """
-    center = _position("center", center)
+    center = errors.array("center", center, (None,))
     d = center.shape[0]
     amplitude = errors.array("amplitude", amplitude, (d,))
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
@@ -332,23 +332,20 @@ def waypoints(times, positions=None, rotations=None, *, closed=False) -> Referen
         raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
     if positions is None and rotations is None:
         raise errors.fail("positions", "be given, or `rotations`", "is None")
-    times = jnp.asarray(times)
     position = quaternion = None
     if positions is not None:
         positions = errors.array("positions", positions, (count, None))
-        position = _cubic(times, jnp.asarray(positions), closed, "positions")
+        position = _cubic(times, positions, closed, "positions")
     if rotations is not None:
         rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
-        q = jnp.stack([_quaternion(rotations[k]) for k in range(count)])
-        for k in range(1, count):  # the sign nearer to the one before
-            q = q.at[k].multiply(jnp.where(jnp.dot(q[k - 1], q[k]) < 0, -1.0, 1.0))
-        quaternion = _cubic(times, q, closed, "rotations")
+        quaternion = _cubic(times, _quaternions(rotations), closed, "rotations")
+    times = jnp.asarray(times)
     curve = _Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=bool(closed))
     return Reference(curve=curve, period=times[-1])
 
 
 def path(fn) -> Reference:
-    """Any differentiable function t -> position (d,), or t -> Pose, as a reference."""
+    """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference."""
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")
     return Reference(curve=_Path(fn=fn))
@@ -356,31 +353,37 @@ def path(fn) -> Reference:
 
 def _cubic(times, values, closed, name):
     """Coefficients (4, K−1, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
-    h = jnp.diff(times)
-    slope = jnp.diff(values, axis=0) / h[:, None]
-    count = times.shape[0]
-    # Unknown: the velocities v at the knots. Rows: continuity of acceleration; then the two end conditions.
-    a = jnp.zeros((count, count), values.dtype)
-    b = jnp.zeros_like(values)
-    for k in range(1, count - 1):
-        a = a.at[k, k - 1 : k + 2].set(jnp.stack([h[k], 2 * (h[k - 1] + h[k]), h[k - 1]]))
-        b = b.at[k].set(3 * (h[k] * slope[k - 1] + h[k - 1] * slope[k]))
+    known = errors.concrete(times) and errors.concrete(values)
+    xp = np if known else jnp  # NumPy compiles nothing
+    times, values = xp.asarray(times), xp.asarray(values)
+    h = xp.diff(times)
+    slope = xp.diff(values, axis=0) / h[:, None]
+    zero, one = xp.zeros(1), xp.ones(1)
+    # Unknown: the velocities v at the knots. Rows: continuity of acceleration, and the two end conditions.
+    a = (
+        xp.diag(xp.concatenate([one, 2 * (h[:-1] + h[1:]), one]))
+        + xp.diag(xp.concatenate([h[1:], zero]), -1)
+        + xp.diag(xp.concatenate([zero, h[:-1]]), 1)
+    )
+    b = 3 * (h[1:, None] * slope[:-1] + h[:-1, None] * slope[1:])
+    rest = xp.zeros_like(values[:1])
+    last = rest
     if closed:
-        if errors.concrete(values) and np.abs(np.abs(values[0]) - np.abs(values[-1])).max() > 1e-6:
+        # A full turn comes back with the quaternion's other sign, which is the same rotation.
+        sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
+        if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
             raise errors.fail(name, "end where it starts for a closed path", "does not")
-        sign = jnp.where(jnp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
-        a = a.at[0, 0].set(-sign).at[0, -1].set(1.0)
-        end = jnp.zeros(count, values.dtype)
-        end = end.at[0].add(2 * sign * h[-1]).at[1].add(sign * h[-1]).at[-2].add(h[0]).at[-1].add(2 * h[0])
-        a = a.at[-1].set(end)
-        b = b.at[-1].set(3 * (sign * h[-1] * slope[0] + h[0] * slope[-1]))
-    else:
-        a = a.at[0, 0].set(1.0).at[-1, -1].set(1.0)
-    v = jnp.linalg.solve(a, b)
+        inner = a[1:-1]
+        eye = xp.eye(times.shape[0])
+        same_velocity = eye[-1] - sign * eye[0]
+        same_acceleration = sign * h[-1] * (2 * eye[0] + eye[1]) + h[0] * (eye[-2] + 2 * eye[-1])
+        a = xp.concatenate([same_velocity[None], inner, same_acceleration[None]])
+        last = 3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:])
+    v = xp.linalg.solve(a, xp.concatenate([rest, b, last]))
     hh = h[:, None]
     second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
     third = (v[:-1] + v[1:] - 2 * slope) / hh**2
-    return jnp.stack([values[:-1], v[:-1], second, third])
+    return jnp.asarray(xp.stack([values[:-1], v[:-1], second, third]))
 
 
 # --- reading arguments --------------------------------------------------------------------------------
@@ -400,8 +403,7 @@ def _nonzero(name, value):
 def _position(name, value):
     if value is None:
         return None
-    value = errors.array(name, value, (None,))
-    return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
+    return errors.array(name, value, (None,))
 
 
 def _rotation(name, value):
@@ -415,13 +417,30 @@ def _rotation(name, value):
             raise errors.fail(name, "be a unit quaternion", f"has norm {np.linalg.norm(known):.6g}")
         if known.ndim == 2 and (np.abs(known @ known.T - np.eye(3)).max() > 1e-3 or np.linalg.det(known) < 0):
             raise errors.fail(name, "be a rotation matrix", "is not orthogonal with determinant 1")
-    if value.ndim == 1:
-        rows = sp.rotation_from_quaternion(_vector(value / jnp.linalg.norm(value)))
-        return jnp.stack([jnp.stack(row) for row in rows])
-    return value
+    return _from_quaternion(value) if value.ndim == 1 else value
 
 
-def _quaternion(rotation):
-    if rotation.shape == (4,):
-        return rotation / jnp.linalg.norm(rotation)
-    return jnp.stack(sp.quaternion_from_rotation(_rows(rotation)))
+# Compiled as wholes: one by one, their many small operations would each be compiled on first use.
+
+
+@jax.jit
+def _from_quaternion(q):
+    rows = sp.rotation_from_quaternion(_vector(q / jnp.linalg.norm(q)))
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+@jax.jit
+def _turn(first, last):
+    """Rotation vector, in the base frame, from one rotation to another."""
+    return jnp.stack(sp.log_so3(_rows(last @ first.T)))
+
+
+@jax.jit
+def _quaternions(rotations):
+    """Unit quaternions (K, 4) of rotations, each with the sign nearer to the one before."""
+    if rotations.shape[1:] == (4,):
+        q = rotations / jnp.linalg.norm(rotations, axis=1, keepdims=True)
+    else:
+        q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(_rows(r))))(rotations)
+    flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]

@@ -149,8 +149,8 @@ def from_screws(
       kinds: string such as "RRP", by default all revolute.
       joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
     """
-    points = [_scalars(f"points[{i}]", p, 3) for i, p in enumerate(points)]
-    axes = [_unit(f"axes[{i}]", _scalars(f"axes[{i}]", w, 3)) for i, w in enumerate(axes)]
+    points = [_scalars(f"points[{i}]", p, 3) for i, p in enumerate(_sequence("points", points))]
+    axes = [_unit(f"axes[{i}]", _scalars(f"axes[{i}]", w, 3)) for i, w in enumerate(_sequence("axes", axes))]
     if len(axes) != len(points):
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
     kinds = _kinds(kinds, len(points))
@@ -229,6 +229,12 @@ def _scalars(name, values, size=None) -> tuple:
     return out
 
 
+def _sequence(name, rows):
+    if not isinstance(rows, (list, tuple)) and np.ndim(rows) != 2:
+        raise errors.fail(name, "have shape (n, 3)", f"has shape {np.shape(rows)}")
+    return rows
+
+
 def _kinds(kinds, n):
     letters = {"R": REVOLUTE, "P": PRISMATIC}
     kinds = "R" * n if kinds is None else kinds
@@ -254,10 +260,10 @@ def _offset(name, transform) -> Offset:
 
 
 def _unit(name, axis):
+    if all(errors.concrete(a) for a in axis) and not any(float(a) for a in axis):
+        raise errors.fail(name, "not be the zero vector", "is")
     if all(sp.is_number(a) for a in axis):
         length = math.sqrt(sum(a * a for a in axis))
-        if length == 0:
-            raise errors.fail(name, "not be the zero vector", f"is {axis}")
         return tuple(a / length for a in axis)
     length = sp.safe_norm(axis)
     return tuple(a / length for a in axis)

@@ -101,8 +101,7 @@ def stack(values, like):
 
 def as_joint_values(chain: Chain, q, name="q"):
     """q as a floating array (n,), checked."""
-    q = jnp.asarray(errors.array(name, q, (chain.n,), finite=False))
-    return q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(float)
+    return jnp.asarray(errors.array(name, q, (chain.n,), finite=False))
 
 
 @jax.jit
