@@ -8,7 +8,7 @@ from cnclik.errors import ArgumentError
 from cnclik.hints import hints
 from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
 from cnclik.integrate.solve import Step, Trajectory, solve, step
-from cnclik.integrate.stage import picard
+from cnclik.integrate.stage import chord, newton, picard
 from cnclik.integrate.status import Status, StepError, require_ok
 from cnclik.law.inverse import damped, pseudoinverse, transpose
 from cnclik.law.law import Law

@@ -1,10 +1,12 @@
 """step and solve: the loop in time.
 
-`advance` is one step in component form; `solve` scans it over N steps. Everything is pure with static
-shapes: jit, vmap, jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
+`march` is one step over any field in component form, `advance` one step of the loop; `solve` scans it over N
+steps. Everything is pure with static shapes: jit, vmap, jvp and grad go through for alpha, Ts, targets, q0,
+geometry and damping.
 """
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -60,12 +62,22 @@ class Step:
     status: jax.Array
 
 
-def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
-    """One step in component form; the fields of the result are tuples of scalars."""
+class Moved(NamedTuple):
+    """One step over any field: where it went, how, and what the field was at its start."""
 
-    def field(c, q):
-        return evaluate(law, reference, t + c * Ts if c else t, q)
+    q: tuple
+    qdot: tuple
+    first: object
+    residual: object
+    contraction: object
 
+
+def march(field, q, Ts, method: Method, stage) -> Moved:
+    """One step of the method over `field`, in component form.
+
+    field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n scalars) and, for stages that
+    use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one.
+    """
     first = field(0.0, q)  # the explicit Euler slope: a stage of most methods, the start of implicit ones
     slopes = []
     residual = contraction = jnp.zeros_like(q[0])
@@ -75,14 +87,33 @@ def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
             slopes.append(first.qdot if c == 0 and not any(row) else field(c, base).qdot)
             continue
         h = sp.mul(row[i], Ts)
-        solved = stage(lambda k, c=c, base=base, h=h: field(c, _move(base, h, (1.0,), (k,))), first.qdot, h)
+        ahead = _combine(tuple(w / row[i] for w in row[:i]), slopes) if any(row[:i]) else (0.0,) * len(q)
+        g = lambda k, c=c, base=base, h=h: field(c, _move(base, h, (1.0,), (k,)))  # noqa: E731
+        solved = stage(g, first, h, ahead)
         slopes.append(solved.slope)
         residual = jnp.maximum(residual, solved.residual)
         contraction = jnp.maximum(contraction, solved.contraction)
     qdot = _combine(method.b, slopes)
     moved = _move(q, Ts, (1.0,), (qdot,))
-    status = flags(law.chain, law, moved, first.e, residual, stage.tolerance, first.least)
-    return Step(q=moved, e=first.e, qdot=qdot, residual=residual, contraction=contraction, status=status)
+    return Moved(q=moved, qdot=qdot, first=first, residual=residual, contraction=contraction)
+
+
+def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
+    """One step of the loop in component form; the fields of the result are tuples of scalars."""
+
+    def field(c, q):
+        return evaluate(law, reference, t + c * Ts if c else t, q)
+
+    made = march(field, q, Ts, method, stage)
+    status = flags(law.chain, law, made.q, made.first.e, made.residual, stage.tolerance, made.first.least)
+    return Step(
+        q=made.q,
+        e=made.first.e,
+        qdot=made.qdot,
+        residual=made.residual,
+        contraction=made.contraction,
+        status=status,
+    )
 
 
 def _combine(weights, slopes):
@@ -96,12 +127,12 @@ def _move(q, h, weights, slopes):
     return tuple(a + sp.mul(h, v) for a, v in zip(q, _combine(weights, slopes), strict=True))
 
 
-def evaluations_per_step(method: Method, stage) -> object:
-    """Evaluations of f(q, t) that one step costs; an array where the stage's M is one."""
+def evaluations_per_step(method: Method, stage, n: int) -> object:
+    """Evaluations of f(q, t) that one step of n joints costs; an array where the stage's M is one."""
     explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
     implicit = len(method.A) - explicit
     start = 0 if method.A[0][0] == 0 else 1  # implicit stages start from the explicit Euler slope
-    return explicit + start + implicit * stage.M
+    return explicit + start + (implicit * stage.evaluations(n) if implicit else 0)
 
 
 # --- public -------------------------------------------------------------------------------------------
@@ -117,7 +148,7 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
       Ts: sampling time [s], positive.
       N: number of steps, a Python integer.
       method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4, or a `Method` of your own; also by name.
-      stage: how implicit stages are solved, such as picard(5); explicit methods don't use it.
+      stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
       t0: time at q0 [s].
 
     Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
@@ -171,7 +202,7 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     ref.check(reference, law.task)  # shapes only: once, while tracing
     law, reference = cast((law, reference), q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-    evaluations = jnp.asarray(N * evaluations_per_step(method, stage))
+    evaluations = jnp.asarray(N * evaluations_per_step(method, stage, law.chain.n))
 
     def one(q, k):
         made = advance(law, reference, q, t0 + k * Ts, Ts, method, stage)

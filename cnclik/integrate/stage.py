@@ -1,18 +1,20 @@
 """Stage: how the slope of one implicit stage is found.
 
 An implicit slope solves k = g(k), g(k) = f(t + c·Ts, base + h·k), h = a·Ts. A stage is a record that,
-called with g and a first guess, runs a fixed number of passes (a `lax.scan`: pure, differentiable, the same
-length in every lane) and returns the slope with what is known of its convergence.
+called with g and what is known at the step's start, runs a fixed number of passes (a `lax.scan`: pure,
+differentiable, the same length in every lane) and returns the slope with what is known of its convergence.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from cnclik import errors
 from cnclik.hints import opaque
+from cnclik.law import dense
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 
@@ -33,32 +35,130 @@ class Picard:
     maximum: int
     tolerance: float
 
-    def __call__(self, g, start, h) -> Solved:
-        zero = jnp.zeros_like(start[0])
-        # The start counts as the first change, from rest: so M = 0 has a residual that means something.
-        size = sp.safe_norm(start)
+    def __call__(self, g, first, h, ahead) -> Solved:
+        return _iterate(self, lambda k: g(k).qdot, first.qdot, h)
 
-        def one(carry, i):
-            slope, change, before = carry
-            new = g(slope).qdot
-            moved = _distance(new, slope)
-            if sp.is_number(self.M):
-                return (new, moved, change), None
-            # Lanes that have had their M passes keep what they have; the shape stays that of `maximum`.
-            live = i < self.M
-            new = tuple(jnp.where(live, a, b) for a, b in zip(new, slope, strict=True))
-            return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
+    def evaluations(self, n):
+        """Evaluations of f in one implicit stage of n joints."""
+        return self.M
 
-        passes = self.M if sp.is_number(self.M) else self.maximum
-        (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
-        change, before = lax.stop_gradient((change, before))
-        ratio = jnp.where(before > 0, change / jnp.where(before > 0, before, 1.0), 0.0)
-        return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
+
+@record
+class Chord:
+    """See `chord`."""
+
+    M: object
+    maximum: int
+    tolerance: float
+    implicit: bool
+
+    def __call__(self, g, first, h, ahead) -> Solved:
+        def improve(k):
+            at = g(k)
+            return sp.vadd(k, at.correct(h, sp.vsub(at.qdot, k)))
+
+        start = _predict(first, h, ahead)
+        if self.implicit:
+            return _with_implicit_derivative(g, start, lambda k: _iterate(self, improve, k, h))
+        return _iterate(self, improve, start, h)
+
+    def evaluations(self, n):
+        """Evaluations of f in one implicit stage of n joints."""
+        return self.M
+
+
+@record
+class Newton:
+    """See `newton`."""
+
+    M: object
+    maximum: int
+    tolerance: float
+    implicit: bool
+
+    def __call__(self, g, first, h, ahead) -> Solved:
+        def improve(k):
+            value, push = jax.linearize(lambda k: g(k).qdot, k)
+            matrix = _matrix(lambda v: sp.vsub(v, push(v)), k)
+            return sp.vadd(k, dense.solve(matrix, sp.vsub(value, k)))
+
+        start = _predict(first, h, ahead)
+        if self.implicit:
+            return _with_implicit_derivative(g, start, lambda k: _iterate(self, improve, k, h))
+        return _iterate(self, improve, start, h)
+
+    def evaluations(self, n):
+        """Evaluations of f in one implicit stage of n joints, a directional derivative counted as one."""
+        return self.M * (1 + n)
+
+
+def _iterate(stage, improve, start, h) -> Solved:
+    """M passes of k ← improve(k), with the size of the last two changes."""
+    zero = jnp.zeros_like(start[0])
+    # The start counts as the first change, from rest: so M = 0 has a residual that means something.
+    size = sp.safe_norm(start)
+
+    def one(carry, i):
+        slope, change, before = carry
+        new = improve(slope)
+        moved = _distance(new, slope)
+        if sp.is_number(stage.M):
+            return (new, moved, change), None
+        # Lanes that have had their M passes keep what they have; the shape stays that of `maximum`.
+        live = i < stage.M
+        new = tuple(jnp.where(live, a, b) for a, b in zip(new, slope, strict=True))
+        return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
+
+    passes = stage.M if sp.is_number(stage.M) else stage.maximum
+    (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
+    change, before = lax.stop_gradient((change, before))
+    # Two changes of rounding size say nothing of convergence: what has arrived contracts with 0.
+    told = before > 8 * jnp.finfo(zero.dtype).eps * lax.stop_gradient(size)
+    ratio = jnp.where(told, change / jnp.where(told, before, 1.0), 0.0)
+    return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
 
 
 @opaque
 def _distance(a, b):
     return sp.safe_norm(sp.vsub(a, b))
+
+
+def _predict(first, h, ahead):
+    """The slope of the law linearised at the step's start, D = J#KJ there: k = f(q) − D (h·ahead + h·k).
+
+    (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead, so one application is enough; from base = q
+    (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
+    """
+    return sp.vsub(first.correct(h, sp.vadd(first.qdot, ahead)), ahead)
+
+
+def _matrix(linear, like):
+    """Rows of a linear map of tuples, its columns pushed side by side."""
+    n = len(like)
+    basis = jnp.eye(n, dtype=jnp.result_type(like[0]))
+    columns = jax.vmap(linear)(tuple(basis[i] for i in range(n)))
+    return tuple(tuple(column[j] for j in range(n)) for column in columns)
+
+
+def _with_implicit_derivative(g, start, iterate) -> Solved:
+    """The iteration's value with the derivative of the exact root of k − g(k) (implicit function theorem)."""
+
+    def solve(_, k):
+        solved = iterate(k)
+        return solved.slope, (solved.residual, solved.contraction)
+
+    slope, (residual, contraction) = lax.custom_root(
+        lambda k: sp.vsub(k, g(k).qdot),
+        start,
+        solve,
+        lambda linear, b: dense.solve(_matrix(linear, b), b),
+        has_aux=True,
+    )
+    residual, contraction = lax.stop_gradient((residual, contraction))
+    return Solved(slope=slope, residual=residual, contraction=contraction)
+
+
+# --- public -------------------------------------------------------------------------------------------
 
 
 def picard(M, *, maximum=None, tolerance=1e-3) -> Picard:
@@ -72,10 +172,43 @@ def picard(M, *, maximum=None, tolerance=1e-3) -> Picard:
       maximum: largest M that may occur, needed where M is a traced array.
       tolerance: a step whose last change h·‖Δk‖ exceeds it is marked NOT_CONVERGED [rad, m].
     """
+    return Picard(**_passes(M, maximum, tolerance))
+
+
+def chord(M, *, maximum=None, tolerance=1e-3, implicit=False) -> Chord:
+    """Chord (simplified Newton) iteration k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, converging at any z.
+
+    −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; the law knows
+    it, see `cnclik.law.law.correct`), so what contracts is the curvature, whatever alpha·Ts is. With exact J# and
+    scalar gain, (I + h J#KJ)⁻¹ r = r − (a z/(1 + a z)) J#(J r). It starts from the law linearised at q, and costs
+    M evaluations of f and as many products with J and J#. Gain matrices, damping, weights and null-space
+    velocities that depend on q are in it.
+
+    Args:
+      M, maximum, tolerance: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.
+      implicit: False differentiates the M passes as they are; True differentiates the exact solution
+        (implicit function theorem, `lax.custom_root`): cheaper in reverse mode, and right only where the
+        iteration has converged.
+    """
+    return Chord(**_passes(M, maximum, tolerance), implicit=bool(implicit))
+
+
+def newton(M, *, maximum=None, tolerance=1e-3, implicit=False) -> Newton:
+    """Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, with the whole derivative by `jax.jvp`.
+
+    Curvature included, so it converges quadratically where the start is near enough; a pass costs one evaluation
+    of f and n directional derivatives of it (counted as n evaluations), and an n×n solve.
+
+    Args: as for `chord`.
+    """
+    return Newton(**_passes(M, maximum, tolerance), implicit=bool(implicit))
+
+
+def _passes(M, maximum, tolerance):
     errors.number("tolerance", tolerance, positive=True)
     if not (hasattr(M, "dtype") and not isinstance(M, np.integer)):
         M = errors.integer("M", M, at_least=0)
-        return Picard(M=M, maximum=M, tolerance=float(tolerance))
+        return dict(M=M, maximum=M, tolerance=float(tolerance))
     if not jnp.issubdtype(M.dtype, jnp.integer):
         raise errors.fail("M", "be an integer or an array of integers", f"has dtype {M.dtype}")
     if errors.concrete(M):
@@ -86,4 +219,4 @@ def picard(M, *, maximum=None, tolerance=1e-3) -> Picard:
             raise errors.fail("maximum", f"be at least M = {np.max(M)}", f"is {maximum}")
     if maximum is None:
         raise errors.fail("maximum", "be given where M is a traced array", "is None")
-    return Picard(M=M, maximum=errors.integer("maximum", maximum, at_least=0), tolerance=float(tolerance))
+    return dict(M=M, maximum=errors.integer("maximum", maximum, at_least=0), tolerance=float(tolerance))

@@ -78,6 +78,28 @@ def inverse_trace(factor):
     return sp.total(out)
 
 
+@opaque
+def solve(matrix, b):
+    """Solution x of A x = b for any square A, by elimination with partial pivoting."""
+    n = len(b)
+    rows = [[*row, right] for row, right in zip(matrix, b, strict=True)]
+    for j in range(n):
+        for i in range(j + 1, n):  # the row with the largest entry in column j rises to place j
+            larger = jnp.abs(rows[i][j]) > jnp.abs(rows[j][j])
+            above = [jnp.where(larger, x, y) for x, y in zip(rows[i][j:], rows[j][j:], strict=True)]
+            below = [jnp.where(larger, y, x) for x, y in zip(rows[i][j:], rows[j][j:], strict=True)]
+            rows[j][j:], rows[i][j:] = above, below
+        inverse = 1.0 / rows[j][j]
+        for i in range(j + 1, n):
+            factor = rows[i][j] * inverse
+            rows[i][j + 1 :] = [x - factor * y for x, y in zip(rows[i][j + 1 :], rows[j][j + 1 :], strict=True)]
+        rows[j] = [*rows[j][: j + 1], *(x * inverse for x in rows[j][j + 1 :])]
+    x = [row[n] for row in rows]
+    for i in reversed(range(n)):
+        x[i] = sp.sub(x[i], sp.total(rows[i][j] * x[j] for j in range(i + 1, n)))
+    return tuple(x)
+
+
 # Sweeps of cyclic Jacobi after which m rows are orthogonal to rounding (m = 2 needs exactly one rotation).
 _SWEEPS = (0, 0, 1, 6, 7, 8, 9)
 

@@ -9,11 +9,13 @@ import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.hints import opaque
+from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.task import Task, coordinates, error_and_rows
@@ -78,6 +80,7 @@ class Evaluation(NamedTuple):
     rows: tuple  # of the task Jacobian, weighted
     apply: Callable  # J#: m task components (weighted) to n joint components
     least: object  # estimate of the least singular value
+    correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
@@ -91,7 +94,65 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
     wanted = null_velocity(law, q)
     if wanted is not None:
         qdot = sp.vadd(qdot, sp.vsub(wanted, factored.apply(sp.matvec(rows, wanted))))
-    return Evaluation(qdot=qdot, e=e, rows=rows, apply=factored.apply, least=factored.least)
+    return Evaluation(
+        qdot=qdot,
+        e=e,
+        rows=rows,
+        apply=factored.apply,
+        least=factored.least,
+        correct=lambda h, r: correct(law, q, rows, factored.apply, h, r),
+    )
+
+
+def correct(law: Law, q, rows, apply, h, r):
+    """(I − h ∂f/∂q)⁻¹ r with the derivative of J# left out: what an implicit stage needs at any alpha·Ts.
+
+    With the weighted rows B = WJ, A = B# and C = WKW⁻¹ the derivative is −A C B, and by the push-through identity
+    (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. For exact J# and scalar gain, A B is a projection
+    and this is I − (h alpha/(1 + h alpha)) A B. A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and
+    the system is n×n.
+    """
+    if callable(law.null_velocity):
+        return dense.solve(_whole(law, q, rows, apply, h), r)
+    task = sp.matvec(rows, r)
+    if law.alpha.ndim == 0 and isinstance(law.inverse, Pseudoinverse):
+        hz = h * law.alpha
+        return sp.vsub(r, sp.scale(hz / (1.0 + hz), apply(task)))
+    c = _gain_rows(law)
+    products = sp.transpose(tuple(sp.matvec(rows, apply(unit)) for unit in _units(len(rows), rows[0][0])))
+    system = _plus_identity(h, sp.matmul(c, products))
+    return sp.vsub(r, sp.scale(h, apply(dense.solve(system, sp.matvec(c, task)))))
+
+
+def _whole(law, q, rows, apply, h):
+    """I + h (A C B − (I − A B) ∂q̇₀/∂q), rows of n scalars."""
+    c, n = _gain_rows(law), law.chain.n
+    _, push = jax.linearize(lambda q: null_velocity(law, q), q)
+    columns = []
+    for j, unit in enumerate(_units(n, q[0])):
+        turned = push(unit)
+        task = sp.vadd(sp.matvec(c, tuple(row[j] for row in rows)), sp.matvec(rows, turned))
+        columns.append(sp.vsub(apply(task), turned))
+    return _plus_identity(h, sp.transpose(tuple(columns)))
+
+
+def _gain_rows(law):
+    """C = W K W⁻¹: the gain as it acts on weighted errors."""
+    alpha, w, m = law.alpha, law.task.weights, law.task.m
+    if alpha.ndim < 2:
+        return tuple(tuple((alpha[i] if alpha.ndim else alpha) if i == j else 0.0 for j in range(m)) for i in range(m))
+    return tuple(tuple(alpha[i, j] if w is None else alpha[i, j] * w[i] / w[j] for j in range(m)) for i in range(m))
+
+
+def _units(n, like):
+    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
+    return tuple(tuple(one if i == j else zero for j in range(n)) for i in range(n))
+
+
+def _plus_identity(h, matrix):
+    return tuple(
+        tuple(sp.add(h * x, 1.0 if i == j else 0.0) for j, x in enumerate(row)) for i, row in enumerate(matrix)
+    )
 
 
 def gain(alpha, e):

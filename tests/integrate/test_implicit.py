@@ -1,0 +1,154 @@
+"""chord and newton: they reach the implicit slope at any z, for every kind of law, and say how near they are."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+
+import cnclik as ck
+from cnclik.integrate.solve import evaluations_per_step
+from cnclik.law.law import evaluate
+
+ARM = ck.planar_arm([1.0] * 3)
+Q = jnp.array([0.3, 0.9, -0.5])
+REST = ck.hold(ck.pose(ARM, Q).position[:2])
+TARGET = ck.hold(ck.pose(ARM, Q).position[:2] + jnp.array([0.12, -0.2]))
+Ts = 0.1
+
+
+def law(z, **changes):
+    return ck.Law(ARM, ck.position("xy"), alpha=z / Ts, **changes)
+
+
+def slope(law, reference, q):
+    """f(q, 0) as a NumPy function."""
+    return np.asarray(_slope(law, reference, jnp.asarray(q)))
+
+
+@jax.jit
+def _slope(law, reference, q):
+    return jnp.stack(evaluate(law, reference, jnp.zeros(()), tuple(q)).qdot)
+
+
+@pytest.mark.parametrize(("stage", "tolerance"), [(ck.chord(12), 1e-6), (ck.newton(6), 1e-11)])
+def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
+    one = law(1.5)
+    root = scipy.optimize.root(lambda q: q - np.asarray(Q) - Ts * slope(one, TARGET, q), Q, tol=1e-12)
+    assert root.success
+    made = ck.step(one, TARGET, Q, 0.0, Ts, ck.IE, stage)
+    np.testing.assert_allclose(made.q, root.x, atol=tolerance)
+    assert float(made.residual) < tolerance * 10
+
+
+FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
+START = jnp.array([0.0, np.pi / 2, 0.0, 0.0, 0.0])
+
+
+def paper(z, method, stage, N):
+    """The paper's 5-dof arm reaching (3, 1)."""
+    arm = ck.Law(FIVE, ck.position("xy"), alpha=jnp.asarray(z / Ts))
+    return ck.solve(arm, ck.hold([3.0, 1.0]), START, Ts, N, method, stage)
+
+
+def test_measured_values_on_the_papers_arm():
+    """‖e‖ on the 5-dof Case I with 5 passes, computed independently in NumPy (two digits)."""
+    run = paper(2.0, ck.IE, ck.chord(5), 10)
+    assert np.linalg.norm(run.e[10]) == pytest.approx(2.0e-5, rel=0.05)
+    run = paper(20.0, ck.IE, ck.chord(5), 10)
+    assert np.linalg.norm(run.e[5]) == pytest.approx(3.3e-7, rel=0.05)
+    for z in (2.0, 20.0):  # where the fixed-point iteration wanders
+        assert np.linalg.norm(paper(z, ck.IE, ck.picard(5), 10).e[-1]) > 0.5
+
+
+def test_trapezoid_is_nearly_dead_beat_at_two():
+    run = paper(2.0, ck.TRAPEZOID, ck.chord(5), 3)
+    assert np.linalg.norm(run.e[2]) < 1e-2
+    assert np.linalg.norm(run.e[3]) < 1e-5  # R(2) = 0: what is left is curvature, squared each step
+
+
+def test_contraction_does_not_depend_on_z():
+    """Near a target the fixed-point iteration contracts with z, the chord iteration with the curvature."""
+    for z in (1.5, 15.0):
+        assert float(ck.step(law(z), TARGET, Q, 0.0, Ts, ck.IE, ck.chord(4)).contraction) < 0.4
+        assert float(ck.step(law(z), TARGET, Q, 0.0, Ts, ck.IE, ck.picard(4)).residual) > 0.1
+
+
+GAIN = jnp.array([[8.0, 3.0], [-2.0, 12.0]])
+LAWS = {
+    "scalar": dict(alpha=15.0),
+    "per axis": dict(alpha=jnp.array([5.0, 20.0])),
+    "matrix": dict(alpha=GAIN),
+    "weighted matrix": dict(alpha=GAIN, weights=jnp.array([1.0, 3.0])),
+    "damped": dict(alpha=15.0, inverse=ck.damped(0.4)),
+    "damped weighted matrix": dict(alpha=GAIN, inverse=ck.damped(0.4), weights=jnp.array([1.0, 3.0])),
+    "transpose": dict(alpha=15.0, inverse=ck.transpose()),
+    "null space": dict(alpha=GAIN, null_velocity=lambda q: jnp.array([1.0, 4.0, 9.0]) * (Q - q)),
+    "damped null space": dict(alpha=15.0, inverse=ck.damped(0.4), null_velocity=lambda q: 4.0 * (Q - q)),
+}
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_correction_inverts_the_linearised_law_at_rest(kind):
+    """At rest curvature vanishes, and (I − h ∂f/∂q)⁻¹ must come out exactly, here by autodiff and NumPy."""
+    options = dict(LAWS[kind])
+    task = ck.position("xy", weights=options.pop("weights", None))
+    one = ck.Law(ARM, task, **options)
+    h, r = 0.3, np.array([0.7, -0.2, 1.1])
+    derivative = np.asarray(jax.jacfwd(lambda q: _slope(one, REST, q))(Q))
+    expected = np.linalg.solve(np.eye(3) - h * derivative, r)
+
+    @jax.jit
+    def corrected(q, r):
+        return jnp.stack(evaluate(one, REST, jnp.zeros(()), tuple(q)).correct(h, tuple(r)))
+
+    np.testing.assert_allclose(corrected(Q, jnp.asarray(r)), expected, atol=1e-9)
+
+
+def test_masked_passes_equal_compiled_ones():
+    one = law(2.0)
+    for make in (ck.chord, ck.newton):
+        lanes = jax.vmap(lambda M, make=make: ck.step(one, TARGET, Q, 0.0, Ts, ck.IE, make(M, maximum=3)))
+        made = lanes(jnp.array([0, 1, 3]))
+        for i, M in enumerate((0, 1, 3)):
+            alone = ck.step(one, TARGET, Q, 0.0, Ts, ck.IE, make(M))
+            np.testing.assert_allclose(made.q[i], alone.q, atol=1e-12)
+            np.testing.assert_allclose(made.residual[i], alone.residual, atol=1e-12)
+
+
+def end_point(z, stage):
+    return ck.step(ck.Law(ARM, ck.position("xy"), alpha=z / Ts), TARGET, Q, 0.0, Ts, ck.IE, stage).q
+
+
+@pytest.mark.parametrize("stage", [ck.chord(2), ck.newton(1)])
+def test_unrolled_derivative_is_that_of_the_passes(stage):
+    z, d = jnp.asarray(1.5), 1e-5
+    numeric = (end_point(z + d, stage) - end_point(z - d, stage)) / (2 * d)
+    np.testing.assert_allclose(jax.jacfwd(end_point)(z, stage), numeric, atol=1e-8)
+    np.testing.assert_allclose(jax.jacrev(end_point)(z, stage), numeric, atol=1e-8)
+
+
+@pytest.mark.parametrize("make", [ck.chord, ck.newton])
+def test_implicit_derivative_is_that_of_the_root(make):
+    z, d, exact = jnp.asarray(1.5), 1e-5, ck.newton(8)
+    truth = (end_point(z + d, exact) - end_point(z - d, exact)) / (2 * d)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(derivative(end_point)(z, make(12, implicit=True)), truth, atol=1e-6)
+
+
+def test_cost_in_evaluations():
+    assert evaluations_per_step(ck.EE, ck.chord(5), 3) == 1
+    assert evaluations_per_step(ck.IE, ck.picard(5), 3) == 6
+    assert evaluations_per_step(ck.IE, ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.CN, ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.TRAPEZOID, ck.newton(2), 3) == 1 + 2 * 4
+    assert int(ck.solve(law(1.0), TARGET, Q, Ts, 4, ck.TRAPEZOID, ck.newton(2)).evaluations) == 4 * 9
+
+
+def test_a_stage_that_is_not_there_yet_says_so():
+    status = ck.step(law(2.0), TARGET, Q, 0.0, Ts, ck.IE, ck.chord(0)).status
+    assert int(status) & ck.Status.NOT_CONVERGED
+    status = ck.step(law(2.0), TARGET, Q, 0.0, Ts, ck.IE, ck.chord(8)).status
+    assert not int(status) & ck.Status.NOT_CONVERGED
+    with pytest.raises(ck.ArgumentError, match="`M` must be at least 0"):
+        ck.chord(-1)
