@@ -1,6 +1,6 @@
 """cnclik: closed-loop inverse kinematics as a time-stepping problem.
 
-A robot (`planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), many of them
+A robot (`load_urdf`, `planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), many of them
 studied. Pure functions over frozen records; jit, vmap and grad go through everything.
 """
 
@@ -16,7 +16,9 @@ from cnclik.law.reference import Reference, circle, hold, line, lissajous, path,
 from cnclik.law.task import Task, orientation, position
 from cnclik.law.task import pose as pose_task
 from cnclik.record import replace
+from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
 from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
+from cnclik.robot.urdf import load_urdf
 
 __version__ = "0.1.0"

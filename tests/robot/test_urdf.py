@@ -1,0 +1,292 @@
+"""load_urdf against Pinocchio on every file of the example-robot-data wheel, and its one-line errors."""
+
+import importlib.metadata
+import pathlib
+import warnings
+import xml.etree.ElementTree as ElementTree
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.robot.builtin import panda, ur5
+from cnclik.robot.kinematics import frames, jacobian_rows
+from cnclik.robot.urdf import chain, read_urdf
+
+pin = pytest.importorskip("pinocchio")
+
+
+def robots() -> pathlib.Path:
+    """Folder of the wheel's robots."""
+    files = importlib.metadata.files("example-robot-data")
+    one = next(f for f in files if f.name == "panda.urdf")
+    return pathlib.Path(one.locate()).resolve().parents[2]
+
+
+ROOT = robots()
+FILES = sorted(str(p.relative_to(ROOT)) for p in ROOT.rglob("*.urdf"))
+CONFIGURATIONS = 20
+
+
+def oracle(path):
+    """Pinocchio's model, or the reason that it has none."""
+    try:
+        return pin.buildModelFromUrdf(str(path)), None
+    except ValueError as error:
+        return None, str(error)
+
+
+def mimics(path):
+    """Mimic joint -> (joint, multiplier, offset), read here and not by the code under test."""
+    found = {}
+    for joint in ElementTree.parse(path).getroot().findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and joint.get("type") != "fixed":
+            numbers = (float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
+            found[joint.get("name")] = (mimic.get("joint"), *numbers)
+    return found
+
+
+class Pinocchio:
+    """Pose and Jacobian of a link against another, as functions of the coordinates named."""
+
+    def __init__(self, path, model):
+        self.model, self.data, self.mimics = model, model.createData(), mimics(path)
+
+    def values(self, names, q):
+        """Joint name -> (value, coordinate, multiplier), mimics followed."""
+        known = {name: (q[i], i, 1.0) for i, name in enumerate(names)}
+        for name in self.mimics:
+            leader, multiplier, offset = name, 1.0, 0.0
+            while leader in self.mimics:
+                leader, factor, shift = self.mimics[leader]
+                multiplier, offset = multiplier * factor, multiplier * shift + offset
+            if leader in names:
+                i = names.index(leader)
+                known[name] = (multiplier * q[i] + offset, i, multiplier)
+        return known
+
+    def at(self, names, q, tip, base):
+        model, data = self.model, self.data
+        full, columns = pin.neutral(model), np.zeros((model.nv, len(names)))
+        for name, (value, i, multiplier) in self.values(names, q).items():
+            joint = model.joints[model.getJointId(name)]
+            circle = [np.cos(value), np.sin(value)]
+            full[joint.idx_q : joint.idx_q + joint.nq] = circle if joint.nq == 2 else value
+            columns[joint.idx_v, i] += multiplier
+        pin.computeJointJacobians(model, data, full)
+        pin.updateFramePlacements(model, data)
+        frame, root = (model.getFrameId(link, pin.FrameType.BODY) for link in (tip, base))
+        m = data.oMf[root].actInv(data.oMf[frame])
+        j = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) @ columns
+        turn = data.oMf[root].rotation.T
+        return m.translation, m.rotation, np.vstack([turn @ j[:3], turn @ j[3:]])
+
+
+def compare(arm, tree, path, model, tip):
+    """Largest deviation of pose and Jacobian from Pinocchio over random configurations within limits."""
+    rng = np.random.default_rng(len(tip))
+    low, high = (np.clip(bound, -np.pi, np.pi) for bound in (arm.lower, arm.upper))
+    q = rng.uniform(low, high, (CONFIGURATIONS, arm.n))
+    other = Pinocchio(path, model)
+    expected = [other.at(arm.joint_names, row, tip, tree.root) for row in q]
+    # Run as written, on arrays over the configurations: compiling each of 577 chains would take minutes.
+    with ck.hints(False):
+        at = frames(arm, tuple(jnp.asarray(q.T)))
+        rows = jacobian_rows(arm, at, (0, 1, 2), (0, 1, 2))
+    found = [at.position, at.rotation, rows]
+    shapes = [(3,), (3, 3), (6, arm.n)]
+    worst = 0.0
+    for part, shape, wanted in zip(found, shapes, zip(*expected, strict=True), strict=True):
+        flat = [np.broadcast_to(x, CONFIGURATIONS) for x in jax.tree.leaves(part)]
+        worst = max(worst, np.abs(np.stack(flat, -1).reshape(-1, *shape) - np.stack(wanted)).max())
+    return worst
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_leaf_of_every_robot_matches_pinocchio(file):
+    path = ROOT / file
+    model, reason = oracle(path)
+    if model is None:
+        with pytest.raises(ck.ArgumentError) as told:
+            read_urdf(path)
+        pytest.skip(f"{file}: neither Pinocchio ({reason}) nor cnclik ({told.value}) reads it")
+    tree = read_urdf(path)
+    moved, skipped = tree.tips(), {}
+    for leaf in tree.leaves:
+        if leaf not in moved:
+            with pytest.raises(ck.ArgumentError, match="moved by a joint"):
+                chain(tree, leaf)
+            skipped.setdefault("fixed to the root", []).append(leaf)
+            continue
+        try:
+            arm = chain(tree, leaf)
+        except ck.ArgumentError as error:
+            # The one file of the wheel whose mimic joints name joints that it does not have.
+            assert file.endswith("alex_psyonic_hands.urdf") and "which is not in the file" in str(error)
+            skipped.setdefault("follows a joint that is not in the file", []).append(leaf)
+            continue
+        # Breaks for an rpy order, axis normalisation or mimic offset that is wrong, by orders of magnitude.
+        assert compare(arm, tree, path, model, leaf) < 1e-12, leaf
+    for reason, leaves in skipped.items():
+        warnings.warn(f"{file}: no chain to {', '.join(leaves)}: {reason}", stacklevel=1)
+
+
+def test_a_base_in_the_middle():
+    path = ROOT / "talos_data/robots/talos_reduced.urdf"
+    arm = ck.load_urdf(path, tip="gripper_left_base_link", base="torso_2_link")
+    assert arm.joint_names == tuple(f"arm_left_{i}_joint" for i in range(1, 8))
+    model, _ = oracle(path)
+    q = np.random.default_rng(0).uniform(arm.lower, arm.upper)
+    position, rotation, j = Pinocchio(path, model).at(arm.joint_names, q, "gripper_left_base_link", "torso_2_link")
+    np.testing.assert_allclose(ck.pose(arm, q).position, position, atol=1e-12)
+    np.testing.assert_allclose(ck.pose(arm, q).rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(ck.jacobian(arm, q), j, atol=1e-12)
+
+
+def test_limits_are_pinocchios():
+    for file, tip in (
+        ("panda_description/urdf/panda.urdf", "panda_link8"),
+        ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+        ("icub_description/robots/icub.urdf", "l_hand"),
+        ("xarm_description/urdf/xarm7.urdf", None),
+    ):
+        arm, (model, _) = ck.load_urdf(ROOT / file, tip), oracle(ROOT / file)
+        joints = [model.joints[model.getJointId(name)] for name in arm.joint_names]
+        np.testing.assert_array_equal(arm.lower, [model.lowerPositionLimit[j.idx_q] for j in joints])
+        np.testing.assert_array_equal(arm.upper, [model.upperPositionLimit[j.idx_q] for j in joints])
+        np.testing.assert_array_equal(arm.velocity_limit, [model.velocityLimit[j.idx_v] for j in joints])
+
+
+# --- built in -----------------------------------------------------------------------------------------
+
+
+def test_builtin_panda_is_the_file():
+    arm, file = panda(), ck.load_urdf(ROOT / "panda_description/urdf/panda.urdf", tip="panda_link8")
+    assert arm.joint_names == file.joint_names
+    np.testing.assert_allclose((arm.lower, arm.upper), (file.lower, file.upper), atol=1e-9)
+    np.testing.assert_allclose(arm.velocity_limit, file.velocity_limit, atol=1e-9)
+    q = np.random.default_rng(1).uniform(arm.lower, arm.upper)
+    # The file writes its right angles with 12 digits.
+    np.testing.assert_allclose(ck.pose(arm, q).position, ck.pose(file, q).position, atol=1e-10)
+    np.testing.assert_allclose(ck.jacobian(arm, q), ck.jacobian(file, q), atol=1e-10)
+
+
+def test_builtin_ur5_is_the_file():
+    path = ROOT / "ur_description/urdf/ur5_robot.urdf"
+    model, _ = oracle(path)
+    file = ck.load_urdf(path, tip="tool0")
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, 6)
+    # The maker's Denavit-Hartenberg frame 0 is the file's link "base".
+    position, rotation, j = Pinocchio(path, model).at(file.joint_names, q, "tool0", "base")
+    at = ck.pose(ur5(), q)
+    np.testing.assert_allclose(at.position, position, atol=1e-9)
+    np.testing.assert_allclose(at.rotation, rotation, atol=1e-9)
+    np.testing.assert_allclose(ck.jacobian(ur5(), q), j, atol=1e-9)
+
+
+# --- mimic joints -------------------------------------------------------------------------------------
+
+LINKS = "".join(f'<link name="{name}"/>' for name in "abcd")
+
+
+def joint(name, parent, child, kind="revolute", inside="", limit='<limit lower="-1" upper="1" velocity="2"/>'):
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="0 0 1"/>{limit}{inside}</joint>'
+
+
+def write(folder, body, name="robot.urdf"):
+    file = folder / name
+    file.write_text(f'<robot name="r">{body}</robot>')
+    return file
+
+
+def test_a_mimic_joint_shares_the_coordinate_and_limits_of_its_leader(tmp_path):
+    mimic = '<mimic joint="j1" multiplier="-2" offset="0.5"/>'
+    body = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c", inside=mimic) + joint("j3", "c", "d", "prismatic")
+    arm = ck.load_urdf(write(tmp_path, body))
+    assert arm.joint_names == ("j1", "j3")
+    assert [(j.coordinate, j.multiplier, j.offset) for j in arm.joints] == [(0, 1, 0), (0, -2, 0.5), (1, 1, 0)]
+    assert (arm.lower[0], arm.upper[0], arm.velocity_limit[0]) == (-1.0, 1.0, 2.0)
+
+
+def test_mimic_of_a_side_branch_keeps_its_coordinate(tmp_path):
+    mimic = '<mimic joint="side"/>'
+    body = LINKS + joint("side", "a", "b") + joint("j2", "a", "c", inside=mimic) + joint("j3", "c", "d")
+    assert ck.load_urdf(write(tmp_path, body), tip="d").joint_names == ("side", "j3")
+
+
+# --- errors, one line each ----------------------------------------------------------------------------
+
+SPLIT = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "b", "d")
+ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "d")
+
+
+@pytest.mark.parametrize(
+    "body, told",
+    [
+        ("", "has no links"),
+        (SPLIT, "candidates are c, d"),
+        (LINKS + joint("j1", "a", "b"), "3 roots: a, c, d"),
+        (LINKS + joint("j1", "a", "b") + joint("j2", "b", "a"), "a loop through link 'a'"),
+        (ROW + joint("j4", "d", "b"), "a loop: link 'b' hangs on 'j1' and 'j4'"),
+        (ROW + joint("j4", "a", "x"), "no link 'x'"),
+        (ROW + '<link name="a"/>', "more than one link 'a'"),
+        (ROW.replace("j3", "j2"), "more than one joint 'j2'"),
+        (ROW.replace("revolute", "round"), "type 'round'"),
+        (ROW.replace("revolute", "planar"), "'planar'"),
+        (ROW.replace("revolute", "fixed"), "no.*moving joint|has none"),
+        (ROW.replace("0 0 1", "0 0 0"), "axis 0 0 0"),
+        (ROW.replace("0 0 1", "0 0"), "axis 0 0"),
+        (ROW.replace("0 0 1", "0 0 one"), "bad or missing entry"),
+        (ROW.replace('lower="-1"', 'lower="2"'), "above upper limit"),
+        (ROW.replace('lower="-1"', 'lower="nan"'), "not a number"),
+        (ROW.replace('<limit lower="-1" upper="1" velocity="2"/>', ""), "no <limit>"),
+        (ROW.replace('<parent link="a"/>', ""), "bad or missing entry"),
+        (ROW.replace('<joint name="j1"', "<joint"), "bad or missing entry"),
+        (
+            LINKS + ROW[len(LINKS) :].replace("</joint>", '<mimic joint="no"/></joint>'),
+            "'no', which is not in the file",
+        ),
+        (LINKS + ROW[len(LINKS) :].replace("</joint>", '<mimic joint="j2"/></joint>', 2), "j2 -> j2"),
+        ('<xacro:include filename="x"/>' + ROW, "run `xacro"),
+        (ROW + "<open>", "not well-formed XML"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(tmp_path, body, told):
+    with pytest.raises(ck.ArgumentError, match=told) as error:
+        ck.load_urdf(write(tmp_path, body))
+    assert "\n" not in str(error.value)
+
+
+def test_no_file_an_empty_file_and_no_robot(tmp_path):
+    empty, sdf = tmp_path / "empty.urdf", tmp_path / "model.sdf"
+    empty.write_text(" ")
+    sdf.write_text("<sdf/>")
+    for path, told in (
+        (tmp_path / "no.urdf", "not there"),
+        (tmp_path, "is a folder"),
+        (empty, "is empty"),
+        (sdf, "holds <sdf>"),
+        (3, "be a file name"),
+    ):
+        with pytest.raises(ck.ArgumentError, match=told):
+            ck.load_urdf(path)
+
+
+def test_unknown_links_suggest_the_nearest(tmp_path):
+    file = write(tmp_path, ROW.replace('"d"', '"gripper"'))
+    with pytest.raises(ck.ArgumentError, match=r"`tip`.*did you mean 'gripper'"):
+        ck.load_urdf(file, tip="griper")
+    with pytest.raises(ck.ArgumentError, match="`base`"):
+        ck.load_urdf(file, base="nowhere")
+    with pytest.raises(ck.ArgumentError, match="between the root and 'b'"):
+        ck.load_urdf(file, tip="b", base="c")
+
+
+def test_what_is_not_kinematics_is_not_read(tmp_path):
+    junk = '<link name="e"><visual><geometry/></visual></link><sensor:x y="1"/><gazebo><a>${b}</a></gazebo>'
+    body = ROW + joint("j4", "d", "e") + junk
+    assert ck.load_urdf(write(tmp_path, body)).n == 4
