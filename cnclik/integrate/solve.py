@@ -212,8 +212,8 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     q, (qs, es, qdot, residual, contraction, status) = lax.scan(one, tuple(q0), k[:-1])
     e = evaluate(law, reference, t0 + k[-1] * Ts, q).e
     qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
-    # A coordinate that no joint moves is a literal.
-    x = [jnp.broadcast_to(jnp.asarray(v, q0.dtype), (N + 1,)) for v in task_coordinates(law, qs)]
+    # A coordinate that no joint moves is a literal, hence the asarray.
+    x = jax.vmap(lambda q: tuple(jnp.asarray(v, q0.dtype) for v in task_coordinates(law, q)))(qs)
     columns = functools.partial(jnp.stack, axis=-1)
     return Trajectory(
         t=t0 + k * Ts,

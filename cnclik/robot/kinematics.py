@@ -14,6 +14,7 @@ from cnclik.hints import opaque
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain, Joint
+from cnclik.robot.trig import sincos
 
 
 @record
@@ -35,11 +36,6 @@ class Frames:
 
 
 @opaque
-def _sines(angles):
-    return tuple(jnp.sin(a) for a in angles), tuple(jnp.cos(a) for a in angles)
-
-
-@opaque
 def _link(joint: Joint, position, rotation, value, sine, cosine):
     """Carry the frame over one joint: its fixed offset, then its motion."""
     point = sp.vadd(position, sp.matvec(rotation, joint.origin.position))
@@ -54,7 +50,7 @@ def frames(chain: Chain, q) -> Frames:
     """All frames of the chain at q, a tuple of n scalars."""
     values = [sp.add(sp.mul(j.multiplier, q[j.coordinate]), j.offset) for j in chain.joints]
     turning = [i for i, j in enumerate(chain.joints) if j.kind == REVOLUTE]
-    sines, cosines = _sines(tuple(values[i] for i in turning))
+    sines, cosines = sincos(tuple(values[i] for i in turning)) if turning else ((), ())
     sine, cosine = dict(zip(turning, sines, strict=True)), dict(zip(turning, cosines, strict=True))
     position, rotation, axes, points = sp.ZERO, sp.IDENTITY, [], []
     for i, joint in enumerate(chain.joints):
