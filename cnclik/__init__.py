@@ -6,6 +6,7 @@ studied. Pure functions over frozen records; jit, vmap and grad go through every
 
 from cnclik.errors import ArgumentError
 from cnclik.hints import hints
+from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
 from cnclik.integrate.solve import Step, Trajectory, solve, step
 from cnclik.integrate.stage import chord, newton, picard

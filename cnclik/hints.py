@@ -57,3 +57,26 @@ def opaque(fn):
         return fenced(literals)(arrays) if arrays else fn(*args)
 
     return stage
+
+
+def one_function(fn):
+    """Compile a call of `fn`, loops and all, into one native function.
+
+    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. For small arrays only: with
+    tens of thousands of lanes it would look for parallelism that a single function can't have.
+    """
+
+    def plain(*args):  # the hint is for this call, not for those inside it
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
+            return fn(*args)
+
+    jitted = jax.jit(plain, inline=False)
+
+    @functools.wraps(fn)
+    def call(*args):
+        if not hints_on():
+            return fn(*args)
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            return jitted(*args)
+
+    return call

@@ -1,0 +1,90 @@
+"""lanes means vmap: any size, any tree, both ways of compiling, under the transformations."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.integrate.lanes import lanes
+
+ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
+LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
+
+
+def _final(case):
+    """One loop with its own gain and start; a tree in, a tree out."""
+    run = ck.solve(ck.replace(LAW, alpha=case["alpha"]), ck.hold([1.0, 0.5]), case["q0"], 0.1, 4, ck.CN, ck.picard(2))
+    return {"e": run.e[-1], "status": run.status, "norm": jnp.sum(run.e[-1] ** 2)}
+
+
+def _cases(size):
+    rng = np.random.default_rng(size)
+    return {"alpha": jnp.asarray(rng.uniform(1, 6, size)), "q0": jnp.asarray(rng.uniform(0.3, 1.5, (size, 2)))}
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return jax.jit(jax.vmap(_final))
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["hints", "plain"])
+def tiled(request):
+    with ck.hints(request.param):
+        yield lanes(_final, tile=8, block=32, cores=2)
+
+
+@pytest.mark.parametrize("size", [1, 3, 8, 9, 33, 100])
+def test_same_as_vmap(reference, tiled, size):
+    found, wanted = tiled(_cases(size)), reference(_cases(size))
+    assert jax.tree.structure(found) == jax.tree.structure(wanted)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        assert a.shape == b.shape and a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+
+def test_no_lane_depends_on_its_neighbours(tiled):
+    cases = _cases(20)
+    one = tiled(jax.tree.map(lambda x: x[13:14], cases))
+    np.testing.assert_allclose(tiled(cases)["e"][13], one["e"][0], rtol=1e-12)
+
+
+def test_a_bad_lane_stays_alone(tiled):
+    cases = _cases(20)
+    cases["q0"] = cases["q0"].at[7, 0].set(jnp.nan)
+    found = tiled(cases)
+    bad = np.asarray(found["status"] & ck.Status.NON_FINITE).any(axis=1)
+    assert bad.tolist() == [i == 7 for i in range(20)]
+
+
+def test_under_jit_grad_and_vmap(reference):
+    cases = _cases(5)
+    tiled = lanes(_final, tile=2)
+
+    def loss(run, alpha):
+        return jnp.sum(run(cases | {"alpha": alpha})["norm"])
+
+    wanted = jax.grad(lambda a: loss(reference, a))(cases["alpha"])
+    np.testing.assert_allclose(jax.jit(jax.grad(lambda a: loss(tiled, a)))(cases["alpha"]), wanted, rtol=1e-9)
+    two = jax.tree.map(lambda x: jnp.stack([x, x[::-1]]), cases)
+    np.testing.assert_allclose(jax.vmap(tiled)(two)["e"][1], reference(cases)["e"][::-1], rtol=1e-12)
+
+
+def test_one_program_for_all_blocks():
+    traces = []
+
+    def counted(x):
+        traces.append(1)
+        return 2 * x
+
+    tiled = lanes(counted, tile=4, block=8, cores=2)
+    np.testing.assert_array_equal(tiled(jnp.arange(17.0)), 2 * np.arange(17.0))
+    before = len(traces)
+    np.testing.assert_array_equal(tiled(jnp.arange(1001.0)), 2 * np.arange(1001.0))
+    assert len(traces) == before
+
+
+@pytest.mark.parametrize("args", [(), (jnp.ones(3), jnp.ones(4)), (1.0,), (jnp.ones((0, 2)),)])
+def test_batches_that_do_not_fit(args):
+    with pytest.raises(ck.ArgumentError, match="Argument `args` must"):
+        lanes(lambda *a: a)(*args)
