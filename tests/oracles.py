@@ -1,0 +1,192 @@
+"""Independent references for the tests: plain NumPy, SciPy, Pinocchio. Nothing here uses cnclik.
+
+Loops are written out method by method, as the paper and the textbooks print them, and not from tableaus.
+"""
+
+import numpy as np
+import scipy.linalg
+
+# --- robots -------------------------------------------------------------------------------------------
+
+
+def planar_position(lengths, q, sense=1.0):
+    """Tip of a planar arm that lies along +y at q = 0 (Drexler 2016, Section V), closed form."""
+    phi = sense * np.cumsum(q)
+    return np.array([-np.sum(lengths * np.sin(phi)), np.sum(lengths * np.cos(phi))])
+
+
+def planar_jacobian(lengths, q, sense=1.0):
+    """Its 2×n Jacobian, closed form."""
+    phi = sense * np.cumsum(q)
+    reach = lambda v: np.cumsum((lengths * v)[::-1])[::-1]  # Σ over the links after joint i  # noqa: E731
+    return sense * np.array([-reach(np.cos(phi)), -reach(np.sin(phi))])
+
+
+def hat(w):
+    """[w]×, so that hat(w) v = w × v."""
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def transform(rotation=None, position=None):
+    """4×4 homogeneous transform."""
+    out = np.eye(4)
+    out[:3, :3] = np.eye(3) if rotation is None else rotation
+    out[:3, 3] = 0.0 if position is None else position
+    return out
+
+
+def exponential(axis, point, value, kind):
+    """exp(ξ q) of a joint's twist as a 4×4 matrix, by SciPy's matrix exponential."""
+    twist = np.zeros((4, 4))
+    if kind == "R":
+        twist[:3, :3], twist[:3, 3] = hat(axis), -np.cross(axis, point)
+    else:
+        twist[:3, 3] = axis
+    return scipy.linalg.expm(twist * value)
+
+
+def product_of_exponentials(points, axes, home, kinds, q):
+    """g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0)."""
+    out = np.eye(4)
+    for point, axis, kind, value in zip(points, axes, kinds, q, strict=True):
+        out = out @ exponential(axis / np.linalg.norm(axis), point, value, kind)
+    return out @ home
+
+
+def _rot(axis, angle):
+    return transform(scipy.linalg.expm(hat(np.eye(3)[axis]) * angle))
+
+
+def _trans(axis, length):
+    return transform(position=np.eye(3)[axis] * length)
+
+
+def dh_product(a, alpha, d, theta, kinds, q, convention, base=None, tool=None):
+    """Product of the four elementary transforms per joint, in the order each convention prints them."""
+    out = np.eye(4) if base is None else base
+    for i, kind in enumerate(kinds):
+        turn = theta[i] + (q[i] if kind == "R" else 0.0)
+        slide = d[i] + (q[i] if kind == "P" else 0.0)
+        if convention == "standard":
+            out = out @ _rot(2, turn) @ _trans(2, slide) @ _trans(0, a[i]) @ _rot(0, alpha[i])
+        else:
+            out = out @ _rot(0, alpha[i]) @ _trans(0, a[i]) @ _rot(2, turn) @ _trans(2, slide)
+    return out if tool is None else out @ tool
+
+
+def pinocchio_pose_and_jacobian(joints, tip, q):
+    """Pose (4×4) and world-aligned Jacobian (6, n) by Pinocchio.
+
+    Args:
+      joints: list of (kind "R" or "P", axis (3,), 4×4 transform from the joint before).
+      tip: 4×4 transform from the last joint.
+    """
+    import pinocchio as pin
+
+    model, parent = pin.Model(), 0
+    for i, (kind, axis, origin) in enumerate(joints):
+        unaligned = pin.JointModelRevoluteUnaligned if kind == "R" else pin.JointModelPrismaticUnaligned
+        parent = model.addJoint(parent, unaligned(*axis), pin.SE3(origin), f"j{i}")
+    frame = model.addFrame(pin.Frame("tip", parent, 0, pin.SE3(tip), pin.FrameType.OP_FRAME))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    return data.oMf[frame].homogeneous.copy(), jacobian.copy()
+
+
+# --- loops --------------------------------------------------------------------------------------------
+
+
+def clik(method, f, q0, Ts, N, M=5):
+    """q[0..N] of the loop q̇ = f(q, t), each method written out on its own.
+
+    IE and CN are Drexler (2016), eqs. 2 and 6-12: Picard iteration from the explicit slope, θ[k] stays, the
+    target is taken at k + 1, CN is the mean of the EE and the IE increment.
+    """
+    q, path = np.array(q0, float), [np.array(q0, float)]
+    for k in range(N):
+        t = k * Ts
+        explicit = f(q, t)
+        if method in ("IE", "CN"):
+            slope = explicit
+            for _ in range(M):
+                slope = f(q + Ts * slope, t + Ts)
+            implicit = slope
+        if method == "EE":
+            move = explicit
+        elif method == "IE":
+            move = implicit
+        elif method == "CN":
+            move = (explicit + implicit) / 2
+        elif method == "TRAPEZOID":
+            end = explicit
+            for _ in range(M):
+                end = f(q + Ts * (explicit + end) / 2, t + Ts)
+            move = (explicit + end) / 2
+        elif method == "HEUN":
+            move = (explicit + f(q + Ts * explicit, t + Ts)) / 2
+        elif method == "MIDPOINT":
+            move = f(q + Ts / 2 * explicit, t + Ts / 2)
+        elif method == "RK4":
+            k2 = f(q + Ts / 2 * explicit, t + Ts / 2)
+            k3 = f(q + Ts / 2 * k2, t + Ts / 2)
+            k4 = f(q + Ts * k3, t + Ts)
+            move = (explicit + 2 * k2 + 2 * k3 + k4) / 6
+        else:
+            raise KeyError(method)
+        q = q + Ts * move
+        path.append(q)
+    return np.array(path)
+
+
+def planar_law(lengths, target, velocity, alpha, sense=1.0, inverse=np.linalg.pinv, null=None):
+    """f(q, t) of a planar arm: J#(ẋ_d + K e) + (I − J#J) q̇₀. `target` and `velocity` are functions of t."""
+    lengths = np.asarray(lengths, float)
+    gain = np.diag(np.broadcast_to(alpha, 2)) if np.ndim(alpha) < 2 else np.asarray(alpha)
+
+    def f(q, t):
+        e = np.asarray(target(t)) - planar_position(lengths, q, sense)
+        j = planar_jacobian(lengths, q, sense)
+        out = inverse(j) @ (np.asarray(velocity(t)) + gain @ e)
+        return out if null is None else out + null - inverse(j) @ (j @ null)
+
+    return f
+
+
+def damped_inverse(damping):
+    """Jᵀ(JJᵀ + λ²I)⁻¹ by a general solver."""
+    return lambda j: j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(len(j)))
+
+
+# --- amplification ------------------------------------------------------------------------------------
+
+# R(z), the factor of the error per step, stages solved exactly.
+AMPLIFICATION = {
+    "EE": lambda z: 1 - z,
+    "IE": lambda z: 1 / (1 + z),
+    "CN": lambda z: (1 - z**2 / 2) / (1 + z),
+    "TRAPEZOID": lambda z: (1 - z / 2) / (1 + z / 2),
+    "HEUN": lambda z: 1 - z + z**2 / 2,
+    "MIDPOINT": lambda z: 1 - z + z**2 / 2,
+    "RK4": lambda z: 1 - z + z**2 / 2 - z**3 / 6 + z**4 / 24,
+}
+
+
+def picard_amplification(method, z, M):
+    """R(z) with M Picard passes from the explicit Euler slope: a polynomial in z."""
+    if method == "IE":
+        return sum((-z) ** j for j in range(M + 2))
+    if method == "CN":
+        return 1 - z / 2 * (1 + sum((-z) ** j for j in range(M + 1)))
+    if method == "TRAPEZOID":  # slope (in units of −alpha e): s ← 1 − z/2 − (z/2) s from s = 1, summed
+        s = sum((-z / 2) ** j for j in range(M)) * (1 - z / 2) + (-z / 2) ** M
+        return 1 - z / 2 * (1 + s)
+    return AMPLIFICATION[method](z)
+
+
+def central_differences(f, x, h=1e-5):
+    """Jacobian of f at the vector x; rows are outputs. f maps a batch (B, n) to a batch of outputs."""
+    steps = h * np.maximum(1.0, np.abs(x))
+    points = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
+    values = np.asarray(f(points))
+    return ((values[: len(x)] - values[len(x) :]) / (2 * steps[:, None])).T

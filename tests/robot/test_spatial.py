@@ -1,0 +1,194 @@
+"""SO(3) exp and log and quaternions, values and derivatives, around 0 and around π."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import hat
+from scipy.spatial.transform import Rotation
+
+from cnclik.robot import spatial as sp
+
+
+@jax.jit
+def exp(w):
+    return jnp.stack([jnp.stack(row) for row in sp.exp_so3(tuple(w))])
+
+
+def rows(r):
+    return tuple(tuple(r[i, j] for j in range(3)) for i in range(3))
+
+
+@jax.jit
+def log(r):
+    return jnp.stack(sp.log_so3(rows(r)))
+
+
+@jax.jit
+def quaternion(r):
+    return jnp.stack(sp.quaternion_from_rotation(rows(r)))
+
+
+derivative_of_exp = jax.jit(jax.jvp, static_argnums=0)
+there_and_back = jax.jit(lambda w: log(exp(w)))
+slope_there_and_back = jax.jit(jax.jacfwd(there_and_back))
+slope_there_and_back_reverse = jax.jit(jax.jacrev(there_and_back))
+curvature_there_and_back = jax.jit(jax.hessian(there_and_back))
+
+# The series takes over at an angle of 1e-2 in exp, and at 2 asin(1e-2) ≈ 2e-2 in log.
+NEAR_ZERO = [0.0, 1e-300, 1e-20, 1e-12, 1e-8, 1e-5, 1e-3, 0.0099999, 0.0100001, 0.0199996, 0.0200004, 0.05]
+BETWEEN = [0.3, 1.0, np.pi / 2, 2.0, 2 * np.pi / 3, 3.0]
+NEAR_PI = [np.pi - 1e-2, np.pi - 1e-4, np.pi - 1e-7, np.pi - 1e-10]
+AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (0.6, -0.8, 0), (-1, 1, 1), (0.2, -0.3, 0.9)]
+VECTORS = [
+    pytest.param(angle * np.array(axis) / np.linalg.norm(axis), id=f"{angle:.8g}-{axis}")
+    for angle in NEAR_ZERO + BETWEEN + NEAR_PI
+    for axis in AXES
+]
+
+
+@pytest.mark.parametrize("w", VECTORS)
+def test_exp_and_log_values(w):
+    r = exp(w)
+    np.testing.assert_allclose(r, Rotation.from_rotvec(w).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(r, jaxlie.SO3.exp(jnp.asarray(w)).as_matrix(), atol=1e-12)
+    exact = Rotation.from_rotvec(w).as_matrix()
+    # Near π a rounding of R turns the vector by about as much, and never more.
+    np.testing.assert_allclose(log(exact), w, atol=2e-15, rtol=2e-15)
+    if 1e-3 < np.linalg.norm(w) < 3.1:
+        np.testing.assert_allclose(log(exact), jaxlie.SO3.from_matrix(jnp.asarray(exact)).log(), atol=1e-12)
+
+
+@pytest.mark.parametrize("w", VECTORS)
+def test_derivative_of_exp(w):
+    for direction in np.eye(3):
+        _, slope = derivative_of_exp(exp, (jnp.asarray(w),), (jnp.asarray(direction),))
+        exact = scipy.linalg.expm_frechet(hat(w), hat(direction), compute_expm=False)
+        np.testing.assert_allclose(slope, exact, atol=2e-14)
+
+
+@pytest.mark.parametrize("w", VECTORS)
+def test_log_undoes_exp_to_second_order(w):
+    """log(exp(w)) = w for angles under π: so the derivative is I, and the second one 0."""
+    np.testing.assert_allclose(slope_there_and_back(w), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(slope_there_and_back_reverse(w), np.eye(3), atol=1e-12)
+    if np.linalg.norm(w) <= 0.0199996 or np.linalg.norm(w) > 0.05:
+        np.testing.assert_allclose(curvature_there_and_back(w), 0, atol=1e-9)
+    assert np.all(np.isfinite(curvature_there_and_back(w)))
+
+
+@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3), [0.6, 0.8, 0], [0.6, 0, -0.8], [1, 2, -2], [-1, -1, 1]])
+def test_log_at_pi(axis):
+    """At exactly π: one of the two vectors, length π, with finite derivatives of every order asked for."""
+    axis = np.array(axis) / np.linalg.norm(axis)
+    r = 2 * np.outer(axis, axis) - np.eye(3)
+    w = np.asarray(log(r))
+    assert np.linalg.norm(w) == pytest.approx(np.pi, abs=1e-15)
+    np.testing.assert_allclose(np.abs(w @ axis), np.pi, atol=1e-14)
+    # A turn about the axis changes the length at rate 1, on the branch that was returned.
+    turn = lambda s: log(jnp.asarray(r) @ exp(s * jnp.asarray(axis)))  # noqa: E731
+    slope = jax.jit(jax.jacfwd(turn))(0.0)
+    np.testing.assert_allclose(slope, axis, atol=1e-14)
+    assert np.all(np.isfinite(jax.jit(jax.jacrev(jax.jacfwd(turn)))(0.0)))
+    assert np.all(np.isfinite(jax.jit(jax.jacfwd(log))(jnp.asarray(r))))
+
+
+def test_derivative_of_log_against_jaxlie():
+    """d log(R exp(δ))/dδ at δ = 0, for angles where jaxlie's own derivative is sound."""
+    ours = jax.jit(jax.jacfwd(lambda d, r: log(r @ exp(d))))
+    theirs = jax.jit(jax.jacfwd(lambda d, r: (r @ jaxlie.SO3.exp(d)).log()))
+    for r in Rotation.random(20, rng=3):
+        wanted = theirs(jnp.full(3, 1e-30), jaxlie.SO3.from_matrix(jnp.asarray(r.as_matrix())))
+        np.testing.assert_allclose(ours(jnp.zeros(3), jnp.asarray(r.as_matrix())), wanted, atol=1e-11)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.tuples(*[st.floats(-3.2, 3.2)] * 3))
+def test_exp_of_log_is_the_same_rotation(w):
+    r = exp(np.array(w))
+    again = log(r)
+    assert np.linalg.norm(again) <= np.pi + 1e-15
+    np.testing.assert_allclose(exp(again), r, atol=5e-15)
+
+
+def test_exp_is_a_rotation_for_large_vectors():
+    for w in 20 * np.random.default_rng(0).normal(size=(50, 3)):
+        r = np.asarray(exp(w))
+        np.testing.assert_allclose(r @ r.T, np.eye(3), atol=1e-14)
+        assert np.linalg.det(r) == pytest.approx(1)
+        np.testing.assert_allclose(r, Rotation.from_rotvec(w).as_matrix(), atol=2e-14)
+
+
+@pytest.mark.parametrize("w", VECTORS[::3])
+def test_quaternions(w):
+    r = Rotation.from_rotvec(w)
+    wanted = r.as_quat(canonical=True, scalar_first=True)
+    found = np.asarray(quaternion(r.as_matrix()))
+    np.testing.assert_allclose(found * np.sign(found @ wanted), wanted, atol=1e-15)
+    assert found[0] >= 0
+    back = jnp.array(sp.rotation_from_quaternion(tuple(found)))
+    np.testing.assert_allclose(back, r.as_matrix(), atol=2e-15)
+
+
+def test_quaternion_half_turns_have_finite_derivatives():
+    for axis in (*np.eye(3), np.array([1, 1, 0]) / np.sqrt(2), np.ones(3) / np.sqrt(3)):
+        r = 2 * np.outer(axis, axis) - np.eye(3)
+        assert np.all(np.isfinite(jax.jacfwd(quaternion)(r)))
+
+
+def test_rotation_about_literal_axis_is_rodrigues():
+    for axis in AXES:
+        axis = np.array(axis) / np.linalg.norm(axis)
+        for angle in (0.0, 0.4, -2.5, 9.0):
+            sine, cosine = np.sin(angle), np.cos(angle)
+            wanted = scipy.linalg.expm(hat(axis) * angle)
+            literal = sp.rotation_about(tuple(float(a) for a in axis), jnp.asarray(sine), jnp.asarray(cosine))
+            traced = sp.rotation_about(tuple(jnp.asarray(axis)), jnp.asarray(sine), jnp.asarray(cosine))
+            np.testing.assert_allclose(np.array(literal, float), wanted, atol=4e-15)
+            np.testing.assert_allclose(np.array(traced, float), wanted, atol=4e-15)
+
+
+def test_literals_fold():
+    """Products with a literal 0 or 1 vanish: what compiled-in geometry is for."""
+    x = jnp.asarray(2.0)
+    assert sp.mul(0.0, x) == 0.0 and isinstance(sp.mul(0.0, x), float)
+    assert sp.mul(1.0, x) is x and sp.add(x, 0.0) is x and sp.sub(x, 0) is x
+    assert sp.mul(x, -1.0) == -2 and sp.sub(0.0, x) == -2
+    moved = sp.rotation_about((0.0, 0.0, 1.0), x, x)
+    assert [[isinstance(v, float) for v in row] for row in moved] == [[False, False, True]] * 2 + [[True] * 3]
+    assert sp.total([]) == 0.0
+    # An array that happens to be 0 does not fold: its lane may move.
+    assert not isinstance(sp.mul(jnp.asarray(0.0), x), float)
+
+
+def test_safe_norm_has_derivative_zero_at_zero():
+    norm = lambda v: sp.safe_norm(tuple(v))  # noqa: E731
+    np.testing.assert_array_equal(jax.grad(norm)(jnp.zeros(3)), 0)
+    np.testing.assert_allclose(jax.grad(norm)(jnp.array([3.0, 0.0, 4.0])), [0.6, 0, 0.8])
+
+
+@functools.cache
+def _float32(fn):
+    return jax.jit(fn)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-20, 1e-5, 9.9e-3, 1.01e-2, 0.02, 0.021, 1.0, 3.0, np.pi - 1e-3, np.pi])
+def test_float32(angle):
+    """Single precision: values to 4e-7, slopes to 1e-4, nothing infinite."""
+    for axis in AXES:
+        axis = np.array(axis) / np.linalg.norm(axis)
+        w = jnp.asarray(angle * axis, jnp.float32)
+        assert exp(w).dtype == log(exp(w)).dtype == jnp.float32
+        np.testing.assert_allclose(exp(w), Rotation.from_rotvec(np.asarray(w, float)).as_matrix(), atol=4e-7)
+        again = np.asarray(log(exp(w)))
+        np.testing.assert_allclose(np.minimum(np.abs(again - w), np.abs(again + w)).max(), 0, atol=2e-6)
+        slope = _float32(jax.jacfwd(there_and_back))(w)
+        if angle < 3.1:
+            np.testing.assert_allclose(slope, np.eye(3), atol=1e-4)
+        assert np.all(np.isfinite(slope))
