@@ -93,3 +93,23 @@ def record(cls=None, *, kw_only=True):
 def replace(rec, **changes):
     """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
     return dataclasses.replace(rec, **changes)
+
+
+def stack(records):
+    """Records of one build as one whose arrays have a leading lane axis, for `jax.vmap` and `lanes`.
+
+    Literals in which all records agree stay literal; numbers in which they differ become arrays, so that
+    robots of one shape share a compiled program.
+    """
+    records = list(records)
+    first = records[0]
+    if dataclasses.is_dataclass(first) and not isinstance(first, type):
+        made = object.__new__(type(first))  # no __init__: its checks are for one lane
+        for f in dataclasses.fields(first):
+            object.__setattr__(made, f.name, stack([getattr(r, f.name) for r in records]))
+        return made
+    if isinstance(first, tuple):
+        return tuple(stack(items) for items in zip(*records, strict=True))
+    if is_literal(first) and all(type(r) is type(first) and r == first for r in records):
+        return first
+    return jax.numpy.stack([jax.numpy.asarray(r) for r in records])
