@@ -17,7 +17,7 @@ from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.robot.chain import REVOLUTE
-from cnclik.robot.kinematics import as_joint_values, frames, jacobian
+from cnclik.robot.kinematics import as_joint_values, frames, jacobian, stack
 from cnclik.study.linear import label, named
 from cnclik.study.outcome import Kind, outcome
 
@@ -106,11 +106,10 @@ def sampled_attraction(law, q0, Ts, radii, method=EE, stage=picard(5), *, direct
     q0 = as_joint_values(law.chain, q0, "q0")
     radii = np.asarray(errors.array("radii", radii, (None,)), float)
     units = _directions(len(law.task.position), directions, seed)
-    lanes = jax.jit(
-        jax.vmap(functools.partial(_one_target, N=N, method=method, tolerance=tolerance), (None, None, 0, None, None))
-    )
     moves = (radii[:, None, None] * units).reshape(-1, units.shape[-1])
-    ended = lanes(law, q0, jnp.asarray(moves), jnp.asarray(Ts, float), stage)
+    ended = _targets(
+        law, q0, jnp.asarray(moves), jnp.asarray(Ts, float), stage, N=N, method=method, tolerance=tolerance
+    )
     kind = np.asarray(ended.kind).reshape(len(radii), len(units))
     return xr.Dataset(
         {
@@ -123,12 +122,17 @@ def sampled_attraction(law, q0, Ts, radii, method=EE, stage=picard(5), *, direct
     )
 
 
-def _one_target(law, q0, move, Ts, stage, *, N, method, tolerance):
+@functools.partial(jax.jit, static_argnames=("N", "method", "tolerance"))
+def _targets(law, q0, moves, Ts, stage, *, N, method, tolerance):
     at = frames(law.chain, tuple(q0))
-    position = tuple(at.position[i] + move[j] for j, i in enumerate(law.task.linear))
-    rotation = jnp.stack([jnp.stack([jnp.asarray(x, q0.dtype) for x in row]) for row in at.rotation])
-    target = ref.hold(jnp.stack(position), rotation if law.task.orientation else None)
-    return outcome(law, target, q0, Ts, N, method, stage, tolerance=tolerance)
+    rotation = stack(at.rotation, q0) if law.task.orientation else None
+    here = stack(tuple(at.position[i] for i in law.task.linear), q0)
+
+    def one(move):
+        target = ref.hold(here + move, rotation)
+        return outcome(law, target, q0, Ts, N, method, stage, tolerance=tolerance)
+
+    return jax.vmap(one)(moves)
 
 
 def _directions(d, count, seed):

@@ -176,7 +176,7 @@ def settle(law, target, q0, *, N=200):
     Raises: ArgumentError where the error doesn't vanish, as for a target out of reach.
     """
     q0 = as_joint_values(law.chain, q0, "q0")
-    Ts = 1.0 / float(np.max(np.abs(np.linalg.eigvals(np.atleast_2d(_full(law.alpha))))))
+    Ts = 1.0 / largest_rate(law.alpha)
     run = solve(law, target, q0, Ts, N, IE, chord(4))
     size = float(jnp.linalg.norm(run.e[-1]))
     if not size < _AT_REST:
@@ -186,9 +186,13 @@ def settle(law, target, q0, *, N=200):
     return run.q[-1]
 
 
-def _full(alpha):
+def largest_rate(alpha) -> float:
+    """The number behind z = alpha·Ts of any gain: its largest |eigenvalue| [1/s]."""
     alpha = np.asarray(alpha)
-    return np.diag(alpha) if alpha.ndim == 1 else alpha
+    size = float(np.max(np.abs(np.linalg.eigvals(alpha) if alpha.ndim == 2 else alpha)))
+    if not size > 0:
+        raise errors.fail("alpha", "not be 0", f"is {alpha}")
+    return size
 
 
 # --- what gain, what sampling time ---------------------------------------------------------------------
@@ -245,9 +249,7 @@ def recommend(law, q, *, Ts=None, method=EE, stage=picard(5), target=None, reach
     method, stage = named(method, stage)
     q = as_joint_values(law.chain, q)
     reference = at_rest(law, target, q)
-    rate = float(np.max(np.abs(np.linalg.eigvals(np.atleast_2d(_full(law.alpha))))))
-    if not rate > 0:
-        raise errors.fail("law.alpha", "not be 0", f"is {np.asarray(law.alpha)}")
+    rate = largest_rate(law.alpha)
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
 
@@ -351,6 +353,6 @@ def margin(law, q, Ts, method=EE, stage=picard(5), *, target=None, reach=1e4) ->
     """
     method, stage = named(method, stage)
     found = recommend(law, q, Ts=Ts, method=method, stage=stage, target=target, reach=reach)
-    z = float(np.max(np.abs(np.linalg.eigvals(np.atleast_2d(_full(law.alpha)))))) * float(Ts)
+    z = largest_rate(law.alpha) * float(Ts)
     radius = spectrum(law, target, q, Ts, method, stage).radius
     return Margin(z=z, z_largest=found.z_largest, margin=found.z_largest / z, radius=radius, limit=found.limit)
