@@ -85,7 +85,7 @@ def _sincos(angles):
 
     # A loop that runs once if some lane needs it and else not at all; unlike lax.cond, it stays so under vmap.
     some = functools.reduce(jnp.logical_or, far)
-    _, state = lax.while_loop(lambda carry: carry[0], library, (some, state))
+    _, state = lax.while_loop(lambda carry: jnp.any(carry[0]), library, (some, state))
     return tuple(s for s, _ in state), tuple(c for _, c in state)
 
 
