@@ -244,5 +244,5 @@ def _cut(batch: Trajectory, i: int, lane: Lane, method: Method) -> Trajectory:
     one = jax.tree.map(lambda a: a[i], batch)
     points = {name: getattr(one, name)[: lane.N + 1] for name in ("t", "q", "x", "e")}
     steps = {name: getattr(one, name)[: lane.N] for name in ("qdot", "residual", "contraction", "status")}
-    evaluations = np.asarray(lane.N * evaluations_per_step(method, picard(lane.M)))
+    evaluations = np.asarray(lane.N * evaluations_per_step(method, picard(lane.M), one.q.shape[-1]))
     return replace(one, **points, **steps, evaluations=evaluations)
