@@ -28,20 +28,20 @@ def main(argv=None) -> None:
 
     try:
         verb = errors.one_of("verb", argv[0], VERBS)
-    except errors.ArgumentError as error:
-        _leave(error)
-    _prepare()
-    import tyro
+        _prepare()
+        from cnclik.cli import arguments
 
-    module = importlib.import_module(f"cnclik.cli.{verb}")
-    args = tyro.cli(module.Args, args=argv[1:], prog=f"cnclik {verb}", description=VERBS[verb])
-    try:
-        module.run(args)
+        module = importlib.import_module(f"cnclik.cli.{verb}")
+        module.run(arguments.parse(module.Args, argv[1:], prog=f"cnclik {verb}", description=VERBS[verb]))
     except errors.ArgumentError as error:
-        _leave(error)
+        print(f"cnclik: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
-        print("Interrupted; what was complete is kept.", file=sys.stderr)
+        print("cnclik: Interrupted; what was complete is kept.", file=sys.stderr)
         sys.exit(130)
+    except BrokenPipeError:  # the reader of our output, such as `head`, has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
 
 
 def _prepare() -> None:
@@ -66,8 +66,3 @@ def _overview() -> str:
             "cnclik VERB --help lists a verb's options; cnclik --version tells the version.",
         ]
     )
-
-
-def _leave(error) -> None:
-    print(f"cnclik: {error}", file=sys.stderr)
-    sys.exit(2)

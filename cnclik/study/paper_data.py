@@ -138,7 +138,8 @@ def methods(found: Found) -> xr.Dataset:
 def passes(found: Found) -> xr.Dataset:
     """The Picard iteration followed from the states of the runs of IE and CN.
 
-    Dims arm, reading, case, method, pass, step. residual is the change of the joint increment in the last pass (pass 0: the increment it starts from).
+    Dims arm, reading, case, method, pass, step. `residual` is the change of the joint increment in the last
+    pass (pass 0: the increment it starts from).
     """
     labels = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": ["IE", "CN"]}
     values = [found.residuals[key(*where)] for where in itertools.product(*labels.values())]
