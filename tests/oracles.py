@@ -91,7 +91,7 @@ def pinocchio_pose_and_jacobian(joints, tip, q):
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    return data.oMf[frame].homogeneous.copy(), jacobian.copy()
+    return data.oMf[frame].homogeneous.copy(), jacobian.reshape(6, -1).copy()
 
 
 # --- loops --------------------------------------------------------------------------------------------
@@ -190,3 +190,8 @@ def central_differences(f, x, h=1e-5):
     points = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
     values = np.asarray(f(points))
     return ((values[: len(x)] - values[len(x) :]) / (2 * steps[:, None])).T
+
+
+def close(found, wanted, atol=0.0, rtol=0.0):
+    """|found − wanted| ≤ atol + rtol·|wanted| in every entry; NumPy's own default adds rtol = 1e-7 unasked."""
+    np.testing.assert_allclose(found, wanted, rtol=rtol, atol=atol)

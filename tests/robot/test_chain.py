@@ -1,0 +1,213 @@
+"""Builders: every chain against a product of matrices that nobody here multiplied out by hand."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
+from scipy.spatial.transform import Rotation
+
+import cnclik as ck
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+
+LENGTHS = [0.7, 1.1, 0.4]
+# Parameters per joint: literal right angles and zeros (which fold) among general numbers.
+DH = {
+    "a": [0.0, 0.4, -0.2, 0.1],
+    "alpha": [math.pi / 2, -math.pi, 0.3, -math.pi / 2],
+    "d": [0.3, 0.0, 0.25, -0.1],
+    "theta": [0.0, math.pi / 2, 0.5, -1.2],
+}
+BASE = transform(Rotation.from_rotvec([0.3, -0.5, 1.0]).as_matrix(), [0.1, -0.2, 0.3])
+TOOL = transform(Rotation.from_rotvec([-1.0, 0.2, 0.4]).as_matrix(), [0.05, 0.1, -0.15])
+
+
+def matrix(chain, q):
+    found = ck.pose(chain, q)
+    return transform(found.rotation, found.position)
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_planar_arm_closed_form(clockwise):
+    sense = -1.0 if clockwise else 1.0
+    arm = ck.planar_arm(LENGTHS, clockwise=clockwise)
+    for q in np.random.default_rng(1).uniform(-4, 4, (20, 3)):
+        wanted = planar_position(np.array(LENGTHS), q, sense)
+        close(ck.pose(arm, q).position, [*wanted, 0], atol=1e-13)
+        close(ck.jacobian(arm, q)[:2], planar_jacobian(np.array(LENGTHS), q, sense), atol=1e-13)
+
+
+def test_planar_arm_of_the_paper():
+    """At q = 0 along +y; at θ[0] the clockwise arms start on the path of Case II, the others at (−1, 1), (−4, 1)."""
+    for n, end in ((2, 1.0), (5, 4.0)):
+        q0 = np.zeros(n)
+        close(ck.pose(ck.planar_arm([1.0] * n), q0).position, [0, n, 0], atol=1e-15)
+        q0[1] = np.pi / 2
+        close(ck.pose(ck.planar_arm([1.0] * n), q0).position, [-end, 1, 0], atol=1e-13)
+        turned = ck.planar_arm([1.0] * n, clockwise=True)
+        close(ck.pose(turned, q0).position, [end, 1, 0], atol=1e-13)
+
+
+@pytest.mark.parametrize("as_array", [False, True], ids=["literal", "leaf"])
+@pytest.mark.parametrize("kinds", ["RRRR", "RPRP"])
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_from_dh(convention, kinds, as_array):
+    parameters = {k: np.array(v) if as_array else v for k, v in DH.items()}
+    chain = ck.from_dh(**parameters, convention=convention, kinds=kinds, base=BASE.tolist(), tool=TOOL)
+    for q in np.random.default_rng(2).uniform(-3, 3, (10, 4)):
+        wanted = dh_product(*DH.values(), kinds, q, convention, BASE, TOOL)
+        close(matrix(chain, q), wanted, atol=1e-13)
+
+
+def test_from_dh_right_angles_fold():
+    """A literal right angle leaves exact zeros and ones: nothing is computed with cos(π/2) = 6e-17."""
+    chain = ck.from_dh([0.0, 1.0], [math.pi / 2, -math.pi], [0.0, 0.0])
+    entries = {x for j in chain.joints for row in j.origin.rotation for x in row}
+    assert entries <= {0.0, 1.0, -1.0} and all(type(x) is float for x in entries)
+
+
+@pytest.mark.parametrize("as_array", [False, True], ids=["literal", "leaf"])
+@pytest.mark.parametrize("kinds", ["RRR", "PRP"])
+def test_from_screws(kinds, as_array):
+    rng = np.random.default_rng(3)
+    points, axes = rng.normal(size=(2, 3, 3))
+    axes[0] = [0, 0, 2]  # not of length one: normalised
+    form = (lambda a: a) if as_array else np.ndarray.tolist
+    chain = ck.from_screws(form(points), form(axes), form(TOOL), kinds=kinds)
+    for q in rng.uniform(-3, 3, (10, 3)):
+        close(matrix(chain, q), product_of_exponentials(points, axes, TOOL, kinds, q), atol=1e-13)
+
+
+def test_from_screws_with_a_home_position():
+    chain = ck.from_screws([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]] * 2, [0.0, 2.0, 0.0])
+    q = np.array([0.3, -0.8])
+    close(matrix(chain, q), matrix(ck.planar_arm([1.0, 1.0]), q), atol=1e-15)
+
+
+def test_with_tool():
+    arm = ck.planar_arm(LENGTHS)
+    q = np.array([0.2, -0.5, 1.0])
+    close(matrix(ck.with_tool(arm, TOOL), q), matrix(arm, q) @ TOOL, atol=1e-15)
+    close(matrix(ck.with_tool(arm, [0.1, 0.2, 0.3]), q), matrix(arm, q) @ transform(None, [0.1, 0.2, 0.3]), atol=1e-15)
+
+
+def test_joints_that_share_a_coordinate():
+    """A mimic joint follows: value = multiplier · q + offset, and its column is added, times the multiplier."""
+    z = (0.0, 0.0, 1.0)
+    joints = [
+        Joint(kind=REVOLUTE, axis=z, origin=Offset(), coordinate=0),
+        Joint(
+            kind=REVOLUTE,
+            axis=z,
+            origin=Offset(position=(0.0, 1.0, 0.0)),
+            coordinate=0,
+            multiplier=-2.0,
+            offset=0.3,
+        ),
+        Joint(kind=PRISMATIC, axis=(0.0, 1.0, 0.0), origin=Offset(), coordinate=1),
+    ]
+    chain = assemble(joints, Offset(position=(0.0, 0.5, 0.0)))
+    assert chain.n == 2
+    q = np.array([0.4, 0.2])
+    lengths, angles = np.array([1.0, 0.7]), np.array([0.4, -2 * 0.4 + 0.3])
+    close(ck.pose(chain, q).position[:2], planar_position(lengths, angles), atol=1e-15)
+    both = planar_jacobian(lengths, angles)
+    close(ck.jacobian(chain, q)[:2, 0], both[:, 0] - 2 * both[:, 1], atol=1e-15)
+    assert ck.jacobian(chain, q)[5, 0] == 1 - 2
+
+
+# --- literal and leaf ---------------------------------------------------------------------------------
+
+
+def test_array_geometry_is_a_leaf_and_literal_geometry_is_not():
+    assert jax.tree.leaves(ck.planar_arm(LENGTHS)) == []
+    leaves = jax.tree.leaves(ck.planar_arm(jnp.array(LENGTHS)))
+    np.testing.assert_array_equal(leaves, LENGTHS)
+
+
+def test_array_geometry_equals_literal_geometry_and_is_differentiable():
+    q = np.array([0.2, -0.5, 1.0])
+    length = jnp.array(LENGTHS)
+    close(ck.jacobian(ck.planar_arm(length), q), ck.jacobian(ck.planar_arm(LENGTHS), q), atol=1e-15)
+    tip = lambda lengths: ck.pose(ck.planar_arm(lengths), q).position[:2]  # noqa: E731
+    phi = np.cumsum(q)
+    wanted = np.array([-np.sin(phi), np.cos(phi)])
+    close(jax.jacfwd(tip)(length), wanted, atol=1e-15)
+    close(jax.jacrev(tip)(length), wanted, atol=1e-15)
+    swept = jax.vmap(tip)(length * jnp.linspace(0.5, 2, 4)[:, None])
+    close(swept[-1], 2 * planar_position(np.array(LENGTHS), q), atol=1e-15)
+
+
+def test_axes_are_differentiable():
+    """The axis is normalised, so its length has no effect; its direction has."""
+    q = np.array([0.7])
+    tip = lambda axis: ck.pose(ck.from_screws([[0.0, 0.0, 0.0]], [axis], [1.0, 0.0, 0.0]), q).position  # noqa: E731
+    axis = jnp.array([0.0, 0.6, 0.8])
+    slope = jax.jacfwd(tip)(axis)
+    close(slope @ axis, 0, atol=1e-15)
+    h = 1e-6
+    for d in np.eye(3):
+        close(slope @ d, (tip(axis + h * d) - tip(axis - h * d)) / (2 * h), atol=1e-9)
+
+
+# --- what a newcomer sees, and what is refused --------------------------------------------------------
+
+
+def test_names_limits_and_repr():
+    arm = ck.planar_arm(LENGTHS, joint_names=["shoulder", "elbow", "wrist"])
+    assert arm.n == 3 and arm.joint_names == ("shoulder", "elbow", "wrist")
+    assert ck.planar_arm([1, 2]).joint_names == ("q1", "q2")
+    assert arm.lower == (-math.inf,) * 3 and arm.velocity_limit == (math.inf,) * 3
+    chain = ck.from_dh([1.0, 1.0], [0.0, 0.0], [0.0, 0.0], kinds="RP", lower=[-1, 0], upper=np.array([1, 2]))
+    assert chain.lower == (-1.0, 0.0) and chain.upper == (1.0, 2.0)
+    assert repr(chain) == "Chain(RP, joint_names=['q1', 'q2'])"
+
+
+I3 = np.eye(3).tolist()
+BAD = [
+    (lambda: ck.planar_arm([]), r"`lengths` must have shape \(n,\), but has shape \(0,\)\."),
+    (lambda: ck.planar_arm(1.0), r"`lengths` must have shape \(n,\), but has shape \(\)\."),
+    (lambda: ck.planar_arm([1.0, -1.0]), r"`lengths\[1\]` must be at least 0, but is -1\."),
+    (lambda: ck.planar_arm([1.0, math.nan]), r"`lengths\[1\]` must be finite, but is nan\."),
+    (lambda: ck.planar_arm(np.array([1.0, np.inf])), r"`lengths` must be finite, but is inf at index \(1,\)\."),
+    (lambda: ck.planar_arm(["a"]), r"`lengths\[0\]` must be a number, but is 'a'\."),
+    (lambda: ck.planar_arm([1.0, 1.0], joint_names=["a"]), r"`joint_names` must hold 2 different names"),
+    (lambda: ck.planar_arm([1.0, 1.0], joint_names=["a", "a"]), r"`joint_names` must hold 2 different names"),
+    (lambda: ck.from_dh([1.0], [0.0, 0.0], [0.0]), r"`alpha` must have shape \(1,\) like `a`, but has shape \(2,\)\."),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], [0.0, 0.0]), r"`theta` must have shape \(1,\)"),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], convention="Standard"), r"`convention` must be one of standard, modified"),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
+    (
+        lambda: ck.from_dh([1.0], [0.0], [0.0], base=np.eye(3)),
+        r"`base` must have shape \(4, 4\), but has shape \(3, 3\)",
+    ),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], tool=2 * np.eye(4)), r"`tool` must hold a rotation"),
+    (
+        lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]),
+        r"`lower` must have shape \(1,\), but has shape \(2,\)\.",
+    ),
+    (
+        lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[1.0], upper=[0.0]),
+        r"`lower` must not exceed `upper`, but is 1 > 0",
+    ),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], upper=[math.nan]), r"`upper` must hold no NaN"),
+    (lambda: ck.from_screws(I3, I3[:2], [1.0, 0.0, 0.0]), r"`axes` must have shape \(3, 3\) like `points`"),
+    (lambda: ck.from_screws(I3, np.zeros((3, 3)), [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
+    (lambda: ck.from_screws(I3, [[0.0, 0, 0]] * 3, [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
+    (lambda: ck.from_screws(3, I3, [1.0, 0.0, 0.0]), r"`points` must have shape \(n, 3\), but has shape \(\)\."),
+    (lambda: ck.from_screws([[0.0, 0.0]], I3[:1], [1.0, 0.0, 0.0]), r"`points\[0\]` must have shape \(3,\)"),
+    (lambda: ck.from_screws(I3, I3, [1.0, 0.0]), r"`home` must have shape \(3,\), but has shape \(2,\)\."),
+    (lambda: ck.with_tool(ck.planar_arm([1.0]), [1.0]), r"`tool` must have shape \(3,\), but has shape \(1,\)\."),
+    (lambda: assemble([]), r"`joints` must hold at least one joint"),
+    (lambda: ck.pose(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have shape \(1,\), but has shape \(2,\)\."),
+    (lambda: ck.jacobian(ck.planar_arm([1.0]), 0.0), r"`q` must have shape \(1,\), but has shape \(\)\."),
+]
+
+
+@pytest.mark.parametrize(("build", "message"), BAD, ids=range(len(BAD)))
+def test_bad_input(build, message):
+    with pytest.raises(ck.ArgumentError, match=message) as caught:
+        build()
+    assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
