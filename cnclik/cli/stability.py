@@ -137,7 +137,7 @@ def _plane(args, out):
     with progress.bar("limits") as report:
         total, done = len(implicit) * (len(args.passes) + 1), 0
         for m in implicit:
-            kinds = [(f"picard({M})", picard(M)) for M in args.passes] + [("exact (chord, newton)", stages.chord(1))]
+            kinds = [(f"picard({M})", picard(M)) for M in args.passes] + [("exact", stages.chord(1))]
             regions[m.name] = {}
             for name, stage in kinds:
                 regions[m.name][name] = linear.stability_region(m, stage)
@@ -150,7 +150,7 @@ def _plane(args, out):
         shown.add_column(name, justify="left" if name in ("method", "stage") else "right")
     for method, stage, found in rows:
         values = (found.stable, found.monotone, found.dead_beat, found.fastest, found.rate)
-        shown.add_row(method, stage, *(f"{v:.4f}" for v in values))
+        shown.add_row(method, stage, *("–" if v != v else f"{v:.4f}" for v in values))
     Console().print(shown)
     names = ("stable", "monotone", "dead_beat", "fastest", "rate")
     first = next(iter(next(iter(regions.values())).values()))
