@@ -38,6 +38,8 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
     """Sampling times of --map [s]; by default from a fifth to five times --Ts."""
     cells: int = 128
     """Cells of --map along each axis."""
+    spec: pathlib.Path | None = None
+    """A TOML file of a committed study (`study = "agreement"` or `"implicit"`), run in place of the above."""
     out: pathlib.Path = pathlib.Path("results/stability")
     """Folder for figures and data (netCDF)."""
 
@@ -50,7 +52,9 @@ def run(args: Args) -> None:
         raise errors.fail("cells", "be at least 2", f"is {args.cells}")
     for M in args.passes:
         errors.integer("passes", M, at_least=0)
-    if args.plane or args.map:
+    if args.spec is not None:
+        _study(args)
+    elif args.plane or args.map:
         with output_folder(args.out) as out:
             if args.plane:
                 _plane(args, out)
@@ -132,7 +136,7 @@ def _plane(args, out):
     picard = lambda M: stages.picard(jnp.asarray(M), maximum=max(args.passes))  # noqa: E731
     regions, rows = {}, []
     if explicit:
-        regions["explicit"] = {m.name: linear.stability_region(m) for m in explicit}
+        regions["explicit"] = {m.name: linear.stability_region(m, points=201) for m in explicit}
         rows += [(m.name, "", linear.limits(m)) for m in explicit]
     with progress.bar("limits") as report:
         total, done = len(implicit) * (len(args.passes) + 1), 0
@@ -140,7 +144,7 @@ def _plane(args, out):
             kinds = [(f"picard({M})", picard(M)) for M in args.passes] + [("exact", stages.chord(1))]
             regions[m.name] = {}
             for name, stage in kinds:
-                regions[m.name][name] = linear.stability_region(m, stage)
+                regions[m.name][name] = linear.stability_region(m, stage, points=201)
                 rows.append((m.name, name, linear.limits(m, stage)))
                 done += 1
                 report(done, total)
@@ -226,6 +230,35 @@ def _map(args, out):
     print(f"{total:,} loops in {time.perf_counter() - begun:.1f} s; agreement with the linear boundary: {inside:.2%}")
 
 
+# --- committed studies --------------------------------------------------------------------------------
+
+
+def _study(args):
+    import tomllib
+
+    from cnclik.show import stability as show
+    from cnclik.show.output import output_folder
+    from cnclik.study import evidence
+    from cnclik.study.dataset import as_json, provenance
+
+    try:
+        spec = tomllib.loads(args.spec.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise errors.fail("spec", "be a TOML file that can be read", f"{args.spec.name}: {error}") from None
+    name = errors.one_of("study", spec.pop("study", None), tuple(evidence.STUDIES))
+    begun = time.perf_counter()
+    with output_folder(args.out) as out, progress.bar("loops") as report:
+        data = evidence.STUDIES[name](**spec, progress=report)
+        data = data.assign_attrs(provenance(float) | {"config": as_json({"study": name} | spec)})
+        _write(data, out / f"{name}.nc")
+        (out / f"{name}.md").write_text(evidence.TABLES[name](data), encoding="utf-8")
+        getattr(show, {"agreement": "agreement", "implicit": "reaching"}[name])(
+            data, out / f"{name}.png", {"Title": name, "Description": data.attrs["config"]}
+        )
+    print((args.out / f"{name}.md").read_text(encoding="utf-8"))
+    print(f"{time.perf_counter() - begun:.0f} s; results in {args.out}")
+
+
 def _range(name, given, around, factors):
     low, high = given if given is not None else (around * factors[0], around * factors[1])
     errors.number(name, low, positive=True)
@@ -235,4 +268,7 @@ def _range(name, given, around, factors):
 
 
 def _write(data, path):
-    data.to_netcdf(path, engine="h5netcdf")
+    packed = {
+        v: {"zlib": True, "complevel": 6} for v in data.data_vars if data[v].dtype.kind in "fiub" and data[v].ndim
+    }
+    data.to_netcdf(path, engine="h5netcdf", encoding=packed)

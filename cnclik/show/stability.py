@@ -27,24 +27,27 @@ def plane(regions, path, metadata):
         columns = min(len(regions), 4)
         rows = -(-len(regions) // columns)
         figure, axes = plt.subplots(
-            rows, columns, figsize=(look.PAGE, 2.25 * rows), sharex=True, sharey=True, squeeze=False
+            rows, columns, figsize=(look.PAGE, 2.2 * rows + 0.45), sharex=True, sharey=True, squeeze=False
         )
+        named = {}
         for axis, (title, group) in zip(axes.flat, regions.items(), strict=False):
-            shades = plt.get_cmap(RATES)(np.linspace(0.0, 0.85, max(len(group), 2)))
+            shades = plt.get_cmap(RATES)(np.linspace(0.0, 0.9, max(len(group), 2)))
             for i, (name, region) in enumerate(group.items()):
-                known = name in look.METHODS
-                how = look.METHODS[name] if known else None
-                color, dashes = (how.color, how.linestyle) if known else (shades[i], "-")
-                if name.startswith("exact"):
+                color, dashes = shades[i], "-"
+                if name in look.METHODS:
+                    color, dashes = look.METHODS[name].color, look.METHODS[name].linestyle
+                if name == "exact":
                     color, dashes = look.BLACK, (0, (4, 1.5))
-                lines = axis.contour(region.re, region.im, region, levels=[1.0], colors=[color], linewidths=1.1)
-                lines.set_linestyle([dashes])
-                axis.plot([], [], color=color, linestyle=dashes, linewidth=1.1, label=name)
-            axis.axhline(0, color="0.6", linewidth=0.5, zorder=0)
-            axis.axvline(0, color="0.6", linewidth=0.5, zorder=0)
-            axis.set_title(title)
-            axis.set_aspect("equal")
-            axis.legend(loc="upper left", fontsize=5.5, handlelength=1.5, labelspacing=0.2, borderpad=0.1)
+                    axis.contourf(region.re, region.im, region, levels=[0, 1], colors=["0.93"], zorder=0)
+                contour = axis.contour(region.re, region.im, region, levels=[1.0], colors=[color], linewidths=1.0)
+                contour.set_linestyle([dashes])
+                named[name] = plt.Line2D([], [], color=color, linestyle=dashes, linewidth=1.0, label=name)
+            axis.axhline(0, color="0.6", linewidth=0.5, zorder=1)
+            axis.axvline(0, color="0.6", linewidth=0.5, zorder=1)
+            axis.set(title=title, aspect="equal", xlim=(-2, 4), ylim=(-3.1, 3.1))
+        if "exact" in named:
+            named["area"] = Patch(facecolor="0.93", label="stable if exact")
+        figure.legend(handles=named.values(), loc="outside lower center", ncols=7, fontsize=6)
         for axis in axes.flat[len(regions) :]:
             axis.axis("off")
         for axis in axes[-1]:
@@ -145,3 +148,67 @@ def _geometric(values):
     """Whether a coordinate is spaced geometrically rather than evenly."""
     steps = np.diff(values.values)
     return len(steps) > 1 and steps[-1] > 1.5 * steps[0]
+
+
+# --- evidence -----------------------------------------------------------------------------------------
+
+
+def agreement(data, path, metadata):
+    """How much of the measured plane is what linear theory says, as the initial error grows.
+
+    Args:
+      data: from `study.evidence.agreement_study`.
+    """
+    with look.style():
+        figure, axes = plt.subplots(1, data.sizes["robot"], figsize=(look.PAGE, 2.5), sharey=True, squeeze=False)
+        for axis, robot in zip(axes[0], data.robot.values, strict=True):
+            part = data.sel(robot=robot)
+            for case in data.case.values:
+                method, _, stage = str(case).partition(" ")
+                how = look.METHODS[method]
+                dashes = "-" if stage.startswith("chord") else (0, (1, 1.2)) if stage else how.linestyle
+                wide = 1.6 if stage.startswith("chord") or not stage else 0.7
+                axis.plot(
+                    data.size, 100 * part.agreement.sel(case=case), color=how.color, linestyle=dashes, linewidth=wide
+                )
+            axis.axhline(99, **look.GUIDE)
+            axis.set(xscale="log", title=robot, xlabel="initial error / arm length")
+        axes[0, 0].set_ylabel("agreement [%]")
+        methods = dict.fromkeys(str(c).partition(" ")[0] for c in data.case.values)
+        handles = [plt.Line2D([], [], color=look.METHODS[m].color, label=m) for m in methods]
+        handles += [
+            plt.Line2D([], [], color="0.3", linewidth=1.6, label="chord"),
+            plt.Line2D([], [], color="0.3", linewidth=0.7, linestyle=(0, (1, 1.2)), label="picard(1…6)"),
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=6)
+        look.save(figure, path, metadata)
+
+
+def reaching(data, path, metadata):
+    """Steps and evaluations to the tolerance against z; a line ends where some start no longer arrives.
+
+    Args:
+      data: from `study.evidence.implicit_study`.
+    """
+    shown = ("EE", "RK4", "IE picard(5)", "TRAPEZOID picard(5)", "IE chord(5)", "TRAPEZOID chord(5)")
+    with look.style():
+        figure, axes = plt.subplots(
+            2, data.sizes["robot"], figsize=(look.PAGE, 3.7), sharex=True, sharey="row", squeeze=False
+        )
+        for column, robot in enumerate(data.robot.values):
+            for case in shown:
+                part = data.sel(robot=robot, case=case)
+                method, _, stage = case.partition(" ")
+                how = look.METHODS[method]
+                dashes = "-" if stage.startswith("chord") else (0, (1, 1.2)) if stage else how.linestyle
+                for row, name in enumerate(("steps", "evaluations")):
+                    axes[row, column].plot(
+                        data.z, part[name], color=how.color, linestyle=dashes, linewidth=1.2, label=case
+                    )
+            axes[0, column].set_title(robot)
+            axes[1, column].set(xlabel="z = α·Ts", xscale="log", yscale="log")
+            axes[0, column].set_yscale("log")
+        axes[0, 0].set_ylabel("steps to 1e-6")
+        axes[1, 0].set_ylabel("evaluations to 1e-6")
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=6)
+        look.save(figure, path, metadata)
