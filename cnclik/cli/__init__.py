@@ -9,6 +9,7 @@ import os
 import sys
 
 VERBS = {
+    "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
 }
 

@@ -183,7 +183,7 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
     A pair of complex z belongs to a gain matrix with complex eigenvalues, or to a law that turns (error in a
     rotating frame, a Jacobian that is wrong by an angle φ: z exp(iφ)).
 
-    Returns: an xarray.DataArray with dimensions (imaginary, real).
+    Returns: an xarray.DataArray with dimensions (im, re).
     """
     import xarray as xr
 
@@ -192,10 +192,10 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
     values = np.abs(amplification(method, stage, x + 1j * y[:, None]))
     return xr.DataArray(
         values,
-        dims=("imaginary", "real"),
+        dims=("im", "re"),
         coords={
-            "real": ("real", x, {"units": "1", "long_name": "Re z"}),
-            "imaginary": ("imaginary", y, {"units": "1", "long_name": "Im z"}),
+            "re": ("re", x, {"units": "1", "long_name": "Re z"}),
+            "im": ("im", y, {"units": "1", "long_name": "Im z"}),
         },
         name="amplification",
         attrs={"units": "1", "long_name": "|R(z)|", "method": method.name, "stage": label(stage)},

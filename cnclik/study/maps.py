@@ -15,7 +15,7 @@ from cnclik.law import reference as ref
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values, frames, stack
 from cnclik.study.linear import label, named, stability_limit
-from cnclik.study.outcome import Kind, Outcome, outcome
+from cnclik.study.outcome import Kind, Outcome, outcome, stable
 from cnclik.study.spectrum import largest_rate, recommend, settle
 
 CHUNK = 4096  # lanes run together: what fits a processor's caches
@@ -174,11 +174,13 @@ def _attributes(law, q0, method, stage, options):
 def agreement(kind, z, limit, *, band=0.03):
     """Fraction of loops whose measured outcome is what z against the linear limit says, outside a band around it.
 
-    Stable means CONVERGED. Args: kind and z of one shape; limit: z of the boundary (inf: all stable).
+    Args:
+      kind, z, limit: outcomes, z (or alpha) and that of the boundary (inf: all stable), broadcast together.
     """
-    kind, z = np.broadcast_arrays(kind, z)
-    outside = np.abs(z - limit) > band * limit if np.isfinite(limit) else np.ones(z.shape, bool)
-    told = (kind == Kind.CONVERGED) == (z < limit)
+    kind, z, limit = np.broadcast_arrays(kind, z, limit)
+    finite = np.isfinite(limit)
+    outside = ~finite | (np.abs(z - np.where(finite, limit, 0)) > band * np.where(finite, limit, 0))
+    told = stable(kind) == (z < limit)
     return float(told[outside].mean())
 
 

@@ -23,9 +23,15 @@ class Kind(enum.IntEnum):
     """How a loop ended."""
 
     CONVERGED = 0  # throughout the last quarter the error is below tolerance·scale
-    NOT_CONVERGED = 1  # neither converged nor diverged: too slow for the horizon, or bounded and wrong
-    DIVERGED = 2  # not finite, or in the last quarter the error comes up to the scale again
-    NEAR_SINGULAR = 3  # not converged or diverged, after a step near a singularity
+    SLOW = 1  # not there yet, but all of the last quarter is below all of the one before
+    NOT_CONVERGED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
+    DIVERGED = 3  # not finite, or in the last quarter the error comes up to the scale again
+    NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity
+
+
+def stable(kind):
+    """Whether outcomes are those of a stable loop: converged, or slowly on the way."""
+    return (kind == Kind.CONVERGED) | (kind == Kind.SLOW)
 
 
 @record
@@ -59,16 +65,20 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     """
     method = METHODS[method] if isinstance(method, str) else method
     law, reference, Ts, tolerance = cast((law, reference, Ts, tolerance), q0.dtype)
-    tail = N - N // 4
+    tail, before = N - N // 4, N - 2 * (N // 4)
     first = sp.safe_norm(evaluate(law, reference, jnp.zeros_like(Ts), tuple(q0)).e)
     scale = first if scale is None else jnp.asarray(scale, q0.dtype)
     bound = tolerance * scale
 
     def judge(k, e, seen):
-        above, final = seen
+        above, least, final = seen
         size = sp.safe_norm(e)
         size = jnp.where(jnp.isfinite(size), size, jnp.inf)
-        return jnp.where(size > bound, k, above), jnp.where(k >= tail, jnp.maximum(final, size), final)
+        return (
+            jnp.where(size > bound, k, above),
+            jnp.where((k >= before) & (k < tail), jnp.minimum(least, size), least),
+            jnp.where(k >= tail, jnp.maximum(final, size), final),
+        )
 
     def one(carry, k):
         q, seen, bits = carry
@@ -76,16 +86,18 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         return (made.q, judge(k, made.e, seen), bits | made.status.astype(jnp.int32)), None
 
     k = jnp.arange(N + 1).astype(q0.dtype)
-    start = (tuple(q0), (jnp.full_like(first, -1.0), jnp.zeros_like(first)), jnp.zeros_like(first, jnp.int32))
+    nothing = (jnp.full_like(first, -1.0), jnp.full_like(first, jnp.inf), jnp.zeros_like(first))
+    start = (tuple(q0), nothing, jnp.zeros_like(first, jnp.int32))
     (q, seen, bits), _ = lax.scan(one, start, k[:-1])
-    above, final = judge(k[-1], evaluate(law, reference, k[-1] * Ts, q).e, seen)
+    above, least, final = judge(k[-1], evaluate(law, reference, k[-1] * Ts, q).e, seen)
     near, stuck = (bits & int(Status.NEAR_SINGULAR)) != 0, (bits & int(Status.NOT_CONVERGED)) != 0
     converged = final <= bound
     failed = jnp.where(near, Kind.NEAR_SINGULAR, jnp.where(final >= scale, Kind.DIVERGED, Kind.NOT_CONVERGED))
+    kind = jnp.where(converged, Kind.CONVERGED, jnp.where(final < jnp.minimum(least, scale), Kind.SLOW, failed))
     steps = above + 1
     rate = jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan)
     return Outcome(
-        kind=jnp.where(converged, Kind.CONVERGED, failed).astype(jnp.int8),
+        kind=kind.astype(jnp.int8),
         steps=steps.astype(jnp.int32),
         rate=rate,
         final=final,
