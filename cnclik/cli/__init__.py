@@ -10,6 +10,8 @@ import sys
 
 VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
+    "robots": "show a URDF file: its tree, joints, limits and candidate tips",
+    "solve": "run one loop on one robot: trajectory, figures, summary",
 }
 
 
