@@ -156,14 +156,14 @@ def _summary(made, data, seconds):
     shown.add_row("steps", ", ".join(f"{k} {v}" for k, v in count(data.status.values).items() if v))
     shown.add_row("joint velocity", _fastest(made.law.chain, data))
     late = chatter(data.qdot.values)
-    shown.add_row("chatter", f"{_number(late)} (speed taken back, second half)")
+    shown.add_row("chatter", f"{_number(late)} (RMS joint speed taken back in the next step, second half of the run)")
     limit = stability_limit(made.method, made.stage)
     alpha = np.linalg.eigvals(made.law.alpha).real if made.law.alpha.ndim == 2 else np.atleast_1d(made.law.alpha)
     z = float(np.max(alpha)) * made.Ts
     where = "stable" if z < limit else "UNSTABLE"
     known = "any z" if math.isinf(limit) else f"z < {limit:.4g}"
     shown.add_row("z = alpha·Ts", f"{z:.4g}; {made.method} with {_stage(made)} is linearly stable for {known}: {where}")
-    shown.add_row("time per step", f"{1e6 * seconds:.3g} µs")
+    shown.add_row("time per step", f"{1e6 * seconds:.0f} µs")
     return shown
 
 

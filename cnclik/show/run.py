@@ -45,14 +45,17 @@ def joint_velocities(data, chain):
 def error(data):
     """Norms of the position and of the orientation error against time, on a logarithmic scale."""
     figure, panel = plt.subplots(figsize=(style.COLUMN, 2.2))
+    usual = []
     for unit, (label, color, dashes) in _PART.items():
         part = data.e.values[:, data.axis_unit.values == unit]
         if part.size:
             norm = np.linalg.norm(part, axis=1)
             panel.plot(data.time, np.where(norm > 0, norm, np.nan), color=color, linestyle=dashes, label=label)
+            positive = norm[norm > 0]
+            usual += [np.quantile(positive, 0.01)] if positive.size else []
     panel.set_yscale("log")
-    low, high = panel.get_ylim()
-    panel.set_ylim(max(low, 1e-17), max(high, 1e-3 * high))
+    if usual:  # a start exactly on the path would stretch the axis down to rounding
+        panel.set_ylim(bottom=0.3 * min(usual))
     panel.set_xlabel("time $t$ [s]")
     panel.set_ylabel("error norm")
     figure.legend(loc="outside upper center", ncols=2)
@@ -64,6 +67,8 @@ def status(data):
     bits = [s for s in Status if s]
     figure, panel = plt.subplots(figsize=(style.COLUMN, 1.4))
     edges = data.time.values
+    if not data.status.values.any():
+        panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
     for row, bit in enumerate(reversed(bits)):
         bad = np.flatnonzero(data.status.values & bit.value)
         spans = [(edges[k], edges[k + 1] - edges[k]) for k in bad]
@@ -95,16 +100,17 @@ def _per_joint(data, draw, unit):
     figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=(width, 0.5 + 0.95 * rows))
     panels = grid.T.ravel()
     for i, panel in enumerate(panels):
-        if i >= n:
-            panel.set_visible(False)
+        if i >= n:  # an odd joint's neighbour: only its time axis, so that the rows stay even
+            panel.spines["left"].set_visible(False)
+            panel.set_yticks([])
+            panel.set_xlabel("time $t$ [s]")
             continue
         draw(panel, i)
         panel.set_title(str(data.joint.values[i]), loc="left", pad=2)
         panel.set_ylabel(f"[{unit(str(data.joint_unit.values[i]))}]")
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
         panel.margins(x=0.01, y=0.12)
-        if i == n - 1 or i % rows == rows - 1:
-            panel.tick_params(labelbottom=True)
+        if i % rows == rows - 1:
             panel.set_xlabel("time $t$ [s]")
     figure.align_ylabels(grid[:, 0])
     return figure
