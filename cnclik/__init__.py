@@ -11,8 +11,10 @@ from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TR
 from cnclik.integrate.solve import Step, Trajectory, solve, step
 from cnclik.integrate.stage import chord, newton, picard
 from cnclik.integrate.status import Status, StepError, require_ok
-from cnclik.law.inverse import damped, pseudoinverse, transpose
+from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, singular_damped, transpose
 from cnclik.law.law import Law
+from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
+from cnclik.law.null import maximize_manipulability, posture
 from cnclik.law.reference import Reference, circle, hold, line, lissajous, path, waypoints, with_feedforward
 from cnclik.law.task import Task, orientation, position
 from cnclik.law.task import pose as pose_task

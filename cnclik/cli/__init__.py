@@ -11,6 +11,8 @@ import sys
 VERBS = {
     "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
+    "robots": "show a URDF file: its tree, joints, limits and candidate tips",
+    "solve": "run one loop on one robot: trajectory, figures, summary",
 }
 
 

@@ -71,9 +71,17 @@ class LoopOptions:
     N: int = 1000
     """Steps."""
     inverse: Name = None
-    """pseudoinverse, damped, transpose; damped where --damping is given."""
+    """pseudoinverse, damped, transpose, manipulability-damped, singular-damped; damped where --damping is given."""
     damping: Number = None
-    """λ (not λ²) of the damped inverse."""
+    """λ (not λ²) of the damped inverses."""
+    threshold: Number = None
+    """Manipulability or least singular value below which the last two are damped."""
+    limits: str = "none"
+    """How joint limits are respected: none, velocity-scaling, weighted-least-norm, saturation."""
+    posture: Numbers = None
+    """Joint values to draw towards in the null space [rad, m]."""
+    manipulability: Number = None
+    """Gain of climbing the manipulability in the null space."""
     q0: Numbers = None
     """Joint values at the start [rad, m]; a posture inside the limits, away from singularities, by default."""
 

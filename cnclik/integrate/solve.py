@@ -105,7 +105,7 @@ def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
         return evaluate(law, reference, t + c * Ts if c else t, q)
 
     made = march(field, q, Ts, method, stage)
-    status = flags(law.chain, law, made.q, made.first.e, made.residual, stage.tolerance, made.first.least)
+    status = flags(law.chain, law, made.q, made.first.e, made.residual, stage.tolerance, made.first)
     return Step(
         q=made.q,
         e=made.first.e,

@@ -12,7 +12,7 @@ class Status(enum.IntFlag):
     OK = 0
     NOT_CONVERGED = 1  # an implicit stage's last change exceeded its tolerance
     NEAR_SINGULAR = 2  # least singular value of the task Jacobian below the law's `near_singular`
-    AT_LIMIT = 4  # a joint at or beyond a limit after the step
+    AT_LIMIT = 4  # a joint at or beyond a limit after the step, or held back by one
     NON_FINITE = 8  # a joint value or error that is NaN or infinite
 
 
@@ -59,16 +59,18 @@ def require_ok(trajectory, *, allow=Status.OK):
     raise StepError(f"Step {k}{where} (t = {t:.6g} s) is {names(bad)}: {_REMEDY[worst]}.")
 
 
-def flags(chain, law, q, e, residual, tolerance, least):
-    """Status bits of one step in component form."""
+def flags(chain, law, q, e, residual, tolerance, first):
+    """Status bits of one step in component form; `first` is the law's evaluation at its start."""
     finite = jnp.isfinite(sum(q[1:], q[0]) + sum(e[1:], e[0]))
     status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
-    status |= jnp.where(least < law.near_singular, int(Status.NEAR_SINGULAR), 0)
+    status |= jnp.where(first.least < law.near_singular, int(Status.NEAR_SINGULAR), 0)
     outside = [
         (value <= low) | (value >= high)
         for value, low, high in zip(q, chain.lower, chain.upper, strict=True)
         if np.isfinite(low) or np.isfinite(high)
     ]
+    if first.held is not False:
+        outside.append(first.held)
     for one in outside:
         status |= jnp.where(one, int(Status.AT_LIMIT), 0)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))

@@ -4,6 +4,7 @@ An inverse is a record that, called with the rows of J, factors them once and re
 function to apply J# to any number of task velocities, and what the factorisation says of singularity.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -53,6 +54,78 @@ class Damped:
 
 
 @record
+class ManipulabilityDamped:
+    """See `manipulability_damped`."""
+
+    damping: object  # λ₀, never λ₀²
+    threshold: object  # w₀
+
+    def __call__(self, rows) -> Factored:
+        thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
+        tiny = _tiny(thin)
+        factor = dense.ldl(dense.gram(thin, tiny))
+        w = jnp.sqrt(functools.reduce(jnp.multiply, (jnp.maximum(p, tiny) for p in factor[2])))
+        below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
+        return Factored(_damped_apply(rows, jnp.maximum(below * below, tiny)), _least(factor, tiny))
+
+
+@record
+class SingularDamped:
+    """See `singular_damped`."""
+
+    damping: object  # λ_max, never λ_max²
+    threshold: object  # ε
+
+    def __call__(self, rows) -> Factored:
+        thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
+        tiny = _tiny(thin)
+        squared = _least_squared(thin, dense.ldl(dense.gram(thin, tiny)))
+        share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
+        shift = jnp.maximum(share * self.damping * self.damping, tiny)
+        return Factored(_damped_apply(rows, shift), jnp.sqrt(lax.stop_gradient(squared)))
+
+
+def _damped_apply(rows, shift):
+    """Application of Jᵀ (J Jᵀ + shift·I)⁻¹."""
+    m, n = len(rows), len(rows[0])
+    columns = sp.transpose(rows)
+    if m <= n:
+        factor = dense.ldl(dense.gram(rows, shift))
+        return lambda t: _apply(columns, dense.ldl_solve(factor, t))
+    factor = dense.ldl(dense.gram(columns, shift))  # the smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ
+    return lambda t: dense.ldl_solve(factor, _apply(columns, t))
+
+
+def _tiny(rows):
+    """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
+    trace = sp.total(sp.dot(row, row) for row in rows)
+    return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6))
+
+
+@opaque
+def _least_squared(rows, factor):
+    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u from three inverse iterations on J Jᵀ.
+
+    With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
+    """
+    m = len(rows)
+    held = lax.stop_gradient(factor)
+    guess = [dense.ldl_solve(held, tuple(1.0 if i == j else 0.0 for i in range(m))) for j in range(m)]
+    u, largest = guess[0], guess[0][0]
+    for j in range(1, m):  # the column with the largest diagonal is never orthogonal to what is sought
+        better = guess[j][j] > largest
+        u = tuple(jnp.where(better, a, b) for a, b in zip(guess[j], u, strict=True))
+        largest = jnp.where(better, guess[j][j], largest)
+    for _ in range(3):
+        length = sp.safe_norm(u)
+        u = dense.ldl_solve(held, tuple(x / length for x in u))
+    length = sp.safe_norm(u)
+    u = lax.stop_gradient(tuple(x / length for x in u))
+    back = sp.matvec(sp.transpose(rows), u)
+    return sp.dot(back, back)
+
+
+@record
 class Transpose:
     """See `transpose`."""
 
@@ -89,8 +162,39 @@ def damped(damping) -> Damped:
     Args:
       damping: λ (not λ²), in the unit of J's singular values; positive.
     """
-    errors.number("damping", damping, positive=True)
-    return Damped(damping=np.asarray(damping, float) if sp.is_number(damping) else damping)
+    return Damped(damping=_leaf("damping", damping))
+
+
+def manipulability_damped(damping, threshold) -> ManipulabilityDamped:
+    """Singularity-robust inverse: damped only where the manipulability w = √det(J Jᵀ) is low.
+
+    λ = λ₀ (1 − w/w₀) for w < w₀, else 0, in Jᵀ (J Jᵀ + λ² I)⁻¹ (Nakamura & Hanafusa 1986, eq. 18, who write
+    the factor of the identity, λ² here, as k = k₀ (1 − w/w₀)²). Exact where w ≥ w₀.
+
+    Args:
+      damping: λ₀ (not λ₀²), reached at the singularity; in the unit of J's singular values; positive.
+      threshold: w₀, in the unit of w: for a task of r rotations and p positions m^p.
+    """
+    return ManipulabilityDamped(damping=_leaf("damping", damping), threshold=_leaf("threshold", threshold))
+
+
+def singular_damped(damping, threshold) -> SingularDamped:
+    """Damped only where the least singular value σ_m of J is below a threshold.
+
+    λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m
+    comes from inverse iteration, and its derivative from the Rayleigh quotient: no decomposition is
+    differentiated. Exact where σ_m ≥ ε.
+
+    Args:
+      damping: λ_max (not λ_max²), reached at the singularity; in the unit of J's singular values; positive.
+      threshold: ε, in the same unit; positive.
+    """
+    return SingularDamped(damping=_leaf("damping", damping), threshold=_leaf("threshold", threshold))
+
+
+def _leaf(name, value):
+    errors.number(name, value, positive=True)
+    return np.asarray(value, float) if sp.is_number(value) else value
 
 
 def transpose() -> Transpose:

@@ -34,7 +34,9 @@ class Law:
       task: which coordinates of its tip are controlled: position(...), orientation(...), pose(...).
       alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix. A rate, not the
         dimensionless gain per step of pink and mink, which is z = alpha·Ts.
-      inverse: J#: pseudoinverse(), damped(λ), transpose().
+      inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...).
+      limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), or None
+        for not at all.
       null_velocity: joint velocity q̇₀ asked for in the null space: (n,) [rad/s, m/s], or a function of q.
       feedforward: factor of the desired velocity ẋ_d: 1 tracks, 0 is pure feedback.
       near_singular: steps whose least singular value of the task Jacobian (an estimate from below; with
@@ -48,6 +50,7 @@ class Law:
     _: dataclasses.KW_ONLY
     alpha: object
     inverse: object = Pseudoinverse()
+    limits: object = None
     null_velocity: object = None
     feedforward: object = 1.0
     near_singular: object = 0.01
@@ -62,6 +65,10 @@ class Law:
             object.__setattr__(self, name, np.asarray(value, float) if sp.is_number(value) else value)
         if not callable(self.inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
+        if self.limits is not None and not callable(self.limits):
+            raise errors.fail(
+                "limits", "be None, velocity_scaling(), weighted_least_norm() or saturation()", f"is {self.limits!r}"
+            )
         if self.null_velocity is not None and not callable(self.null_velocity):
             object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
 
@@ -81,6 +88,7 @@ class Evaluation(NamedTuple):
     apply: Callable  # J#: m task components (weighted) to n joint components
     least: object  # estimate of the least singular value
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
+    held: object = False  # whether a limit changed what the task asked for
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
@@ -89,18 +97,23 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
     e, rows = error_and_rows(law.task, law.chain, frames(law.chain, q), position_d, rotation_d)
     velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, e))
     rows, velocity = _weigh(law.task, rows), _weigh(law.task, velocity)
-    factored = law.inverse(rows)
-    qdot = factored.apply(velocity)
-    wanted = null_velocity(law, q)
-    if wanted is not None:
-        qdot = sp.vadd(qdot, sp.vsub(wanted, factored.apply(sp.matvec(rows, wanted))))
+    wanted, held = null_velocity(law, q), False
+    if law.limits is None:
+        made = law.inverse(rows)
+        qdot = made.apply(velocity)
+        if wanted is not None:
+            qdot = sp.vadd(qdot, sp.vsub(wanted, made.apply(sp.matvec(rows, wanted))))
+    else:
+        made = law.limits(law.inverse, law.chain, q, rows, velocity, wanted)
+        qdot, held = made.qdot, made.held
     return Evaluation(
         qdot=qdot,
         e=e,
         rows=rows,
-        apply=factored.apply,
-        least=factored.least,
-        correct=lambda h, r: correct(law, q, rows, factored.apply, h, r),
+        apply=made.apply,
+        least=made.least,
+        correct=lambda h, r: correct(law, q, rows, made.apply, h, r),
+        held=held,
     )
 
 

@@ -11,6 +11,7 @@ import math
 import pathlib
 import re
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -18,18 +19,21 @@ from cnclik.hints import hints
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import METHODS, Method
 from cnclik.law import inverse as inverses
+from cnclik.law import limits as limiters
+from cnclik.law import null
 from cnclik.law import reference as references
 from cnclik.law import task as tasks
 from cnclik.law.law import Law
 from cnclik.robot import builtin
 from cnclik.robot.chain import REVOLUTE, Chain, planar_arm
-from cnclik.robot.kinematics import frames, jacobian_rows
+from cnclik.robot.kinematics import frames, jacobian_rows, stack
 from cnclik.robot.urdf import load_urdf
 
 ROBOTS = {"panda": builtin.panda, "ur5": builtin.ur5}
 REFERENCES = ("hold", "line", "circle", "lissajous")
 STAGES = tuple(name for name in ("picard", "chord", "newton") if hasattr(stages, name))
-INVERSES = ("pseudoinverse", "damped", "transpose")
+INVERSES = ("pseudoinverse", "damped", "transpose", "manipulability-damped", "singular-damped")
+LIMITS = ("none", "velocity-scaling", "weighted-least-norm", "saturation")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,6 +60,10 @@ def problem_from(
     alpha=5.0,
     inverse=None,
     damping=None,
+    threshold=None,
+    limits="none",
+    posture=None,
+    manipulability=None,
     q0=None,
     Ts=0.01,
     N=1000,
@@ -71,7 +79,9 @@ def problem_from(
       task: see `task_from`.
       reference, path: see `reference_from`; `from` and `to` are its `start` and `end`.
       alpha: gain [1/s], a number or one per task coordinate.
-      inverse, damping: see `inverse_from`.
+      inverse, damping, threshold: see `inverse_from`.
+      limits: see `limits_from`.
+      posture, manipulability: see `null_from`.
       q0: joint values at the start [rad, m]; see `start_from` for the default.
       Ts: sampling time [s]. N: number of steps.
       method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4.
@@ -89,9 +99,17 @@ def problem_from(
     task = task_from(task, chain)
     q0 = start_from(chain, task, q0)
     path = {"horizon": N * Ts} | path
+    law = Law(
+        chain,
+        task,
+        alpha=gain_from(alpha),
+        inverse=inverse_from(inverse, damping, threshold),
+        limits=limits_from(limits, Ts),
+        null_velocity=null_from(chain, task, posture, manipulability),
+    )
     return Problem(
         name=robot_name(robot, tip),
-        law=Law(chain, task, alpha=gain_from(alpha), inverse=inverse_from(inverse, damping)),
+        law=law,
         reference=reference_from(reference, chain, task, q0, **path),
         q0=q0,
         Ts=Ts,
@@ -176,12 +194,15 @@ def start_from(chain: Chain, task, q0=None):
 
 def _least(chain, task, postures):
     """Least singular values of the task Jacobian at (K, n) postures, lengths in units of the arm's own."""
-    with hints(False):
-        at = frames(chain, tuple(postures.T))
-        rows = jacobian_rows(chain, at, task.linear, task.angular)
-    j = np.stack([[np.broadcast_to(x, len(postures)) for x in row] for row in rows])
-    j[: len(task.linear)] /= length(chain)
-    return np.linalg.svd(j.transpose(2, 0, 1), compute_uv=False)[:, -1]
+
+    def one(q):
+        at = frames(chain, tuple(q))
+        return stack(jacobian_rows(chain, at, task.linear, task.angular), q)
+
+    with hints(False):  # run as written: compiling the chain for one look at it would take seconds
+        j = np.array(jax.vmap(one)(postures))
+    j[:, : len(task.linear)] /= length(chain)
+    return np.linalg.svd(j, compute_uv=False)[:, -1]
 
 
 def length(chain: Chain) -> float:
@@ -227,18 +248,48 @@ def gain_from(alpha):
     return alpha[0] if alpha.shape == (1,) else alpha
 
 
-def inverse_from(name=None, damping=None):
-    """J# by name: pseudoinverse, damped or transpose; by default damped where `damping` (λ) is given."""
+def inverse_from(name=None, damping=None, threshold=None):
+    """J# by name: pseudoinverse, damped, transpose, manipulability-damped, singular-damped.
+
+    Args:
+      name: by default damped where `damping` is given, else pseudoinverse.
+      damping: λ of the damped ones (never λ²).
+      threshold: manipulability or least singular value below which the last two are damped.
+    """
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"
     errors.one_of("inverse", name, INVERSES)
-    if name == "damped":
-        if damping is None:
-            raise errors.fail("damping", "be given for the damped inverse", "is not")
-        return inverses.damped(damping)
-    if damping is not None:
-        raise errors.fail("damping", f"be left out for the {name}", f"is {damping!r}")
-    return getattr(inverses, name)()
+    uses = {"damping": "damped" in name, "threshold": name.endswith("-damped")}
+    given = {"damping": damping, "threshold": threshold}
+    for key, used in uses.items():
+        if used and given[key] is None:
+            raise errors.fail(key, f"be given for the inverse {name!r}", "is not")
+        if not used and given[key] is not None:
+            raise errors.fail(key, f"be left out for the inverse {name!r}", f"is {given[key]!r}")
+    return getattr(inverses, name.replace("-", "_"))(*(given[key] for key in uses if uses[key]))
+
+
+def limits_from(name="none", Ts=None):
+    """How limits are respected: none, velocity-scaling, weighted-least-norm or saturation.
+
+    Where the sampling time is known, a joint nears its limit at most as fast as one step can stop: 1/Ts, and
+    10 per second at most.
+    """
+    errors.one_of("limits", name, LIMITS)
+    if name == "none":
+        return None
+    if name == "velocity-scaling":
+        return limiters.velocity_scaling()
+    return getattr(limiters, name.replace("-", "_"))(10.0 if Ts is None else min(10.0, 1.0 / Ts))
+
+
+def null_from(chain: Chain, task, posture=None, manipulability=None):
+    """The null-space term: towards a `posture` (n,) at 1/s, or up the `manipulability` with this gain, or None."""
+    if posture is not None and manipulability is not None:
+        raise errors.fail("manipulability", "be left out where `posture` is given", f"is {manipulability!r}")
+    if posture is not None:
+        return null.posture(errors.array("posture", posture, (chain.n,)))
+    return None if manipulability is None else null.maximize_manipulability(chain, task, manipulability)
 
 
 # --- loop ---------------------------------------------------------------------------------------------

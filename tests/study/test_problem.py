@@ -118,6 +118,11 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"inverse": "damped"}, "damping"),
         ({"inverse": "transpose", "damping": 0.1}, "damping"),
         ({"damping": 0}, "damping"),
+        ({"inverse": "singular-damped", "damping": 0.1}, "`threshold` must be given"),
+        ({"damping": 0.1, "threshold": 0.1}, "`threshold` must be left out"),
+        ({"limits": "sns"}, "limits"),
+        ({"posture": [0] * 6}, "posture"),
+        ({"posture": [0] * 7, "manipulability": 1}, "manipulability"),
         ({"speed": 3}, "`option`"),
     ],
 )

@@ -1,0 +1,69 @@
+"""`cnclik robots`: what a URDF file holds: its tree, joints, limits and the links that can be a tip."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cnclik.robot.urdf import read_urdf
+
+
+@dataclasses.dataclass(kw_only=True)
+class Args:
+    """Show a robot's tree, joints and limits."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """A URDF file."""
+
+
+def run(args: Args) -> None:
+    tree = read_urdf(args.file)
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = Table(title=f"{tree.name}, base {tree.root}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for name in ("link", "joint", "type", "lower", "upper", "velocity"):
+        right = name in ("lower", "upper", "velocity")
+        shown.add_column(name, justify="right" if right else "left", overflow="fold", no_wrap=name == "link")
+    tips = set(tree.tips())
+    shown.add_row(tree.root, *[""] * 5)
+    for edge, lead in _branches(tree):
+        name = f"{lead}{edge.child}"
+        style = "bold" if edge.child in tips else None
+        shown.add_row(f"[{style}]{name}[/]" if style else name, *_joint(edge))
+    console = Console()
+    if not console.is_terminal:
+        console.width = 400  # a pipe or file shall not cut names
+    console.print(shown)
+    moving, mimic = (
+        sum(map(test, tree.edges)) for test in (lambda e: e.type != "fixed", lambda e: e.mimic is not None)
+    )
+    print(f"{len(tree.links)} links, {moving} moving joints, {mimic} of them mimic.")
+    print(f"Tips (leaf links that a joint moves): {', '.join(tree.tips()) or 'none'}.")
+
+
+def _branches(tree):
+    """Every joint in depth-first order, with the lines that draw its place in the tree."""
+    waiting = [(edge, "", k == 0) for k, edge in enumerate(reversed(tree.below[tree.root]))]
+    while waiting:
+        edge, before, last = waiting.pop()
+        yield edge, f"{before}{'└ ' if last else '├ '}"
+        inner = before + ("  " if last else "│ ")
+        waiting += [(e, inner, k == 0) for k, e in enumerate(reversed(tree.below[edge.child]))]
+
+
+def _joint(edge):
+    unit = "m" if edge.type == "prismatic" else "rad"
+    if edge.type == "fixed":
+        return edge.name, "fixed", "", "", ""
+    kind = edge.type
+    if edge.mimic:
+        leader, multiplier, offset = edge.mimic
+        kind += f", {multiplier:g} × {leader}" + (f" {offset:+g}" if offset else "")
+    return edge.name, kind, _bound(edge.lower, unit), _bound(edge.upper, unit), _bound(edge.velocity, f"{unit}/s")
+
+
+def _bound(value, unit):
+    return "—" if math.isinf(value) else f"{value:.4g} {unit}"
