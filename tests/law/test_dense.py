@@ -1,0 +1,161 @@
+"""The pseudoinverse in component form: every shape and rank, values and derivatives; the LDLᵀ solver."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import central_differences, close
+
+from cnclik.law import dense
+
+
+def rows(a):
+    return tuple(tuple(a[i, j] for j in range(a.shape[1])) for i in range(a.shape[0]))
+
+
+def pinv(a):
+    return jnp.stack([jnp.stack(row) for row in dense.pinv(rows(a))[0]])
+
+
+many_pinv = jax.jit(jax.vmap(pinv))
+many_least = jax.jit(jax.vmap(lambda a: dense.pinv(rows(a))[1]))
+
+
+def with_singular_values(shape, values, rng):
+    """A random matrix of this shape with these singular values (zeros after them)."""
+    m, n = shape
+    u, v = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (m, n))
+    s = np.zeros(shape)
+    np.fill_diagonal(s, [*values, *[0.0] * (min(m, n) - len(values))])
+    return u @ s @ v.T
+
+
+def cases(shape):
+    """Full rank, every lower rank, equal and nearly equal singular values, badly scaled, zero."""
+    rng, k = np.random.default_rng(shape), min(shape)
+    out = [rng.normal(size=shape) for _ in range(3)]
+    out += [with_singular_values(shape, rng.uniform(0.5, 2, r), rng) for r in range(1, k + 1) for _ in range(2)]
+    out += [with_singular_values(shape, [1.5] * r, rng) for r in range(1, k + 1)]
+    out += [with_singular_values(shape, 1.5 + 1e-9 * np.arange(k), rng)]
+    out += [np.eye(*shape), np.ones(shape), 1e-8 * out[0], 1e8 * out[1], np.zeros(shape)]
+    return np.array(out)
+
+
+SHAPES = [(m, n) for m in range(1, 7) for n in range(1, 8)]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_against_numpy(shape):
+    a = cases(shape)
+    for found, matrix in zip(many_pinv(a), a, strict=True):
+        wanted = np.linalg.pinv(matrix, rcond=1e-12)
+        close(found, wanted, atol=1e-12 * max(1e-300, np.abs(wanted).max()) * 10)
+
+
+@pytest.mark.parametrize("shape", [(2, 5), (3, 3), (6, 7), (6, 6), (4, 2)], ids=str)
+def test_least_singular_value(shape):
+    a = cases(shape)
+    wanted = np.linalg.svd(a, compute_uv=False)
+    close(
+        many_least(a) / np.maximum(wanted[:, 0], 1e-300), wanted[:, -1] / np.maximum(wanted[:, 0], 1e-300), atol=1e-14
+    )
+
+
+def test_ill_conditioned_keeps_relative_accuracy():
+    """Singular values down to 1e-8 of the largest count, as they do in numpy."""
+    rng = np.random.default_rng(0)
+    a = np.array([with_singular_values((6, 7), [1, 0.3, 1e-2, 1e-4, 1e-6, 1e-8], rng)])
+    wanted = np.linalg.pinv(a[0], rcond=1e-12)
+    close(many_pinv(a)[0], wanted, atol=1e-6 * np.abs(wanted).max())
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 10**9), rank=st.integers(0, 3), scale=st.floats(-6, 6))
+def test_penrose_conditions(seed, rank, scale):
+    rng = np.random.default_rng(seed)
+    a = 10**scale * with_singular_values((3, 5), rng.uniform(0.3, 3, rank), rng)
+    p = np.asarray(many_pinv(a[None])[0])
+    size = np.abs(a).max() or 1.0
+    close(a @ p @ a / size, a / size, atol=1e-13)
+    close(p @ a @ p * size, p * size, atol=1e-11)
+    close(a @ p, (a @ p).T, atol=1e-13)
+    close(p @ a, (p @ a).T, atol=1e-13)
+
+
+# --- derivatives --------------------------------------------------------------------------------------
+
+
+@functools.cache
+def derivatives(shape):
+    """Compiled: values of a batch of flat matrices, and first and second directional derivatives of one."""
+    flat = lambda x: pinv(x.reshape(shape)).ravel()  # noqa: E731
+    second = lambda x, d: jax.jvp(lambda x: jax.jvp(flat, (x,), (d,))[1], (x,), (d,))[1]  # noqa: E731
+    return jax.jit(jax.vmap(flat)), jax.jit(jax.jacfwd(flat)), jax.jit(jax.jacrev(flat)), jax.jit(second)
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (2, 2), (2, 5), (3, 3), (4, 2), (6, 7)], ids=str)
+def test_derivative_at_full_rank(shape):
+    many, forward, reverse, second = derivatives(shape)
+    rng, k = np.random.default_rng(1), min(shape)
+    for values in (np.linspace(0.7, 2, k), [1.2] * k):  # distinct and equal singular values
+        x = with_singular_values(shape, values, rng).ravel()
+        wanted = central_differences(many, x)
+        size = np.abs(wanted).max()
+        close(forward(x), wanted, atol=1e-8 * size)
+        close(reverse(x), forward(x), atol=1e-13 * size)
+        d = rng.normal(size=x.shape)
+        h = 1e-5
+        slope = lambda x: np.asarray(forward(x)) @ d  # noqa: B023, E731
+        numeric = (slope(x + h * d) - slope(x - h * d)) / (2 * h)
+        close(second(x, d), numeric, atol=1e-7 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (2, 5), (3, 3), (4, 2)], ids=str)
+def test_derivative_where_the_rank_is_deficient(shape):
+    """Along a path of constant rank it is the derivative; in any direction, and to second order, it is finite."""
+    many, forward, reverse, second = derivatives(shape)
+    rng = np.random.default_rng(2)
+    left, right = rng.normal(size=(2, shape[0], 1)), rng.normal(size=(2, 1, shape[1]))
+    path = lambda t: ((left[0] + t * left[1]) @ (right[0] + t * right[1])).ravel()  # noqa: E731
+    h = 1e-5
+    numeric = (many(path(h)[None]) - many(path(-h)[None]))[0] / (2 * h)
+    velocity = (path(h) - path(-h)) / (2 * h)
+    close(forward(path(0)) @ velocity, numeric, atol=1e-8 * np.abs(numeric).max())
+    close(reverse(path(0)) @ velocity, numeric, atol=1e-8 * np.abs(numeric).max())
+    for x in (path(0), np.zeros(np.prod(shape)), np.ones(np.prod(shape))):
+        assert np.all(np.isfinite(forward(x))) and np.all(np.isfinite(reverse(x)))
+        assert np.all(np.isfinite(second(x, rng.normal(size=x.shape))))
+
+
+def test_float32():
+    rng = np.random.default_rng(3)
+    a = np.array([with_singular_values((3, 5), v, rng) for v in ([1, 0.5, 0.1], [1, 1], [1], [])], np.float32)
+    found = many_pinv(a)
+    assert found.dtype == jnp.float32
+    for one, matrix in zip(found, a, strict=True):
+        close(one, np.linalg.pinv(matrix.astype(float), rcond=1e-5), atol=5e-5)
+    assert np.all(np.isfinite(jax.jit(jax.vmap(jax.jacfwd(pinv)))(a)))
+
+
+# --- LDLᵀ ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("m", range(1, 7))
+def test_ldl_solves_and_traces(m):
+    rng = np.random.default_rng(m)
+    a = rng.normal(size=(m, m + 1))
+    b = rng.normal(size=m)
+
+    @jax.jit
+    def solve(a, b):
+        factor = dense.ldl(dense.gram(rows(a), jnp.asarray(0.01)))
+        return jnp.stack(dense.ldl_solve(factor, tuple(b))), dense.inverse_trace(factor)
+
+    s = a @ a.T + 0.01 * np.eye(m)
+    x, trace = solve(a, b)
+    close(x, np.linalg.solve(s, b), rtol=1e-11)
+    assert trace == pytest.approx(np.trace(np.linalg.inv(s)), rel=1e-11)

@@ -1,0 +1,89 @@
+"""One grammar for every message, and that values are looked at only where they are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from cnclik import errors
+from cnclik.errors import ArgumentError
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: errors.number("Ts", -0.1, positive=True), "Argument `Ts` must be positive, but is -0.1."),
+        (lambda: errors.number("Ts", 0, positive=True), "Argument `Ts` must be positive, but is 0."),
+        (lambda: errors.number("r", -1, at_least=0), "Argument `r` must be at least 0, but is -1."),
+        (lambda: errors.number("Ts", float("nan")), "Argument `Ts` must be finite, but is nan."),
+        (lambda: errors.number("Ts", jnp.inf), "Argument `Ts` must be finite, but is inf."),
+        (lambda: errors.number("Ts", "fast"), "Argument `Ts` must be a number, but is 'fast'."),
+        (lambda: errors.number("Ts", None), "Argument `Ts` must be a number, but is None."),
+        (lambda: errors.number("Ts", 1j), "Argument `Ts` must be a number, but is 1j."),
+        (lambda: errors.number("Ts", [0.1]), "Argument `Ts` must be a number, but is [0.1]."),
+        (lambda: errors.integer("N", 3.0, at_least=0), "Argument `N` must be an integer, but is 3.0."),
+        (lambda: errors.integer("N", True, at_least=0), "Argument `N` must be an integer, but is True."),
+        (lambda: errors.integer("N", -1, at_least=0), "Argument `N` must be at least 0, but is -1."),
+        (lambda: errors.array("q", [1, 2], (3,)), "Argument `q` must have shape (3,), but has shape (2,)."),
+        (
+            lambda: errors.array("a", np.ones((2, 3)), (), (2,), (2, 2)),
+            "Argument `a` must have shape () or (2,) or (2, 2), but has shape (2, 3).",
+        ),
+        (lambda: errors.array("q", 1.0, (None,)), "Argument `q` must have shape (n,), but has shape ()."),
+        (lambda: errors.array("q", [0, np.nan]), "Argument `q` must be finite, but is nan at index (1,)."),
+        (lambda: errors.array("q", np.float64(np.inf)), "Argument `q` must be finite, but is inf."),
+        (lambda: errors.array("q", [[1], []]), "Argument `q` must be an array of real numbers, but is [[1], []]."),
+        (lambda: errors.array("q", [True, "a"]), "Argument `q` must be an array of real numbers, but is [True, 'a']."),
+        (lambda: errors.array("q", None), "Argument `q` must be an array of real numbers, but is None."),
+        (
+            lambda: errors.one_of("method", "RK5", ["EE", "RK4"]),
+            "Argument `method` must be one of EE, RK4, but is 'RK5' (did you mean 'RK4'?).",
+        ),
+        (lambda: errors.one_of("method", [], {"EE": 1}), "Argument `method` must be one of EE, but is []."),
+    ],
+)
+def test_messages(call, message):
+    with pytest.raises(ArgumentError) as caught:
+        call()
+    assert str(caught.value) == message
+
+
+def test_long_values_stay_on_one_short_line():
+    with pytest.raises(ArgumentError) as caught:
+        errors.number("Ts", np.ones((40, 40)))
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 200
+
+
+def test_complex_and_boolean_arrays():
+    for bad in (np.ones(2, complex), np.ones(2, bool), np.array(["a"])):
+        with pytest.raises(ArgumentError, match="real numbers"):
+            errors.array("q", bad)
+
+
+@pytest.mark.parametrize("value", [[1, 2], (1, 2), np.array([1, 2]), jnp.array([1, 2]), [np.int32(1), jnp.asarray(2)]])
+def test_integers_become_floats(value):
+    found = errors.array("q", value, (2,))
+    assert found.dtype == float
+    np.testing.assert_array_equal(found, [1, 2])
+
+
+def test_single_precision_is_kept():
+    assert errors.array("q", np.ones(2, np.float32)).dtype == np.float32
+
+
+def test_traced_values_are_checked_by_shape_alone():
+    @jax.jit
+    def fn(x):
+        errors.number("Ts", x, positive=True)
+        return errors.array("q", [x, 1.0], (2,)) + errors.array("r", jnp.stack([x, x]), (2,))
+
+    np.testing.assert_array_equal(fn(-1.0), [-2, 0])
+    assert np.isnan(fn(jnp.nan)[0])
+    with pytest.raises(ArgumentError, match=r"must have shape \(3,\), but has shape \(1,\)"):
+        jax.jit(lambda x: errors.array("q", x[None], (3,)))(1.0)
+
+
+def test_numbers_pass_as_they_came():
+    for value in (1, 0.5, np.float32(2), jnp.asarray(3.0)):
+        assert errors.number("x", value, positive=True) is value
+    assert errors.integer("N", np.int64(3), at_least=0) == 3
