@@ -257,7 +257,7 @@ def _implicit_table(data):
             "",
             f"## {robot}",
             "",
-            "| method | fewest steps | at z | fewest evaluations | at z | max z | tracking RMS | at z | steps/turn |",
+            "| method | fewest steps | at z | evaluations | at z | largest z | tracking RMS | at z | steps/turn |",
             "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         ]
         for case in data.case.values:
