@@ -293,15 +293,13 @@ METRICS = {
     "contraction": Metric(_contraction, "1", "largest ratio of an implicit stage's last two changes"),
     "evaluations": Metric(_evaluations, "1", "evaluations of f(q, t)"),
     "ok": Metric(functools.partial(_count, 0), "1", "steps with status OK"),
-    **{
-        s.name.lower(): Metric(functools.partial(_count, s.value), "1", f"steps marked {s.name}") for s in Status if s
-    },
+    **{s.name.lower(): Metric(functools.partial(_count, s.value), "1", f"steps marked {s.name}") for s in Status if s},
     # On request, whole histories: what convergence curves are drawn from.
-    "error": Metric(lambda loop: _norms(loop.run.e), "e", "error ‖e[k]‖", ("k",)),
-    "t": Metric(lambda loop: loop.run.t, "s", "time", ("k",)),
-    "q": Metric(lambda loop: loop.run.q, "q", "joint values", ("k", "joint")),
-    "x": Metric(lambda loop: loop.run.x, "e", "task coordinates", ("k", "task")),
-    "e": Metric(lambda loop: loop.run.e, "e", "error", ("k", "task")),
+    "error": Metric(lambda loop: _norms(loop.run.e), "e", "error ‖e[k]‖", ("time",)),
+    "t": Metric(lambda loop: loop.run.t, "s", "time", ("time",)),
+    "q": Metric(lambda loop: loop.run.q, "q", "joint values", ("time", "joint")),
+    "x": Metric(lambda loop: loop.run.x, "e", "task coordinates", ("time", "axis")),
+    "e": Metric(lambda loop: loop.run.e, "e", "error", ("time", "axis")),
     "qdot": Metric(lambda loop: loop.run.qdot, "q/s", "joint velocity", ("step", "joint")),
     "status": Metric(lambda loop: loop.run.status, "1", "status bits", ("step",)),
 }

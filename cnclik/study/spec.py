@@ -2,7 +2,7 @@
 
 Everything a loop depends on is a named value. `[fixed]` gives some, `[axes]` varies others, `[cases.NAME]`
 holds bundles of them (an arm with its start and target) that make an axis of their own. A value may be an
-expression of others: duration = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0].
+expression of others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0].
 """
 
 import dataclasses
@@ -16,32 +16,29 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.method import METHODS
 from cnclik.integrate.solve import evaluations_per_step, solve
-from cnclik.law.inverse import damped, pseudoinverse, transpose
 from cnclik.law.law import Law
 from cnclik.robot.chain import planar_arm
-from cnclik.robot.kinematics import pose
 from cnclik.study import expression, metrics
-from cnclik.study.names import reference_from, robot_from, stage_from, task_from
+from cnclik.study.names import inverse_from, reference_from, robot_from, stage_from, task_from
 from cnclik.study.sweep import UNITS, Axis, Grid, axis
 
 # --- what may be written ------------------------------------------------------------------------------
 
-NAMES = ("robot", "tip", "task", "reference", "method", "stage", "inverse")  # plain names, never expressions
-REFERENCES = {
-    "hold": ("target", "rotation"),
-    "line": ("start", "end", "duration", "rotation", "rotation_end"),
-    "circle": ("center", "radius", "period", "normal", "phase", "rotation"),
-    "lissajous": ("center", "amplitude", "period", "frequency", "phase", "rotation"),
+NAMES = ("robot", "tip", "base", "task", "reference", "method", "stage", "inverse")  # never expressions
+PATHS = {
+    "hold": ("target",),
+    "line": ("from", "to", "period"),
+    "circle": ("center", "radius", "normal", "period"),
+    "lissajous": ("center", "amplitude", "frequency", "period"),
 }
-_PATH = tuple(dict.fromkeys(p for parts in REFERENCES.values() for p in parts))
+_PATH = tuple(dict.fromkeys(p for parts in PATHS.values() for p in parts))
 PARAMETERS = (
     *(*NAMES, "alpha", "Ts", "N", "M", "q0", "damping", "feedforward", "near_singular", "lengths"),
     *_PATH,
 )
 REQUIRED = ("robot", "task", "reference", "alpha", "Ts", "N", "q0")
 DEFAULTS = {"method": "EE", "stage": "picard", "M": 5}
-POSITIVE = ("Ts", "damping", "duration", "radius", "alpha")
-INVERSES = ("pseudoinverse", "damped", "transpose")
+POSITIVE = ("Ts", "damping", "period", "radius")
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics", "fixed", "axes", "cases", "units", "figure")
 AXES = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed")}
 FIGURES = {
@@ -110,7 +107,7 @@ class Spec:
         """Everything `solve` needs for one loop: (law, reference, q0, Ts, N, method, stage)."""
         v = self.values(**values)
         chain = _robot(v)
-        task = task_from(v["task"])
+        task = task_from(v["task"], chain)
         q0 = v["q0"]
         if "q0" in self.axes and q0.shape[0] > chain.n:
             q0 = q0[: chain.n]  # samples are as wide as the widest arm among the cases
@@ -118,13 +115,11 @@ class Spec:
             chain,
             task,
             alpha=v["alpha"],
-            inverse=_inverse(v),
+            inverse=inverse_from(v.get("inverse"), v.get("damping")),
             **{name: v[name] for name in ("feedforward", "near_singular") if name in v},
         )
-        parts = {name: v[name] for name in REFERENCES[v["reference"]] if name in v}
-        if isinstance(parts.get("rotation"), str):
-            parts["rotation"] = pose(chain, q0).rotation
-        reference = reference_from(v["reference"], **parts)
+        path = {{"from": "start", "to": "end"}.get(name, name): v[name] for name in _PATH if name in v}
+        reference = reference_from(v["reference"], chain, task, q0, horizon=v["N"] * v["Ts"], **path)
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         return law, reference, q0, v["Ts"], v["N"], METHODS[v["method"]], stage_from(v["stage"], v["M"], **most)
@@ -145,7 +140,7 @@ class Spec:
         """Units of the axes, given or known."""
         joints = metrics.unit("q", self.build(**self.grid().programs[0], **self._first())[0])
         known = UNITS | {"q0": joints, "case": "1", "damping": "m", "feedforward": "1", "lengths": "m"}
-        known |= {name: "m" for name in ("target", "start", "end", "center", "radius", "amplitude")}
+        known |= {name: "m" for name in ("target", "from", "to", "center", "radius", "amplitude")}
         return known | self.units
 
     def data(self) -> dict:
@@ -162,14 +157,7 @@ class Spec:
 def _robot(v):
     if v["robot"] == "planar":
         return planar_arm(v["lengths"])
-    return robot_from(v["robot"], v.get("tip"))
-
-
-def _inverse(v):
-    kind = v.get("inverse", "damped" if "damping" in v else "pseudoinverse")
-    if kind == "damped":
-        return damped(v["damping"])
-    return transpose() if kind == "transpose" else pseudoinverse()
+    return robot_from(v["robot"], v.get("tip"), v.get("base"))
 
 
 # --- reading ------------------------------------------------------------------------------------------
@@ -262,7 +250,11 @@ def parse(written: dict, name="spec") -> Spec:
 
 def _plain(values):
     """Values with numbers where they can be had, to build a robot from."""
-    return {k: v if k in NAMES else expression.evaluate(k, v, values.get) for k, v in values.items() if k == "lengths" or k in NAMES}
+    return {
+        k: v if k in NAMES else expression.evaluate(k, v, values.get)
+        for k, v in values.items()
+        if k == "lengths" or k in NAMES
+    }
 
 
 def _known(where, table, names):
@@ -296,7 +288,11 @@ def _axis(name, value, widest) -> Axis:
     where = f"axes.{name}"
     if isinstance(value, list):
         if name in NAMES:
-            return axis(name, {v: v for v in value}) if all(isinstance(v, str) for v in value) else _not_names(where, value)
+            return (
+                axis(name, {v: v for v in value})
+                if all(isinstance(v, str) for v in value)
+                else _not_names(where, value)
+            )
         if name == "M" and all(type(v) is int for v in value) and value:
             return Axis(name, np.asarray(value), None)  # one program, passes masked
         if all(type(v) in (int, float) for v in value) and value and name != "N":
@@ -363,7 +359,7 @@ def _check_names(fixed, axes, cases):
     used = set()
     for table in (fixed, *cases.values()):
         for name, value in table.items():
-            if name in NAMES or (name == "rotation" and value == "keep"):
+            if name in NAMES:
                 continue
             needs = expression.names(name, value)
             used |= needs
@@ -394,7 +390,7 @@ def _check_cycles(fixed, cases):
             if name in seen:
                 raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
             value = known.get(name)
-            if name not in NAMES and value is not None and value != "keep":
+            if name not in NAMES and value is not None:
                 for need in expression.names(name, value):
                     walk(need, [*seen, name])
 
@@ -445,25 +441,14 @@ def _check_loops(spec: Spec):
 def _check_loop(spec, values):
     known, _ = spec.lookup(**values)
     errors.one_of("method", known["method"], METHODS)
-    errors.one_of("reference", known["reference"], REFERENCES)
-    errors.one_of("inverse", known.get("inverse", "pseudoinverse"), INVERSES)
-    if known.get("inverse") == "damped" and "damping" not in known:
-        raise errors.fail("damping", "be given for the damped inverse", "is missing")
-    if known.get("inverse", "damped") != "damped" and "damping" in known:
-        raise errors.fail("inverse", "be 'damped' where damping is given", f"is {known['inverse']!r}")
-    wanted = REFERENCES[known["reference"]]
+    errors.one_of("reference", known["reference"], PATHS)
+    wanted = PATHS[known["reference"]]
     for name in _PATH:
         if name in known and name not in wanted:
             raise errors.fail(name, f"belong to the reference {known['reference']!r} ({', '.join(wanted)})", "does not")
     if ("lengths" in known) != (known["robot"] == "planar"):
         raise errors.fail("lengths", "come with robot = 'planar', and only with it", f"robot is {known['robot']!r}")
-    try:
-        law, reference, q0, Ts, N, method, stage = spec.build(**values)
-    except TypeError as error:
-        missing = [n for n in wanted if f"'{n}'" in str(error)]
-        if not missing:
-            raise
-        raise errors.fail(missing[0], f"be given for the reference {known['reference']!r}", "is missing") from None
+    law, reference, q0, Ts, N, method, stage = spec.build(**values)
     from cnclik.integrate import solve as solving
 
     errors.integer("N", N, at_least=1)
@@ -491,4 +476,5 @@ def _figures(figures, spec: Spec) -> tuple:
 
 def to_json(spec: Spec) -> str:
     """The spec as one line of JSON, for a dataset's attributes."""
-    return json.dumps({"question": spec.question, "expectation": spec.expectation} | spec.data(), ensure_ascii=False)
+    about = {"name": spec.name, "question": spec.question, "expectation": spec.expectation}
+    return json.dumps(about | spec.data() | {"figures": spec.figures}, ensure_ascii=False)

@@ -22,7 +22,7 @@ batch = jax.vmap  # how one lane becomes a block of lanes
 
 UNITS = {
     **{"alpha": "1/s", "Ts": "s", "t": "s", "horizon": "s", "duration": "s", "period": "s"},
-    **{"z": "1", "M": "1", "N": "1", "k": "1", "step": "1", "seed": "1", "method": "1", "stage": "1", "robot": "1"},
+    **{"z": "1", "M": "1", "N": "1", "step": "1", "seed": "1", "method": "1", "stage": "1", "robot": "1"},
 }
 LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
 MEMORY = 2**30  # bytes that one block may need while it runs
@@ -205,9 +205,13 @@ def _named(result) -> dict:
 
 
 # Dimensions of what `solve` returns, for a study that returns whole trajectories.
-_DIMS = {"t": ("k",), "q": ("k", "joint"), "x": ("k", "task"), "e": ("k", "task"), "qdot": ("step", "joint")} | {
-    name: ("step",) for name in ("residual", "contraction", "status")
-}
+_DIMS = {
+    "t": ("time",),
+    "q": ("time", "joint"),
+    "x": ("time", "axis"),
+    "e": ("time", "axis"),
+    "qdot": ("step", "joint"),
+} | {name: ("step",) for name in ("residual", "contraction", "status")}
 
 
 def compile_program(study, fixed: dict, of: Grid) -> Program:
@@ -342,7 +346,10 @@ def dataset(of: Grid, outputs, arrays, *, units=None, attrs=None, labels=None):
         coords |= coordinates(one, units)
     data = {}
     for o in outputs:
-        about = {"units": (units or {}).get(o.name, o.unit), **({"long_name": labels[o.name]} if o.name in labels else {})}
+        about = {
+            "units": (units or {}).get(o.name, o.unit),
+            **({"long_name": labels[o.name]} if o.name in labels else {}),
+        }
         data[o.name] = (names + o.dims, arrays[o.name], about)
     return xarray.Dataset(data, coords, attrs=environment() | {"lanes": of.lanes} | (attrs or {}))
 
