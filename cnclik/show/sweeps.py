@@ -18,6 +18,7 @@ from cnclik.study.summary import replacing
 
 _SYMBOLS = {"alpha": "α", "Ts": "Ts", "z": "z = α·Ts", "damping": "λ", "case": ""}
 _HISTORY = ("time", "step")
+_MOST = 8  # panels along a dimension, or figures for it
 STYLE = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -135,13 +136,17 @@ def _views(data, one):
         free = [d for d in free if d != one["lines"]]
     for role in ("panels", "rows"):
         if role not in one:
-            one[role] = next((d for d in free if data.sizes[d] <= 8), None)
+            one[role] = next((d for d in free if data.sizes[d] <= _MOST), None)
             free = [d for d in free if d != one[role]]
     how = one.get("reduce", "median")
     names = [n for n in dict.fromkeys((one["value"], "evaluations")) if n in data]
     view = data[names]
     if reduced:
         view = getattr(view, how)(reduced, keep_attrs=True)
+    # A long axis that has no place is shown at its middle, and the title says so.
+    for dim in [d for d in free if view.sizes[d] > _MOST]:
+        view = view.isel({dim: view.sizes[dim] // 2})
+        free.remove(dim)
     for place in itertools.product(*(range(view.sizes[d]) for d in free)):
         labels = [f"_{_text(view[d].values[i])}" for d, i in zip(free, place, strict=True)]
         yield "".join(labels), view.isel(dict(zip(free, place, strict=True)))
