@@ -76,7 +76,8 @@ def defaults(data) -> list:
         out.append({"kind": "slices", "value": value, "x": inner[0]})
     if value and samples:
         out.append({"kind": "distribution", "value": value, "over": samples[0]})
-    if value and "evaluations" in scalars and "Ts" in data.dims:
+    costs = data["evaluations"].values if "evaluations" in scalars else np.zeros(1)
+    if value and "Ts" in data.dims and len(np.unique(costs)) > data.sizes.get("method", 1):
         out.append({"kind": "work", "value": value})
     if "error" in data.data_vars:
         out.append({"kind": "convergence", "value": "error"})
@@ -190,9 +191,27 @@ def _contours(ax, x, y, z, norm, levels):
         else:
             levels = ticker.MaxNLocator(5).tick_values(low, high)
     levels = [v for v in levels if norm.vmin < v < norm.vmax]
-    if levels and min(z.shape) > 1:
+    z = np.ma.masked_where(_rough(z), z)
+    if levels and min(z.shape) > 1 and z.count() > 4:
         lines = ax.contour(x, y, z, levels=levels, colors="white", linewidths=0.6, alpha=0.8)
         ax.clabel(lines, fmt="%.0e" if isinstance(norm, colors.LogNorm) else "%g", fontsize=6)
+
+
+def _rough(z):
+    """Where neighbours have little to do with each other, as in a diverged, chaotic loop."""
+    filled = np.asarray(np.ma.filled(np.ma.asarray(z, float), np.inf), float)
+    size = np.log10(np.clip(filled, 1e-12, 1e12))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(size, 1, mode="edge"), (3, 3)).reshape(*size.shape, 9)
+    spread = np.median(np.abs(near - np.median(near, axis=-1, keepdims=True)), axis=-1)
+    # A smooth steep flank spreads too, but evenly: the median of a row of three keeps its order.
+    steep = np.maximum(*(np.abs(np.gradient(size, axis=a)) if size.shape[a] > 1 else 0 * size for a in (0, 1)))
+    return (spread > 0.08 + 0.7 * steep) & (size > np.quantile(size, 0.5))
+
+
+def _unsettled(z):
+    """`_rough`, with its single holes and islands smoothed away."""
+    rough = np.pad(_rough(z), 1, mode="edge").astype(int)
+    return np.lib.stride_tricks.sliding_window_view(rough, (3, 3)).sum(axis=(-2, -1)) >= 4
 
 
 def _boundary(ax, view, one, spec, place, x, y):
@@ -230,7 +249,7 @@ def _limit(values):
     except ImportError:
         return None
     from cnclik.integrate.method import METHODS
-    from cnclik.study.names import stage_from
+    from cnclik.study.problem import stage_from
 
     method = METHODS.get(str(values.get("method", "EE")))
     m = values.get("M", 5)
@@ -251,7 +270,9 @@ def _best(view, one, spec):
     for ax, _, part in grid.each(value):
         part = part.transpose(among, one["y"], one["x"])
         finite = np.where(np.isfinite(part.values), part.values, np.inf)
-        winner = np.ma.masked_where(~np.isfinite(finite.min(axis=0)), finite.argmin(axis=0))
+        least = finite.min(axis=0)
+        # Grey where nobody gets there: what is left is chance.
+        winner = np.ma.masked_where(~np.isfinite(least) | _unsettled(least), finite.argmin(axis=0))
         x, y = part[one["x"]].values, part[one["y"]].values
         ax.set_facecolor("0.85")
         ax.pcolormesh(

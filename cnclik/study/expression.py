@@ -17,7 +17,7 @@ _BINARY = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-_CALLS = {"sqrt", "sin", "cos", "tan", "exp", "log", "round"}
+_CALLS = {"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round"}
 _CONSTANTS = {"pi": math.pi}
 
 

@@ -19,7 +19,7 @@ from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.law.law import Law
 from cnclik.robot.chain import planar_arm
 from cnclik.study import expression, metrics
-from cnclik.study.names import inverse_from, reference_from, robot_from, stage_from, task_from
+from cnclik.study.problem import inverse_from, reference_from, robot_from, stage_from, task_from
 from cnclik.study.sweep import UNITS, Axis, Grid, axis
 
 # --- what may be written ------------------------------------------------------------------------------
@@ -132,9 +132,9 @@ class Spec:
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""
-        *_, N, method, stage = self.build(**program, **self._first(last=True))
+        law, _, _, _, N, method, stage = self.build(**program, **self._first(last=True))
         stage = dataclasses.replace(stage, M=getattr(stage, "maximum", stage.M))
-        return N * float(evaluations_per_step(method, stage))
+        return N * float(evaluations_per_step(method, stage, law.chain.n))
 
     def all_units(self) -> dict:
         """Units of the axes, given or known."""

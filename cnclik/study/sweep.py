@@ -5,20 +5,24 @@ is compiled in) is one program, traced once; it runs every block of the inner, n
 computed alone, so its numbers don't depend on which blocks ran before it, here or in another process.
 """
 
+import collections
 import dataclasses
 import itertools
 import json
 import math
+import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.lanes import lanes
 from cnclik.study.metrics import Metrics
 
-batch = jax.vmap  # how one lane becomes a block of lanes
+batch = lanes  # how one lane becomes a block of lanes
 
 UNITS = {
     **{"alpha": "1/s", "Ts": "s", "t": "s", "horizon": "s", "duration": "s", "period": "s"},
@@ -268,29 +272,40 @@ def fit(study, of: Grid, memory=MEMORY):
     return of, program
 
 
-def run_blocks(study, of: Grid, blocks, first: Program | None = None):
-    """Compute blocks in turn: yields (block, {name: piece of the grid}).
+def run_blocks(study, of: Grid, blocks, first: Program | None = None, cores=None):
+    """Compute blocks: yields (block, {name: piece of the grid}) in their order.
 
-    The next block is already running while one is handed out, so that writing takes no time of its own.
+    Each core runs a block of its own, and the next ones are running while one is handed out, so that writing
+    takes no time of its own.
     """
-    program, current, waiting = first, 0, None
-    for block in blocks:
-        if program is None or block.program != current:
-            program, current = compile_program(study, of.programs[block.program], of), block.program
-            if first is not None and _layout(program.outputs) != _layout(first.outputs):
-                raise errors.fail(
-                    "study", "return the same names and shapes everywhere", f"does not at {of.programs[current]}"
-                )
-        begun = block, program.run(of.lane_values(block))
-        if waiting is not None:
-            yield _collected(of, *waiting)
-        waiting = begun
-    if waiting is not None:
-        yield _collected(of, *waiting)
+    cores = cores or available_cores()
+    waiting = collections.deque()
+    for number, group in itertools.groupby(blocks, key=lambda b: b.program):
+        program = first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
+        if first is not None and _layout(program.outputs) != _layout(first.outputs):
+            raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
+        with ThreadPoolExecutor(cores) as pool:
+            for block in group:
+                waiting.append((block, pool.submit(_compute, program, of, block)))
+                if len(waiting) > cores + 1:
+                    yield _done(waiting.popleft())
+            while waiting:
+                yield _done(waiting.popleft())
 
 
-def _collected(of, block, results):
-    return block, {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
+def _compute(program, of, block):
+    results = program.run(of.lane_values(block))
+    return {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
+
+
+def _done(pair):
+    block, future = pair
+    return block, future.result()
+
+
+def available_cores() -> int:
+    """Cores this process may use; one on an accelerator, which is busy with a single block."""
+    return len(os.sched_getaffinity(0)) if jax.default_backend() == "cpu" and hasattr(os, "sched_getaffinity") else 1
 
 
 def _layout(outputs):
