@@ -165,6 +165,8 @@ def _heat(view, one, spec):
     for ax, place, part in grid.each(value):
         x, y, z = _plane(part, one)
         shown = np.ma.masked_invalid(z)
+        if isinstance(norm, colors.LogNorm):
+            shown = np.ma.clip(shown, norm.vmin, None)  # an error of exactly 0 is the smallest, not missing
         ax.set_facecolor("0.85")  # not finite
         mesh = ax.pcolormesh(x, y, shown, norm=norm, shading="nearest", rasterized=True)
         _scales(ax, x, y)
@@ -198,20 +200,22 @@ def _contours(ax, x, y, z, norm, levels):
 
 
 def _rough(z):
-    """Where neighbours have little to do with each other, as in a diverged, chaotic loop."""
-    filled = np.asarray(np.ma.filled(np.ma.asarray(z, float), np.inf), float)
-    size = np.log10(np.clip(filled, 1e-12, 1e12))
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(size, 1, mode="edge"), (3, 3)).reshape(*size.shape, 9)
-    spread = np.median(np.abs(near - np.median(near, axis=-1, keepdims=True)), axis=-1)
-    # A smooth steep flank spreads too, but evenly: the median of a row of three keeps its order.
-    steep = np.maximum(*(np.abs(np.gradient(size, axis=a)) if size.shape[a] > 1 else 0 * size for a in (0, 1)))
-    return (spread > 0.08 + 0.7 * steep) & (size > np.quantile(size, 0.5))
+    """Where large values have little to do with their neighbours, as in a diverged, chaotic loop."""
+    known = np.asarray(np.ma.filled(np.ma.asarray(z, float), np.inf), float)
+    finite = known[np.isfinite(known)]
+    top = math.log10(max(finite.max(initial=1e-12), 1e-12))
+    size = np.clip(np.log10(np.clip(known, 1e-300, None)), top - 3, top + 1)
+    bent = np.zeros_like(size)  # second differences: a steep but smooth flank has none
+    bent[1:-1] += np.abs(size[2:] - 2 * size[1:-1] + size[:-2])
+    bent[:, 1:-1] += np.abs(size[:, 2:] - 2 * size[:, 1:-1] + size[:, :-2])
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(bent, 1, mode="reflect"), (3, 3))
+    return (np.median(near, axis=(-2, -1)) > 0.15) & (size > top - 1.5)
 
 
 def _unsettled(z):
     """`_rough`, with its single holes and islands smoothed away."""
     rough = np.pad(_rough(z), 1, mode="edge").astype(int)
-    return np.lib.stride_tricks.sliding_window_view(rough, (3, 3)).sum(axis=(-2, -1)) >= 4
+    return np.lib.stride_tricks.sliding_window_view(rough, (3, 3)).sum(axis=(-2, -1)) >= 3
 
 
 def _boundary(ax, view, one, spec, place, x, y):
