@@ -174,7 +174,9 @@ def _heat(view, one, spec):
             _contours(ax, x, y, shown, norm, one.get("contours", True))
         if one.get("boundary", True):
             _boundary(ax, view, one, spec, place, x, y)
-    bar = grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend="both" if "limits" in one else "neither", pad=0.02)
+    bar = grid.figure.colorbar(
+        mesh, ax=grid.axes.ravel().tolist(), extend="both" if "limits" in one else "neither", pad=0.02
+    )
     bar.set_label(_label(value))
     return grid.finish(one, _axis_label(view[one["x"]]), _axis_label(view[one["y"]]), spec)
 
@@ -279,9 +281,7 @@ def _best(view, one, spec):
         winner = np.ma.masked_where(~np.isfinite(least) | _unsettled(least), finite.argmin(axis=0))
         x, y = part[one["x"]].values, part[one["y"]].values
         ax.set_facecolor("0.85")
-        ax.pcolormesh(
-            x, y, winner, cmap=palette, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest", rasterized=True
-        )
+        ax.pcolormesh(x, y, winner, cmap=palette, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest", rasterized=True)
         _scales(ax, x, y)
         if {one["x"], one["y"]} == {"alpha", "Ts"} and one.get("boundary", True):
             _z_lines(ax)
@@ -364,7 +364,9 @@ def _work(view, one, spec):
             x, y = np.broadcast_arrays(mine.values, line.values)
             order = np.argsort(x, axis=None)
             x, y = x.ravel()[order], y.ravel()[order]
-            ax.plot(x, np.where(np.isfinite(y), y, np.nan), color=color, label=label, marker="o", markersize=3, linewidth=1)
+            ax.plot(
+                x, np.where(np.isfinite(y), y, np.nan), color=color, label=label, marker="o", markersize=3, linewidth=1
+            )
         ax.set_xscale("log")
         _y_scale(ax, value, one)
     return grid.finish(one, "evaluations of f(q, t)", _label(value), spec, legend=one["lines"])
@@ -438,7 +440,9 @@ def _lines(part, dim):
 
 def _named(dim, value):
     text = _text(value)
-    return text if dim in ("method", "case", "robot", "stage", "task", "inverse") else f"{_SYMBOLS.get(dim, dim)} = {text}"
+    return (
+        text if dim in ("method", "case", "robot", "stage", "task", "inverse") else f"{_SYMBOLS.get(dim, dim)} = {text}"
+    )
 
 
 def _text(value):

@@ -49,6 +49,7 @@ FIGURES = {
     "distribution": ("value", "over", "lines"),
     "work": ("value", "lines", "over"),
 }
+_ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")  # keys of a figure that name an axis
 _EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", "log", "limits")
 
 
@@ -209,7 +210,14 @@ def _change(written, change):
         room = "axes" if name in written.get("axes", {}) and isinstance(value, (list, dict)) else "fixed"
     written.setdefault(room, {})[name] = value
     if room in ("fixed", "axes"):
-        written.get("axes" if room == "fixed" else "fixed", {}).pop(name, None)
+        taken = written.get("axes" if room == "fixed" else "fixed", {}).pop(name, None)
+        if room == "fixed" and taken is not None and isinstance(written.get("figure"), list):
+            # Figures over an axis that is gone go with it.
+            written["figure"] = [f for f in written["figure"] if not isinstance(f, dict) or name not in _dims_named(f)]
+
+
+def _dims_named(figure) -> set:
+    return {figure.get(k) for k in _ROLES} | set(figure.get("select", ()))
 
 
 def parse(written: dict, name="spec") -> Spec:
@@ -466,7 +474,7 @@ def _figures(figures, spec: Spec) -> tuple:
         _known(where, figure, (*_EVERY_FIGURE, *FIGURES[kind]))
         if "value" in figure:
             errors.one_of(f"{where}.value", figure["value"], spec.metrics)
-        for key in ("x", "y", "lines", "panels", "rows", "over", "among"):
+        for key in _ROLES:
             if key in figure:
                 errors.one_of(f"{where}.{key}", figure[key], dims)
         for key in figure.get("select", {}):
