@@ -13,6 +13,8 @@ VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
     "robots": "show a URDF file: its tree, joints, limits and candidate tips",
     "solve": "run one loop on one robot: trajectory, figures, summary",
+    "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
+    "plot": "draw the figures of a finished sweep",
 }
 
 

@@ -12,6 +12,7 @@ import pathlib
 import re
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
@@ -300,9 +301,9 @@ def method_from(name) -> Method:
     return name if isinstance(name, Method) else METHODS[errors.one_of("method", name, METHODS)]
 
 
-def stage_from(name="picard", M=5):
-    """How implicit stages are solved: the iteration's name and its number of passes M."""
-    return getattr(stages, errors.one_of("stage", name, STAGES))(M)
+def stage_from(name="picard", M=5, **options):
+    """How implicit stages are solved: the iteration's name, its number of passes M, further options of it."""
+    return getattr(stages, errors.one_of("stage", name, STAGES))(M, **options)
 
 
 # --- reference ----------------------------------------------------------------------------------------
@@ -377,8 +378,8 @@ def reference_from(
         at, rotation = _point("center", center, task, here)
         if at is None:
             raise errors.fail("reference", "be hold or a file for a task without position", "is 'lissajous'")
-        amplitude = np.asarray(errors.array("amplitude", amplitude, (), (1,), (len(at),)), float)
-        size = np.broadcast_to(amplitude, len(at))
+        amplitude = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),)))
+        size = amplitude * np.ones(len(at))
         return references.lissajous(at, size, period=period, frequency=frequency, rotation=rotation)
     if str(name).lower().endswith(".csv"):
         return _waypoints(name, task, here)
@@ -403,8 +404,17 @@ def _refuse_unused(name, given):
 
 def _tip(chain, q):
     with hints(False):
-        at = frames(chain, tuple(np.asarray(q, float)))
-    return np.array(at.position, float), np.array([[float(x) for x in row] for row in at.rotation])
+        at = frames(chain, tuple(_known(q)))
+    return _stacked(at.position), _stacked([_stacked(row) for row in at.rotation])
+
+
+def _known(values):
+    """Numbers as a NumPy array; what is traced stays as it is, so that a sweep can vary it."""
+    return np.asarray(values, float) if errors.concrete(values) else values
+
+
+def _stacked(values):
+    return np.array(values, float) if all(map(errors.concrete, values)) else jnp.stack([jnp.asarray(v) for v in values])
 
 
 def _away(chain, q0):
@@ -423,21 +433,21 @@ def _away(chain, q0):
 def _point(name, given, task, default):
     """Position (or None) and rotation (or None) of a point as a user writes it; see `reference_from`."""
     position, rotation = default
-    position = position[list(task.linear)] if task.position else None
+    position = position[np.array(task.linear)] if task.position else None
     rotation = rotation if task.orientation else None
     if given is None:
         return position, rotation
-    values = np.asarray(errors.array(name, given, (None,)), float)
+    values = _known(errors.array(name, given, (None,)))
     sizes = {len(task.position), 3} if task.position else {0}
     fits = sorted(sizes | ({s + 4 for s in sizes} if task.orientation else set())) if sizes != {0} else [4]
     if len(values) not in fits:
         raise errors.fail(name, f"hold {' or '.join(map(str, fits))} numbers for this task", f"holds {len(values)}")
     if task.orientation and len(values) >= 4:
         values, quaternion = values[:-4], values[-4:]
-        norm = np.linalg.norm(quaternion)
-        if abs(norm - 1) > 1e-2:
+        norm = (np if errors.concrete(quaternion) else jnp).linalg.norm(quaternion)
+        if errors.concrete(norm) and abs(norm - 1) > 1e-2:
             raise errors.fail(name, "end with a unit quaternion w x y z", f"has one of norm {norm:.6g}")
-        rotation = np.asarray(references._rotation(name, quaternion / norm))
+        rotation = _known(references._rotation(name, quaternion / norm))
     return (values if task.position else None), rotation
 
 

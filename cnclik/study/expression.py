@@ -1,0 +1,96 @@
+"""Expressions: values of a spec that follow from others, such as duration = "N*Ts" or alpha = "z/Ts"."""
+
+import ast
+import functools
+import math
+import operator
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+
+_BINARY = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_CALLS = {"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round"}
+_CONSTANTS = {"pi": math.pi}
+
+
+@functools.cache
+def parse(name: str, text: str):
+    """The expression's tree; ArgumentError for anything but arithmetic on numbers and names."""
+    try:
+        tree = ast.parse(text, mode="eval").body
+        _check(tree)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        words = f"be a number or an expression of numbers, names, + - * / ** and {', '.join(sorted(_CALLS))}"
+        raise errors.fail(name, words, f"is {text!r}") from None
+    return tree
+
+
+def _check(node):
+    match node:
+        case ast.Constant(value=value) if type(value) in (int, float):
+            return
+        case ast.Name(id=found) if found not in _CALLS:
+            return
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            _check(left), _check(right)
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
+            _check(operand)
+        case ast.Call(func=ast.Name(id=found), args=[only], keywords=[]) if found in _CALLS:
+            _check(only)
+        case _:
+            raise ValueError
+
+
+def names(name: str, value) -> set:
+    """Names that a value (a number, an expression, or nested lists of them) refers to."""
+    if isinstance(value, (list, tuple)):
+        return set().union(*(names(name, v) for v in value))
+    if not isinstance(value, str):
+        return set()
+    tree = parse(name, value)
+    called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
+    found = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called}
+    return found - set(_CONSTANTS)
+
+
+def evaluate(name: str, value, known):
+    """A value with its expressions worked out; `known` looks up a name. Lists become arrays."""
+    if isinstance(value, (list, tuple)):
+        parts = [evaluate(name, v, known) for v in value]
+        if all(errors.concrete(p) for p in parts):
+            return np.array(parts, float)
+        return jnp.stack([jnp.asarray(p, float) for p in parts])
+    if not isinstance(value, str):
+        return value
+
+    def walk(node):
+        match node:
+            case ast.Constant(value=number):
+                return number
+            case ast.Name(id=found):
+                return _CONSTANTS[found] if found in _CONSTANTS else known(found)
+            case ast.BinOp(left=left, op=op, right=right):
+                return _BINARY[type(op)](walk(left), walk(right))
+            case ast.UnaryOp(op=op, operand=operand):
+                return -walk(operand) if isinstance(op, ast.USub) else walk(operand)
+            case ast.Call(func=ast.Name(id=found), args=[only]):
+                return _call(found, walk(only))
+
+    try:
+        return walk(parse(name, value))
+    except (ArithmeticError, ValueError) as error:
+        raise errors.fail(name, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
+
+
+def _call(name, argument):
+    if isinstance(argument, (int, float)):
+        return round(argument) if name == "round" else getattr(math, name)(argument)
+    return getattr(jnp, name)(argument)

@@ -1,0 +1,348 @@
+"""Metrics: what one loop did, in numbers.
+
+Each metric is a pure function of a `Trajectory` and of the law and reference it ran with. Sweeps tabulate
+them and losses are built from them: norms have derivative 0 (not NaN) at 0, and counts have none. A value
+that is not finite counts as infinitely large, so that a diverged loop is never mistaken for a missing one;
+NaN means "not defined", and only where a metric's line says so.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik import errors
+from cnclik.integrate.status import Status
+from cnclik.law import dense
+from cnclik.law import reference as ref
+from cnclik.law.law import Law, evaluate
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import PRISMATIC
+
+
+@jax.tree_util.register_pytree_node_class
+class Metrics:
+    """Named values with their units, read as `m.final_error` or `m["final_error"]`. A pytree of its values."""
+
+    def __init__(self, values, units, dims):
+        self._values, self.units, self.dims = tuple(values), dict(units), dict(dims)
+
+    def tree_flatten(self):
+        return self._values, (tuple(self.units.items()), tuple(self.dims.items()))
+
+    @classmethod
+    def tree_unflatten(cls, aux, values):
+        return cls(values, *aux)
+
+    @property
+    def names(self) -> tuple:
+        return tuple(self.units)
+
+    def __getitem__(self, name):
+        return self._values[self.names.index(errors.one_of("name", name, self.names))]
+
+    def __getattr__(self, name):
+        if name.startswith("_") or name not in self.units:
+            raise AttributeError(name)
+        return self[name]
+
+    def items(self):
+        return zip(self.names, self._values, strict=True)
+
+    def __repr__(self):
+        lines = (f"  {name:<22} {value!s:>12} {self.units[name]}" for name, value in self.items())
+        return "Metrics(\n" + "\n".join(lines) + "\n)"
+
+
+class Loop(NamedTuple):
+    """What a metric may look at."""
+
+    run: object  # Trajectory, one lane
+    law: Law
+    reference: object
+    tolerance: object  # on ‖e‖
+
+
+class Metric(NamedTuple):
+    """A metric: its function of a `Loop`, its unit, what it is, and the dimensions of its value."""
+
+    fn: Callable
+    unit: str  # "e": that of the error; "q": that of the joints; each may be followed by more
+    label: str
+    dims: tuple = ()
+    needs: str = ""  # "position" or "rotation": a task with such coordinates
+
+
+# --- errors -------------------------------------------------------------------------------------------
+
+
+def _finite(value):
+    return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+
+def _squares(rows):
+    """Sum of squares along the last axis."""
+    return _finite(jnp.sum(rows * rows, axis=-1))
+
+
+def _sqrt(value):
+    """√ with derivative 0 at 0."""
+    zero = value == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, value)))
+
+
+def _norms(rows):
+    return _sqrt(_squares(rows))
+
+
+def _all(loop):
+    return loop.run.e
+
+
+def _position(loop):
+    return loop.run.e[..., : len(loop.law.task.position)]
+
+
+def _rotation(loop):
+    return loop.run.e[..., len(loop.law.task.position) :]
+
+
+def _final(part, loop):
+    return _norms(part(loop)[-1])
+
+
+def _mean(part, loop):
+    return jnp.mean(_norms(part(loop)))
+
+
+def _rms(part, loop):
+    return _sqrt(jnp.mean(_squares(part(loop))))
+
+
+def _largest(part, loop):
+    return jnp.max(_norms(part(loop)))
+
+
+def _split(loop):
+    """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
+    path = ref.Reference(curve=loop.reference.curve)  # its own direction, whatever is fed forward
+    velocity = jax.vmap(lambda t: jnp.stack(ref.sample(path, loop.law.task, t)[2]))(loop.run.t)
+    e = _position(loop)
+    velocity = velocity[:, : e.shape[-1]]
+    speed = _norms(velocity)[:, None]
+    tangent = jnp.where(speed > 0, velocity / jnp.where(speed > 0, speed, 1.0), 0.0)
+    along = jnp.sum(e * tangent, axis=-1, keepdims=True)
+    return along, e - along * tangent
+
+
+def _along(loop):
+    return _split(loop)[0]
+
+
+def _across(loop):
+    return _split(loop)[1]
+
+
+# --- convergence --------------------------------------------------------------------------------------
+
+
+def _steps_to_tolerance(loop):
+    inside = _norms(loop.run.e) <= loop.tolerance
+    return jnp.where(jnp.any(inside), jnp.argmax(inside), jnp.inf).astype(loop.run.e.dtype)
+
+
+def _settling_time(loop):
+    outside = _norms(loop.run.e) > loop.tolerance
+    count = outside.shape[0]
+    first = count - jnp.argmax(outside[::-1])  # the instant after the last one outside
+    k = jnp.where(jnp.any(outside), first, 0)
+    t = loop.run.t
+    return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
+
+
+def _converged(loop):
+    return (_norms(loop.run.e[-1]) <= loop.tolerance).astype(loop.run.e.dtype)
+
+
+def _overshoot(loop):
+    e, first = loop.run.e, loop.run.e[0]
+    squared = _squares(first)
+    beyond = jnp.max(-_products(e, first)) / jnp.where(squared > 0, squared, 1.0)
+    return jnp.where(squared > 0, _finite(jnp.maximum(beyond, 0.0)), 0.0)
+
+
+def _products(rows, vector):
+    return jnp.sum(rows * vector, axis=-1)
+
+
+def _rate(loop):
+    norms = _norms(loop.run.e)
+    inside = norms <= loop.tolerance
+    count = norms.shape[0]
+    last = jnp.where(jnp.any(inside), jnp.argmax(inside), count - 1)
+    ratio = norms[last] / jnp.where(inside[0], 1.0, norms[0])
+    ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
+    return jnp.where(inside[0] | (count == 1), jnp.nan, ratio ** (1.0 / jnp.maximum(last, 1)))
+
+
+# --- joints -------------------------------------------------------------------------------------------
+
+
+def _max_qdot(loop):
+    return jnp.max(_finite(jnp.abs(loop.run.qdot)), initial=0.0)
+
+
+def _rms_qdot(loop):
+    return _sqrt(jnp.sum(_squares(loop.run.qdot)) / max(loop.run.qdot.shape[0], 1))
+
+
+def _rms_qddot(loop):
+    steps = loop.run.qdot.shape[0]
+    if steps < 2:
+        return jnp.zeros((), loop.run.q.dtype)
+    step = (loop.run.t[-1] - loop.run.t[0]) / steps
+    return _sqrt(jnp.mean(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
+
+
+def _path_length(loop):
+    return jnp.sum(_norms(jnp.diff(loop.run.q, axis=0)))
+
+
+def _velocity_ratio(loop):
+    limits = np.asarray(loop.law.chain.velocity_limit)
+    return jnp.max(_finite(jnp.abs(loop.run.qdot) / limits), initial=0.0)
+
+
+def _limit_distance(loop):
+    q = loop.run.q
+    below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
+    nearest = jnp.min(jnp.minimum(below, above))
+    return jnp.where(jnp.all(jnp.isfinite(q)), nearest, -jnp.inf)
+
+
+def _task_jacobian(loop, t, q):
+    return evaluate(loop.law, loop.reference, t, q).rows
+
+
+def _least_singular_value(loop):
+    """σ_min = ‖uᵀJ‖ with u its left singular vector held fixed: so dσ = uᵀ dJ v, without a decomposition's."""
+    columns = tuple(loop.run.q[:, i] for i in range(loop.law.chain.n))
+    rows = jax.vmap(lambda t, q: _task_jacobian(loop, t, q))(loop.run.t, columns)
+    if len(rows) > len(rows[0]):
+        rows = sp.transpose(rows)
+    u, w = lax.stop_gradient(dense.orthogonal_rows(rows))
+    squares = jnp.stack([sp.dot(row, row) for row in w])
+    least = jnp.argmin(squares, axis=0)
+    vector = tuple(jnp.take_along_axis(jnp.stack(row), least[None], axis=0)[0] for row in u)
+    sigma = sp.safe_norm(sp.matvec(sp.transpose(rows), vector))
+    return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
+
+
+# --- the iteration and its status ---------------------------------------------------------------------
+
+
+def _residual(loop):
+    return jnp.max(_finite(loop.run.residual), initial=0.0)
+
+
+def _contraction(loop):
+    return jnp.max(_finite(loop.run.contraction), initial=0.0)
+
+
+def _evaluations(loop):
+    return jnp.asarray(loop.run.evaluations).astype(loop.run.q.dtype)
+
+
+def _count(bit, loop):
+    status = loop.run.status
+    hit = (status == 0) if bit == 0 else (status & bit) != 0
+    return jnp.sum(hit).astype(jnp.int32)
+
+
+def _errors(prefix, part, unit, label, needs=""):
+    kinds = {"final": (_final, "at the end"), "mean": (_mean, "mean"), "rms": (_rms, "RMS"), "max": (_largest, "max")}
+    return {
+        f"{kind}_{prefix}": Metric(functools.partial(fn, part), unit, f"{label}, {words}", needs=needs)
+        for kind, (fn, words) in kinds.items()
+    }
+
+
+METRICS = {
+    **_errors("error", _all, "e", "error ‖e‖"),
+    **_errors("position_error", _position, "m", "position error", "position"),
+    **_errors("rotation_error", _rotation, "rad", "rotation error", "rotation"),
+    **_errors("along", _along, "m", "position error along the path", "position"),
+    **_errors("across", _across, "m", "position error across the path", "position"),
+    "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
+    "settling_time": Metric(_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
+    "converged": Metric(_converged, "1", "1 if ‖e[N]‖ ≤ tolerance"),
+    "overshoot": Metric(_overshoot, "1", "largest −e·e₀/‖e₀‖²: how far beyond the target"),
+    "rate": Metric(_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
+    "max_qdot": Metric(_max_qdot, "q/s", "largest |q̇ᵢ|"),
+    "rms_qdot": Metric(_rms_qdot, "q/s", "RMS of ‖q̇‖"),
+    "rms_qddot": Metric(_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
+    "path_length": Metric(_path_length, "q", "length of the joint path, Σ‖Δq‖"),
+    "velocity_ratio": Metric(_velocity_ratio, "1", "largest |q̇ᵢ| over its limit"),
+    "limit_distance": Metric(_limit_distance, "q", "least distance to a joint limit, negative beyond it"),
+    "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
+    "residual": Metric(_residual, "q", "largest last change of an implicit stage"),
+    "contraction": Metric(_contraction, "1", "largest ratio of an implicit stage's last two changes"),
+    "evaluations": Metric(_evaluations, "1", "evaluations of f(q, t)"),
+    "ok": Metric(functools.partial(_count, 0), "1", "steps with status OK"),
+    **{s.name.lower(): Metric(functools.partial(_count, s.value), "1", f"steps marked {s.name}") for s in Status if s},
+    # On request, whole histories: what convergence curves are drawn from.
+    "error": Metric(lambda loop: _norms(loop.run.e), "e", "error ‖e[k]‖", ("time",)),
+    "t": Metric(lambda loop: loop.run.t, "s", "time", ("time",)),
+    "q": Metric(lambda loop: loop.run.q, "q", "joint values", ("time", "joint")),
+    "x": Metric(lambda loop: loop.run.x, "e", "task coordinates", ("time", "axis")),
+    "e": Metric(lambda loop: loop.run.e, "e", "error", ("time", "axis")),
+    "qdot": Metric(lambda loop: loop.run.qdot, "q/s", "joint velocity", ("step", "joint")),
+    "status": Metric(lambda loop: loop.run.status, "1", "status bits", ("step",)),
+}
+
+DEFAULT = (
+    *("final_error", "mean_error", "rms_error", "max_error", "steps_to_tolerance", "converged", "max_qdot"),
+    *("residual", "evaluations", "ok", "not_converged", "near_singular", "at_limit", "non_finite"),
+)
+
+
+def measure(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> Metrics:
+    """Metrics of one trajectory; pure, for use under jit, vmap and grad.
+
+    Args:
+      run: `Trajectory` of solve(law, reference, ...), one lane.
+      names: which metrics, see `METRICS`.
+      tolerance: on ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
+
+    Returns: `Metrics` in the order of `names`, with units.
+    Raises: ArgumentError for an unknown name (the nearest is suggested), or one the task has no part in.
+    """
+    errors.number("tolerance", tolerance, positive=True)
+    check(names, law)
+    loop = Loop(run, law, reference, tolerance)
+    values = [METRICS[name].fn(loop) for name in names]
+    return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
+
+
+def check(names, law: Law) -> None:
+    """Raise ArgumentError unless every name is a metric that the law's task has."""
+    for name in names:
+        needs = METRICS[errors.one_of("metrics", name, METRICS)].needs
+        if needs == "position" and not law.task.position or needs == "rotation" and not law.task.orientation:
+            raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")
+
+
+def unit(name: str, law: Law) -> str:
+    """The unit of a metric for this law: that of its task and joints where it depends on them."""
+    written = METRICS[name].unit
+    prismatic = {j.kind == PRISMATIC for j in law.chain.joints}
+    joints = [u for u, has in (("rad", False in prismatic), ("m", True in prismatic)) if has]
+    mine = {"e": list(dict.fromkeys(law.task.units)), "q": joints, "J": ["m"] if law.task.position else ["1"]}
+    head, tail = written[:1], written[1:]
+    if head not in mine or tail[:1].isalpha():
+        return written
+    return ", ".join(u + tail for u in mine[head])

@@ -1,0 +1,90 @@
+"""Summary: the scalar metrics of a sweep as one small table, and its exports to other formats."""
+
+import contextlib
+import json
+import os
+import pathlib
+
+import numpy as np
+
+from cnclik import errors
+
+_STATISTICS = ("min", "q10", "median", "q90", "max", "mean", "finite")
+
+
+def table(data):
+    """Statistics of every scalar metric over the numeric axes, for each combination of the others.
+
+    Returns: list of dicts with the names of the other axes, `metric`, `units`, min, q10, median, q90, max,
+    mean (over finite values) and finite (the share of values that are).
+    """
+    inner = [d for d in data.dims if d in data.coords and data[d].dtype.kind == "f" or d in ("q0", "start")]
+    names = [n for n in data.data_vars if not set(data[n].dims) & {"time", "step"}]
+    rows = []
+    for name in names:
+        values = data[name]
+        outer = [d for d in values.dims if d not in inner]
+        moved = values.transpose(*outer, ...).values.reshape(*(values.sizes[d] for d in outer), -1)
+        for place in np.ndindex(moved.shape[:-1]):
+            labels = {d: data[d].values[i] if d in data.coords else i for d, i in zip(outer, place, strict=True)}
+            rows.append(labels | {"metric": name, "units": values.attrs.get("units", "")} | _statistics(moved[place]))
+    return rows
+
+
+def _statistics(values):
+    values = np.asarray(values, float)
+    finite = np.isfinite(values)
+    known = values[finite]
+    ranked = values[~np.isnan(values)]  # infinite ones count as large, undefined ones not at all
+    quantiles = np.quantile(ranked, [0, 0.1, 0.5, 0.9, 1], method="lower") if ranked.size else [np.nan] * 5
+    mean = known.mean() if known.size else np.nan
+    return dict(zip(_STATISTICS, (*map(float, quantiles), float(mean), float(finite.mean())), strict=True))
+
+
+def write(data, folder) -> list:
+    """Write summary.csv and config.json; returns their paths."""
+    folder = pathlib.Path(folder)
+    rows = table(data)
+    head = list(rows[0]) if rows else []
+    lines = [",".join(head)] + [",".join(_cell(row[h]) for h in head) for row in rows]
+    config = {**data.attrs, "spec": json.loads(data.attrs["spec"]), "config": json.loads(data.attrs["config"])}
+    config = {k: v for k, v in config.items() if k not in ("question", "expectation")}
+    texts = {
+        "summary.csv": "\n".join(lines) + "\n",
+        "config.json": json.dumps(config, indent=1, ensure_ascii=False) + "\n",
+    }
+    for name, text in texts.items():
+        with replacing(folder / name) as path:
+            path.write_text(text)
+    return [folder / name for name in texts]
+
+
+def _cell(value) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f'"{text}"' if "," in text else text
+
+
+def export(data, folder, kind: str) -> pathlib.Path:
+    """Write the whole dataset as data.nc (netCDF) or data.csv (one row per loop); returns the path."""
+    target = pathlib.Path(folder) / f"data.{errors.one_of('export', kind, ('nc', 'csv'))}"
+    with replacing(target) as path:
+        if kind == "nc":
+            data.to_netcdf(path, engine="h5netcdf")
+        else:
+            data.to_dataframe().to_csv(path)
+    return target
+
+
+@contextlib.contextmanager
+def replacing(target: pathlib.Path):
+    """A path to write to; it takes the target's name only once it is whole."""
+    building = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    try:
+        yield building
+        building.replace(target)
+    except OSError as error:
+        raise errors.fail(
+            "out", "be a folder that can be written", f"{str(target)!r}: {error.strerror or error}"
+        ) from error
+    finally:
+        building.unlink(missing_ok=True)

@@ -1,0 +1,49 @@
+"""Every metric once more, in plain NumPy on one trajectory: what sweeps are compared with."""
+
+import numpy as np
+
+import cnclik as ck
+
+
+def norms(rows):
+    return np.linalg.norm(rows, axis=-1)
+
+
+def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
+    """All scalar metrics; `tangent` holds the path's unit tangent at every instant (0 at rest)."""
+    t, q, e, qdot = (np.asarray(getattr(run, n)) for n in ("t", "q", "e", "qdot"))
+    residual, contraction, status = (np.asarray(getattr(run, n)) for n in ("residual", "contraction", "status"))
+    position, rotation = e[:, : len(law.task.position)], e[:, len(law.task.position) :]
+    parts = {"error": e, "position_error": position, "rotation_error": rotation}
+    along = np.sum(position * tangent, axis=1)
+    parts |= {"along": along[:, None], "across": position - along[:, None] * tangent}
+    out = {}
+    for name, rows in parts.items():
+        size = norms(rows)
+        out |= {f"final_{name}": size[-1], f"mean_{name}": size.mean(), f"max_{name}": size.max()}
+        out[f"rms_{name}"] = np.sqrt(np.mean(size**2))
+    size, steps = norms(e), len(qdot)
+    inside = [k for k in range(len(size)) if size[k] <= tolerance]
+    outside = [k for k in range(len(size)) if size[k] > tolerance]
+    out["steps_to_tolerance"] = inside[0] if inside else np.inf
+    settled = outside[-1] + 1 if outside else 0
+    out["settling_time"] = t[settled] - t[0] if settled < len(size) else np.inf
+    out["converged"] = float(size[-1] <= tolerance)
+    out["overshoot"] = max(0.0, max(-(row @ e[0]) / (e[0] @ e[0]) for row in e)) if size[0] > 0 else 0.0
+    last = inside[0] if inside else steps
+    out["rate"] = np.nan if size[0] <= tolerance else (size[last] / size[0]) ** (1 / last)
+    out["max_qdot"] = np.abs(qdot).max()
+    out["rms_qdot"] = np.sqrt(np.mean(norms(qdot) ** 2))
+    out["rms_qddot"] = np.sqrt(np.mean(norms(np.diff(qdot, axis=0) / (t[1] - t[0])) ** 2))
+    out["path_length"] = norms(np.diff(q, axis=0)).sum()
+    out["velocity_ratio"] = (np.abs(qdot) / velocity_limit).max()
+    out["limit_distance"] = np.minimum(q - lower, upper - q).min()
+    rows = [*law.task.linear, *(3 + i for i in law.task.angular)]
+    jacobians = np.stack([np.asarray(ck.jacobian(law.chain, one))[rows] for one in q])
+    out["least_singular_value"] = np.linalg.svd(jacobians, compute_uv=False).min()
+    out["residual"], out["contraction"] = residual.max(), contraction.max()
+    out["evaluations"] = float(run.evaluations)
+    out["ok"] = int(np.sum(status == 0))
+    for bit, name in ((1, "not_converged"), (2, "near_singular"), (4, "at_limit"), (8, "non_finite")):
+        out[name] = int(np.sum((status & bit) > 0))
+    return out
