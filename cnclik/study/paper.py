@@ -14,13 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import CN, IE, METHODS, Method
-from cnclik.integrate.solve import Trajectory, solve, step
+from cnclik.integrate.method import CN, METHODS, Method
+from cnclik.integrate.solve import Trajectory, solve
 from cnclik.integrate.stage import picard
-from cnclik.law.law import Law
+from cnclik.law.law import Law, evaluate
 from cnclik.law.reference import Reference, line, with_feedforward
 from cnclik.law.task import position
 from cnclik.record import replace, stack
+from cnclik.robot import spatial as sp
 from cnclik.robot.chain import planar_arm
 
 # Settings of Section V.
@@ -183,17 +184,24 @@ def _program(laws, references, q0, Ts, M, *, N_max):
         return jax.vmap(lane)(laws, references, q0, Ts, M)
 
     def follow(Ts_reading, trajectory):
-        method = tableau(IE, Ts_reading)
+        h = TS if Ts_reading == "once" else TS * TS  # where the next slope is taken: θ + h·slope
 
-        def after(passes, law, reference, q, t):
-            return step(law, reference, q, t, TS, method, picard(passes, maximum=PASSES)).residual
+        def passes(law, reference, q, t):
+            q = tuple(q)
 
-        over_steps = jax.vmap(after, (None, None, None, 0, 0))
-        over_passes = jax.vmap(over_steps, (0, None, None, None, None))
-        over_lanes = jax.vmap(over_passes, (None, 0, 0, 0, 0))
-        first = lambda tree: jax.tree.map(lambda a: a[: len(_PAPER_LANES)], tree)  # noqa: E731
-        q, t = first((trajectory.q, trajectory.t))
-        return over_lanes(jnp.arange(PASSES + 1), first(laws), first(references), q[:, :N], t[:, :N])
+            def one(slope, _):
+                ahead = tuple(a + h * v for a, v in zip(q, slope, strict=True))
+                new = evaluate(law, reference, t + TS, ahead).qdot
+                return new, TS * sp.safe_norm(sp.vsub(new, slope))
+
+            first = evaluate(law, reference, t, q).qdot
+            _, changes = jax.lax.scan(one, first, length=PASSES)
+            return jnp.append(TS * sp.safe_norm(first), changes)
+
+        # Step by step over all lanes, not all at once: lanes of one shape share their compiled stages.
+        states = jnp.swapaxes(trajectory.q[:, :N], 0, 1), jnp.swapaxes(trajectory.t[:, :N], 0, 1)
+        found = jax.lax.map(lambda at: jax.vmap(passes)(laws, references, *at), states)
+        return jnp.moveaxis(found, 0, -1)[: len(_PAPER_LANES)]
 
     runs = {key: run(*key) for key in METHOD_RUNS}
     return runs, {key: follow(key[0], runs[key]) for key in _FOLLOWED}
@@ -205,7 +213,7 @@ class Found(NamedTuple):
     Attributes:
       runs: {(arm, Ts, method, lane): Trajectory}, Ts being "once" or "twice".
       residuals: {(arm, Ts, method, lane): (PASSES + 1, N)}: from the state before each step of a run, the
-        change of the joint increment in the last of 0, 1, … passes [rad].
+        change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment (eq. 9) in the last of 0, 1, … passes [rad].
     """
 
     runs: dict
