@@ -86,6 +86,11 @@ def record(cls=None, *, kw_only=True):
             object.__setattr__(self, name, value)
         return self
 
+    def fields_alone(self):
+        # Copies and pickles leave `_flat` behind: it marks holes by identity, and hashes change between processes.
+        return {n: getattr(self, n) for n in names}
+
+    cls.__getstate__ = fields_alone
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
 

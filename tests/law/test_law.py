@@ -1,0 +1,171 @@
+"""The law q̇ = J#(ẋ_d + K e) + (I − J#J) q̇₀ against NumPy, Pinocchio's and closed-form Jacobians."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import close, damped_inverse, pinocchio_pose_and_jacobian, planar_jacobian, planar_law, planar_position
+from scipy.spatial.transform import Rotation
+
+import cnclik as ck
+
+LENGTHS = np.array([0.7, 1.1, 0.4])
+ARM = ck.planar_arm(LENGTHS.tolist())
+Q = np.array([0.3, -0.9, 0.6])
+TARGET, VELOCITY = np.array([0.5, 1.2]), np.array([0.3, -0.2])
+REFERENCE = ck.with_feedforward(ck.hold(TARGET), VELOCITY)
+GAINS = {"scalar": 5.0, "per axis": [5.0, 2.0], "matrix": [[5.0, 1.0], [-2.0, 3.0]]}
+
+
+def qdot(law, q=Q, reference=REFERENCE):
+    return ck.step(law, reference, q, 0.0, 0.1).qdot
+
+
+def oracle(alpha=5.0, q=Q, velocity=VELOCITY, **kwargs):
+    return planar_law(LENGTHS, lambda t: TARGET, lambda t: velocity, alpha, **kwargs)(q, 0.0)
+
+
+@pytest.mark.parametrize("gain", GAINS)
+@pytest.mark.parametrize("inverse", ["pseudoinverse", "damped", "transpose"])
+def test_gains_and_inverses(gain, inverse):
+    alpha = GAINS[gain]
+    ours = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.3), "transpose": ck.transpose()}[inverse]
+    theirs = {"pseudoinverse": np.linalg.pinv, "damped": damped_inverse(0.3), "transpose": np.transpose}[inverse]
+    found = qdot(ck.Law(ARM, ck.position("xy"), alpha=alpha, inverse=ours))
+    close(found, oracle(alpha, inverse=theirs), atol=1e-13)
+
+
+def test_feedforward_factor():
+    for factor in (1, 0.0, 0.5):
+        law = ck.Law(ARM, ck.position("xy"), alpha=5.0, feedforward=factor)
+        close(qdot(law), oracle(velocity=factor * VELOCITY), atol=1e-13)
+
+
+def test_weights():
+    """Weights scale rows and errors: they matter where not everything can be had (damping, m > n)."""
+    w = np.array([1.0, 3.0])
+    weighted = ck.position("xy", weights=w)
+    j = np.diag(w) @ planar_jacobian(LENGTHS, Q)
+    v = w * (VELOCITY + 5 * (TARGET - planar_position(LENGTHS, Q)))
+    law = ck.Law(ARM, weighted, alpha=5.0, inverse=ck.damped(0.3))
+    close(qdot(law), damped_inverse(0.3)(j) @ v, atol=1e-13)
+    close(qdot(ck.Law(ARM, weighted, alpha=5.0)), oracle(), atol=1e-13)  # full rank: no effect
+    one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0)  # one joint, two coordinates: weighted least squares
+    q = np.array([0.4])
+    j = planar_jacobian(LENGTHS[:1], q)
+    v = VELOCITY + 5 * (TARGET - planar_position(LENGTHS[:1], q))
+    close(qdot(one, q), np.linalg.lstsq(np.diag(w) @ j, w * v)[0], atol=1e-13)
+
+
+@pytest.mark.parametrize("form", ["array", "function", "tuple"])
+def test_null_velocity(form):
+    wanted = np.array([1.0, -0.5, 0.25])
+    null = {"array": wanted, "function": lambda q: wanted + 0 * q, "tuple": lambda q: tuple(wanted)}[form]
+    law = ck.Law(ARM, ck.position("xy"), alpha=5.0, null_velocity=null)
+    close(qdot(law), oracle(null=wanted), atol=1e-13)
+    moved = qdot(law) - qdot(ck.replace(law, null_velocity=None))
+    close(planar_jacobian(LENGTHS, Q) @ moved, 0, atol=1e-14)  # J q̇_null = 0
+    assert np.linalg.norm(moved) > 0.1
+
+
+def test_null_velocity_may_depend_on_q_and_close_over_traced_values():
+    law = ck.Law(ARM, ck.position("xy"), alpha=5.0)
+
+    def joint(k, q):
+        return qdot(ck.replace(law, null_velocity=lambda q: -k * q), q)
+
+    close(joint(2.0, Q), oracle(null=-2 * Q), atol=1e-13)
+    close(jax.grad(lambda k: joint(k, Q)[0])(2.0), (oracle(null=-3 * Q) - oracle(null=-2 * Q))[0], atol=1e-13)
+    many = jax.vmap(joint, (0, None))(jnp.arange(3.0), Q)
+    close(many[2], oracle(null=-2 * Q), atol=1e-13)
+
+
+def test_pose_task_on_a_spatial_arm():
+    """Six joints in space: Pinocchio's Jacobian, SciPy's rotation vector, numpy's pseudoinverse."""
+    rng = np.random.default_rng(8)
+    points, axes = rng.normal(size=(2, 6, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    kinds, home = "RRPRRR", np.array([0.3, 0.2, 1.0])
+    arm = ck.from_screws(points.tolist(), axes.tolist(), home.tolist(), kinds=kinds)
+    origins = np.diff(np.concatenate([np.zeros((1, 3)), points]), axis=0)
+    joints = [(k, a, np.block([[np.eye(3), o[:, None]], [0, 0, 0, 1]])) for k, a, o in zip(kinds, axes, origins)]  # noqa: B905
+    tip = np.eye(4)
+    tip[:3, 3] = home - points[-1]
+    law = ck.Law(arm, ck.pose_task(), alpha=np.arange(1.0, 7.0))
+    target, goal = np.array([0.1, 0.2, 0.4]), Rotation.from_rotvec([0.3, 0.2, -1.0])
+    for q in rng.uniform(-2, 2, (5, 6)):
+        pose, j = pinocchio_pose_and_jacobian(joints, tip, q)
+        turn = (goal * Rotation.from_matrix(pose[:3, :3]).inv()).as_rotvec()
+        e = np.concatenate([target - pose[:3, 3], turn])
+        wanted = np.linalg.pinv(j) @ (np.arange(1.0, 7.0) * e)
+        made = ck.step(law, ck.hold(target, goal.as_matrix()), q, 0.0, 0.1)
+        close(made.e, e, atol=1e-13)
+        close(made.qdot, wanted, atol=1e-12 * np.abs(wanted).max() * np.linalg.cond(j))
+
+
+# --- dtypes -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "alpha",
+    [5, 5.0, np.float64(5), np.float32(5), np.int64(5), np.array(5), jnp.asarray(5), jnp.asarray(5.0)],
+    ids=repr,
+)
+def test_kinds_of_gain(alpha):
+    found = qdot(ck.Law(ARM, ck.position("xy"), alpha=alpha, feedforward=1, near_singular=0))
+    assert found.dtype == jnp.float64
+    close(found, oracle(), atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "q", [(0, 1, 0), [0, 1, 0], np.array([0, 1, 0]), jnp.array([0, 1, 0]), (0.0, 1, np.float32(0))]
+)
+def test_kinds_of_joint_values_and_times(q):
+    made = ck.step(ck.Law(ARM, ck.position("xy"), alpha=5), REFERENCE, q, 0, 1)
+    assert made.q.dtype == jnp.float64
+    close(made.qdot, oracle(q=np.array([0.0, 1, 0])), atol=1e-13)
+
+
+def test_single_precision_loop_in_a_double_precision_session():
+    """The loop runs in the dtype of q, whatever the dtypes of gains, targets and times."""
+    law = ck.Law(ARM, ck.position("xy"), alpha=np.float64(5), inverse=ck.damped(0.1), null_velocity=np.ones(3))
+    made = ck.step(law, ck.path(lambda t: (0.5, np.float64(1.2) + t)), Q.astype(np.float32), 0, 1, "CN")
+    assert {v.dtype for v in (made.q, made.e, made.qdot, made.residual)} == {jnp.dtype(jnp.float32)}
+
+
+# --- what is refused ----------------------------------------------------------------------------------
+
+XY = ck.position("xy")
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: ck.Law(3, XY, alpha=1.0), "`chain` must be a Chain, but is int"),
+        (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
+        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), r"`alpha` must have shape \(\) or \(2,\) or \(2, 2\), but has"),
+        (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
+        (lambda: ck.Law(ARM, XY, alpha="5"), "`alpha` must"),
+        (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
+        (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),
+        (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=[1, 2]), r"`null_velocity` must have shape \(3,\), but has"),
+        (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
+        (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
+        (
+            lambda: qdot(ck.Law(ARM, XY, alpha=1, null_velocity=lambda q: q[:1])),
+            r"`null_velocity` must return shape \(3,\), but returns shape \(1,\)",
+        ),
+        (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=np.ones(3)), r"`alpha` must have shape"),
+        (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), r"`reference` must give positions of 2"),
+        (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "of 3 coordinates"),
+        (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
+        (
+            lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.with_feedforward(ck.hold([1, 2]), [1, 2, 3])),
+            r"`feedforward` must have shape \(2,\), but has shape \(3,\)",
+        ),
+    ],
+)
+def test_bad_input(build, message):
+    with pytest.raises(ck.ArgumentError, match=message) as caught:
+        build()
+    assert "\n" not in str(caught.value)

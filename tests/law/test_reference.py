@@ -1,0 +1,300 @@
+"""References: where they are, how fast they move, and that the two agree."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import close
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+import cnclik as ck
+from cnclik.law.reference import sample
+
+POSE = ck.pose_task()
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _sample(reference, t, task):
+    position, rotation, xdot = sample(reference, task, t)
+    rotation = None if rotation is None else jnp.stack([jnp.stack(row) for row in rotation])
+    return jnp.stack(position) if position else None, rotation, jnp.stack(xdot)
+
+
+class Fixed:
+    """A task as a static argument."""
+
+    def __init__(self, task):
+        self.task = task
+        self.position, self.orientation, self.linear, self.angular, self.m = (
+            task.position,
+            task.orientation,
+            task.linear,
+            task.angular,
+            task.m,
+        )
+
+
+TASKS = {name: Fixed(task) for name, task in (("xy", ck.position("xy")), ("xyz", ck.position()), ("pose", POSE))}
+
+
+def at(reference, t, task):
+    return _sample(reference, jnp.asarray(t, float), TASKS[task])
+
+
+def rotvec(a, b):
+    """Rotation vector, in the base frame, from a to b."""
+    return (Rotation.from_matrix(b) * Rotation.from_matrix(a).inv()).as_rotvec()
+
+
+R0, R1, R2, R3 = Rotation.random(4, rng=5)
+QUARTER = Rotation.from_rotvec([0, 0, np.pi / 2])
+TIMES = np.array([0.5, 1.0, 2.5, 3.0, 4.0])
+POINTS = np.random.default_rng(6).normal(size=(5, 3))
+LOOP = np.concatenate([POINTS[:-1], POINTS[:1]])
+ROUND = Rotation.from_rotvec([[0, 0, 0], [0, 0.3, 1.9], [0.2, 0, 3.6], [0, 0.1, 5.0], [0, 0, 0]]).as_matrix()
+
+
+def screw(t):
+    """A pose as a function of time."""
+    turn = ck.line([0.0, 0, 0], [1.0, 0, 0], duration=3.0, rotation=R0.as_matrix(), rotation_end=R1.as_matrix())
+    position, rotation = turn.curve(t)
+    return ck.Pose(position=jnp.stack(position) * t, rotation=jnp.stack([jnp.stack(r) for r in rotation]))
+
+
+REFERENCES = {
+    "hold": (ck.hold([1, 2, 3]), "xyz"),
+    "hold-pose": (ck.hold([1.0, 2, 3], R0.as_matrix()), "pose"),
+    "line": (ck.line([0.0, 1, 2], [3.0, -1, 0], duration=4.0), "xyz"),
+    "line-turning": (
+        ck.line([0.0, 1, 2], [3.0, -1, 0], duration=4.0, rotation=R0.as_matrix(), rotation_end=R1.as_matrix()),
+        "pose",
+    ),
+    "circle": (ck.circle([1.0, 2.0], 0.5, period=3.0, phase=0.3), "xy"),
+    "circle-3d": (ck.circle([1.0, 2.0, 0], 0.5, period=-3.0, normal=[1.0, 2, -1]), "xyz"),
+    "lissajous": (ck.lissajous([1, 2], [0.5, 0.25], period=3, phase=[0.1, 0]), "xy"),
+    "waypoints": (ck.waypoints(TIMES, POINTS), "xyz"),
+    "waypoints-closed": (ck.waypoints(TIMES, LOOP, closed=True), "xyz"),
+    "waypoints-pose": (ck.waypoints(TIMES, POINTS, Rotation.random(5, rng=9).as_matrix()), "pose"),
+    "waypoints-pose-closed": (ck.waypoints(TIMES, LOOP, ROUND, closed=True), "pose"),
+    "path": (ck.path(lambda t: (jnp.cos(t), 1.0, t**2)), "xyz"),
+    "path-pose": (ck.path(screw), "pose"),
+}
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_velocity_is_the_derivative_of_the_path(name):
+    reference, task = REFERENCES[name]
+    h = 1e-5
+    for t in (0.61, 1.3, 2.2, 2.91):
+        _, rotation, xdot = at(reference, t, task)
+        before, after = at(reference, t - h, task), at(reference, t + h, task)
+        wanted = (after[0] - before[0]) / (2 * h)
+        if rotation is not None:
+            r = np.asarray(rotation)
+            close(r @ r.T, np.eye(3), atol=1e-14)
+            wanted = np.concatenate([wanted, rotvec(before[1], after[1]) / (2 * h)])
+        assert len(xdot) == len(wanted)
+        close(xdot, wanted, atol=2e-8)
+
+
+def test_hold():
+    for task, target in (("xy", [1, 2]), ("xyz", np.array([1, 2, 3])), ("xy", jnp.array([1, 2, 3]))):
+        position, rotation, xdot = at(ck.hold(target), 7.0, task)
+        close(position, np.asarray(target)[: len(xdot)])
+        close(xdot, 0)
+        assert rotation is None and xdot.dtype == float
+    q = R2.as_quat(scalar_first=True)
+    close(at(ck.hold([0.0, 0, 0], 1.0001 * q), 1.0, "pose")[1], R2.as_matrix(), atol=1e-15)
+    arm = ck.planar_arm([1.0, 1.0])
+    close(at(ck.hold(ck.pose(arm, [0.1, 0.2])), 0.0, "pose")[1], ck.pose(arm, [0.1, 0.2]).rotation)
+
+
+def test_line():
+    reference = ck.line([1, 1], [0, 1], duration=3)  # Case II of the paper: 30 steps of 0.1 s
+    for k in range(31):
+        position, _, xdot = at(reference, 0.1 * k, "xy")
+        close(position, [1 - k / 30, 1], atol=1e-15)
+        close(xdot, [-1 / 3, 0], atol=1e-15)
+    position, _, xdot = at(reference, 3.01, "xy")
+    close(position, [0, 1])
+    close(xdot, 0)
+
+
+def test_line_turns_the_shorter_way_at_constant_angular_velocity():
+    reference = ck.line(
+        [0.0] * 3, [0.0] * 3, duration=2.0, rotation=R0.as_matrix(), rotation_end=R1.as_quat(scalar_first=True)
+    )
+    whole = rotvec(R0.as_matrix(), R1.as_matrix())
+    close(at(reference, 0.0, "pose")[1], R0.as_matrix(), atol=1e-15)
+    close(at(reference, 2.0, "pose")[1], R1.as_matrix(), atol=1e-14)
+    close(at(reference, 9.0, "pose")[1], R1.as_matrix(), atol=1e-14)
+    for t in (0.0, 0.7, 2.0):
+        close(at(reference, t, "pose")[2][3:], whole / 2, atol=1e-14)
+        half = Rotation.from_rotvec(whole * t / 2) * R0
+        close(at(reference, t, "pose")[1], half.as_matrix(), atol=1e-14)
+
+
+def test_circle():
+    center, radius, period = np.array([1.0, 2.0]), 0.5, 3.0
+    for t in np.linspace(0, 4, 9):
+        angle = 2 * np.pi * t / period + 0.3
+        position, _, xdot = at(ck.circle(center, radius, period=period, phase=0.3), t, "xy")
+        close(position, center + radius * np.array([np.cos(angle), np.sin(angle)]), atol=1e-14)
+        assert np.linalg.norm(xdot) == pytest.approx(2 * np.pi * radius / period, rel=1e-14)
+
+
+def test_circle_in_space():
+    for normal in ([1.0, 2, -1], [0, 1, 0], [0, 0, -3]):
+        unit = np.array(normal) / np.linalg.norm(normal)
+        for t in (0.0, 0.4, 2.0):
+            position, _, xdot = at(ck.circle([1.0, 2, 3], 0.5, period=3.0, normal=normal), t, "xyz")
+            radius = position - np.array([1, 2, 3])
+            assert np.linalg.norm(radius) == pytest.approx(0.5, rel=1e-14)
+            close(xdot, 2 * np.pi / 3 * np.cross(unit, radius), atol=1e-14)  # right-handed about the normal
+    # The default normal is +z, with the sense of the circle in the plane.
+    flat, space = ck.circle([1.0, 2], 0.5, period=3.0), ck.circle([1.0, 2, 3], 0.5, period=3.0)
+    close(at(space, 0.8, "xyz")[0][:2], at(flat, 0.8, "xy")[0], atol=1e-15)
+
+
+def test_lissajous():
+    reference = ck.lissajous([1, 2], [0.5, 0.25], period=3.0, frequency=[3, 2], phase=[0.1, 0])
+    for t in (0.0, 0.4, 2.0):
+        s = 2 * np.pi * t / 3
+        wanted = [1 + 0.5 * np.sin(3 * s + 0.1), 2 + 0.25 * np.sin(2 * s)]
+        close(at(reference, t, "xy")[0], wanted, atol=1e-15)
+    default = ck.lissajous([0.0, 0.0], [1.0, 1.0], period=1.0)
+    close(at(default, 0.1, "xy")[0], np.sin(2 * np.pi * 0.1 * np.array([1, 2])), atol=1e-15)
+
+
+# --- waypoints ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_waypoints_are_the_cubic_spline(closed):
+    points = LOOP if closed else POINTS
+    oracle = CubicSpline(TIMES, points, bc_type="periodic" if closed else "clamped")
+    reference = ck.waypoints(TIMES, points, closed=closed)
+    for t in np.linspace(0.5, 4.0, 22)[:-1]:
+        position, _, xdot = at(reference, t, "xyz")
+        close(position, oracle(t), atol=1e-13)
+        close(xdot, oracle(t, 1), atol=1e-12)
+
+
+def test_waypoints_hold_before_and_after():
+    for t, k in ((0.0, 0), (0.5, 0), (4.0, -1), (9.0, -1)):
+        position, _, xdot = at(REFERENCES["waypoints"][0], t, "xyz")
+        close(position, POINTS[k], atol=1e-14)
+        close(xdot, 0, atol=1e-13)
+
+
+def test_closed_waypoints_repeat():
+    for name, task in (("waypoints-closed", "xyz"), ("waypoints-pose-closed", "pose")):
+        reference = REFERENCES[name][0]
+        for t in (0.9, 3.7):
+            for one, again in zip(at(reference, t, task), at(reference, t + 3 * 3.5, task), strict=True):
+                if one is not None:
+                    close(one, again, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["waypoints", "waypoints-closed", "waypoints-pose", "waypoints-pose-closed"])
+def test_waypoints_are_passed_with_continuous_acceleration(name):
+    reference, task = REFERENCES[name]
+    points = LOOP if "closed" in name else POINTS
+    h = 1e-6
+    for k, t in enumerate(TIMES):
+        close(at(reference, t, task)[0], points[k], atol=1e-13)
+        if 0 < k < 4 or "closed" in name:
+            before, after = (np.asarray(at(reference, t + s, task)[2]) for s in (-h, h))
+            far_before, far_after = (np.asarray(at(reference, t + s, task)[2]) for s in (-2 * h, 2 * h))
+            close(before, after, atol=1e-4)  # velocity
+            left, right = (before - far_before) / h, (far_after - after) / h
+            close(left, right, atol=1e-3 * max(1, np.abs(left).max()))  # acceleration
+
+
+def test_orientation_waypoints():
+    rotations = Rotation.random(5, rng=9)
+    reference = REFERENCES["waypoints-pose"][0]
+    for k, t in enumerate(TIMES):
+        close(at(reference, t, "pose")[1], rotations[k].as_matrix(), atol=1e-14)
+    # Quaternions of either sign are the same rotations.
+    q = rotations.as_quat(scalar_first=True) * np.array([1, -1, -1, 1, -1])[:, None]
+    again = ck.waypoints(TIMES, POINTS, q)
+    close(at(again, 1.7, "pose")[1], at(reference, 1.7, "pose")[1], atol=1e-14)
+    # Seen from another frame, it is the same motion.
+    turned = ck.waypoints(TIMES, POINTS, (R3 * rotations).as_matrix())
+    close(at(turned, 1.7, "pose")[1], R3.as_matrix() @ at(reference, 1.7, "pose")[1], atol=1e-14)
+
+
+def test_closed_orientation_through_a_full_turn():
+    """A full turn about z comes back with the quaternion's other sign; velocity stays continuous there."""
+    angles = np.linspace(0, 2 * np.pi, 6)
+    r = Rotation.from_rotvec(np.stack([0 * angles, 0 * angles, angles], 1)).as_matrix()
+    reference = ck.waypoints(np.arange(6.0), np.zeros((6, 3)), r, closed=True)
+    for t in (0.0, 1e-9, 2.5, 5 - 1e-9):
+        close(at(reference, t, "pose")[2][3:5], 0, atol=1e-12)
+    close(at(reference, 1e-9, "pose")[2], at(reference, 5 - 1e-9, "pose")[2], atol=1e-7)
+    assert at(reference, 1e-9, "pose")[2][5] == pytest.approx(2 * np.pi / 5, rel=0.1)
+
+
+def test_waypoints_of_integers_and_of_traced_values():
+    whole = ck.waypoints([0, 1, 3], np.array([[0, 0], [1, 3], [2, 1]]))
+    oracle = CubicSpline([0, 1, 3], [[0, 0], [1, 3], [2, 1]], bc_type="clamped")
+    close(at(whole, 0.5, "xy")[0], oracle(0.5), atol=1e-14)
+    place = lambda points: jnp.stack(ck.waypoints(TIMES, points).curve(jnp.asarray(1.7))[0])  # noqa: E731
+    slope = jax.jit(jax.jacfwd(place))(POINTS)
+    close(np.einsum("ikl,kl->i", slope, POINTS), place(POINTS), atol=1e-13)  # linear in its points
+
+
+# --- feed-forward -------------------------------------------------------------------------------------
+
+
+def test_with_feedforward_changes_the_velocity_alone():
+    reference = ck.with_feedforward(ck.line([1, 1], [0, 1], duration=3), [-1, 0])
+    for t in (0.0, 1.0, 5.0):
+        close(at(reference, t, "xy")[2], [-1, 0])
+    close(at(reference, 1.5, "xy")[0], [0.5, 1], atol=1e-15)
+
+
+# --- what is refused ----------------------------------------------------------------------------------
+
+TURN = np.eye(3)
+BAD = [
+    (lambda: ck.hold(None), "`target` must be a position or come with a `rotation`"),
+    (lambda: ck.hold(1.0), r"`target` must have shape \(n,\), but has shape \(\)\."),
+    (lambda: ck.hold([np.nan, 0]), r"`target` must be finite, but is nan at index \(0,\)\."),
+    (lambda: ck.hold([0.0, 0, 0], 2 * TURN), "`rotation` must be a rotation matrix"),
+    (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must be a rotation matrix"),
+    (lambda: ck.hold([0.0, 0, 0], [1, 1, 0, 0]), "`rotation` must be a unit quaternion, but has norm 1.41421"),
+    (lambda: ck.hold([0.0, 0, 0], [1, 0, 0]), r"`rotation` must have shape \(3, 3\) or \(4,\), but has shape \(3,\)"),
+    (lambda: ck.line([0, 0], [1, 1], duration=0), "`duration` must be positive, but is 0"),
+    (lambda: ck.line([0, 0], [1, 1, 1], duration=1), r"`end` must have the shape of `start`, but has shape \(3,\)"),
+    (lambda: ck.line([0, 0], None, duration=1), "`end` must have the shape of `start`"),
+    (lambda: ck.line([0], [1], duration=1, rotation_end=TURN), "`rotation` must be given with `rotation_end`"),
+    (lambda: ck.circle([0], 1, period=1), r"`center` must have shape \(2,\) or \(3,\), but has shape \(1,\)"),
+    (lambda: ck.circle(None, 1, period=1), "`center` must be an array of real numbers, but is None"),
+    (lambda: ck.circle([0, 0], -1, period=1), "`radius` must be at least 0, but is -1"),
+    (lambda: ck.circle([0, 0], 1, period=0), "`period` must not be 0"),
+    (lambda: ck.circle([0, 0], 1, period=1, normal=[0, 0, 1]), "`normal` must be None for a 2-D centre"),
+    (lambda: ck.circle([0, 0, 0], 1, period=1, normal=[0, 0, 0]), "`normal` must not be the zero vector"),
+    (lambda: ck.lissajous([0, 0], [1], period=1), r"`amplitude` must have shape \(2,\), but has shape \(1,\)"),
+    (lambda: ck.lissajous([0, 0], [1, 1], period=1, phase=[0]), r"`phase` must have shape \(2,\)"),
+    (lambda: ck.waypoints([0], [[1, 1]]), "`times` must hold at least two times, but holds 1"),
+    (lambda: ck.waypoints([0, 0], [[1, 1]] * 2), r"`times` must increase, but is \[0.0, 0.0\]"),
+    (lambda: ck.waypoints([0, 1]), "`positions` must be given, or `rotations`"),
+    (lambda: ck.waypoints([0, 1], [[1, 1]] * 3), r"`positions` must have shape \(2, n\), but has shape \(3, 2\)"),
+    (lambda: ck.waypoints([0, 1], None, [TURN] * 3), r"`rotations` must have shape \(2, 4\) or \(2, 3, 3\)"),
+    (lambda: ck.waypoints([0, 1, 2], [[1, 0], [0, 1], [-1, 0]], closed=True), "`positions` must end where it starts"),
+    (lambda: ck.waypoints([0, 1], None, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]], closed=True), "`rotations` must end where"),
+    (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
+    (lambda: ck.with_feedforward(ck.hold([1, 2]), 1.0), r"`velocity` must have shape \(n,\), but has shape \(\)"),
+]
+
+
+@pytest.mark.parametrize(("build", "message"), BAD, ids=range(len(BAD)))
+def test_bad_input(build, message):
+    with pytest.raises(ck.ArgumentError, match=message) as caught:
+        build()
+    assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")

@@ -1,0 +1,84 @@
+"""Tasks: which coordinates, which rows, and the rotation-vector error."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import close
+from scipy.spatial.transform import Rotation
+
+import cnclik as ck
+from cnclik.law.task import error_and_rows
+from cnclik.robot.kinematics import frames
+
+ARM = ck.from_screws(
+    [[0.0, 0, 0], [0, 0, 0.3], [0, 0.4, 0.3], [0, 0.8, 0.3]],
+    [[0.0, 0, 1], [1, 0, 0], [1, 0, 0], [0.6, 0, 0.8]],
+    [0.1, 1.0, 0.3],
+)
+Q = np.array([0.3, -0.7, 1.1, 0.4])
+
+
+@jax.jit
+def measure(task, q, position_d, rotation_d):
+    rows = lambda r: tuple(tuple(r[i, j] for j in range(3)) for i in range(3))  # noqa: E731
+    at = frames(ARM, tuple(q))
+    e, j = error_and_rows(task, ARM, at, tuple(position_d), rows(rotation_d))
+    return jnp.stack(e), jnp.array(j)
+
+
+TASKS = {
+    "xy": (ck.position("xy"), [0, 1]),
+    "z": (ck.position("z"), [2]),
+    "turn": (ck.orientation(), [3, 4, 5]),
+    "turn about y": (ck.orientation("y"), [4]),
+    "pose": (ck.pose_task(), [0, 1, 2, 3, 4, 5]),
+    "plane": (ck.pose_task("xy", "z"), [0, 1, 5]),
+}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_error_and_jacobian(name):
+    task, picked = TASKS[name]
+    at = ck.pose(ARM, Q)
+    target = np.array([0.5, 0.2, -0.4])
+    turn = Rotation.from_rotvec([0.4, -1.3, 2.0])
+    rotation_d = (turn * Rotation.from_matrix(at.rotation)).as_matrix()
+    e, rows = measure(task, Q, target[: len(task.position)] if task.position else np.zeros(0), rotation_d)
+    linear = [i for i in picked if i < 3]
+    wanted = np.concatenate([target[: len(linear)] - np.asarray(at.position)[linear], turn.as_rotvec()])
+    close(e, wanted[[*range(len(linear)), *(len(linear) + i - 3 for i in picked if i > 2)]], atol=1e-14)
+    close(rows, np.asarray(ck.jacobian(ARM, Q))[picked], atol=1e-14)
+
+
+def test_names_and_units():
+    task = ck.pose_task("xy", "z")
+    assert (task.m, task.names, task.units) == (3, ("x", "y", "rz"), ("m", "m", "rad"))
+    assert ck.position().names == ("x", "y", "z") and ck.orientation("xy").units == ("rad", "rad")
+
+
+def test_task_coordinates_are_position_and_rotation_vector():
+    law = ck.Law(ARM, ck.pose_task(), alpha=1.0)
+    run = ck.solve(law, ck.hold(ck.pose(ARM, Q)), Q, 0.1, 1)
+    at = ck.pose(ARM, Q)
+    wanted = np.concatenate([at.position, Rotation.from_matrix(at.rotation).as_rotvec()])
+    close(run.x, [wanted, wanted], atol=1e-14)
+    close(run.e, 0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: ck.position("yx"), "`axes` must be letters of \"xyz\" in that order, but is 'yx'"),
+        (lambda: ck.position(""), "`axes` must be letters"),
+        (lambda: ck.position("xx"), "`axes` must be letters"),
+        (lambda: ck.position(2), "`axes` must be letters"),
+        (lambda: ck.orientation("w"), "`axes` must be letters"),
+        (lambda: ck.pose_task("xy", "zz"), "`rotation_axes` must be letters"),
+        (lambda: ck.position("xy", weights=[1]), r"`weights` must have shape \(2,\), but has shape \(1,\)"),
+        (lambda: ck.position("xy", weights=[1, 0]), r"`weights` must be positive, but is \[1.0, 0.0\]"),
+    ],
+)
+def test_bad_input(build, message):
+    with pytest.raises(ck.ArgumentError, match=message):
+        build()
