@@ -20,6 +20,7 @@ class Args:
 def run(args: Args) -> None:
     """Draw, and say what."""
     from cnclik.show import sweeps
+    from cnclik.show.output import output_folder
     from cnclik.study import store
 
     data = store.read(args.folder)
@@ -31,5 +32,7 @@ def run(args: Args) -> None:
         from cnclik.study import spec
 
         figures = spec.read(args.spec).figures
-    for path in sweeps.draw(data, args.folder, figures=figures, form=args.format):
-        print(f"Drew {path}")
+    with output_folder(args.folder, name="folder") as folder:
+        made = sweeps.draw(data, folder, figures=figures, form=args.format)
+    for path in made:
+        print(f"Wrote {args.folder / path.name}")

@@ -64,18 +64,20 @@ def run(args: Args) -> None:
 
 def finish(out: pathlib.Path, *, figures=True, export=None) -> None:
     """What follows from a finished store: summary, figures, exports."""
+    from cnclik.show.output import output_folder
     from cnclik.study import store, summary
 
     data = store.read(out)
-    for path in summary.write(data, out):
-        print(f"Wrote {path}")
-    if figures:
-        from cnclik.show import sweeps
+    with output_folder(out) as folder:
+        made = summary.write(data, folder)
+        if figures:
+            from cnclik.show import sweeps
 
-        for path in sweeps.draw(data, out):
-            print(f"Drew {path}")
-    if export:
-        print(f"Wrote {summary.export(data, out, export)}")
+            made += sweeps.draw(data, folder)
+        if export:
+            made.append(summary.export(data, folder, export))
+    for path in made:
+        print(f"Wrote {out / path.name}")
 
 
 def _join(args) -> dict:

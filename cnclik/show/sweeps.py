@@ -4,35 +4,30 @@ Every kind works from the dataset alone. Dimensions that a figure doesn't name b
 figures of their own; samples of starts are summed up by their median.
 """
 
+import functools
 import itertools
 import json
 import math
 import pathlib
 
-import matplotlib
 import numpy as np
 from matplotlib import colors, figure, patches, ticker
 
 from cnclik import errors
-from cnclik.study.summary import replacing
+from cnclik.integrate.method import METHODS
+from cnclik.show import style
+from cnclik.study.linear import stability_limit
+from cnclik.study.problem import stage_from
 
 _SYMBOLS = {"alpha": "α", "Ts": "Ts", "z": "z = α·Ts", "damping": "λ", "case": ""}
 _HISTORY = ("time", "step")
 _MOST = 8  # panels along a dimension, or figures for it
-STYLE = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "image.cmap": "viridis",
-    "figure.dpi": 110,
-    "savefig.dpi": 160,
-}
-# Okabe & Ito (2008): told apart by colour-blind readers and in print.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6BB1")
+COLORS = (
+    *(style.BLUE, style.VERMILION, style.GREEN, style.PURPLE),
+    *(style.ORANGE, style.SKY, style.BLACK, style.YELLOW),
+)
+_LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
+BOUNDARY = {"color": style.VERMILION, "linewidth": 1.2, "linestyle": (0, (4, 2))}
 
 
 def draw(data, folder, *, figures=None, form="png") -> list:
@@ -49,15 +44,17 @@ def draw(data, folder, *, figures=None, form="png") -> list:
     spec = json.loads(data.attrs["spec"]) if "spec" in data.attrs else {}
     asked = spec.get("figures", ()) if figures is None else figures
     out = []
-    with matplotlib.rc_context(STYLE):
+    with style.style():
         for number, one in enumerate(asked or defaults(data)):
             one = dict(one)
             stem = one.pop("name", None) or f"{one['kind']}_{one.get('value', number)}"
             for suffix, view in _views(data, one):
                 path = pathlib.Path(folder) / f"{stem}{suffix}.{form}"
                 made = _DRAW[one["kind"]](view, one, spec)
-                with replacing(path) as building:
-                    made.savefig(building)
+                if form == "png":
+                    style.save(made, path, {"Title": path.stem, "Description": data.attrs.get("spec", "")})
+                else:
+                    made.savefig(path)
                 out.append(path)
     return out
 
@@ -168,6 +165,7 @@ def _heat(view, one, spec):
         if isinstance(norm, colors.LogNorm):
             shown = np.ma.clip(shown, norm.vmin, None)  # an error of exactly 0 is the smallest, not missing
         ax.set_facecolor("0.85")  # not finite
+        ax.grid(False)
         mesh = ax.pcolormesh(x, y, shown, norm=norm, shading="nearest", rasterized=True)
         _scales(ax, x, y)
         if one.get("contours", True) is not False and shown.count() > 4:
@@ -198,7 +196,7 @@ def _contours(ax, x, y, z, norm, levels):
     z = np.ma.masked_where(_rough(z), z)
     if levels and min(z.shape) > 1 and z.count() > 4:
         lines = ax.contour(x, y, z, levels=levels, colors="white", linewidths=0.6, alpha=0.8)
-        ax.clabel(lines, fmt="%.0e" if isinstance(norm, colors.LogNorm) else "%g", fontsize=6)
+        ax.clabel(lines, fmt="%.0e" if isinstance(norm, colors.LogNorm) else "%g", fontsize=5)
 
 
 def _rough(z):
@@ -214,28 +212,36 @@ def _rough(z):
     return (np.median(near, axis=(-2, -1)) > 0.15) & (size > top - 1.5)
 
 
-def _unsettled(z):
-    """`_rough`, with its single holes and islands smoothed away."""
-    rough = np.pad(_rough(z), 1, mode="edge").astype(int)
-    return np.lib.stride_tricks.sliding_window_view(rough, (3, 3)).sum(axis=(-2, -1)) >= 3
+def _hopeless(view, one, spec, part):
+    """Cells beyond the linear limit of every method: who is best there is chance."""
+    none = np.zeros((part.sizes[one["y"]], part.sizes[one["x"]]), bool)
+    names = {one["x"], one["y"]}
+    if not names <= {"alpha", "Ts", "z"} or one["among"] != "method":
+        return none
+    values = {**spec.get("fixed", {}), **_labels(view)}
+    limits = [_limit(values | {"method": m}) for m in part[one["among"]].values]
+    if any(v is None for v in limits):
+        return none
+    coordinates = {d: part[d] for d in names}
+    z = coordinates["z"] if "z" in names else coordinates["alpha"] * coordinates["Ts"]
+    return none | (z.broadcast_like(part.isel({one["among"]: 0})).transpose(one["y"], one["x"]).values > max(limits))
 
 
 def _boundary(ax, view, one, spec, place, x, y):
     """The largest z at which the linear theory calls the panel's method stable."""
     values = {**spec.get("fixed", {}), **_labels(view), **place}
     names = {one["x"], one["y"]}
-    style = {"color": "#ff3b30", "linewidth": 1.3, "linestyle": (0, (4, 2))}
     if names == {"alpha", "Ts"} or (names == {"z", "Ts"} or names == {"z", "alpha"}):
         limit = _limit(values)
         if limit is None or not math.isfinite(limit):
             return
         if "z" in names:
-            (ax.axvline if one["x"] == "z" else ax.axhline)(limit, **style)
+            (ax.axvline if one["x"] == "z" else ax.axhline)(limit, **BOUNDARY)
             return
         left, right = ax.get_xlim()
         bottom, top = ax.get_ylim()
         line = np.geomspace(max(left, 1e-12), right, 200)
-        ax.plot(line, limit / line, **style)
+        ax.plot(line, limit / line, **BOUNDARY)
         ax.set_xlim(left, right), ax.set_ylim(bottom, top)
     elif names == {"z", "M"}:
         counts = x if one["x"] == "M" else y
@@ -243,25 +249,24 @@ def _boundary(ax, view, one, spec, place, x, y):
         edges = np.concatenate([counts - 0.5, counts[-1:] + 0.5])
         steps = (np.append(limits, limits[-1]), edges)
         if one["x"] == "z":
-            ax.step(*steps, where="post", **style)
+            ax.step(*steps, where="post", **BOUNDARY)
         else:
-            ax.step(steps[1], steps[0], where="post", **style)
+            ax.step(steps[1], steps[0], where="post", **BOUNDARY)
 
 
 def _limit(values):
-    """Largest stable z of the method and stage named by the values, or None where it isn't known."""
-    try:
-        from cnclik.study.stability import stability_limit
-    except ImportError:
-        return None
-    from cnclik.integrate.method import METHODS
-    from cnclik.study.problem import stage_from
-
-    method = METHODS.get(str(values.get("method", "EE")))
-    m = values.get("M", 5)
+    """Largest stable z of the method and stage named by the values, or None where they name none."""
+    method, m = METHODS.get(str(values.get("method", "EE"))), values.get("M", 5)
     if method is None or not isinstance(m, (int, np.integer)):
         return None
-    return float(stability_limit(method, stage_from(str(values.get("stage", "picard")), int(m))))
+    return _stable(method, str(values.get("stage", "picard")) if method.implicit else None, int(m))
+
+
+@functools.cache
+def _stable(method, stage, m):
+    # M as an array: one program for every M.
+    stage = stage and stage_from(stage, np.asarray(m), maximum=max(m, 16))
+    return float(stability_limit(method, stage))
 
 
 def _labels(view):
@@ -272,20 +277,22 @@ def _best(view, one, spec):
     value, among = view[one["value"]], one["among"]
     names = [_text(v) for v in value[among].values]
     grid = _Panels(view, one)
-    palette = colors.ListedColormap(COLORS[: len(names)])
+    looks = [style.METHODS[n].color if n in style.METHODS else c for n, c in zip(names, COLORS, strict=False)]
+    palette = colors.ListedColormap(looks)
     for ax, _, part in grid.each(value):
         part = part.transpose(among, one["y"], one["x"])
         finite = np.where(np.isfinite(part.values), part.values, np.inf)
         least = finite.min(axis=0)
         # Grey where nobody gets there: what is left is chance.
-        winner = np.ma.masked_where(~np.isfinite(least) | _unsettled(least), finite.argmin(axis=0))
+        winner = np.ma.masked_where(~np.isfinite(least) | _hopeless(view, one, spec, part), finite.argmin(axis=0))
         x, y = part[one["x"]].values, part[one["y"]].values
         ax.set_facecolor("0.85")
+        ax.grid(False)
         ax.pcolormesh(x, y, winner, cmap=palette, vmin=-0.5, vmax=len(names) - 0.5, shading="nearest", rasterized=True)
         _scales(ax, x, y)
         if {one["x"], one["y"]} == {"alpha", "Ts"} and one.get("boundary", True):
             _z_lines(ax)
-    handles = [patches.Patch(color=c, label=n) for c, n in zip(COLORS, names, strict=False)]
+    handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
     grid.figure.legend(handles=handles, loc="outside lower center", ncols=len(names), title=f"least {_label(value)}")
     return grid.finish(one, _axis_label(view[one["x"]]), _axis_label(view[one["y"]]), spec)
 
@@ -300,7 +307,7 @@ def _z_lines(ax, values=(0.1, 0.5, 1.0, 2.0)):
         if inside.sum() > 10:
             ax.plot(x, z / x, color="black", linewidth=0.6, alpha=0.6)
             i = np.flatnonzero(inside)[int(inside.sum() * 0.7)]
-            ax.text(x[i], z / x[i], f"z = {z:g}", fontsize=6, va="bottom")
+            ax.text(x[i], z / x[i], f"z = {z:g}", fontsize=5, ha="center", va="center", bbox=_LABEL)
     ax.set_xlim(left, right), ax.set_ylim(bottom, top)
 
 
@@ -309,9 +316,9 @@ def _slices(view, one, spec):
     grid = _Panels(view, one)
     for ax, _, part in grid.each(value):
         x = part[one["x"]].values
-        for label, color, line in _lines(part, one["lines"]):
+        for _, look, line in _lines(part, one["lines"]):
             y = np.where(np.isfinite(line.values), line.values, np.nan)
-            ax.plot(x, y, color=color, label=label, linewidth=1.3, marker="." if len(x) < 40 else None)
+            ax.plot(x, y, **look | {"marker": look.get("marker", ".") if len(x) < 40 else None})
         _scales(ax, x, None)
         _y_scale(ax, value, one)
     return grid.finish(one, _axis_label(view[one["x"]]), _label(value), spec, legend=one["lines"])
@@ -322,14 +329,14 @@ def _convergence(view, one, spec):
     grid = _Panels(view, one)
     history = next(d for d in value.dims if d in _HISTORY)
     for ax, _, part in grid.each(value):
-        for label, color, line in _lines(part, one["lines"]):
+        for _, look, line in _lines(part, one["lines"]):
             others = [d for d in line.dims if d != history]
             rows = line.transpose(*others, history).values.reshape(-1, line.sizes[history])
             rows = np.where(np.isfinite(rows), rows, np.nan)
-            ax.plot(np.nanmedian(rows, axis=0), color=color, label=label, linewidth=1.3)
+            ax.plot(np.nanmedian(rows, axis=0), **look | {"marker": None})
             if len(rows) > 8:
                 low, high = np.nanquantile(rows, [0.1, 0.9], axis=0)
-                ax.fill_between(np.arange(rows.shape[1]), low, high, color=color, alpha=0.15, linewidth=0)
+                ax.fill_between(np.arange(rows.shape[1]), low, high, color=look["color"], alpha=0.15, linewidth=0)
         _y_scale(ax, value, one)
     return grid.finish(one, "step k", _label(value), spec, legend=one["lines"])
 
@@ -342,15 +349,17 @@ def _distribution(view, one, spec):
     if known.size and known.min() >= 0 and known.max() > 100 * max(np.median(known[known > 0], initial=1e-300), 1e-300):
         log = True
     for ax, _, part in grid.each(value):
-        for label, color, line in _lines(part, one["lines"]):
+        for _, look, line in _lines(part, one["lines"]):
             sample = np.sort(line.values.ravel())
             sample = sample[~np.isnan(sample)]
             share = np.arange(1, len(sample) + 1) / max(len(sample), 1)
             shown = np.isfinite(sample)
-            ax.step(sample[shown], share[shown], where="post", color=color, label=label, linewidth=1.3)
+            ax.step(sample[shown], share[shown], where="post", **look | {"marker": None})
         if one.get("log", log):
             ax.set_xscale("log")
         ax.set_ylim(0, 1)
+        if "limits" in one:
+            ax.set_xlim(*one["limits"])
     return grid.finish(one, _label(value), "share of loops at or below", spec, legend=one["lines"])
 
 
@@ -359,14 +368,12 @@ def _work(view, one, spec):
     grid = _Panels(view, one)
     for ax, place, part in grid.each(value):
         costs = cost.sel({d: v for d, v in place.items() if d in cost.dims})
-        for label, color, line in _lines(part, one["lines"]):
+        for _, look, line in _lines(part, one["lines"]):
             mine = costs.sel({one["lines"]: line[one["lines"]].values.item()}) if one["lines"] in costs.dims else costs
             x, y = np.broadcast_arrays(mine.values, line.values)
             order = np.argsort(x, axis=None)
             x, y = x.ravel()[order], y.ravel()[order]
-            ax.plot(
-                x, np.where(np.isfinite(y), y, np.nan), color=color, label=label, marker="o", markersize=3, linewidth=1
-            )
+            ax.plot(x, np.where(np.isfinite(y), y, np.nan), **{"marker": "o"} | look)
         ax.set_xscale("log")
         _y_scale(ax, value, one)
     return grid.finish(one, "evaluations of f(q, t)", _label(value), spec, legend=one["lines"])
@@ -395,7 +402,9 @@ class _Panels:
         down = view.sizes[self.rows] if self.rows else 1
         if not self.rows and many > 5:  # a long row wraps
             many, down = math.ceil(many / 2), 2
-        self.figure = figure.Figure(figsize=(1.1 + 2.5 * many, 0.7 + 2.3 * down), layout="constrained")
+        width = min(style.PAGE, 1.0 + 2.6 * many)
+        height = 0.8 + down * min(2.4, max(1.25, (width - 1.0) / many * 0.95))
+        self.figure = figure.Figure(figsize=(width, height))
         self.axes = self.figure.subplots(down, many, squeeze=False, sharex=True, sharey=True)
 
     def each(self, value):
@@ -425,17 +434,18 @@ class _Panels:
                 self.figure.legend(handles, labels, loc="outside right upper", title=title)
         title = one.get("title") or ", ".join(_named(d, v) for d, v in _labels(self.view).items())
         if title:
-            self.figure.suptitle(title, fontsize=10)
+            self.figure.suptitle(title, fontsize=8)
         return self.figure
 
 
 def _lines(part, dim):
-    """(label, colour, data) of each line; one line where there is no dimension for it."""
+    """(label, look, data) of each line; one line where there is no dimension for it."""
     if not dim or dim not in part.dims:
-        yield "", COLORS[0], part
+        yield "", {"color": COLORS[0], "label": "", "linewidth": 1.2}, part
         return
     for i, v in enumerate(part[dim].values):
-        yield _text(v), COLORS[i % len(COLORS)], part.isel({dim: i})
+        look = style.line(str(v)) if str(v) in style.METHODS else {"color": COLORS[i % len(COLORS)], "label": _text(v)}
+        yield _text(v), {"linewidth": 1.2} | look, part.isel({dim: i})
 
 
 def _named(dim, value):

@@ -99,6 +99,48 @@ def _norms(rows):
     return _sqrt(_squares(rows))
 
 
+def _fold(reduce, values, fill):
+    """Reduce the first axis, time, in pieces of 16.
+
+    XLA rewrites longer reductions on a CPU into a form that can't be part of one native function, which is what
+    `lanes` makes of a tile.
+    """
+    while values.shape[0] > 16:
+        rest = jnp.full((-values.shape[0] % 16, *values.shape[1:]), fill, values.dtype)
+        values = jnp.concatenate([values, rest])
+        values = reduce(values.reshape(-1, 16, *values.shape[1:]), axis=1)
+    return reduce(values, axis=0)
+
+
+def _sum(values):
+    return _fold(jnp.sum, values, 0)
+
+
+def _mean_of(values):
+    return _sum(values) / values.shape[0]
+
+
+def _max(values):
+    """Largest of non-negative values, over all axes."""
+    values = values.reshape(values.shape[0], -1)
+    return jnp.max(_fold(jnp.max, values, 0), initial=0) if values.size else jnp.zeros((), values.dtype)
+
+
+def _min(values):
+    values = values.reshape(values.shape[0], -1)
+    return jnp.min(_fold(jnp.min, values, _largest_of(values.dtype)))
+
+
+def _largest_of(dtype):
+    return jnp.inf if jnp.issubdtype(dtype, jnp.floating) else jnp.iinfo(dtype).max
+
+
+def _first(hit):
+    """Index of the first True, the length where there is none."""
+    count = hit.shape[0]
+    return _min(jnp.where(hit, jnp.arange(count), count))
+
+
 def _all(loop):
     return loop.run.e
 
@@ -116,15 +158,15 @@ def _final(part, loop):
 
 
 def _mean(part, loop):
-    return jnp.mean(_norms(part(loop)))
+    return _mean_of(_norms(part(loop)))
 
 
 def _rms(part, loop):
-    return _sqrt(jnp.mean(_squares(part(loop))))
+    return _sqrt(_mean_of(_squares(part(loop))))
 
 
 def _largest(part, loop):
-    return jnp.max(_norms(part(loop)))
+    return _max(_norms(part(loop)))
 
 
 def _split(loop):
@@ -152,14 +194,14 @@ def _across(loop):
 
 def _steps_to_tolerance(loop):
     inside = _norms(loop.run.e) <= loop.tolerance
-    return jnp.where(jnp.any(inside), jnp.argmax(inside), jnp.inf).astype(loop.run.e.dtype)
+    k = _first(inside)
+    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(loop.run.e.dtype)
 
 
 def _settling_time(loop):
     outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
-    first = count - jnp.argmax(outside[::-1])  # the instant after the last one outside
-    k = jnp.where(jnp.any(outside), first, 0)
+    k = count - _first(outside[::-1])  # the instant after the last one outside
     t = loop.run.t
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
@@ -171,8 +213,8 @@ def _converged(loop):
 def _overshoot(loop):
     e, first = loop.run.e, loop.run.e[0]
     squared = _squares(first)
-    beyond = jnp.max(-_products(e, first)) / jnp.where(squared > 0, squared, 1.0)
-    return jnp.where(squared > 0, _finite(jnp.maximum(beyond, 0.0)), 0.0)
+    beyond = _max(jnp.maximum(_finite(-_products(e, first)), 0.0)) / jnp.where(squared > 0, squared, 1.0)
+    return jnp.where(squared > 0, beyond, 0.0)
 
 
 def _products(rows, vector):
@@ -183,7 +225,7 @@ def _rate(loop):
     norms = _norms(loop.run.e)
     inside = norms <= loop.tolerance
     count = norms.shape[0]
-    last = jnp.where(jnp.any(inside), jnp.argmax(inside), count - 1)
+    last = jnp.minimum(_first(inside), count - 1)
     ratio = norms[last] / jnp.where(inside[0], 1.0, norms[0])
     ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
     return jnp.where(inside[0] | (count == 1), jnp.nan, ratio ** (1.0 / jnp.maximum(last, 1)))
@@ -193,11 +235,11 @@ def _rate(loop):
 
 
 def _max_qdot(loop):
-    return jnp.max(_finite(jnp.abs(loop.run.qdot)), initial=0.0)
+    return _max(_finite(jnp.abs(loop.run.qdot)))
 
 
 def _rms_qdot(loop):
-    return _sqrt(jnp.sum(_squares(loop.run.qdot)) / max(loop.run.qdot.shape[0], 1))
+    return _sqrt(_mean_of(_squares(loop.run.qdot))) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
 
 
 def _rms_qddot(loop):
@@ -205,23 +247,22 @@ def _rms_qddot(loop):
     if steps < 2:
         return jnp.zeros((), loop.run.q.dtype)
     step = (loop.run.t[-1] - loop.run.t[0]) / steps
-    return _sqrt(jnp.mean(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
+    return _sqrt(_mean_of(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
 
 
 def _path_length(loop):
-    return jnp.sum(_norms(jnp.diff(loop.run.q, axis=0)))
+    return _sum(_norms(jnp.diff(loop.run.q, axis=0)))
 
 
 def _velocity_ratio(loop):
     limits = np.asarray(loop.law.chain.velocity_limit)
-    return jnp.max(_finite(jnp.abs(loop.run.qdot) / limits), initial=0.0)
+    return _max(_finite(jnp.abs(loop.run.qdot) / limits))
 
 
 def _limit_distance(loop):
     q = loop.run.q
     below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
-    nearest = jnp.min(jnp.minimum(below, above))
-    return jnp.where(jnp.all(jnp.isfinite(q)), nearest, -jnp.inf)
+    return _min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
 def _task_jacobian(loop, t, q):
@@ -239,18 +280,18 @@ def _least_singular_value(loop):
     least = jnp.argmin(squares, axis=0)
     vector = tuple(jnp.take_along_axis(jnp.stack(row), least[None], axis=0)[0] for row in u)
     sigma = sp.safe_norm(sp.matvec(sp.transpose(rows), vector))
-    return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
+    return _min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 
 # --- the iteration and its status ---------------------------------------------------------------------
 
 
 def _residual(loop):
-    return jnp.max(_finite(loop.run.residual), initial=0.0)
+    return _max(_finite(loop.run.residual))
 
 
 def _contraction(loop):
-    return jnp.max(_finite(loop.run.contraction), initial=0.0)
+    return _max(_finite(loop.run.contraction))
 
 
 def _evaluations(loop):
@@ -260,7 +301,7 @@ def _evaluations(loop):
 def _count(bit, loop):
     status = loop.run.status
     hit = (status == 0) if bit == 0 else (status & bit) != 0
-    return jnp.sum(hit).astype(jnp.int32)
+    return _sum(hit.astype(jnp.int32))
 
 
 def _errors(prefix, part, unit, label, needs=""):
@@ -332,7 +373,7 @@ def check(names, law: Law) -> None:
     """Raise ArgumentError unless every name is a metric that the law's task has."""
     for name in names:
         needs = METRICS[errors.one_of("metrics", name, METRICS)].needs
-        if needs == "position" and not law.task.position or needs == "rotation" and not law.task.orientation:
+        if (needs == "position" and not law.task.position) or (needs == "rotation" and not law.task.orientation):
             raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")
 
 

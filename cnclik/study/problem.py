@@ -371,7 +371,7 @@ def reference_from(
         at, rotation = _point("center", center, task, here)
         if center is None:
             first = references.circle(np.zeros(len(at)), radius, period=1.0, normal=normal).curve(0.0)[0]
-            at = at - np.array([float(x) for x in first])
+            at = at - _stacked(first)
         return references.circle(at, radius, period=period, normal=normal, rotation=rotation)
     if name == "lissajous":
         amplitude = length(chain) / 20 if amplitude is None else amplitude
@@ -421,13 +421,13 @@ def _away(chain, q0):
     """The tip's pose after every joint moved a little towards the middle of its limits."""
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    middle = np.where(bounded, np.where(bounded, lower, 0) / 2 + np.where(bounded, upper, 0) / 2, q0 + 1.0)
+    middle = np.where(bounded, np.where(bounded, lower, 0) / 2 + np.where(bounded, upper, 0) / 2, np.inf)
     size = np.full(chain.n, 0.3)
     for joint in chain.joints:
         if joint.kind != REVOLUTE:
             size[joint.coordinate] = length(chain) / 10
     size = np.minimum(size, (upper - lower) / 4)
-    return _tip(chain, q0 + np.where(middle >= q0, size, -size))
+    return _tip(chain, q0 + (np if errors.concrete(q0) else jnp).where(middle >= q0, size, -size))
 
 
 def _point(name, given, task, default):

@@ -13,7 +13,6 @@ import pathlib
 import shutil
 import zlib
 
-import jax
 import numpy as np
 
 from cnclik import errors
@@ -67,6 +66,8 @@ def create(folder: pathlib.Path, spec: Spec, of: sweep.Grid, outputs) -> None:
     import xarray
     import zarr
 
+    from cnclik.study.dataset import provenance
+
     building, path = folder / (DATA + ".new"), folder / DATA
     shutil.rmtree(building, ignore_errors=True)
     config = {**_fingerprint(spec), "lanes": of.lanes, "variables": [o.name for o in outputs]}
@@ -76,12 +77,16 @@ def create(folder: pathlib.Path, spec: Spec, of: sweep.Grid, outputs) -> None:
         coords |= sweep.coordinates(one, units)
     # Names as variable-length strings: zarr has no settled form for others.
     coords = {k: (d, v.astype(object) if v.dtype.kind == "U" else v, a) for k, (d, v, a) in coords.items()}
-    attrs = sweep.environment() | {
-        "question": spec.question,
-        "expectation": spec.expectation,
-        "spec": to_json(spec),
-        "config": json.dumps(config, ensure_ascii=False),
-    }
+    attrs = (
+        sweep.environment()
+        | {"commit": provenance(float)["commit"]}
+        | {
+            "question": spec.question,
+            "expectation": spec.expectation,
+            "spec": to_json(spec),
+            "config": json.dumps(config, ensure_ascii=False),
+        }
+    )
     with _quiet():
         xarray.Dataset(coords=coords, attrs=attrs).to_zarr(building, zarr_format=3, consolidated=False)
         group = zarr.open_group(building, mode="r+")

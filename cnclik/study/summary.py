@@ -1,8 +1,6 @@
 """Summary: the scalar metrics of a sweep as one small table, and its exports to other formats."""
 
-import contextlib
 import json
-import os
 import pathlib
 
 import numpy as np
@@ -18,7 +16,7 @@ def table(data):
     Returns: list of dicts with the names of the other axes, `metric`, `units`, min, q10, median, q90, max,
     mean (over finite values) and finite (the share of values that are).
     """
-    inner = [d for d in data.dims if d in data.coords and data[d].dtype.kind == "f" or d in ("q0", "start")]
+    inner = [d for d in data.dims if (d in data.coords and data[d].dtype.kind == "f") or d in ("q0", "start")]
     names = [n for n in data.data_vars if not set(data[n].dims) & {"time", "step"}]
     rows = []
     for name in names:
@@ -54,8 +52,7 @@ def write(data, folder) -> list:
         "config.json": json.dumps(config, indent=1, ensure_ascii=False) + "\n",
     }
     for name, text in texts.items():
-        with replacing(folder / name) as path:
-            path.write_text(text)
+        (folder / name).write_text(text)
     return [folder / name for name in texts]
 
 
@@ -67,24 +64,8 @@ def _cell(value) -> str:
 def export(data, folder, kind: str) -> pathlib.Path:
     """Write the whole dataset as data.nc (netCDF) or data.csv (one row per loop); returns the path."""
     target = pathlib.Path(folder) / f"data.{errors.one_of('export', kind, ('nc', 'csv'))}"
-    with replacing(target) as path:
-        if kind == "nc":
-            data.to_netcdf(path, engine="h5netcdf")
-        else:
-            data.to_dataframe().to_csv(path)
+    if kind == "nc":
+        data.to_netcdf(target, engine="h5netcdf")
+    else:
+        data.to_dataframe().to_csv(target)
     return target
-
-
-@contextlib.contextmanager
-def replacing(target: pathlib.Path):
-    """A path to write to; it takes the target's name only once it is whole."""
-    building = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
-    try:
-        yield building
-        building.replace(target)
-    except OSError as error:
-        raise errors.fail(
-            "out", "be a folder that can be written", f"{str(target)!r}: {error.strerror or error}"
-        ) from error
-    finally:
-        building.unlink(missing_ok=True)

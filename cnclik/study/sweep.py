@@ -240,12 +240,17 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
 
     count = math.prod(of.block)
     example = {a.name: _typed(np.zeros((count, *a.values.shape[1:]), a.values.dtype)) for a in of.inner}
-    if example:
-        program = jax.jit(batch(lane))
-    else:  # all axes are outer: one lane
-        program = jax.jit(lambda values: jax.tree.map(lambda v: v[None], lane(values)))
-    lowered = program.lower(jax.tree.map(lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype), example))
-    compiled = lowered.compile()
+    shapes = jax.tree.map(lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype), example)
+    if not example:  # all axes are outer: one lane
+        batched = lambda values: jax.tree.map(lambda v: v[None], lane(values))  # noqa: E731
+        compiled = jax.jit(batched).lower(shapes).compile()
+    else:
+        try:
+            compiled = jax.jit(batch(lane)).lower(shapes).compile()
+        except jax.errors.JaxRuntimeError:
+            # XLA can't hold histories beyond some length (about 60 steps) in the one function that `lanes` makes
+            # of a tile: these go without its layout, several times slower.
+            compiled = jax.jit(jax.vmap(lane)).lower(shapes).compile()
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
 
@@ -385,16 +390,11 @@ def coordinates(one: Axis, units) -> dict:
 
 
 def environment() -> dict:
-    """What the numbers depend on beside the configuration."""
-    import cnclik
+    """What the numbers depend on beside the configuration: versions, dtype, device."""
+    from cnclik.study.dataset import provenance
 
-    x64 = jax.config.jax_enable_x64
-    return {
-        "cnclik": cnclik.__version__,
-        "jax": jax.__version__,
-        "dtype": "float64" if x64 else "float32",
-        "device": jax.devices()[0].device_kind,
-    }
+    found = provenance(np.float64 if jax.config.jax_enable_x64 else np.float32)
+    return {name: value for name, value in found.items() if name != "commit"}
 
 
 def _described(study, of: Grid) -> str:

@@ -74,21 +74,21 @@ def test_a_store_is_the_sweep_in_memory(path, undisturbed):
     assert list(found.method.values) == ["EE", "HEUN"]
 
 
-class Stop(Exception):
+class Stopped(Exception):  # noqa: N818
     pass
 
 
 def stop_at(count):
     def progress(done, total):
         if done >= count:
-            raise Stop
+            raise Stopped
 
     return progress
 
 
 @pytest.mark.parametrize("count", [16, 200, 399])
 def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count):
-    with pytest.raises(Stop):
+    with pytest.raises(Stopped):
         store.run(spec.read(path), tmp_path, progress=stop_at(count))
     assert np.isnan(store.read(tmp_path).final_error).any() and store.blocks_missing(tmp_path)
     seen = []
@@ -126,7 +126,7 @@ def test_a_changed_spec_is_refused_unless_fresh(path, undisturbed, tmp_path):
 def test_a_folder_with_something_else_is_left_alone(path, tmp_path):
     (tmp_path / "data.zarr").mkdir()
     (tmp_path / "data.zarr" / "mine").write_text("precious")
-    with pytest.raises(ArgumentError, match="hold a sweep's data.zarr or none"):
+    with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
         store.run(spec.read(path), tmp_path)
     assert (tmp_path / "data.zarr" / "mine").read_text() == "precious"
     (tmp_path / "file").write_text("")
