@@ -112,8 +112,10 @@ def table() -> list[Line]:
     # 1, 2, 4, ... and all cores, as long as there is more than one.
     some = {1, *(2**i for i in range(1, count.bit_length()) if 2**i < count), count} if count > 1 else ()
     made += [line(batch=65536, cores=cores) for cores in sorted(some)]
-    seen = {}
-    return [seen.setdefault(key, line) for line in made if (key := dataclasses.replace(line, gradient=False)) not in seen]
+    different = {}
+    for line in made:
+        different.setdefault(dataclasses.replace(line, gradient=False), line)
+    return list(different.values())
 
 
 def describe(line: Line) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS
 from cnclik.integrate.solve import advance, cast, evaluations_per_step
 from cnclik.integrate.stage import chord, newton, picard
@@ -144,19 +145,13 @@ def final(law, reference, q0, Ts, N, method, stage):
 
 
 def loop(problem: Problem, N: int, method, stage):
-    """`final` as a function of one lane's arguments, for `over_lanes`."""
+    """`final` as a function of alpha and one lane's start and target."""
 
     def one(alpha, q0, position, rotation=None):
         law = dataclasses.replace(problem.law, alpha=alpha)
         return final(law, ref.hold(position, rotation), q0, TS, N, method, stage)
 
     return one
-
-
-def over_lanes(fn, cores=None):
-    """`fn(alpha, q0, ...)` for one alpha and a batch of everything else, laid out for the processor."""
-    del cores
-    return jax.jit(lambda alpha, *rest: jax.vmap(functools.partial(fn, alpha))(*rest))
 
 
 # --- measuring ----------------------------------------------------------------------------------------
@@ -209,25 +204,27 @@ def steps_for(line: Line, per_step: int) -> int:
 def measure(line: Line, seconds: float = 1.0) -> dict:
     """Measure one line in this process: first the loop, then, if asked for, value and gradient.
 
-    Returns the line's fields, and: device; the version of jax; N as run; evaluations_per_second of f(q, t), each a forward
-    kinematics, Jacobian, error and inverse; run_s, spread and runs of one run; compile_s, the first call less
-    one run (tracing and compiling; cached programs are not used unless JAX is told to); peak_mib of the process
-    (on a GPU, of the device), and base_mib of it before the loop was built; the gradient of the tracking
-    loss, mean ‖e‖² over the run, with respect to q0 (reverse mode) and to alpha (forward mode), each with its
-    time as a multiple of the value's and its compile time; `error`, the mean of the lanes' final ‖e‖.
+    Returns the line's fields, and:
+      device, jax: what it ran on; N and cores as run.
+      evaluations_per_second: of f(q, t), each a forward kinematics, Jacobian, error and inverse.
+      run_s, spread, runs: median time of one run, distance of its quartiles over it, number of runs [s].
+      compile_s: the first call less one run: tracing and compiling [s].
+      peak_mib, base_mib: largest memory, after the runs and before the first; on a GPU, of the device [MiB].
+      error: mean of the lanes' final ‖e‖.
+      gradient_over_forward: None, or what `gradients` tells.
     """
     problem, method = ROBOTS[line.robot](), METHODS[line.method]
     stage = STAGES[line.stage](line.M)
     per_step = evaluations_per_step(method, stage, problem.law.chain.n)
     N = steps_for(line, per_step)
-    named = {name: jax.device_put(value) for name, value in inputs(problem, line.batch, line.dtype).items()}
+    named = inputs(problem, line.batch, line.dtype)
     alpha = jnp.asarray(ALPHA, line.dtype)
     base = peak_mib()
 
-    def end(alpha, *lane):
+    def end(*lane):
         return loop(problem, N, method, stage)(alpha, *lane)[1]
 
-    run = functools.partial(over_lanes(end, line.cores), alpha, *named.values())
+    run = functools.partial(lanes(end, cores=line.cores), *named.values())
     first = clock(run)
     run_s = repeat(run, seconds)
     record = dataclasses.asdict(line) | {
@@ -249,29 +246,30 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
 
 
 def gradients(line, problem, method, stage, named, alpha, seconds) -> dict:
-    """Time of value and gradient of the tracking loss over that of the value, and compile times."""
+    """Times [s] of the tracking loss and of loss and gradient, all as `jit(vmap(...))`; ratios; compile times."""
     N = min(steps_for(line, evaluations_per_step(method, stage, problem.law.chain.n)), STEPS_OF_GRADIENT)
-    lanes = {name: value[:LANES_OF_GRADIENT] for name, value in named.items()}
+    some = {name: value[:LANES_OF_GRADIENT] for name, value in named.items()}
 
     def loss(alpha, *lane):
         return loop(problem, N, method, stage)(alpha, *lane)[2]
 
-    def reverse(alpha, *lane):
-        return jax.value_and_grad(loss, argnums=1)(alpha, *lane)
+    def value(*lane):
+        return loss(alpha, *lane)
 
-    def forward(alpha, *lane):
+    def reverse(*lane):
+        return jax.value_and_grad(value)(*lane)
+
+    def forward(*lane):
         return jax.jvp(lambda a: loss(a, *lane), (alpha,), (jnp.ones_like(alpha),))
 
-    found = {}
-    for name, fn in {"value": loss, "gradient": reverse, "alpha_gradient": forward}.items():
-        run = functools.partial(over_lanes(fn, line.cores), alpha, *lanes.values())
+    found, out = {}, {"gradient_batch": len(some["q0"]), "gradient_N": N}
+    for name, fn in {"forward": value, "gradient": reverse, "alpha_gradient": forward}.items():
+        # Not `lanes`: a gradient compiled as one function per tile takes a minute to compile.
+        run = functools.partial(jax.jit(jax.vmap(fn)), *some.values())
         first, run_s = clock(run), repeat(run, seconds)
-        found[name] = (run_s.median, max(first - run_s.median, 0.0))
-    value = found.pop("value")[0]
-    out = {"gradient_batch": len(lanes["q0"]), "gradient_N": N}
-    for name, (run_s, compile_s) in found.items():
-        out |= {f"{name}_over_forward": run_s / value, f"{name}_compile_s": compile_s}
-    return out
+        found[name] = run_s.median
+        out |= {f"{name}_s": run_s.median, f"{name}_compile_s": max(first - run_s.median, 0.0)}
+    return out | {f"{name}_over_forward": found[name] / found["forward"] for name in ("gradient", "alpha_gradient")}
 
 
 def peak_mib() -> float:

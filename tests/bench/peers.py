@@ -1,23 +1,23 @@
-"""cnclik and its peers on the Panda's pose loop: equal results first, then times, all in one run on one core.
+"""cnclik and its peers on the Panda's pose loop: equal results first, then times, in turn, on one core.
 
-Run as `python -m tests.bench.peers [seconds]` it holds itself to one core and prints its records as JSON.
-Each record is one contender on one task: `evaluations_per_second` (median of the rounds, with `spread`), and
-`difference` from Pinocchio C++ in float64 on the very same starts and targets.
+Each contender lives in a worker process with the number type and the XLA flags it wants ("single thread" are those
+that frax asks for); all workers are held to the same core, and only one of them works at a time. A record is
+one contender on one task: `evaluations_per_second` (median of the rounds, with `spread`), `seconds`, those of
+each round, and `difference`, from Pinocchio C++ in float64 on the very same starts and targets.
 """
 
 import functools
 import json
 import os
+import subprocess
 import sys
 import time
 from typing import NamedTuple
 
-if __name__ == "__main__":
-    # Before JAX is loaded: one core, and the flags with which frax asks to be run.
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])
-    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    os.environ["JAX_PLATFORMS"] = "cpu"
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+FLAGS = {
+    "default": "",
+    "single thread": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+}
 
 import jax
 import jax.numpy as jnp
@@ -28,23 +28,26 @@ from cnclik.study import bench
 from tests.bench import textbook
 from tests.bench.pinocchio_cpp import PinocchioCpp
 
-BATCH, STEPS = 4096, 50
-CHECKED = 256  # lanes on which the slow ones are compared, over all 50 steps
+BATCH, STEPS = 65536, 50
+CHECKED = 256  # lanes that are compared, over all steps
 TOLERANCE = {"float64": 1e-12, "float32": 1e-6}
 ROUNDS = 7
 SETTINGS = dict(alpha=bench.ALPHA, Ts=bench.TS)
 
 
 class Contender(NamedTuple):
-    """run(lanes, N) -> (q, ‖e‖) for the first `lanes` lanes after N steps; `lanes` and `N` of a timed run."""
+    """run(lanes, N) -> (q, ‖e‖) of the first lanes after N steps; `lanes` and `N` are those of a timed run."""
 
     name: str
     task: str  # EE or CN
-    dtype: str
     run: object
     lanes: int = BATCH
     N: int = STEPS
     inverse: str = "damped"
+
+    @property
+    def evaluations(self):
+        return self.lanes * self.N * (1 if self.task == "EE" else 6)
 
 
 # --- the robot, as the peers want it ------------------------------------------------------------------
@@ -66,7 +69,7 @@ def panda():
 
 @functools.cache
 def given(dtype):
-    """Starts and targets in a type; those of float64 are not those of float32."""
+    """Starts and targets; those of float32 are rounded."""
     return tuple(bench.inputs(bench.ROBOTS["panda"](), BATCH, dtype).values())
 
 
@@ -82,15 +85,16 @@ def ours(task, dtype, inverse="damped"):
     problem = bench.ROBOTS["panda"]()
     if inverse == "pseudoinverse":
         problem = problem._replace(law=ck.replace(problem.law, inverse=ck.pseudoinverse()))
-    batched = functools.cache(
-        lambda N: bench.over_lanes(bench.loop(problem, N, ck.METHODS[task], ck.picard(5)), cores=1)
-    )
+
+    @functools.cache
+    def batched(N):
+        looped = bench.loop(problem, N, ck.METHODS[task], ck.picard(5))
+        return ck.lanes(lambda *lane: looped(jnp.asarray(bench.ALPHA, dtype), *lane)[:2], cores=1)
 
     def run(lanes, N):
-        q, e, _ = batched(N)(jnp.asarray(bench.ALPHA, dtype), *(a[:lanes] for a in on_device(dtype)))
-        return q, e
+        return jax.block_until_ready(batched(N)(*(a[:lanes] for a in given(dtype))))
 
-    return Contender("cnclik", task, dtype, _in_type(dtype, run), inverse=inverse)
+    return Contender("cnclik", task, run, inverse=inverse)
 
 
 def pinocchio_cpp(task, dtype):
@@ -100,7 +104,7 @@ def pinocchio_cpp(task, dtype):
         arrays = (a[:lanes] for a in given(dtype))
         return solver.run(*arrays, damping=bench.DAMPING, N=N, M=passes(task), **SETTINGS)
 
-    return Contender("Pinocchio C++", task, dtype, run, lanes=4096)
+    return Contender("Pinocchio C++", task, run, lanes=8192)
 
 
 def pinocchio_python(task):
@@ -111,18 +115,18 @@ def pinocchio_python(task):
     model = pin.Model()
     for i, origin in enumerate(origins):
         model.addJoint(i, pin.JointModelRZ(), pin.SE3(origin), f"q{i + 1}")
-    model.addFrame(pin.Frame("tip", 7, 0, pin.SE3(tip), pin.FrameType.OP_FRAME))
-    data, frame, eye = model.createData(), model.getFrameId("tip"), bench.DAMPING**2 * np.eye(6)
+    model.addFrame(pin.Frame("tip", len(origins), 0, pin.SE3(tip), pin.FrameType.OP_FRAME))
+    data, frame, shift = model.createData(), model.getFrameId("tip"), bench.DAMPING**2 * np.eye(6)
 
     def error(position, rotation):
         at = data.oMf[frame]
-        return np.concatenate([at.rotation.T @ (position - at.translation), pin.log3(at.rotation.T @ rotation)])
+        return np.concatenate([position - at.translation, pin.log3(rotation @ at.rotation.T)])
 
     def field(q, position, rotation):
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacement(model, data, frame)
-        j = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
-        return j.T @ np.linalg.solve(j @ j.T + eye, bench.ALPHA * error(position, rotation))
+        j = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return j.T @ np.linalg.solve(j @ j.T + shift, bench.ALPHA * error(position, rotation))
 
     def one(q, position, rotation, N):
         for _ in range(N):
@@ -138,17 +142,15 @@ def pinocchio_python(task):
         done = [one(*lane, N) for lane in zip(*(a[:lanes] for a in given("float64")), strict=True)]
         return np.array([q for q, _ in done]), np.array([e for _, e in done])
 
-    return Contender("Pinocchio Python", task, "float64", run, lanes=64, N=20)
+    return Contender("Pinocchio Python", task, run, lanes=128, N=20)
 
 
 def textbook_jax(task, dtype, inverse="damped"):
-    origins, tip = panda()
-    of_law = textbook.damped if inverse == "damped" else textbook.pseudoinverse
-    looped = textbook.loop(
-        textbook.panda(origins, tip), of_law, damping=bench.DAMPING, M=passes(task), **SETTINGS
-    )
-    name = "textbook JAX, " + ("cho_solve" if inverse == "damped" else "pinv")
-    return Contender(name, task, dtype, _in_type(dtype, _over(looped, dtype)), N=2, inverse=inverse)
+    """4×4 matrices under vmap."""
+    law = {"damped": textbook.damped, "pseudoinverse": textbook.pseudoinverse}[inverse]
+    made = textbook.loop(textbook.panda(*panda()), law, damping=bench.DAMPING, M=passes(task), **SETTINGS)
+    name = "textbook JAX, " + {"damped": "cho_solve", "pseudoinverse": "pinv"}[inverse]
+    return Contender(name, task, _over(made, dtype), N=2, inverse=inverse)
 
 
 def frax(task, dtype):
@@ -162,127 +164,197 @@ def frax(task, dtype):
         j, pose = robot.velocity_control_matrices(q)
         return pose, j
 
-    looped = textbook.loop(at, textbook.damped, damping=bench.DAMPING, M=passes(task), **SETTINGS)
-    return Contender("frax 0.1.0", task, dtype, _in_type(dtype, _over(looped, dtype)), N=5)
+    made = textbook.loop(at, textbook.damped, damping=bench.DAMPING, M=passes(task), **SETTINGS)
+    return Contender("frax 0.1.0", task, _over(made, dtype), N=2)
 
 
-def _over(looped, dtype):
-    return lambda lanes, N: looped(*(a[:lanes] for a in on_device(dtype)), N)
+def _over(made, dtype):
+    arrays = functools.cache(lambda: tuple(jax.device_put(a) for a in given(dtype)))
+    return lambda lanes, N: jax.block_until_ready(made(*(a[:lanes] for a in arrays()), N))
+
+
+WORKERS = (("default", "float64"), ("default", "float32"), ("single thread", "float64"), ("single thread", "float32"))
+
+
+def contenders(flags, dtype) -> list[Contender]:
+    """Those of one worker."""
+    made = [textbook_jax("EE", dtype)]
+    if flags == "default":
+        made += [peer(task, dtype) for task in ("EE", "CN") for peer in (pinocchio_cpp, ours)]
+        if dtype == "float64":
+            made += [pinocchio_python("EE"), pinocchio_python("CN")]
+        else:
+            made += [ours("EE", dtype, "pseudoinverse")]
+    elif dtype == "float32":
+        made += [frax("EE", dtype), frax("CN", dtype), textbook_jax("CN", dtype)]
+        made += [textbook_jax("EE", dtype, "pseudoinverse")]
+    return made
+
+
+# --- a worker: equal first, then timed ----------------------------------------------------------------
+
+
+def difference(contender, dtype) -> float:
+    """Largest difference of final q and ‖e‖ from a float64 loop on the same inputs: Pinocchio C++; with J#, which
+    that has not, `numpy.linalg.pinv`."""
+    arrays = tuple(np.asarray(a[:CHECKED], float) for a in given(dtype))
+    inverse = dict(damping=bench.DAMPING, N=STEPS, M=passes(contender.task), **SETTINGS)
+    if contender.inverse == "damped":
+        wanted = PinocchioCpp(*panda(), "float64").run(*arrays, **inverse)
+    else:
+        wanted = with_pinv(*arrays)
+    found = contender.run(CHECKED, STEPS)
+    return max(float(np.abs(np.asarray(a, float) - b).max()) for a, b in zip(found, wanted, strict=True))
+
+
+def with_pinv(q, position, rotation):
+    """Explicit Euler with J# in NumPy, all lanes side by side: (q, ‖e‖) after all steps."""
+    from scipy.spatial.transform import Rotation
+
+    origins, tip = panda()
+
+    def at(q):
+        frames, m = [], np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        for origin, angle in zip(origins, q.T, strict=True):
+            turn = np.tile(np.eye(4), (len(q), 1, 1))
+            turn[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+            m = m @ origin @ turn
+            frames.append(m)
+        m = m @ tip
+        turn = Rotation.from_matrix(rotation @ np.swapaxes(m[:, :3, :3], 1, 2)).as_rotvec()
+        e = np.concatenate([position - m[:, :3, 3], turn], axis=1)
+        axes = np.stack([f[:, :3, 2] for f in frames], axis=1)
+        arms = np.stack([m[:, :3, 3] - f[:, :3, 3] for f in frames], axis=1)
+        return e, np.swapaxes(np.concatenate([np.cross(axes, arms), axes], axis=2), 1, 2)
+
+    for _ in range(STEPS):
+        e, j = at(q)
+        q = q + bench.TS * bench.ALPHA * np.einsum("bij,bj->bi", np.linalg.pinv(j), e)
+    return q, np.linalg.norm(at(q)[0], axis=1)
+
+
+def single(dtype, seconds=0.2) -> dict:
+    """One warm solve of 50 steps from Python, and Pinocchio C++'s time for it [s]."""
+    solve, cpp = _single(dtype)
+    return {"cnclik": bench.repeat(solve, seconds).median, "Pinocchio C++": bench.repeat(cpp, seconds).median}
 
 
 @functools.cache
-def on_device(dtype):
-    """`given` as JAX arrays."""
-    return tuple(jax.device_put(a) for a in given(dtype))
+def _single(dtype):
+    problem = bench.ROBOTS["panda"]()
+    few = tuple(a[:1] for a in given(dtype))
+    q0, position, rotation = (jnp.asarray(a[0]) for a in few)
+    reference, solver = ck.hold(position, rotation), PinocchioCpp(*panda(), dtype)
+
+    def solve():
+        return jax.block_until_ready(ck.solve(problem.law, reference, q0, bench.TS, STEPS))
+
+    def cpp():
+        return solver.run(*few, damping=bench.DAMPING, N=STEPS, M=None, **SETTINGS)
+
+    found = float(np.abs(np.asarray(solve().q[-1]) - cpp()[0][0]).max())
+    if not found <= TOLERANCE[dtype]:
+        raise SystemExit(f"a single solve in {dtype} differs by {found:.3g}")
+    return solve, cpp
 
 
-def _in_type(dtype, run):
-    """Without x64 for float32, so that no constant widens it."""
+def work(flags, dtype) -> None:
+    """Answer orders on stdin, one line of JSON each."""
+    os.sched_setaffinity(0, bench.cores_here()[-1:])  # before JAX makes its threads, which is on first use
+    field = contenders(flags, dtype)
 
-    def inside(lanes, N):
-        with jax.enable_x64(dtype == "float64"):
-            return jax.block_until_ready(run(lanes, N))
+    def told(i):
+        c = field[i]
+        return {"name": c.name, "task": c.task, "inverse": c.inverse, "batch": c.lanes, "N": c.N}
 
-    return inside
+    def check(i):
+        found = difference(field[i], dtype)
+        field[i].run(field[i].lanes, field[i].N)  # compile what is timed, and warm up
+        return found
 
+    def time_of(i):
+        start = time.perf_counter()
+        field[i].run(field[i].lanes, field[i].N)
+        return time.perf_counter() - start, field[i].evaluations
 
-def contenders():
-    """All of them; the C++ of the same task is first."""
-    made = []
-    for task in ("EE", "CN"):
-        made += [pinocchio_cpp(task, dtype) for dtype in ("float64", "float32")]
-        made += [ours(task, dtype) for dtype in ("float64", "float32")]
-        made += [textbook_jax(task, "float32"), frax(task, "float32"), pinocchio_python(task)]
-    made += [textbook_jax("EE", "float64"), ours("EE", "float32", "pseudoinverse")]
-    return [*made, textbook_jax("EE", "float32", "pseudoinverse")]
-
-
-# --- equal first, then timed --------------------------------------------------------------------------
-
-
-def difference(contender) -> float:
-    """Largest difference of final q and ‖e‖ from a float64 loop on the same inputs.
-
-    Damped: from Pinocchio C++. With J#: from the textbook's `jnp.linalg.pinv`.
-    """
-    arrays = tuple(np.asarray(a[:CHECKED], float) for a in given(contender.dtype))
-    if contender.inverse == "damped":
-        solver = PinocchioCpp(*panda(), "float64")
-        wanted = solver.run(*arrays, damping=bench.DAMPING, N=STEPS, M=passes(contender.task), **SETTINGS)
-    else:
-        with jax.enable_x64(True):
-            looped = textbook.loop(
-                textbook.panda(*panda()), textbook.pseudoinverse, damping=None, M=passes(contender.task), **SETTINGS
-            )
-            wanted = looped(*arrays, STEPS)
-    found = contender.run(CHECKED, STEPS)
-    return max(float(np.abs(np.asarray(a, float) - np.asarray(b)).max()) for a, b in zip(found, wanted, strict=True))
+    orders = {"check": check, "time": time_of, "tell": told, "single": lambda _: single(dtype)}
+    print(json.dumps(len(field)), flush=True)
+    for order in sys.stdin:
+        verb, i = json.loads(order)
+        print(json.dumps(orders[verb](i)), flush=True)
 
 
-def compare(rounds=ROUNDS, say=lambda text: None) -> list[dict]:
-    """Check each contender, then time all of them in turn, round after round."""
-    field, records = contenders(), []
-    for c in field:
-        found = difference(c)
-        if not found <= TOLERANCE[c.dtype]:
-            raise SystemExit(f"{c.name} ({c.task}, {c.dtype}) differs by {found:.3g}: not timed, nothing is.")
-        say(f"{c.name}, {c.task}, {c.inverse}, {c.dtype}: equal to {found:.1e}")
-        records.append(
-            {"name": c.name, "task": c.task, "inverse": c.inverse, "dtype": c.dtype, "difference": found}
-            | {"batch": c.lanes, "N": c.N}
-        )
-        c.run(c.lanes, c.N)  # compile, and warm up
-    durations = [[] for _ in field]
-    for i in range(rounds):
-        say(f"round {i + 1} of {rounds}")
-        for c, taken in zip(field, durations, strict=True):
-            start = time.perf_counter()
-            c.run(c.lanes, c.N)
-            taken.append(time.perf_counter() - start)
-    for c, taken, record in zip(field, durations, records, strict=True):
-        t = bench.timing(taken)
-        work = c.lanes * c.N * (1 if c.task == "EE" else 6)
-        record |= {"evaluations_per_second": work / t.median, "run_s": t.median, "spread": t.spread, "runs": t.runs}
-        record["seconds_per_evaluation"] = [s / work for s in taken]
-    return records
+# --- the run ------------------------------------------------------------------------------------------
 
 
-def single(rounds=ROUNDS) -> list[dict]:
-    """One warm solve of 50 steps from Python against Pinocchio C++'s time for it, in turn; [s] per solve."""
-    problem, records = bench.ROBOTS["panda"](), []
-    for dtype in ("float64", "float32"):
-        lane = tuple(a[0] for a in given(dtype))
-        cpp = PinocchioCpp(*panda(), dtype)
-        few = tuple(a[:1] for a in given(dtype))
-        with jax.enable_x64(dtype == "float64"):
-            reference = ck.hold(*lane[1:])
+class Worker:
+    """A process with contenders that does one thing when told."""
 
-            def solve(q0=lane[0], reference=reference):
-                return jax.block_until_ready(ck.solve(problem.law, reference, q0, bench.TS, STEPS))
+    def __init__(self, flags, dtype):
+        self.flags, self.dtype = flags, dtype
+        command = [sys.executable, "-W", "ignore", "-m", "tests.bench.peers", flags, dtype]
+        environment = dict(os.environ) | {
+            "XLA_FLAGS": FLAGS[flags],
+            "JAX_PLATFORMS": "cpu",
+            "JAX_ENABLE_X64": str(int(dtype == "float64")),
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, text=True)
+        self.count = self._answer()
 
-            calls = {
-                "cnclik": solve,
-                "Pinocchio C++": lambda few=few, cpp=cpp: cpp.run(
-                    *few, damping=bench.DAMPING, N=STEPS, M=None, **SETTINGS
-                ),
-            }
-            found = float(np.abs(np.asarray(solve().q[-1]) - calls["Pinocchio C++"]()[0][0]).max())
-            if not found <= TOLERANCE[dtype]:
-                raise SystemExit(f"a single solve in {dtype} differs by {found:.3g}: not timed.")
-            taken = {name: [] for name in calls}
-            for _ in range(rounds):
-                for name, call in calls.items():
-                    taken[name].append(bench.repeat(call, 0.2).median)
-        for name, durations in taken.items():
-            t = bench.timing(durations)
-            records.append(
-                {"name": name, "dtype": dtype, "N": STEPS, "run_s": t.median, "spread": t.spread, "runs_s": durations}
-                | {"difference": found}
-            )
-    return records
+    def __call__(self, verb, i=0):
+        self._process.stdin.write(json.dumps([verb, i]) + "\n")
+        self._process.stdin.flush()
+        return self._answer()
+
+    def _answer(self):
+        line = self._process.stdout.readline()
+        if not line:
+            raise SystemExit(f"the worker for {self.flags}, {self.dtype} ended.")
+        return json.loads(line)
+
+    def close(self):
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def compare(rounds=ROUNDS, say=lambda text: None) -> dict:
+    """Check every contender, then time all of them in turn, round after round: {"peers": [...], "single": [...]}."""
+    workers = [Worker(*worker) for worker in WORKERS]
+    try:
+        places, records = [], []
+        for worker in workers:
+            for i in range(worker.count):
+                record = worker("tell", i) | {"dtype": worker.dtype, "flags": worker.flags}
+                who = "{name} {task} {inverse} {dtype} ({flags} flags)".format(**record)
+                record["difference"] = worker("check", i)
+                if not record["difference"] <= TOLERANCE[worker.dtype]:
+                    raise SystemExit(f"{who} differs by {record['difference']:.3g}: nothing is timed.")
+                say(f"{who}: equal to {record['difference']:.1e}")
+                places.append((worker, i))
+                records.append(record)
+        taken, solves = [[] for _ in records], {"float64": [], "float32": []}
+        for k in range(rounds):
+            say(f"round {k + 1} of {rounds}")
+            for (worker, i), times in zip(places, taken, strict=True):
+                times.append(worker("time", i))
+            for worker in workers[:2]:
+                solves[worker.dtype].append(worker("single"))
+    finally:
+        for worker in workers:
+            worker.close()
+    for record, times in zip(records, taken, strict=True):
+        t = bench.timing(seconds for seconds, _ in times)
+        record |= {"evaluations_per_second": times[0][1] / t.median, "spread": t.spread}
+        record["seconds"] = [seconds / evaluations for seconds, evaluations in times]
+    singles = [
+        {"name": name, "dtype": dtype, "N": STEPS, "seconds": [one[name] for one in made]}
+        for dtype, made in solves.items()
+        for name in ("cnclik", "Pinocchio C++")
+    ]
+    return {"peers": records, "single": singles}
 
 
 if __name__ == "__main__":
-    say = functools.partial(print, file=sys.stderr, flush=True)
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS
-    print(json.dumps({"device": bench.processor(), "peers": compare(rounds, say), "single": single(rounds)}))
+    work(*sys.argv[1:])

@@ -1,13 +1,9 @@
 // The Panda's pose loop on Pinocchio: damped least squares, stepped by explicit Euler or by the paper's
 // Crank-Nicolson with M Picard passes. One thread. Everything is allocated when the solver is made.
 //
-// Written to be as fast as Pinocchio's own interface allows: revolute-z joints (no general axis), the Jacobian of
-// one joint in its local frame (`computeJointJacobian`: only what this joint needs, no change to the world frame),
-// fixed-size Eigen, and the same law in the tip's own frame, where it needs no rotation of the Jacobian:
-//
-//   q̇ = Jᵀ (J Jᵀ + λ² I)⁻¹ α e,   J the tip's Jacobian in the tip's frame,   e = (Rᵀ (p_d − p), log(Rᵀ R_d)),
-//
-// which is equal to the law in the base frame, since both halves of e and J turn by the same R.
+// Written to be as fast as Pinocchio's own interface allows: revolute-z joints (no general axis), one pass for
+// frames and Jacobian (`computeJointJacobians`; the local-frame `computeJointJacobian` was slower), fixed-size
+// Eigen, LLᵀ (faster than Eigen's pivoting LDLᵀ).
 
 #include <cstdint>
 #include <string>
@@ -56,24 +52,27 @@ struct Solver {
 
   Solver(const double *origins, const double *tip) : model(build(origins)), data(model), tip(placement(tip)) { J.setZero(); }
 
-  Vector6 error(const SE3 &at, const Vector3 &position, const Matrix3 &rotation) const {
+  static Vector6 error(const SE3 &at, const Vector3 &position, const Matrix3 &rotation) {
     Vector6 e;
-    e.template head<3>().noalias() = at.rotation().transpose() * (position - at.translation());
-    e.template tail<3>() = pinocchio::log3(Matrix3(at.rotation().transpose() * rotation));
+    e.template head<3>() = position - at.translation();
+    e.template tail<3>() = pinocchio::log3(Matrix3(rotation * at.rotation().transpose()));
     return e;
   }
 
-  // One evaluation of f(q, t).
+  // One evaluation of f(q, t) = Jᵀ (J Jᵀ + λ² I)⁻¹ α e, J in the base frame at the tip.
   Joints field(const Joints &q, const Vector3 &position, const Matrix3 &rotation, Scalar alpha, Scalar damping) {
-    pinocchio::computeJointJacobian(model, data, q, n, J);  // data.iMf[0] is now the pose of joint n
-    for (int i = 0; i < n; ++i)  // from the joint's frame to the tip's
-      J.col(i) = tip.actInv(pinocchio::MotionTpl<Scalar>(J.col(i))).toVector();
-    const Vector6 e = error(data.iMf[0] * tip, position, rotation);
+    pinocchio::computeJointJacobians(model, data, q);
+    const SE3 at = data.oMi[n] * tip;
+    for (int i = 0; i < n; ++i) {  // data.J holds velocities of the point at the base's origin
+      const Vector3 spin = data.J.col(i).template tail<3>();
+      J.col(i).template head<3>() = data.J.col(i).template head<3>() + spin.cross(at.translation());
+      J.col(i).template tail<3>() = spin;
+    }
     Matrix6 gram;
     gram.noalias() = J * J.transpose();
     gram.diagonal().array() += damping * damping;
     factor.compute(gram);
-    return J.transpose() * factor.solve(alpha * e);
+    return J.transpose() * factor.solve(alpha * error(at, position, rotation));
   }
 
   // M < 0: explicit Euler (Drexler 2016, eq. 2); otherwise Crank-Nicolson with M passes (eqs. 6-12).
