@@ -14,11 +14,6 @@ import sys
 import time
 from typing import NamedTuple
 
-FLAGS = {
-    "default": "",
-    "single thread": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +23,10 @@ from cnclik.study import bench
 from tests.bench import textbook
 from tests.bench.pinocchio_cpp import PinocchioCpp
 
+FLAGS = {
+    "default": "",
+    "single thread": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+}
 BATCH, STEPS = 65536, 50
 CHECKED = 256  # lanes that are compared, over all steps
 TOLERANCE = {"float64": 1e-12, "float32": 1e-6}
