@@ -15,6 +15,7 @@ VERBS = {
     "solve": "run one loop on one robot: trajectory, figures, summary",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
+    "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
 
 

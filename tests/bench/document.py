@@ -1,0 +1,241 @@
+"""Tables of docs/speed.md from the files that were measured: `python -m tests.bench.document`.
+
+The page's text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
+results/speed/peers.json (`python -m tests.bench`) and results/speed/table.json (`cnclik bench --json`).
+"""
+
+import json
+import os
+import pathlib
+import re
+import statistics
+import sys
+
+ROOT = pathlib.Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "speed.md"
+RESULTS = ROOT / "results" / "speed"
+
+
+def machine() -> dict:
+    """What the numbers were measured on."""
+    import platform
+
+    import jax
+    import jaxlib
+
+    from cnclik.study import bench
+
+    return {
+        "processor": bench.processor(),
+        "cores": len(bench.cores_here()),
+        "vectors": _vectors(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "jaxlib": jaxlib.__version__,
+        "load": round(os.getloadavg()[0], 1),
+    }
+
+
+def _vectors():
+    """The widest vector instructions the processor names."""
+    try:
+        with open("/proc/cpuinfo") as info:
+            flags = next(row for row in info if row.startswith("flags")).split()
+    except (OSError, StopIteration):
+        return "unknown"
+    return next((name for flag, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "unknown")
+
+
+# --- rows ---------------------------------------------------------------------------------------------
+
+
+def pick(records, **wanted):
+    """The one record with these values."""
+    (found,) = [r for r in records if all(r.get(name) == value for name, value in wanted.items())]
+    return found
+
+
+def ratio(slow, fast) -> tuple:
+    """How many times faster: median, least and largest of the ratios round by round."""
+    ratios = [a / b for a, b in zip(slow["seconds"], fast["seconds"], strict=True)]
+    return statistics.median(ratios), min(ratios), max(ratios)
+
+
+def to_reach(found) -> list[dict]:
+    """One row per claim that can be made from what was measured: what, wanted, found, low, high, reached."""
+    rows = []
+
+    def row(what, wanted, values, *, unit, at_least):
+        middle, low, high = values
+        reached = middle >= wanted if at_least else middle < wanted
+        rows.append(
+            {"what": what, "wanted": wanted, "found": middle, "low": low, "high": high, "unit": unit}
+            | {"at_least": at_least, "reached": reached}
+        )
+
+    if "peers" in found:
+        all_peers, singles = found["peers"]["peers"], found["peers"]["single"]
+
+        def peer(name, task="EE", dtype="float32", flags="default", inverse="damped"):
+            return pick(all_peers, name=name, task=task, dtype=dtype, flags=flags, inverse=inverse)
+
+        def times(what, wanted, slow, fast):
+            row(what, wanted, ratio(slow, fast), unit="×", at_least=True)
+
+        cpp = peer("Pinocchio C++", dtype="float64")
+        times("Panda EE, float32, against Pinocchio C++ (float64)", 15, cpp, peer("cnclik"))
+        times("Panda EE, float64, against Pinocchio C++ (float64)", 8, cpp, peer("cnclik", dtype="float64"))
+        cpp_cn = peer("Pinocchio C++", "CN", "float64")
+        times("Panda CN, picard(5), float32, against Pinocchio C++ (float64)", 12, cpp_cn, peer("cnclik", "CN"))
+        for flags in ("default", "single thread"):
+            slow = peer("textbook JAX, cho_solve", flags=flags)
+            times(f"against textbook JAX under vmap, {flags} flags, float32", 100, slow, peer("cnclik"))
+        times(
+            "against frax 0.1.0, single-thread flags, float32",
+            25,
+            peer("frax 0.1.0", flags="single thread"),
+            peer("cnclik"),
+        )
+        for dtype in ("float32", "float64"):
+            one, other = (pick(singles, name=name, dtype=dtype) for name in ("cnclik", "Pinocchio C++"))
+            what = f"one warm solve of {one['N']} steps from Python, {dtype}, in Pinocchio C++'s time for it"
+            row(what, 1.5, ratio(one, other), unit="×", at_least=False)
+    if "cores" in found:
+        one, two = (
+            {"seconds": [1 / r["evaluations_per_second"] for r in found["cores"] if r["cores"] == count]}
+            for count in (1, 2)
+        )
+        row("two cores against one, batch 262144", 1.8, ratio(one, two), unit="×", at_least=True)
+    if "compile" in found:
+        for key, what, wanted in (("cold_s", "cold", 6), ("cached_s", "with the persistent cache", 1)):
+            row(f"compile time, Panda, {what}", wanted, _range(found["compile"], key), unit=" s", at_least=False)
+    if "gradient" in found:
+        for key, what, wanted in (("alpha_gradient", "alpha, forward mode", 2.5), ("gradient", "q0, reverse mode", 6)):
+            values = _range(found["gradient"], f"{key}_over_forward")
+            row(f"value and gradient w.r.t. {what}, over the value", wanted, values, unit="×", at_least=False)
+            values = _range(found["gradient"], f"{key}_compile_s")
+            row(f"compile time of it ({what})", 8, values, unit=" s", at_least=False)
+    for dtype in ("float32", "float64") if "million" in found else ():
+        some = [r for r in found["million"] if r["dtype"] == dtype]
+        what = f"1e6 loops of 30 steps, 5 joints, CN, M = 5, two cores, {dtype}"
+        row(what, 5, _range(some, "run_s"), unit=" s", at_least=False)
+        row(f"peak memory of it, {dtype}", 1024, _range(some, "peak_mib"), unit=" MiB", at_least=False)
+    return rows
+
+
+def _range(records, key):
+    values = [r[key] for r in records]
+    return statistics.median(values), min(values), max(values)
+
+
+# --- tables in Markdown -------------------------------------------------------------------------------
+
+
+def table(head, rows) -> str:
+    """A Markdown table; columns after the first are set to the right."""
+    lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
+    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
+
+
+def _reach(found):
+    rows = []
+    for r in to_reach(found):
+        sign = "at least" if r["at_least"] else "under"
+        middle, low, high = (f"{r[name]:.3g}" for name in ("found", "low", "high"))
+        verdict = "yes" if r["reached"] else "**no**"
+        rows.append(
+            (r["what"], f"{sign} {r['wanted']:g}{r['unit']}", f"{middle}{r['unit']}", f"{low} - {high}", verdict)
+        )
+    return table(("what", "to reach", "measured", "range", "reached"), rows)
+
+
+def _peers(found):
+    rows = []
+    for r in sorted(found["peers"]["peers"], key=lambda r: (r["task"] != "EE", -r["evaluations_per_second"])):
+        task = r["task"] if r["inverse"] == "damped" else f"{r['task']}, J#"
+        speed = f"{r['evaluations_per_second'] / 1e6:.3g}"
+        size, spread = f"{r['batch']:,} × {r['N']}", f"{50 * r['spread']:.0f}"
+        rows.append((r["name"], task, r["dtype"], r["flags"], size, speed, spread, f"{r['difference']:.0e}"))
+    return table(("what", "task", "type", "XLA flags", "loops × steps", "M eval/s", "± %", "differs by"), rows)
+
+
+def _single(found):
+    rows = []
+    for r in found["peers"]["single"]:
+        low, middle, high = min(r["seconds"]), statistics.median(r["seconds"]), max(r["seconds"])
+        rows.append((r["name"], r["dtype"], f"{middle * 1e6:.1f}", f"{low * 1e6:.1f} - {high * 1e6:.1f}"))
+    return table(("one warm solve of 50 steps", "type", "µs", "range"), rows)
+
+
+def _tricks(found):
+    rows, best = [], found["tricks"][0]
+    for r in found["tricks"]:
+        slower = f"{ratio(r, best)[0]:.2f}×"
+        speed, compile_s = f"{r['evaluations_per_second'] / 1e6:.3g}", f"{r['compile_s']:.1f}"
+        rows.append((r["name"], speed, slower, compile_s, f"{r['difference']:.0e}"))
+    return table(("with", "M eval/s", "time, times everything on", "compile [s]", "q differs by"), rows)
+
+
+def _machine(found):
+    m = found["machine"]
+    return (
+        f"{m['processor']}, {m['cores']} cores, {m['vectors']}, {m['system']}; Python {m['python']}, JAX {m['jax']}, "
+        f"jaxlib {m['jaxlib']}; load average at the end {m['load']}."
+    )
+
+
+def _bench(records):
+    rows = []
+    for r in records:
+        what = (r["robot"], r["method"], f"{r['stage']}({r['M']})", r["dtype"], f"{r['batch']:,}", r["cores"], r["N"])
+        speed, spread = f"{r['evaluations_per_second'] / 1e6:.3g}", f"{50 * r['spread']:.0f}"
+        ratios = (r.get("gradient_over_forward"), r.get("alpha_gradient_over_forward"))
+        ratios = ("" if ratio is None else f"{ratio:.1f}" for ratio in ratios)
+        rows.append((*what, speed, spread, f"{r['compile_s']:.1f}", f"{r['peak_mib']:.0f}", *ratios))
+    head = ("robot", "method", "stage", "type", "batch", "cores", "N", "M eval/s", "± %", "compile [s]", "peak [MiB]")
+    return table((*head, "∂q0 ×", "∂alpha ×"), rows)
+
+
+def sections(results: pathlib.Path) -> dict:
+    """Name and Markdown of each table for which there is data."""
+    made = {}
+    if (results / "peers.json").exists():
+        found = json.loads((results / "peers.json").read_text())
+        made |= {"machine": _machine(found), "reach": _reach(found)}
+        if "peers" in found:
+            made |= {"peers": _peers(found), "single": _single(found)}
+        if "tricks" in found:
+            made["tricks"] = _tricks(found)
+    if (results / "table.json").exists():
+        made["bench"] = _bench(json.loads((results / "table.json").read_text()))
+    return made
+
+
+def fill(text: str, made: dict) -> str:
+    """The page with every marked section replaced that there is something new for."""
+    for name, table in made.items():
+        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        if not pattern.search(text):
+            raise SystemExit(f"{PAGE.name} has no section marked {name}.")
+        text = pattern.sub(lambda m, table=table: f"{m[1]}\n{table}\n\n{m[2]}", text)
+    return text
+
+
+def show(found: dict) -> None:
+    """What was to be reached, on the terminal."""
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = Table(title=_machine(found), header_style="bold")
+    for name in ("what", "to reach", "measured", "range", "reached"):
+        shown.add_column(name, justify="left" if name == "what" else "right")
+    for row in _reach(found).splitlines()[2:]:
+        shown.add_row(*(cell.strip() for cell in row.strip("|").split(" | ")))
+    Console().print(shown)
+
+
+if __name__ == "__main__":
+    made = sections(RESULTS)
+    PAGE.write_text(fill(PAGE.read_text(), made))
+    print(f"Wrote {', '.join(made) or 'nothing'} in {PAGE}", file=sys.stderr)
