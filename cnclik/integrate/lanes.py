@@ -81,8 +81,10 @@ def _block(size, tile, block, cores):
 
 
 def _tiled(fn, tile, *args):
-    """vmap(fn) as a loop over tiles, the lane axis last inside each."""
+    """vmap(fn) as a loop over tiles, the lane axis last inside each; elsewhere than on a CPU, vmap(fn) itself."""
     size = _size(args)
+    if jax.default_backend() != "cpu":
+        return jax.vmap(fn)(*args)
     tile = min(tile, size)
     inner = one_function(jax.vmap(fn, in_axes=-1, out_axes=-1))
     last = functools.partial(jax.tree.map, lambda x: jnp.moveaxis(x, 0, -1))
