@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cnclik.record import combine, is_literal, partition, record, replace
+from cnclik.record import combine, is_literal, partition, record, replace, stack
 
 
 @record
@@ -97,3 +97,14 @@ def test_copies_and_pickles():
         assert jax.tree.leaves(twin) == jax.tree.leaves(tree)
         assert jax.tree.structure(twin) == jax.tree.structure(tree)
         assert twin.numbers == tree.numbers
+
+
+def test_stack_keeps_what_agrees_literal():
+    """Numbers in which records differ become lanes; the rest is compiled in as before."""
+    a, b = outer(), outer(inner=Inner(value=4.0))
+    both = stack([a, b])
+    assert both.inner.label == "a" and both.numbers[:2] == (1, 2.5) and both.extra is None
+    np.testing.assert_array_equal(both.inner.value, [2.0, 4.0])
+    np.testing.assert_array_equal(both.numbers[2], [3.0, 3.0])
+    doubled = jax.vmap(lambda r: r.inner.value * r.numbers[1] + r.numbers[2])(both)
+    np.testing.assert_array_equal(doubled, [8.0, 13.0])

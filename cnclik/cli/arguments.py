@@ -35,7 +35,7 @@ def _one_line(Args, argv, said) -> str:
     options = _options(Args)
     unknown = re.match("Unrecognized options?: (.*)", message)
     if unknown:
-        tokens = re.split(", ", unknown[1].split(" ─")[0])
+        tokens = unknown[1].split(", ")
         first = next((t for t in tokens if t.startswith("-")), tokens[0]).strip()
         near = difflib.get_close_matches(first.split("=")[0], list(options), n=1, cutoff=0.4)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
@@ -50,14 +50,16 @@ def _one_line(Args, argv, said) -> str:
 
 
 def _message(said) -> str:
-    """The text of tyro's box above its first rule, without the frame, as one line."""
+    """The text of tyro's box between its title and its first rule, without the frame, as one line."""
     body = []
     for line in said.splitlines()[1:]:
         text = _FRAME.sub("", line).strip()
-        if _RULE.match(text) and body:
+        rule = bool(_RULE.match(text))
+        if rule and body:
             break
-        body.append(text)
-    return " ".join(t for t in body if t)
+        if text and not rule:  # frames of plain ASCII have a rule below the title, too
+            body.append(text)
+    return " ".join(body)
 
 
 def _options(Args, prefix="") -> dict:

@@ -1,0 +1,116 @@
+"""The command line's frame: verbs, help, one line for what is wrong; and what importing cnclik loads."""
+
+import dataclasses
+import subprocess
+import sys
+import typing
+
+import pytest
+
+from cnclik import errors
+from cnclik.cli import VERBS, arguments, main
+
+
+def test_overview_names_every_verb(capsys):
+    main([])
+    shown = capsys.readouterr().out
+    assert all(verb in shown for verb in VERBS) and "usage: cnclik VERB" in shown
+
+
+def test_version(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out.startswith("cnclik ")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_every_verb(verb, capsys):
+    with pytest.raises(SystemExit) as left:
+        main([verb, "--help"])
+    assert not left.value.code
+    assert f"usage: cnclik {verb}" in capsys.readouterr().out
+
+
+def test_unknown_verb_suggests_the_nearest(capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["reproduse"])
+    assert left.value.code == 2
+    assert capsys.readouterr().err.strip().endswith("but is 'reproduse' (did you mean 'reproduce'?).")
+
+
+@dataclasses.dataclass(frozen=True)
+class Args:
+    """Options of every kind."""
+
+    steps: int = 3
+    Ts: float = 0.1
+    pair: tuple[int, int] = (1, 2)
+    kind: typing.Literal["one", "two"] = "one"
+    gain: float | None = None
+    out_dir: str = "x"
+
+
+@pytest.mark.parametrize(
+    "argv, says",
+    [
+        (["--steps", "x"], "Option `--steps` must be an integer, but is 'x'."),
+        (["--steps", "1.5"], "Option `--steps` must be an integer, but is '1.5'."),
+        (["--Ts=ab"], "Option `--Ts` must be a number, but is 'ab'."),
+        (["--gain", "p"], "Option `--gain` must be a number, but is 'p'."),
+        (["--kind", "three"], "Option `--kind` must be one of one, two, but is 'three'."),
+        (["--pair", "1"], "Option `--pair` must be given 2 integers, but has no value."),
+        (["--pair", "1", "k"], "Option `--pair` must be 2 integers, but is '1 k'."),
+        (["--out-dir"], "Option `--out-dir` must be given a text, but has no value."),
+        (["--ts", "3"], "(did you mean '--Ts'?)."),
+        (["--step", "3"], "(did you mean '--steps'?)."),
+        (["loose"], "but is 'loose'."),
+    ],
+)
+def test_wrong_options_are_one_line(argv, says, capsys):
+    with pytest.raises(errors.ArgumentError) as caught:
+        arguments.parse(Args, argv, prog="cnclik x", description="x")
+    message = str(caught.value)
+    assert message.endswith(says) and "\n" not in message
+    assert capsys.readouterr().err == ""
+
+
+def test_right_options_pass():
+    args = arguments.parse(Args, ["--Ts", "0.5", "--pair", "3", "4", "--gain", "2"], prog="x", description="x")
+    assert args == Args(Ts=0.5, pair=(3, 4), gain=2.0)
+
+
+def run(code):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_import_is_light():
+    """Only jax and numpy, and under a second beyond jax (processor time: other work on the machine doesn't count)."""
+    heavy = [
+        "matplotlib",
+        "xarray",
+        "rich",
+        "tyro",
+        "optax",
+        "zarr",
+        "yourdfpy",
+        "h5netcdf",
+        "pandas",
+        "scipy.optimize",
+    ]
+    loaded = run(
+        "import jax, sys; before = set(sys.modules); import cnclik; "
+        f"print([m for m in {heavy} if m in sys.modules and m not in before])"
+    )
+    assert loaded == "[]"
+    seconds = float(
+        run("import time, jax, jax.numpy; t = time.process_time(); import cnclik; print(time.process_time() - t)")
+    )
+    assert seconds < 1
+
+
+def test_one_bad_line_from_a_shell():
+    done = subprocess.run(
+        [sys.executable, "-m", "cnclik", "reproduce", "--readin", "x"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.count("\n") == 1 and "did you mean '--reading'" in done.stderr

@@ -1,0 +1,49 @@
+"""One line per method, everywhere."""
+
+import itertools
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from cnclik.integrate.method import METHODS
+from cnclik.show import style
+
+
+def test_every_method_has_a_line_of_its_own():
+    assert set(style.METHODS) == set(METHODS)
+    for one, other in itertools.combinations(style.METHODS.values(), 2):
+        assert one.color != other.color and one.marker != other.marker
+
+
+@pytest.mark.parametrize(
+    "projection",
+    [  # Viénot, Brettel & Mollon (1999), linear RGB as a person without L, or without M cones sees it
+        [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]],
+        [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
+    ],
+)
+def test_the_papers_methods_differ_for_the_colour_blind(projection):
+    seen = {m: np.array(projection) @ (np.array(to_rgb(style.METHODS[m].color)) ** 2.2) for m in ("EE", "IE", "CN")}
+    for one, other in itertools.combinations(seen.values(), 2):
+        assert np.linalg.norm(one - other) > 0.15
+
+
+def test_style_does_not_leak():
+    before = plt.rcParams["font.size"]
+    with style.style():
+        assert plt.rcParams["font.size"] != before
+    assert plt.rcParams["font.size"] == before
+
+
+def test_saved_figures_are_reproducible_and_carry_metadata(tmp_path):
+    for name in ("a.png", "b.png"):
+        with style.style():
+            figure, panel = plt.subplots()
+            panel.plot([0, 1], [0, 1], **style.line("CN"))
+            style.save(figure, tmp_path / name, {"Data": "abc"})
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.text["Data"] == "abc" and image.text["Software"] == "cnclik"
