@@ -72,11 +72,12 @@ def array(name: str, value, *shapes, finite=True):
 
 def _gather(value):
     """Nested sequences as one array; entries may be traced."""
-    if value is None:
-        raise TypeError  # which NumPy would make a NaN
     if any(not concrete(v) for v in jax.tree.leaves(value)):
         return jnp.asarray(value)
-    return np.asarray(value, float)
+    found = np.asarray(value)
+    if found.dtype.kind not in "iuf":  # NumPy would make numbers of "5", True and None
+        raise TypeError
+    return found.astype(float)
 
 
 def one_of(name: str, value, names):

@@ -54,8 +54,8 @@ def test_long_values_stay_on_one_short_line():
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 200
 
 
-def test_complex_and_boolean_arrays():
-    for bad in (np.ones(2, complex), np.ones(2, bool), np.array(["a"])):
+def test_what_is_no_real_number():
+    for bad in (np.ones(2, complex), np.ones(2, bool), np.array(["a"]), "5", ["1", "2"], [True, False], [None], [1j]):
         with pytest.raises(ArgumentError, match="real numbers"):
             errors.array("q", bad)
 

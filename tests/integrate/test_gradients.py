@@ -1,0 +1,152 @@
+"""Derivatives of whole loops: forward = reverse = central differences, for everything that can be differentiated.
+
+All arguments sit in one dictionary, so that one program per method and mode differentiates them all; ordinary
+and singular configurations are only other numbers in it.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from oracles import central_differences, close
+
+import cnclik as ck
+
+N = 4
+ORDINARY = dict(
+    alpha=4.0,
+    Ts=0.1,
+    q0=[0.3, -0.9, 0.6],
+    lengths=[0.7, 1.1, 0.4],
+    start=[0.6, 1.3],
+    end=[0.2, 1.5],
+    damping=0.1,
+    weights=[1.0, 2.0],
+    null_velocity=[0.1, -0.2, 0.3],
+    feedforward=0.9,
+)
+CASES = {
+    "ordinary": {},
+    # Stretched along +y, with the target further inward and to the side: J loses its row along y.
+    "singular": dict(q0=[0.0, 0.0, 0.0], start=[0.3, 1.2]),
+    # And with nothing to do in the direction that is left.
+    "singular, at rest": dict(q0=[0.0, 0.0, 0.0], start=[0.0, 2.2], end=[0.0, 2.2], null_velocity=[0.0] * 3),
+}
+
+
+def arguments(**changes):
+    return {k: np.asarray(v, float) for k, v in (ORDINARY | changes).items()}
+
+
+def final(p, method, inverse):
+    """The last joint values and the last error of a damped or exact loop."""
+    law = ck.Law(
+        ck.planar_arm(p["lengths"]),
+        ck.position("xy", weights=p["weights"]),
+        alpha=p["alpha"],
+        inverse=ck.damped(p["damping"]) if inverse == "damped" else ck.pseudoinverse(),
+        null_velocity=p["null_velocity"],
+        feedforward=p["feedforward"],
+    )
+    reference = ck.line(p["start"], p["end"], duration=1.0)
+    run = ck.solve(law, reference, p["q0"], p["Ts"], N, method, ck.picard(2))
+    return jnp.concatenate([run.q[-1], run.e[-1]])
+
+
+@functools.cache
+def programs(method, inverse, shapes):
+    """Compiled: a batch of values, and both Jacobians, as functions of the flat vector of arguments."""
+    unravel = ravel_pytree({k: np.zeros(s) for k, s in shapes})[1]
+    flat = lambda v: final(unravel(v), method, inverse)  # noqa: E731
+    return jax.jit(jax.vmap(flat)), jax.jit(jax.jacfwd(flat)), jax.jit(jax.jacrev(flat))
+
+
+def prepare(method, inverse, p):
+    x = np.asarray(ravel_pytree(p)[0])
+    return x, *programs(method, inverse, tuple((k, v.shape) for k, v in sorted(p.items())))
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("method", ck.METHODS)
+def test_damped_loops(method, case):
+    x, values, forward, reverse = prepare(method, "damped", arguments(**CASES[case]))
+    wanted = central_differences(values, x)
+    size = np.abs(wanted).max()
+    close(forward(x), wanted, atol=1e-6 * size)
+    close(reverse(x), forward(x), atol=1e-12 * size)
+
+
+@pytest.mark.parametrize("method", ["EE", "CN"])
+def test_loops_with_the_pseudoinverse(method):
+    """Where J has full rank; the damping alone has no effect."""
+    p = arguments()
+    x, values, forward, reverse = prepare(method, "pseudoinverse", p)
+    wanted = central_differences(values, x)
+    close(forward(x), wanted, atol=1e-6 * np.abs(wanted).max())
+    close(reverse(x), forward(x), atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("case", ["singular", "singular, at rest"])
+@pytest.mark.parametrize("method", ["EE", "CN"])
+def test_pseudoinverse_at_a_singularity_is_never_nan(method, case):
+    x, values, forward, reverse = prepare(method, "pseudoinverse", arguments(**CASES[case]))
+    assert np.all(np.isfinite(values(x[None])))
+    assert np.all(np.isfinite(forward(x))) and np.all(np.isfinite(reverse(x)))
+
+
+@pytest.mark.parametrize("alpha", [[4.0, 2.0], [[4.0, 1.0], [-0.5, 2.0]]], ids=["per axis", "matrix"])
+def test_other_gains(alpha):
+    x, values, forward, reverse = prepare("CN", "damped", arguments(alpha=alpha))
+    wanted = central_differences(values, x)
+    close(forward(x), wanted, atol=1e-6 * np.abs(wanted).max())
+    close(reverse(x), forward(x), atol=1e-12 * np.abs(wanted).max())
+
+
+# --- orientations in space ----------------------------------------------------------------------------
+
+
+def wrist(v):
+    """A spatial arm that turns: points, axes, tool, target orientation and gain, all differentiated."""
+    points, axes, home, turn, q0, alpha = (
+        v[:9].reshape(3, 3),
+        v[9:18].reshape(3, 3),
+        v[18:21],
+        v[21:24],
+        v[24:27],
+        v[27],
+    )
+    arm = ck.from_screws(points, axes, home)
+    law = ck.Law(arm, ck.orientation(), alpha=alpha, inverse=ck.damped(0.2))
+    half = jnp.sqrt(1 - jnp.sum(turn**2))
+    run = ck.solve(law, ck.hold(None, jnp.array([half, *turn])), q0, 0.1, 2, "CN", ck.picard(1))
+    return jnp.concatenate([run.q[-1], run.e[-1], ck.pose(arm, run.q[-1]).position])
+
+
+WRIST = jax.jit(jax.vmap(wrist)), jax.jit(jax.jacfwd(wrist)), jax.jit(jax.jacrev(wrist))
+AXES = np.eye(3)[[2, 1, 2]].ravel()  # z, y, z: singular where the middle joint is at 0
+AT = np.concatenate([np.linspace(-0.4, 0.5, 9), AXES, [0.1, 0.2, 0.9]])
+
+
+@pytest.mark.parametrize(
+    ("turn", "q0"),
+    [([0.1, -0.3, 0.2], [0.3, 0.8, -0.4]), ([0.1, -0.3, 0.2], [0.3, 0.0, 0.2]), ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])],
+    ids=["ordinary", "singular", "singular, nothing to turn"],
+)
+def test_orientation_loop(turn, q0):
+    x = np.concatenate([AT, turn, q0, [3.0]])
+    values, forward, reverse = WRIST
+    wanted = central_differences(values, x)
+    close(forward(x), wanted, atol=1e-6 * np.abs(wanted).max())
+    close(reverse(x), forward(x), atol=1e-12 * np.abs(wanted).max())
+
+
+def test_half_a_turn_away_is_finite():
+    """A target at an angle of exactly π: a discontinuity of the error, but no NaN in the loop's derivatives."""
+    x = np.concatenate([AT, [1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [3.0]])
+    _, forward, reverse = WRIST
+    keep = [*range(21), *range(24, 28)]  # √(1 − |turn|²) itself has no derivative there
+    assert np.all(np.isfinite(np.asarray(forward(x))[:, keep]))
+    assert np.all(np.isfinite(np.asarray(reverse(x))[:, keep]))

@@ -1,0 +1,221 @@
+"""Methods: amplification by the library's own `step`, orders, and whole loops against loops written by hand."""
+
+import functools
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+import pytest
+from oracles import AMPLIFICATION, clik, close, picard_amplification, planar_law
+
+import cnclik as ck
+
+IMPLICIT = ["IE", "CN", "TRAPEZOID"]
+Z = [0.1, 0.5, 1.0, 1.354, 2.0, 2.7852935634, 3.3]
+MAXIMUM = 10
+
+# --- amplification ------------------------------------------------------------------------------------
+# One joint that slides along x, and x as its task: J = 1, so one step shrinks the error by R(z), exactly.
+
+SLIDER = ck.from_screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
+SLIDE = ck.Law(SLIDER, ck.position("x"), alpha=1.0)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def amplification(method, alpha, Ts, stage):
+    made = ck.step(ck.replace(SLIDE, alpha=alpha), ck.hold([1.0]), jnp.zeros(1), 0.0, Ts, method, stage)
+    return 1 - made.q[0]
+
+
+@pytest.mark.parametrize("Ts", [1.0, 0.01])
+@pytest.mark.parametrize("method", AMPLIFICATION)
+def test_amplification(method, Ts):
+    """R(z): explicit methods at once; implicit ones by chord iteration, which is exact on a linear problem."""
+    for z in Z:
+        close(amplification(method, z / Ts, Ts, ck.chord(1)), AMPLIFICATION[method](z), atol=1e-12)
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_amplification_with_picard_passes(method):
+    """M passes from the explicit slope make R(z) a polynomial: any M through one compiled program."""
+    for M in range(MAXIMUM + 1):
+        stage = ck.picard(jnp.asarray(M), maximum=MAXIMUM)
+        for z in Z:
+            wanted = picard_amplification(method, z, M)
+            close(amplification(method, z, 1.0, stage), wanted, atol=1e-12 * max(1, z**M))
+
+
+@pytest.mark.parametrize("method", IMPLICIT)
+@pytest.mark.parametrize("M", [0, 1, 5])
+def test_amplification_with_a_static_number_of_passes(method, M):
+    close(amplification(method, 0.5, 1.0, ck.picard(M)), picard_amplification(method, 0.5, M), atol=1e-14)
+
+
+def test_picard_converges_to_the_exact_method_for_small_z():
+    for method, z in (("IE", 0.3), ("CN", 0.3), ("TRAPEZOID", 0.6)):
+        stage = ck.picard(jnp.asarray(40), maximum=40)
+        close(amplification(method, z, 1.0, stage), AMPLIFICATION[method](z), atol=1e-14)
+
+
+# Largest stable z on the real axis, theory.md.
+@pytest.mark.parametrize(
+    ("M", "IE", "CN"), [(0, 2, 2), (1, 1, 2), (2, 1.353, 1.478), (3, 1, 1.353), (4, 1.215, 1.304), (5, 1, 1.215)]
+)
+def test_picard_stability_limits(M, IE, CN):
+    stage = ck.picard(jnp.asarray(M), maximum=MAXIMUM)
+    for method, limit in (("IE", IE), ("CN", CN), ("TRAPEZOID", 2)):
+        inside, outside = (abs(amplification(method, limit + d, 1.0, stage)) for d in (-0.002, 0.002))
+        assert inside < 1 < outside
+
+
+def test_limits_of_the_exact_methods():
+    exact = functools.partial(amplification, Ts=1.0, stage=ck.chord(1))
+    for method, limit in (("EE", 2), ("HEUN", 2), ("MIDPOINT", 2), ("RK4", 2.7852935634), ("CN", 1 + np.sqrt(5))):
+        assert abs(exact(method, limit)) == pytest.approx(1, abs=1e-9)
+        assert abs(exact(method, limit + 1e-3)) > 1 > abs(exact(method, limit - 1e-3))
+    assert abs(exact("IE", 1e6)) < 1e-5
+    assert abs(exact("TRAPEZOID", 1e6)) < 1
+
+
+# --- whole loops --------------------------------------------------------------------------------------
+
+ARMS = {
+    "2dof": (np.ones(2), np.array([0, np.pi / 2]), np.array([1.0, 0.0]), np.array([1.0, 1.0])),
+    "5dof": (np.ones(5), np.array([0, np.pi / 2, 0, 0, 0]), np.array([3.0, 1.0]), np.array([4.0, 1.0])),
+}
+
+
+@pytest.mark.parametrize("case", ["reach", "track"])
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("method", AMPLIFICATION)
+def test_the_papers_loops(method, arm, case):
+    """30 steps of the paper's experiments (on-path reading, Ts once, consistent feed-forward), M = 5."""
+    lengths, q0, fixed, start = ARMS[arm]
+    law = ck.Law(ck.planar_arm(lengths.tolist(), clockwise=True), ck.position("xy"), alpha=5.0)
+    end, rate = start - [1, 0], np.array([-1 / 3, 0])
+    # Both cases as a line, so that they share a compiled program; a line without length is a fixed point.
+    if case == "reach":
+        reference = ck.line(fixed, fixed, duration=3.0)
+        f = planar_law(lengths, lambda t: fixed, lambda t: 0 * rate, 5.0, sense=-1)
+    else:
+        reference = ck.line(start, end, duration=3.0)
+        f = planar_law(lengths, lambda t: start + rate * t, lambda t: rate, 5.0, sense=-1)
+    run = ck.solve(law, reference, q0, 0.1, 30, method)
+    close(run.q, clik(method, f, q0, 0.1, 30), atol=1e-12)
+    passes = {"EE": 1, "IE": 6, "CN": 6, "TRAPEZOID": 6, "HEUN": 2, "MIDPOINT": 2, "RK4": 4}
+    assert run.evaluations == 30 * passes[method]
+
+
+@jax.jit
+def closed_form(t, q, args):
+    """A 3-joint arm on a Lissajous figure, written without cnclik: tip by sums, J by jacfwd, J# by jnp.linalg."""
+    lengths, alpha = args
+
+    def tip(q):
+        phi = jnp.cumsum(q)
+        return jnp.array([-jnp.sum(lengths * jnp.sin(phi)), jnp.sum(lengths * jnp.cos(phi))])
+
+    target = lambda t: jnp.array([0.3 * jnp.sin(2 * t) + 0.4, 0.2 * jnp.sin(4 * t + 0.5) + 1.2])  # noqa: E731
+    x_d, xdot_d = jax.jvp(target, (t,), (jnp.ones_like(t),))
+    return jnp.linalg.pinv(jax.jacfwd(tip)(q)) @ (xdot_d + alpha * (x_d - tip(q)))
+
+
+LENGTHS, START = np.array([0.7, 1.1, 0.4]), np.array([0.3, -0.9, 0.6])
+FIGURE = ck.lissajous([0.4, 1.2], [0.3, 0.2], period=np.pi, phase=[0.0, 0.5])
+DIFFRAX = {
+    "EE": diffrax.Euler(),
+    "HEUN": diffrax.Heun(),
+    "MIDPOINT": diffrax.Midpoint(),
+    "IE": diffrax.ImplicitEuler(root_finder=optimistix.Newton(rtol=1e-12, atol=1e-12)),
+}
+
+
+@pytest.mark.parametrize("method", DIFFRAX)
+def test_against_diffrax(method):
+    Ts, N = 0.05, 20
+    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
+    run = ck.solve(law, FIGURE, START, Ts, N, method, ck.picard(40))
+    wanted = diffrax.diffeqsolve(
+        diffrax.ODETerm(closed_form),
+        DIFFRAX[method],
+        t0=0.0,
+        t1=N * Ts,
+        dt0=Ts,
+        y0=jnp.asarray(START),
+        args=(jnp.asarray(LENGTHS), jnp.asarray(4.0)),
+        saveat=diffrax.SaveAt(t0=True, steps=True),
+        stepsize_controller=diffrax.ConstantStepSize(),
+        max_steps=N + 1,
+    )
+    close(run.q, wanted.ys[: N + 1], atol=1e-11)
+    close(run.t, wanted.ts[: N + 1], atol=1e-14)
+
+
+def test_starts_at_t0():
+    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
+    whole = ck.solve(law, FIGURE, START, 0.05, 20, "MIDPOINT", ck.picard(40))
+    rest = ck.solve(law, FIGURE, whole.q[7], 0.05, 13, "MIDPOINT", t0=7 * 0.05)
+    close(rest.q, whole.q[7:], atol=1e-13)
+    close(rest.t, whole.t[7:], atol=1e-15)
+
+
+# --- order --------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def finely():
+    """The exact loop's end point, by RK4 with 1500 steps."""
+    f = lambda q, t: np.asarray(closed_form(jnp.asarray(t), q, (LENGTHS, 4.0)))  # noqa: E731
+    return clik("RK4", f, START, 1 / 1500, 1500)[-1]
+
+
+@pytest.mark.parametrize("method", ck.METHODS)
+def test_order(method):
+    """Log error on log step, for a moving target, implicit stages solved."""
+    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
+    steps, errors = np.array([20, 40, 80, 160]), []
+    for N in steps:
+        q = START
+        for k in range(N):
+            q = ck.step(law, FIGURE, q, k / N, 1 / N, method, ck.chord(6)).q
+        errors.append(np.linalg.norm(q - finely()))
+    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order == pytest.approx(ck.METHODS[method].order, abs=0.15)
+
+
+@pytest.mark.parametrize("method", ck.METHODS.values(), ids=repr)
+def test_tableau(method):
+    """Row sums are the times, and the order conditions hold up to the order and no further."""
+    s = len(method.b)
+    A = np.array([[*row, *[0.0] * (s - len(row))] for row in method.A])
+    b, c = np.array(method.b), np.array(method.c)
+    close(A.sum(1), c, atol=1e-15)
+    conditions = {
+        1: [b.sum() - 1],
+        2: [b @ c - 1 / 2],
+        3: [b @ c**2 - 1 / 3, b @ A @ c - 1 / 6],
+        4: [b @ c**3 - 1 / 4, (b * c) @ A @ c - 1 / 8, b @ A @ c**2 - 1 / 12, b @ A @ A @ c - 1 / 24],
+    }
+    for order, left in conditions.items():
+        if order <= method.order:
+            close(left, 0, atol=1e-15)
+    if method.order < 4:
+        assert np.abs(conditions[method.order + 1]).max() > 0.05
+    assert method.implicit == bool(np.any(np.diag(A)))
+    assert repr(method) == method.name and ck.METHODS[method.name] is method and method.source
+
+
+def test_a_method_of_ones_own():
+    """Ralston's third-order method, from its tableau."""
+    ralston = ck.Method(
+        name="RALSTON3",
+        A=((0.0,), (0.5, 0.0), (0.0, 0.75, 0.0)),
+        b=(2 / 9, 1 / 3, 4 / 9),
+        c=(0.0, 0.5, 0.75),
+        order=3,
+        source="Ralston (1962)",
+    )
+    for z in Z:
+        close(amplification(ralston, z, 1.0, ck.picard(0)), 1 - z + z**2 / 2 - z**3 / 6, atol=1e-12)

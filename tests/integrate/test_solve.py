@@ -1,0 +1,240 @@
+"""solve and step: what comes back, under which transformations, and what is refused."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from oracles import clik, close, planar_law
+
+import cnclik as ck
+
+LENGTHS = [0.7, 1.1, 0.4]
+ARM = ck.planar_arm(LENGTHS)
+LAW = ck.Law(ARM, ck.position("xy"), alpha=4.0)
+Q = np.array([0.3, -0.9, 0.6])
+TARGET = [0.6, 1.3]
+HOLD = ck.hold(TARGET)
+N = 6
+
+
+def run(q=Q, alpha=4.0, Ts=0.1, target=TARGET, method="CN", stage=ck.picard(3), law=LAW):
+    return ck.solve(ck.replace(law, alpha=alpha), ck.hold(target), q, Ts, N, method, stage)
+
+
+# --- what comes back ----------------------------------------------------------------------------------
+
+
+def test_trajectory():
+    made = run()
+    assert made.t.shape == (N + 1,) and made.q.shape == (N + 1, 3) and made.x.shape == made.e.shape == (N + 1, 2)
+    assert made.qdot.shape == (N, 3) and made.residual.shape == made.contraction.shape == made.status.shape == (N,)
+    close(made.t, 0.1 * np.arange(N + 1), atol=1e-15)
+    close(made.q[0], Q)
+    close(made.qdot, np.diff(made.q, axis=0) / 0.1, atol=1e-13)
+    close(made.x + made.e, np.broadcast_to(TARGET, (N + 1, 2)), atol=1e-15)
+    for q, x in zip(made.q, made.x, strict=True):
+        close(ck.pose(ARM, q).position[:2], x, atol=1e-14)
+    assert made.evaluations == N * 4
+    assert jnp.issubdtype(made.status.dtype, jnp.integer)
+
+
+def test_no_steps():
+    made = ck.solve(LAW, HOLD, Q, 0.1, 0)
+    assert made.q.shape == (1, 3) and made.qdot.shape == (0, 3) and made.status.shape == (0,)
+    assert ck.require_ok(made) is made
+
+
+def test_step_by_step_is_solve():
+    made, q = run(), Q
+    for k in range(N):
+        one = ck.step(LAW, HOLD, q, 0.1 * k, 0.1, "CN", ck.picard(3))
+        close(one.e, made.e[k], atol=1e-14)
+        close(one.qdot, made.qdot[k], atol=1e-13)
+        close(one.residual, made.residual[k], atol=1e-14)
+        q = one.q
+        close(q, made.q[k + 1], atol=1e-14)
+
+
+def test_methods_by_name_and_by_record():
+    np.testing.assert_array_equal(run(method="RK4").q, run(method=ck.RK4).q)
+
+
+def test_a_coordinate_that_no_joint_moves():
+    """A planar arm asked for z as well: rank deficient, but a law like any other; z stays."""
+    flat = ck.Law(ARM, ck.position("xyz"), alpha=4.0)
+    for target in ([*TARGET, 0.0], [*TARGET, 0.3]):
+        made = ck.solve(flat, ck.hold(target), Q, 0.1, N, "CN", ck.picard(3))
+        close(made.q, run().q, atol=1e-13)
+        close(made.x[:, 2], 0)
+        close(made.e[:, 2], target[2])
+
+
+@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.1), ck.transpose()], ids=["pinv", "damped", "J'"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_robots_with_a_constant_jacobian(inverse, dtype):
+    """Literals all the way: an xy table, and a joint that the task does not see."""
+    table = ck.from_screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0] * 3, kinds="PP")
+    factor = 1 / 1.01 if inverse == 2 else 1.0
+    blind = ck.from_screws([[0.0] * 3] * 2, [[0.0, 0, 1], [0, 0, 1.0]], [1.0, 0, 0], kinds="RP")
+    for chain, task, moving in ((table, "xy", [0, 1]), (blind, "z", [1])):
+        law = ck.Law(chain, ck.position(task), alpha=1.0, inverse=inverse)
+        made = ck.solve(law, ck.hold([1.0] * len(moving)), np.zeros(2, dtype), 0.1, 2, "CN", ck.picard(2))
+        assert made.q.dtype == made.x.dtype == dtype
+        gain = 1 / 1.01 if isinstance(inverse, type(ck.damped(0.1))) else 1.0
+        z = 0.1 * gain
+        factor = 1 - z / 2 * (1 + 1 - z + z * z)
+        wanted = np.zeros((3, 2))
+        wanted[:, moving] = 1 - factor ** np.arange(3.0)[:, None]
+        close(made.q, wanted, atol=1e-6 if dtype == np.float32 else 1e-15)
+
+
+# --- transformations ----------------------------------------------------------------------------------
+
+
+def test_vmap_over_everything_at_once():
+    rng = np.random.default_rng(1)
+    q, alpha, Ts = Q + 0.1 * rng.normal(size=(3, 3)), np.array([2.0, 4, 6]), np.array([0.05, 0.1, 0.2])
+    target, lengths = np.array(TARGET) + 0.1 * rng.normal(size=(3, 2)), np.array(LENGTHS) + 0.1 * rng.random((3, 3))
+
+    def one(q, alpha, Ts, target, lengths):
+        return run(q, alpha, Ts, target, law=ck.replace(LAW, chain=ck.planar_arm(lengths)))
+
+    many = jax.jit(jax.vmap(one))(q, alpha, Ts, target, lengths)
+    for i in range(3):
+        f = planar_law(lengths[i], lambda t, i=i: target[i], lambda t: np.zeros(2), alpha[i])
+        close(many.q[i], clik("CN", f, q[i], Ts[i], N, M=3), atol=1e-12)
+        close(many.t[i], Ts[i] * np.arange(N + 1), atol=1e-15)
+
+
+def test_compositions_agree():
+    """jit, vmap, jvp, grad and their compositions give the one derivative."""
+    final = lambda alpha: jnp.sum(run(alpha=alpha).e[-1] ** 2)  # noqa: E731
+    alpha = jnp.array([3.0, 4.0])
+    wanted = [jax.grad(final)(a) for a in alpha]
+    close(jax.vmap(jax.grad(final))(alpha), wanted, rtol=1e-12)
+    close(jax.grad(lambda a: jnp.sum(jax.vmap(final)(a)))(alpha), wanted, rtol=1e-12)
+    close(jax.jit(jax.vmap(lambda a: jax.jvp(final, (a,), (1.0,))[1]))(alpha), wanted, rtol=1e-11)
+    h = 1e-4
+    second = jax.jit(jax.jacfwd(jax.grad(final)))(4.0)
+    close(second, (jax.grad(final)(4.0 + h) - jax.grad(final)(4.0 - h)) / (2 * h), rtol=1e-6)
+
+
+def test_step_inside_a_loop_of_ones_own():
+    @jax.jit
+    def loop(q):
+        return jax.lax.fori_loop(0, N, lambda k, q: ck.step(LAW, HOLD, q, 0.1 * k, 0.1, "CN", ck.picard(3)).q, q)
+
+    close(loop(Q), run().q[-1], atol=1e-13)
+
+
+def test_no_new_compilation_for_new_numbers():
+    """A null-space velocity is called while the loop is traced, and never again."""
+    traced = []
+
+    def null(q):
+        traced.append(None)
+        return 0 * q
+
+    law = ck.replace(LAW, null_velocity=null, inverse=ck.damped(0.1))
+
+    def solve(alpha, Ts, target, q, t0=0.0, damping=0.1, feedforward=1.0):
+        changed = ck.replace(law, alpha=alpha, inverse=ck.damped(damping), feedforward=feedforward)
+        return ck.solve(changed, ck.line(target, [1.0, 1.0], duration=2.0), q, Ts, N, "CN", ck.picard(3), t0=t0)
+
+    solve(4.0, 0.1, TARGET, Q)
+    once = len(traced)
+    assert once > 0
+    solve(5.0, 0.2, [0.1, 0.2], Q + 1, t0=3.0, damping=0.2, feedforward=0.5)
+    solve(5, 0.2, np.array([1, 0]), tuple(Q), damping=np.asarray(0.3))
+    solve(np.float64(5), 0.2, (0, 1), list(Q))
+    assert len(traced) == once
+    ck.solve(law, HOLD, Q, 0.1, N + 1, "CN", ck.picard(3))
+    assert len(traced) > once
+
+
+def test_hints_change_nothing_but_speed():
+    plain = {}
+    for method in ("CN", "RK4"):
+        with ck.hints(False):
+            plain[method] = run(method=method)
+        fenced = run(method=method)
+        for field in ("q", "x", "e", "qdot", "residual"):
+            close(getattr(plain[method], field), getattr(fenced, field), atol=1e-13)
+        np.testing.assert_array_equal(plain[method].status, fenced.status)
+    slope = jax.grad(lambda a: jnp.sum(run(alpha=a).q[-1]))
+    with ck.hints(False):
+        without = slope(4.0)
+    close(slope(4.0), without, rtol=1e-11)
+
+
+def test_hints_are_part_of_the_cache_key():
+    """Turning the hints off must not find the fenced program in JAX's cache, nor the other way round."""
+
+    @jax.jit
+    def fn(q):
+        return ck.pose(ARM, q).position
+
+    marks = []
+    for on in (True, False, True):
+        with ck.hints(on):
+            marks.append("inlineable" in fn.lower(Q).as_text())
+    assert marks == [True, False, True]
+
+
+@pytest.mark.parametrize("method", ["EE", "CN", "RK4"])
+def test_float32(method):
+    """30 steps of 0.1 s in single precision follow the double precision loop to 3e-6."""
+    f = planar_law(LENGTHS, lambda t: TARGET, lambda t: np.zeros(2), 4.0)
+    made = run(Q.astype(np.float32), method=method)
+    assert {made.q.dtype, made.e.dtype, made.t.dtype, made.residual.dtype} == {jnp.dtype(jnp.float32)}
+    close(made.q, clik(method, f, Q, 0.1, N, M=3), atol=3e-6)
+
+
+def test_float32_derivatives():
+    final = lambda alpha, q: jnp.sum(run(q, alpha=alpha).q[-1])  # noqa: E731
+    slope = jax.jit(jax.grad(final))
+    close(slope(jnp.float32(4), Q.astype(np.float32)), slope(4.0, Q), rtol=2e-4)
+
+
+# --- what is refused ----------------------------------------------------------------------------------
+
+solve = functools.partial(ck.solve, LAW, HOLD)
+BAD = [
+    (lambda: solve(Q[:2], 0.1, 3), r"`q0` must have shape \(3,\), but has shape \(2,\)\."),
+    (lambda: solve(0.0, 0.1, 3), r"`q0` must have shape \(3,\), but has shape \(\)\."),
+    (lambda: solve([0, np.nan, 0], 0.1, 3), r"`q0` must be finite, but is nan at index \(1,\)\."),
+    (lambda: solve(["a", 0, 0], 0.1, 3), "`q0` must be an array of real numbers"),
+    (lambda: solve(None, 0.1, 3), "`q0` must be an array of real numbers, but is None"),
+    (lambda: solve(Q, -0.1, 3), r"`Ts` must be positive, but is -0\.1\."),
+    (lambda: solve(Q, 0, 3), r"`Ts` must be positive, but is 0\."),
+    (lambda: solve(Q, np.inf, 3), r"`Ts` must be finite, but is inf\."),
+    (lambda: solve(Q, [0.1], 3), r"`Ts` must be a number, but is \[0\.1\]\."),
+    (lambda: solve(Q, "0.1", 3), r"`Ts` must be a number, but is '0\.1'\."),
+    (lambda: solve(Q, 0.1, -3), "`N` must be at least 0, but is -3"),
+    (lambda: solve(Q, 0.1, 3.0), r"`N` must be an integer, but is 3\.0\."),
+    (lambda: solve(Q, 0.1, 3, "Heun"), r"`method` must be one of EE, .*, but is 'Heun'"),
+    (lambda: solve(Q, 0.1, 3, 7), "`method` must be one of EE"),
+    (lambda: solve(Q, 0.1, 3, ["EE"]), "`method` must be one of EE"),
+    (lambda: solve(Q, 0.1, 3, "IE", 5), r"`stage` must be a stage such as picard\(5\), but is 5"),
+    (lambda: solve(Q, 0.1, 3, t0=np.nan), "`t0` must be finite, but is nan"),
+    (lambda: ck.solve(ARM, HOLD, Q, 0.1, 3), "`law` must be a Law, but is Chain"),
+    (lambda: ck.solve(LAW, [1, 2], Q, 0.1, 3), r"`reference` must be a Reference such as hold\(...\), but is list"),
+    (lambda: ck.solve(LAW, ck.hold([1, 2, 3, 4]), Q, 0.1, 3), "`reference` must give positions of 2 coordinates"),
+    (lambda: ck.step(LAW, HOLD, Q[:1], 0, 0.1), r"`q` must have shape \(3,\), but has shape \(1,\)"),
+    (lambda: ck.step(LAW, HOLD, Q, None, 0.1), "`t` must be a number, but is None"),
+    (lambda: jax.jit(lambda q: solve(q, 0.1, 3).q)(Q[:2]), r"`q0` must have shape \(3,\), but has shape \(2,\)\."),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), BAD, ids=range(len(BAD)))
+def test_bad_input(call, message):
+    with pytest.raises(ck.ArgumentError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
+
+
+def test_the_nearest_name_is_suggested():
+    with pytest.raises(ck.ArgumentError, match=r"did you mean 'TRAPEZOID'\?"):
+        solve(Q, 0.1, 3, "TRAPEZE")
