@@ -8,16 +8,18 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import METHODS
-from cnclik.integrate.solve import evaluations_per_step, solve
+from cnclik.integrate.solve import advance, cast, evaluations_per_step
 from cnclik.record import replace
+from cnclik.robot import spatial as sp
 from cnclik.study import maps
 from cnclik.study.linear import stability_limit
 from cnclik.study.outcome import Kind
-from cnclik.study.problem import length, problem_from
+from cnclik.study.problem import length, problem_from, reference_from
 from cnclik.study.spectrum import at_rest
 
 _LIMITED = 1e3  # limits beyond this are shown as none
@@ -199,7 +201,7 @@ def implicit_study(
             steps[r, c] = np.where(ended.all(0), np.median(made.steps, 0), np.nan)
             fixed = stages.picard(0) if kind is None else getattr(stages, kind)(M)
             cost[r, c] = int(evaluations_per_step(method, fixed, law.chain.n))
-            rms[r, c], rms_z[r, c], rms_N[r, c] = _track(law, rest, arm, method, fixed, int(cost[r, c]), track)
+            rms[r, c], rms_z[r, c], rms_N[r, c] = _track(law, rest, arm, method, stage, M, int(cost[r, c]), track)
             done += lanes
             if progress is not None:
                 progress(done, total)
@@ -221,24 +223,30 @@ def implicit_study(
     )
 
 
-def _track(law, rest, arm, method, stage, cost, track):
+def _track(law, rest, arm, method, stage, M, cost, track):
     """RMS error over the second of two turns of a circle, at its best z: (error, z, steps per turn)."""
-    from cnclik.study.problem import reference_from
-
     N = max(track["evaluations"] // cost, 4)
     z = np.asarray(track["z"], float)
     path = reference_from("circle", law.chain, law.task, rest, radius=track["radius"] * arm, period=1.0)
-    size = np.asarray(_circle(law, path, rest, jnp.asarray(z), stage, N=N, method=method))
+    size = np.asarray(_circle(law, path, jnp.asarray(rest), jnp.asarray(z), N, M, stage, method=method))
     best = int(np.argmin(np.where(np.isfinite(size), size, np.inf)))
     return size[best], z[best], N
 
 
-@functools.partial(jax.jit, static_argnames=("N", "method"))
-def _circle(law, path, rest, z, stage, *, N, method):
+@functools.partial(jax.jit, static_argnames=("method",))
+def _circle(law, path, rest, z, N, M, stage, *, method):
+    own = stage if M is None else replace(stage, M=M)
+
     def one(z):
-        run = solve(replace(law, alpha=law.alpha * z * N), path, rest, 1.0 / N, 2 * N, method, stage)
-        squared = jnp.sum(run.e[N:] ** 2, axis=-1)
-        return jnp.sqrt(jnp.mean(squared))
+        law_, path_, Ts = cast((replace(law, alpha=law.alpha * z * N), path, 1.0 / N), rest.dtype)
+
+        def go(k, carry):
+            q, total = carry
+            made = advance(law_, path_, q, k * Ts, Ts, method, own)
+            return made.q, total + jnp.where(k >= N, sp.dot(made.e, made.e), 0.0)
+
+        _, total = lax.fori_loop(0, 2 * N, go, (tuple(rest), jnp.zeros_like(rest[0])))
+        return jnp.sqrt(total / N)
 
     return jax.vmap(one)(z)
 

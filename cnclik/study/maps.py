@@ -66,7 +66,7 @@ def measure(
     passes = None
     if M is not None:
         passes = flat(M, int)
-        stage = replace(stage, M=None, maximum=int(np.max(passes)))
+        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(passes))))
     done = []
     for i in range(0, count, chunk):
         part = slice(i, i + chunk)

@@ -92,5 +92,5 @@ def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
         spectrum(law(), target, Q, Ts)
     rest = settle(law(), target, Q)
     assert spectrum(law(), target, rest, Ts).radius == pytest.approx(0.4, abs=1e-6)
-    with pytest.raises(ck.ArgumentError, match="`target` must be where the loop comes to rest"):
+    with pytest.raises(ck.ArgumentError, match="`target` must be one the loop comes to rest on"):
         settle(law(), ck.hold([9.0, 0.0]), Q)
