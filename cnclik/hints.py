@@ -14,6 +14,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from cnclik.record import combine, partition
 
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
+_few_lanes = jax.make_user_context(default_value=False)
 
 
 def hints(on: bool):
@@ -59,23 +60,28 @@ def opaque(fn):
     return stage
 
 
-def one_function(fn):
-    """Compile a call of `fn`, loops and all, into one native function.
+def few_lanes():
+    """Context manager: what is traced inside runs for one lane or one tile, so its loops may be `one_function`."""
+    return _few_lanes(True)
 
-    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. For small arrays only: with
-    tens of thousands of lanes it would look for parallelism that a single function can't have.
+
+def one_function(loop):
+    """Compile a call of `loop` into one native function where only few lanes are around it.
+
+    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. For loops of component form
+    only: what XLA would split over threads (long reductions, thousands of lanes) can't be part of one function.
     """
 
     def plain(*args):  # the hint is for this call, not for those inside it
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
-            return fn(*args)
+            return loop(*args)
 
     jitted = jax.jit(plain, inline=False)
 
-    @functools.wraps(fn)
+    @functools.wraps(loop)
     def call(*args):
-        if not hints_on():
-            return fn(*args)
+        if not (hints_on() and _few_lanes.value):
+            return loop(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jitted(*args)
 

@@ -1,12 +1,12 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-The batch is cut into tiles of a few dozen lanes. Inside a tile the lane axis comes last, so each scalar of
-component-form code is one contiguous row; on a CPU a tile is compiled as one native function, loops
-included. Tiles run in blocks of bounded size, the blocks side by side on all cores. Under `hints(False)` the
-same tiles run without compiler hints.
+The batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in
+time is compiled as one native function (`cnclik.hints`). Tiles run in blocks of bounded size, the blocks side
+by side on all cores. Under `hints(False)` the same tiles run without compiler hints.
 """
 
 import functools
+import itertools
 import os
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import one_function
+from cnclik.hints import few_lanes
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 BLOCK = 1 << 15  # lanes that one call of a compiled program carries: bounds memory, feeds the cores
@@ -40,7 +40,7 @@ def lanes(fn, *, tile: int = TILE, block: int = BLOCK, cores: int | None = None)
     block = errors.integer("block", block, at_least=tile)
     cores = _cores() if cores is None else errors.integer("cores", cores, at_least=1)
     traced = functools.partial(_tiled, fn, tile)
-    compiled = jax.jit(traced)
+    compiled, ready = jax.jit(traced), set()
 
     @functools.wraps(fn)
     def call(*args):
@@ -50,7 +50,7 @@ def lanes(fn, *, tile: int = TILE, block: int = BLOCK, cores: int | None = None)
             return traced(*args)
         if size <= tile:
             return compiled(*args)
-        return _blocks(compiled, leaves, treedef, size, _block(size, tile, block, cores), cores)
+        return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, cores), cores)
 
     return call
 
@@ -75,60 +75,60 @@ def _size(args) -> int:
 
 
 def _block(size, tile, block, cores):
-    """Lanes per call: whole tiles, an equal share for each core, at most `block`."""
-    share = -(-size // cores)
-    return min(-(-share // tile) * tile, block // tile * tile)
+    """Lanes per call: at most `block`, in whole tiles, so that every core gets as many calls."""
+    calls = cores * -(-size // (cores * block))
+    return -(-size // (calls * tile)) * tile
 
 
 def _tiled(fn, tile, *args):
-    """vmap(fn) as a loop over tiles, the lane axis last inside each; elsewhere than on a CPU, vmap(fn) itself."""
+    """vmap(fn) as a loop over tiles, read and written in place; elsewhere than on a CPU, vmap(fn) itself."""
     size = _size(args)
     if jax.default_backend() != "cpu":
         return jax.vmap(fn)(*args)
     tile = min(tile, size)
-    inner = one_function(jax.vmap(fn, in_axes=-1, out_axes=-1))
-    last = functools.partial(jax.tree.map, lambda x: jnp.moveaxis(x, 0, -1))
-    first = functools.partial(jax.tree.map, lambda x: jnp.moveaxis(x, -1, 0))
+
+    def one(start):
+        part = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args)
+        with few_lanes():
+            return jax.vmap(fn)(*part)
+
     if size == tile:
-        return first(inner(*last(args)))
-    count = -(-size // tile)
-    padded = jax.tree.map(lambda x: _pad(jnp.asarray(x), count * tile).reshape(count, tile, *np.shape(x)[1:]), args)
-    out = lax.map(lambda args: first(inner(*last(args))), padded)
-    return jax.tree.map(lambda x: x.reshape(count * tile, *x.shape[2:])[:size], out)
+        return one(0)
+
+    def put(i, out):
+        start = jnp.minimum(i * tile, size - tile)  # the last tile overlaps the one before it: no padding
+        return jax.tree.map(lambda o, y: lax.dynamic_update_slice_in_dim(o, y, start, 0), out, one(start))
+
+    shapes = jax.eval_shape(lambda: one(0))
+    empty = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
+    return lax.fori_loop(0, -(-size // tile), put, empty)
 
 
-def _pad(x, size):
-    """Repeat the last lane: padding computes what some lane computes, never something new."""
-    missing = size - x.shape[0]
-    if not missing:
-        return x
-    return jnp.concatenate([x, jnp.broadcast_to(x[-1:], (missing, *x.shape[1:]))])
-
-
-def _blocks(compiled, leaves, treedef, size, block, cores):
+def _blocks(compiled, ready, leaves, treedef, size, block, cores):
     """Run blocks side by side; each result is copied into place as soon as it is there."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
+    key = (treedef, block, *((leaf.shape[1:], leaf.dtype) for leaf in leaves))
 
     def run(start):
         part = [_take(leaf, start, block) for leaf in leaves]
         return start, jax.block_until_ready(compiled(*jax.tree.unflatten(treedef, part)))
 
-    starts = range(0, size, block)
-    # The first block compiles; the others find the program ready.
-    first = run(0)
-    flat, out_treedef = jax.tree.flatten(first[1])
-    results = [np.empty((size, *x.shape[1:]), x.dtype) for x in flat]
-
-    def keep(start, out):
-        stop = min(start + block, size)
-        for whole, x in zip(results, jax.tree.leaves(out), strict=True):
-            whole[start:stop] = np.asarray(x)[: stop - start]
-
-    keep(*first)
+    starts = list(range(0, size, block))
+    whole = None
     with ThreadPoolExecutor(cores) as pool:
-        for start, out in pool.map(run, starts[1:]):
-            keep(start, out)
-    return jax.tree.unflatten(out_treedef, [jnp.asarray(x) for x in results])
+        if key not in ready:  # compile once, not once per thread
+            done = [run(starts.pop(0))]
+            ready.add(key)
+        else:
+            done = []
+        for start, out in itertools.chain(done, pool.map(run, starts)):
+            flat, out_treedef = jax.tree.flatten(out)
+            if whole is None:
+                whole = [np.empty((size, *x.shape[1:]), x.dtype) for x in flat]
+            for into, x in zip(whole, flat, strict=True):
+                part = into[start : start + block]
+                part[...] = np.asarray(x)[: len(part)]
+    return jax.tree.unflatten(out_treedef, [jnp.asarray(x) for x in whole])
 
 
 def _take(leaf, start, block):

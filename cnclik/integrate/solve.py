@@ -5,6 +5,7 @@ steps. Everything is pure with static shapes: jit, vmap, jvp and grad go through
 geometry and damping.
 """
 
+import contextlib
 import functools
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import one_function
+from cnclik.hints import few_lanes, one_function
 from cnclik.integrate.method import EE, METHODS, Method
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags
@@ -158,8 +159,11 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
     q0, method = _arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0)
     errors.number("t0", t0)
-    known = all(map(errors.concrete, jax.tree.leaves((law, reference, q0, Ts, t0, stage))))
-    return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method, alone=known)
+    arguments = (law, reference, q0, Ts, t0, stage)
+    # Called with numbers, no vmap is around this loop: it may become one native function.
+    alone = all(map(errors.concrete, jax.tree.leaves(arguments)))
+    with few_lanes() if alone else contextlib.nullcontext():
+        return _solve(*arguments, N=N, method=method)
 
 
 def step(law: Law, reference, q, t, Ts, method=EE, stage=picard(5)) -> Step:
@@ -199,14 +203,14 @@ def cast(tree, dtype):
     return jax.tree.map(one, tree)
 
 
-@functools.partial(jax.jit, static_argnames=("N", "method", "alone"))
-def _solve(law, reference, q0, Ts, t0, stage, *, N, method, alone):
-    """The loop; `alone` says that no vmap is around it, so that it may become one native function."""
+@functools.partial(jax.jit, static_argnames=("N", "method"))
+def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     ref.check(reference, law.task)  # shapes only: once, while tracing
     law, reference = cast((law, reference), q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
     evaluations = jnp.asarray(N * evaluations_per_step(method, stage, law.chain.n))
 
+    @one_function
     def loop(law, reference, q0, Ts, t0, stage, k):
         def one(q, k):
             made = advance(law, reference, q, t0 + k * Ts, Ts, method, stage)
@@ -215,7 +219,6 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method, alone):
         q, steps = lax.scan(one, tuple(q0), k[:-1])
         return q, evaluate(law, reference, t0 + k[-1] * Ts, q).e, steps
 
-    loop = one_function(loop) if alone else loop
     k = jnp.arange(N + 1).astype(q0.dtype)
     q, e, (qs, es, qdot, residual, contraction, status) = loop(law, reference, q0, Ts, t0, stage, k)
     qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))

@@ -23,7 +23,6 @@ def gram(rows, shift):
     )
 
 
-@opaque
 def _eliminate(entries, left):
     """Column j of L D Lᵀ from its entries i = j … m−1 and, of each column k < j, (L[j…, k], dₖ)."""
     products = [column[0] * pivot for column, pivot in left]
@@ -35,6 +34,7 @@ def _eliminate(entries, left):
     return reduced[0], inverse, tuple(x * inverse for x in reduced[1:])
 
 
+@opaque
 def ldl(lower):
     """Factor a symmetric positive definite matrix given by its lower triangle: (columns of L, 1/d, d)."""
     m = len(lower)
