@@ -56,18 +56,18 @@ def array(name: str, value, *shapes, finite=True):
     """A real array of one of the shapes (None matches any length); returned as an array of floats."""
     try:
         found = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
-        if not np.issubdtype(found.dtype, np.number) or np.issubdtype(found.dtype, np.complexfloating):
+        if found.dtype.kind not in "iuf":
             raise TypeError
     except (TypeError, ValueError):
         raise fail(name, "be an array of real numbers", f"is {value!r}") from None
     if shapes and not any(_fits(found.shape, s) for s in shapes):
         wanted = " or ".join(_show(s) for s in shapes)
         raise fail(name, f"have shape {wanted}", f"has shape {_show(found.shape)}")
-    if finite and concrete(found) and not np.all(np.isfinite(np.asarray(found))):
+    if finite and concrete(found) and not np.isfinite(np.asarray(found)).all():
         where = np.argwhere(~np.isfinite(np.asarray(found)))[0]
         place = f" at index {tuple(int(i) for i in where)}" if found.ndim else ""
         raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
-    return found if np.issubdtype(found.dtype, np.floating) else found.astype(float)
+    return found if found.dtype.kind == "f" else found.astype(float)
 
 
 def _gather(value):

@@ -65,11 +65,36 @@ def few_lanes():
     return _few_lanes(True)
 
 
+# What may be part of one native function: elementwise operations, data movement and control flow. The rest (sorting,
+# decompositions, long reductions, callbacks) calls into XLA's runtime, and compiling it in would fail.
+_NATIVE_NAMES = """
+    abs acos acosh add add_any and asin asinh atan atan2 atanh broadcast_in_dim cbrt ceil checkpoint
+    clamp closed_call concatenate cond convert_element_type copy copy_p core_call cos cosh
+    custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr div dynamic_slice dynamic_update_slice eq
+    erf exp exp2 expand_dims expm1 floor gather ge gt integer_pow iota is_finite jit le log log1p
+    logistic lt lt_to max min mul ne neg nextafter not or pad pjit pow real reduce_or rem remat
+    remat2 reshape rev round rsqrt scan select_n shift_left shift_right_arithmetic
+    shift_right_logical sign sin sinh slice split sqrt square squeeze stack stop_gradient sub tan
+    tanh transpose while xor zeros_like
+"""
+_NATIVE = frozenset(_NATIVE_NAMES.split())
+
+
+def _is_native(jaxpr) -> bool:
+    for equation in jaxpr.eqns:
+        if equation.primitive.name not in _NATIVE:
+            return False
+        inner = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda v: hasattr(v, "eqns"))
+        if not all(_is_native(getattr(v, "jaxpr", v)) for v in inner if hasattr(v, "eqns") or hasattr(v, "jaxpr")):
+            return False
+    return True
+
+
 def one_function(loop):
     """Compile a call of `loop` into one native function where only few lanes are around it.
 
-    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. For loops of component form
-    only: what XLA would split over threads (long reductions, thousands of lanes) can't be part of one function.
+    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. Where a user's own path or
+    null-space function does what can't be part of such a function, nothing is changed.
     """
 
     def plain(*args):  # the hint is for this call, not for those inside it
@@ -80,7 +105,7 @@ def one_function(loop):
 
     @functools.wraps(loop)
     def call(*args):
-        if not (hints_on() and _few_lanes.value):
+        if not (hints_on() and _few_lanes.value and _is_native(jitted.trace(*args).jaxpr)):
             return loop(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jitted(*args)

@@ -24,6 +24,8 @@ from cnclik.record import record
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
 
+SHORT = 200  # steps up to which the trajectory is put together in the same native function as the loop
+
 
 @record
 class Trajectory:
@@ -187,10 +189,7 @@ def _arguments(law, reference, q, Ts, method, stage, name="q0"):
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)
-    q = as_joint_values(law.chain, q, name)
-    if errors.concrete(q):
-        errors.array(name, q)
-    return q, method
+    return as_joint_values(law.chain, q, name, finite=True), method
 
 
 def cast(tree, dtype):
@@ -206,11 +205,8 @@ def cast(tree, dtype):
 @functools.partial(jax.jit, static_argnames=("N", "method"))
 def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     ref.check(reference, law.task)  # shapes only: once, while tracing
-    law, reference = cast((law, reference), q0.dtype)
-    Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-    evaluations = jnp.asarray(N * evaluations_per_step(method, stage, law.chain.n))
+    short = 0 < N <= SHORT
 
-    @one_function
     def loop(law, reference, q0, Ts, t0, stage, k):
         def one(q, k):
             made = advance(law, reference, q, t0 + k * Ts, Ts, method, stage)
@@ -219,23 +215,30 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
         q, steps = lax.scan(one, tuple(q0), k[:-1])
         return q, evaluate(law, reference, t0 + k[-1] * Ts, q).e, steps
 
-    k = jnp.arange(N + 1).astype(q0.dtype)
-    q, e, (qs, es, qdot, residual, contraction, status) = loop(law, reference, q0, Ts, t0, stage, k)
-    qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
-    # A coordinate that no joint moves is a literal, hence the asarray.
-    x = jax.vmap(lambda q: tuple(jnp.asarray(v, q0.dtype) for v in task_coordinates(law, q)))(qs)
-    columns = functools.partial(jnp.stack, axis=-1)
-    return Trajectory(
-        t=t0 + k * Ts,
-        q=columns(qs),
-        x=columns(x),
-        e=columns(es),
-        qdot=columns(qdot),
-        residual=residual,
-        contraction=contraction,
-        status=status,
-        evaluations=evaluations,
-    )
+    def whole(law, reference, q0, Ts, t0, stage):
+        law, reference = cast((law, reference), q0.dtype)
+        Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
+        k = jnp.arange(N + 1).astype(q0.dtype)
+        run = one_function(loop) if N > SHORT else loop
+        q, e, (qs, es, qdot, residual, contraction, status) = run(law, reference, q0, Ts, t0, stage, k)
+        qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
+        # A coordinate that no joint moves is a literal, hence the asarray.
+        x = jax.vmap(lambda q: tuple(jnp.asarray(v, q0.dtype) for v in task_coordinates(law, q)))(qs)
+        columns = functools.partial(jnp.stack, axis=-1)
+        return Trajectory(
+            t=t0 + k * Ts,
+            q=columns(qs),
+            x=columns(x),
+            e=columns(es),
+            qdot=columns(qdot),
+            residual=residual,
+            contraction=contraction,
+            status=status,
+            evaluations=jnp.asarray(N * evaluations_per_step(method, stage, law.chain.n)),
+        )
+
+    run = one_function(whole) if short else whole
+    return run(law, reference, q0, Ts, t0, stage)
 
 
 @functools.partial(jax.jit, static_argnames=("method",))

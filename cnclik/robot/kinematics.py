@@ -95,9 +95,10 @@ def stack(values, like):
     return jnp.asarray(values, like.dtype)
 
 
-def as_joint_values(chain: Chain, q, name="q"):
+def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     """q as a floating array (n,), checked."""
-    return jnp.asarray(errors.array(name, q, (chain.n,), finite=False))
+    q = errors.array(name, q, (chain.n,), finite=finite)
+    return q if isinstance(q, jax.Array) else jnp.asarray(q)
 
 
 @jax.jit
