@@ -54,6 +54,7 @@ def errors(run):
         panel.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
         panel.axhline(0, **style.GUIDE)
     panels[-1].set_ylabel("$\\|e\\|$ [m]")
+    panels[-1].yaxis.set_minor_formatter(NullFormatter())
     return _finish(figure, panels)
 
 

@@ -75,7 +75,7 @@ def test_picard_records(judged):
     reach = at["5dof", "reach", "on-path/once/consistent", "IE"]
     assert not reach["holds"] and reach["needed"]["1e-03"] == 13
     assert at["2dof", "reach", "printed/once/consistent", "CN"]["needed"]["1e-03"] is None
-    assert at["5dof", "track", "on-path/twice/consistent", "CN"]["needed"]["1e-06"] == 4
+    assert at["5dof", "track", "on-path/twice/consistent", "CN"]["needed"]["1e-06"] == 5
 
 
 def test_followed_passes_are_those_of_the_run(results):
