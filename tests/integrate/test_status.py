@@ -78,9 +78,6 @@ def test_at_limit():
 
 
 def test_non_finite():
-    made = run(method="EE", alpha=1e200, N=3)
-    assert made.status[0] == 0 or made.status[0] & S.NON_FINITE == 0
-    assert made.status[-1] & S.NON_FINITE
     slider = ck.from_screws([[0.0] * 3], [[1.0, 0, 0]], [0.0] * 3, kinds="P")
     law = ck.Law(slider, ck.position("x"), alpha=1e200)
     grown = ck.solve(law, ck.hold([1.0]), [0.0], 1.0, 3)
