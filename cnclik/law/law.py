@@ -128,7 +128,7 @@ def correct(law: Law, q, rows, apply, h, r):
     if callable(law.null_velocity):
         return dense.solve(_whole(law, q, rows, apply, h), r)
     task = sp.matvec(rows, r)
-    if law.alpha.ndim == 0 and isinstance(law.inverse, Pseudoinverse):
+    if law.alpha.ndim == 0 and law.limits is None and isinstance(law.inverse, Pseudoinverse):
         hz = h * law.alpha
         return sp.vsub(r, sp.scale(hz / (1.0 + hz), apply(task)))
     c = _gain_rows(law)

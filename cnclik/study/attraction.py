@@ -72,10 +72,13 @@ def certified_radius(law, q0, Ts) -> float:
     Raises: ArgumentError for laws it does not cover.
     """
     q0 = as_joint_values(law.chain, q0, "q0")
-    plain = not law.task.orientation and law.task.weights is None and law.null_velocity is None
+    extras = (law.task.weights, law.limits, law.null_velocity)
+    plain = not law.task.orientation and all(extra is None for extra in extras)
     if not (plain and isinstance(law.inverse, Pseudoinverse) and np.ndim(law.alpha) == 0):
         raise errors.fail(
-            "law", "be a position task with pseudoinverse(), scalar alpha, no weights and no null velocity", "is not"
+            "law",
+            "be a position task with pseudoinverse(), scalar alpha, no weights, limits or null velocity",
+            "is not",
         )
     z = float(law.alpha) * float(Ts)
     if not 0 < z < 2:

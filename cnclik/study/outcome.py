@@ -26,7 +26,10 @@ class Kind(enum.IntEnum):
     SLOW = 1  # not there yet, but all of the last quarter is below all of the one before
     NOT_CONVERGED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
     DIVERGED = 3  # not finite, or in the last quarter the error comes up to the scale again
-    NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity
+    NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity while the error was below the scale
+
+
+_GROWN = 1 + 1e-3  # an error beyond this times the scale has grown
 
 
 def stable(kind):
@@ -81,18 +84,22 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         )
 
     def one(carry, k):
-        q, seen, bits = carry
+        q, seen, bits, grown, first_near = carry
         made = advance(law, reference, q, k * Ts, Ts, method, stage)
-        return (made.q, judge(k, made.e, seen), bits | made.status.astype(jnp.int32)), None
+        # A loop that diverges wanders through singularities; one that meets them first is another matter.
+        grown |= ~(sp.safe_norm(made.e) <= scale * _GROWN)
+        first_near |= ~grown & ((made.status & int(Status.NEAR_SINGULAR)) != 0)
+        return (made.q, judge(k, made.e, seen), bits | made.status.astype(jnp.int32), grown, first_near), None
 
     k = jnp.arange(N + 1).astype(q0.dtype)
     nothing = (jnp.full_like(first, -1.0), jnp.full_like(first, jnp.inf), jnp.zeros_like(first))
-    start = (tuple(q0), nothing, jnp.zeros_like(first, jnp.int32))
-    (q, seen, bits), _ = lax.scan(one, start, k[:-1])
+    never = jnp.zeros_like(first, bool)
+    start = (tuple(q0), nothing, jnp.zeros_like(first, jnp.int32), never, never)
+    (q, seen, bits, _, first_near), _ = lax.scan(one, start, k[:-1])
     above, least, final = judge(k[-1], evaluate(law, reference, k[-1] * Ts, q).e, seen)
     near, stuck = (bits & int(Status.NEAR_SINGULAR)) != 0, (bits & int(Status.NOT_CONVERGED)) != 0
     converged = final <= bound
-    failed = jnp.where(near, Kind.NEAR_SINGULAR, jnp.where(final >= scale, Kind.DIVERGED, Kind.NOT_CONVERGED))
+    failed = jnp.where(first_near, Kind.NEAR_SINGULAR, jnp.where(final >= scale, Kind.DIVERGED, Kind.NOT_CONVERGED))
     kind = jnp.where(converged, Kind.CONVERGED, jnp.where(final < jnp.minimum(least, scale), Kind.SLOW, failed))
     steps = above + 1
     rate = jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan)

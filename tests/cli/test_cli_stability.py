@@ -1,0 +1,42 @@
+"""cnclik stability: numbers on the terminal, one line for what can't be used, figures and data in the folder."""
+
+import numpy as np
+import pytest
+
+from cnclik.cli import main
+
+
+def test_advice_on_the_terminal(capsys):
+    main(["stability", "planar:1,1", "--alpha", "5", "--Ts", "0.1", "--method", "EE"])
+    out = capsys.readouterr().out
+    assert "largest stable alpha [1/s]" in out and "20." in out  # 2/Ts
+    assert "stable: gain margin 4" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--method", "EULER"], "Argument `method` must be one of"),
+        (["--cells", "1"], "Argument `cells` must be at least 2, but is 1."),
+        (["--spec", "missing.toml"], "Argument `spec` must be a TOML file that can be read"),
+        (["planar:1,1", "--target", "9", "0"], "Argument `target` must be one the loop comes to rest on"),
+    ],
+)
+def test_user_errors_are_one_line(arguments, line, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["stability", *arguments])
+    assert left.value.code == 2
+    said = capsys.readouterr().err.strip()
+    assert line in said and "\n" not in said
+
+
+def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
+    import xarray as xr
+
+    main(["stability", "planar:1,1", "--method", "IE", "--map", "--cells", "12", "--Ts", "0.1", "--out", str(tmp_path)])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["map.nc", "map.png", "passes.nc", "passes.png"]
+    with xr.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
+        assert data.kind.dims == ("Ts", "alpha") and data.sizes == {"Ts": 12, "alpha": 12}
+        np.testing.assert_allclose(data.limit, 1 / data.Ts, rtol=1e-6)  # picard(5)
+        assert '"robot": "planar:1,1"' in data.attrs["config"]
+    assert "144 loops" in capsys.readouterr().out
