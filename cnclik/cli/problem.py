@@ -78,6 +78,8 @@ class LoopOptions:
     """Manipulability or least singular value below which the last two are damped."""
     limits: str = "none"
     """How joint limits are respected: none, velocity-scaling, weighted-least-norm, saturation."""
+    error_clamp: Numbers = None
+    """Largest position [m] and orientation [rad] error that the gain sees: what settles before far targets."""
     posture: Numbers = None
     """Joint values to draw towards in the null space [rad, m]."""
     manipulability: Number = None

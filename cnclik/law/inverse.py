@@ -104,7 +104,7 @@ def _tiny(rows):
 
 @opaque
 def _least_squared(rows, factor):
-    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u from three inverse iterations on J Jᵀ.
+    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u from six inverse iterations on J Jᵀ.
 
     With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
     """
@@ -116,7 +116,7 @@ def _least_squared(rows, factor):
         better = guess[j][j] > largest
         u = tuple(jnp.where(better, a, b) for a, b in zip(guess[j], u, strict=True))
         largest = jnp.where(better, guess[j][j], largest)
-    for _ in range(3):
+    for _ in range(6):
         length = sp.safe_norm(u)
         u = dense.ldl_solve(held, tuple(x / length for x in u))
     length = sp.safe_norm(u)

@@ -39,6 +39,8 @@ class Law:
         for not at all.
       null_velocity: joint velocity q̇₀ asked for in the null space: (n,) [rad/s, m/s], or a function of q.
       feedforward: factor of the desired velocity ẋ_d: 1 tracks, 0 is pure feedback.
+      error_clamp: (position [m], orientation [rad]) beyond which the error is shortened before the gain, or None.
+        A target out of reach, or far away, then pulls no harder than one at that distance; see `clamped`.
       near_singular: steps whose least singular value of the task Jacobian (an estimate from below; with
         the pseudoinverse exact) is under this are marked NEAR_SINGULAR [m or 1].
 
@@ -53,6 +55,7 @@ class Law:
     limits: object = None
     null_velocity: object = None
     feedforward: object = 1.0
+    error_clamp: object = None
     near_singular: object = 0.01
 
     def __post_init__(self):
@@ -63,6 +66,11 @@ class Law:
         for name in ("feedforward", "near_singular"):
             value = errors.number(name, getattr(self, name))
             object.__setattr__(self, name, np.asarray(value, float) if sp.is_number(value) else value)
+        if self.error_clamp is not None:
+            pair = errors.array("error_clamp", self.error_clamp, (2,))
+            if errors.concrete(pair) and not np.all(np.asarray(pair) > 0):
+                raise errors.fail("error_clamp", "be positive", f"is {np.asarray(pair).tolist()}")
+            object.__setattr__(self, "error_clamp", pair)
         if not callable(self.inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
         if self.limits is not None and not callable(self.limits):
@@ -95,7 +103,7 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
     """f(q, t) for q a tuple of n scalars."""
     position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
     e, rows = error_and_rows(law.task, law.chain, frames(law.chain, q), position_d, rotation_d)
-    velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, e))
+    velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, clamped(law, e)))
     rows, velocity = _weigh(law.task, rows), _weigh(law.task, velocity)
     wanted, held = null_velocity(law, q), False
     if law.limits is None:
@@ -166,6 +174,21 @@ def _plus_identity(h, matrix):
     return tuple(
         tuple(sp.add(h * x, 1.0 if i == j else 0.0) for j, x in enumerate(row)) for i, row in enumerate(matrix)
     )
+
+
+def clamped(law: Law, e):
+    """The error as the gain sees it: position and orientation parts shortened to `error_clamp` (Buss & Kim 2005).
+
+    At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², c the curvature of x(q): with
+    the error clamped to E, λ² > alpha·Ts·E·c/2 settles in front of any target, however far; unclamped it shakes.
+    """
+    if law.error_clamp is None:
+        return e
+    out = []
+    for limit, part in zip(law.error_clamp, (e[: len(law.task.position)], e[len(law.task.position) :]), strict=True):
+        if part:
+            out += sp.scale(limit / jnp.maximum(sp.safe_norm(part), limit), part)
+    return tuple(out)
 
 
 def gain(alpha, e):

@@ -92,7 +92,8 @@ class Weighted:
             back = sp.vadd(back, tuple(sp.mul(sp.mul(r, r), w) for r, w in zip(roots, wanted, strict=True)))
         qdot = _through(factored.apply, rows, velocity, None if _all_zero(back) else back)
         qdot, slowed = _slow_down(chain, qdot)
-        stopped = [r < 0.01 for r in roots if not sp.is_number(r)]
+        # Held back: a joint four times as heavy as it would be in mid-range.
+        stopped = [r < 0.5 for r in roots if not sp.is_number(r)]
         return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=_any([slowed, *stopped]))
 
     def _joint(self, q, qdot, low, high):

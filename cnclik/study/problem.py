@@ -63,6 +63,7 @@ def problem_from(
     damping=None,
     threshold=None,
     limits="none",
+    error_clamp=None,
     posture=None,
     manipulability=None,
     q0=None,
@@ -82,6 +83,7 @@ def problem_from(
       alpha: gain [1/s], a number or one per task coordinate.
       inverse, damping, threshold: see `inverse_from`.
       limits: see `limits_from`.
+      error_clamp: largest position [m] and orientation [rad] error that the gain sees.
       posture, manipulability: see `null_from`.
       q0: joint values at the start [rad, m]; see `start_from` for the default.
       Ts: sampling time [s]. N: number of steps.
@@ -106,6 +108,7 @@ def problem_from(
         alpha=gain_from(alpha),
         inverse=inverse_from(inverse, damping, threshold),
         limits=limits_from(limits, Ts),
+        error_clamp=error_clamp,
         null_velocity=null_from(chain, task, posture, manipulability),
     )
     return Problem(

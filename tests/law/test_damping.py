@@ -1,0 +1,108 @@
+"""Damped inverses near singularities against formulas in NumPy, with derivatives that stay finite."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+
+LAMBDA, EPSILON, W0 = 0.2, 0.5, 0.4
+RNG = np.random.default_rng(3)
+
+
+def matrices(m, n):
+    """Random J with a least singular value from 1 down to exactly 0, and one of lower rank still."""
+    out = []
+    for least in (1.0, 0.45, 0.1, 1e-3, 1e-6, 0.0):
+        u, _ = np.linalg.qr(RNG.normal(size=(m, m)))
+        v, _ = np.linalg.qr(RNG.normal(size=(n, n)))
+        values = np.linspace(1.5, 1.0, min(m, n))
+        values[-1] = least
+        out.append(u[:, : len(values)] * values @ v[:, : len(values)].T)
+    out.append(np.zeros((m, n)))
+    return np.array(out)
+
+
+def formula(name, j):
+    """λ² as the papers have it, by SVD."""
+    s = np.linalg.svd(j, compute_uv=False)
+    if name == "damped":
+        return LAMBDA**2
+    if name == "manipulability_damped":
+        return LAMBDA**2 * max(1 - np.prod(s) / W0, 0) ** 2
+    return LAMBDA**2 * max(1 - (s[-1] / EPSILON) ** 2, 0)
+
+
+INVERSES = {
+    "damped": ck.damped(LAMBDA),
+    "manipulability_damped": ck.manipulability_damped(LAMBDA, W0),
+    "singular_damped": ck.singular_damped(LAMBDA, EPSILON),
+}
+
+
+def applied(inverse, j, t):
+    rows = tuple(tuple(row) for row in j)
+    made = inverse(rows)
+    return jnp.stack(made.apply(tuple(t))), made.least
+
+
+@pytest.mark.parametrize("name", INVERSES)
+@pytest.mark.parametrize("shape", [(2, 3), (3, 2), (6, 7)])
+def test_values_are_the_formulas(name, shape):
+    js, t = matrices(*shape), RNG.normal(size=shape[0])
+    found, least = jax.jit(jax.vmap(lambda j: applied(INVERSES[name], j, t)))(js)
+    for j, qdot, estimate in zip(js, found, least, strict=True):
+        expected = j.T @ np.linalg.pinv(j @ j.T + formula(name, j) * np.eye(shape[0])) @ t
+        np.testing.assert_allclose(qdot, expected, atol=1e-6)
+        smallest = np.linalg.svd(j, compute_uv=False)[-1]
+        if name == "singular_damped":  # its threshold hangs on the estimate
+            assert smallest - 1e-9 < estimate < smallest * (1 + 1e-2) + 1e-9
+
+
+@pytest.mark.parametrize("name", INVERSES)
+def test_derivatives_are_finite_at_singularities_and_right_near_them(name):
+    js, t = matrices(2, 3), RNG.normal(size=2)
+    fn = lambda j: applied(INVERSES[name], j, t)[0]  # noqa: E731
+    forward, reverse = (jax.jit(jax.vmap(d(fn)))(js) for d in (jax.jacfwd, jax.jacrev))
+    assert np.isfinite(forward).all()
+    np.testing.assert_allclose(forward, reverse, atol=1e-6)
+    for k in (1, 2):  # σ = 0.45 and 0.1: inside both thresholds, away from the kink of |det| at 0
+        step = 1e-6
+        for i, l in np.ndindex(2, 3):
+            push = np.zeros((2, 3))
+            push[i, l] = step
+            difference = (fn(js[k] + push) - fn(js[k] - push)) / (2 * step)
+            np.testing.assert_allclose(forward[k][:, i, l], difference, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["manipulability_damped", "singular_damped"])
+def test_parameters_are_checked(name):
+    for pair, told in (((0, 1), "damping"), ((1, -1), "threshold")):
+        with pytest.raises(ck.ArgumentError, match=told):
+            getattr(ck, name)(*pair)
+
+
+def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():
+    from cnclik.study.chatter import chatter
+
+    arm = ck.planar_arm([1.0, 1.0, 1.0])
+    q0 = np.array([0.3, -0.5, -0.6])
+    late = {}
+    for clamp in (None, (0.1, 0.5)):
+        law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.05), error_clamp=clamp)
+        run = ck.solve(law, ck.hold([3.0, 4.0]), q0, 0.01, 1500)
+        late[clamp] = chatter(run.qdot)
+    # The bound of `clamped`: 0.05·0.1·c < 2·0.05² holds for c < 1, 0.05·2·c does not.
+    assert late[(0.1, 0.5)] < 1e-6 < 1.0 < late[None]
+    np.testing.assert_allclose(run.x[-1], [1.8, 2.4], atol=1e-2)  # stretched towards it
+
+
+def test_chatter_counts_what_is_taken_back():
+    from cnclik.study.chatter import chatter
+
+    alternating = np.array([[1.0], [-1.0]] * 10)
+    assert chatter(alternating) == pytest.approx(1.0)
+    assert chatter(np.geomspace(1, 1e-9, 20)[:, None]) == 0
+    assert chatter(alternating * [1, 0.5] + [0, 2]) == pytest.approx(1.0)  # only the first joint turns back
+    assert chatter(np.ones((1, 3))) == 0
