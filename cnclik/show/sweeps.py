@@ -168,7 +168,8 @@ def _heat(view, one, spec):
         ax.grid(False)
         mesh = ax.pcolormesh(x, y, shown, norm=norm, shading="nearest", rasterized=True)
         _scales(ax, x, y)
-        if one.get("contours", True) is not False and shown.count() > 4:
+        counts = view[one["x"]].dtype.kind == "i" or view[one["y"]].dtype.kind == "i"
+        if one.get("contours", not counts) is not False and shown.count() > 4:
             _contours(ax, x, y, shown, norm, one.get("contours", True))
         if one.get("boundary", True):
             _boundary(ax, view, one, spec, place, x, y)
@@ -249,7 +250,7 @@ def _boundary(ax, view, one, spec, place, x, y):
         edges = np.concatenate([counts - 0.5, counts[-1:] + 0.5])
         steps = (np.append(limits, limits[-1]), edges)
         if one["x"] == "z":
-            ax.step(*steps, where="post", **BOUNDARY)
+            ax.step(*steps, where="pre", **BOUNDARY)
         else:
             ax.step(steps[1], steps[0], where="post", **BOUNDARY)
 
@@ -344,10 +345,8 @@ def _convergence(view, one, spec):
 def _distribution(view, one, spec):
     value = view[one["value"]]
     grid = _Panels(view, one)
-    log = False
     known = value.values[np.isfinite(value.values)]
-    if known.size and known.min() >= 0 and known.max() > 100 * max(np.median(known[known > 0], initial=1e-300), 1e-300):
-        log = True
+    log = bool(known.size and known.min() > 0 and known.max() > 100 * np.median(known))
     for ax, _, part in grid.each(value):
         for _, look, line in _lines(part, one["lines"]):
             sample = np.sort(line.values.ravel())

@@ -107,11 +107,13 @@ class Spec:
     def build(self, **values):
         """Everything `solve` needs for one loop: (law, reference, q0, Ts, N, method, stage)."""
         v = self.values(**values)
+        errors.number("Ts", v["Ts"], positive=True)
         chain = _robot(v)
         task = task_from(v["task"], chain)
         q0 = v["q0"]
         if "q0" in self.axes and q0.shape[0] > chain.n:
             q0 = q0[: chain.n]  # samples are as wide as the widest arm among the cases
+        q0 = errors.array("q0", q0, (chain.n,))
         law = Law(
             chain,
             task,
