@@ -75,7 +75,7 @@ class Line:
 # --- the loops that are timed -------------------------------------------------------------------------
 
 
-class Problem(NamedTuple):
+class Case(NamedTuple):
     """A robot's law, and the posture around which loops start and targets lie."""
 
     law: Law
@@ -91,11 +91,11 @@ def chain_of_30() -> Chain:
 
 def _planar(n):
     law = Law(planar_arm([1.0] * n, clockwise=True), position("xy"), alpha=ALPHA, inverse=pseudoinverse())
-    return Problem(law, (0.0, math.pi / 2, *[0.0] * (n - 2)), 0.2)
+    return Case(law, (0.0, math.pi / 2, *[0.0] * (n - 2)), 0.2)
 
 
 def _spatial(chain, posture):
-    return Problem(Law(chain, pose_task(), alpha=ALPHA, inverse=damped(DAMPING)), posture, 0.2)
+    return Case(Law(chain, pose_task(), alpha=ALPHA, inverse=damped(DAMPING)), posture, 0.2)
 
 
 # The paper's arms on their position with J#, the others on their whole pose with damped least squares.
@@ -110,19 +110,19 @@ STAGES = {"picard": picard, "chord": chord, "newton": newton}
 STAGE_OF = {"TRAPEZOID": "chord"}  # others: picard, as in the paper
 
 
-def inputs(problem: Problem, batch: int, dtype) -> dict:
+def inputs(case: Case, batch: int, dtype) -> dict:
     """Starts q0 (batch, n) and targets, each lane its own: position (batch, 3), rotation (batch, 3, 3).
 
     Targets are poses of nearby joint values, so that all can be reached; there are at most 4096 different ones.
     """
     draw = np.random.default_rng(0)
-    n, few = len(problem.posture), min(batch, 4096)
-    q0 = problem.posture + problem.spread * draw.uniform(-1, 1, (batch, n))
-    goals = problem.posture + problem.spread * draw.uniform(-1, 1, (few, n))
+    n, few = len(case.posture), min(batch, 4096)
+    q0 = case.posture + case.spread * draw.uniform(-1, 1, (batch, n))
+    goals = case.posture + case.spread * draw.uniform(-1, 1, (few, n))
     with jax.enable_x64(True):
-        at = jax.jit(jax.vmap(lambda q: pose(problem.law.chain, q)))(goals)
+        at = jax.jit(jax.vmap(lambda q: pose(case.law.chain, q)))(goals)
     named = {"q0": q0, "position": np.resize(at.position, (batch, 3))}
-    if problem.law.task.orientation:
+    if case.law.task.orientation:
         named["rotation"] = np.resize(at.rotation, (batch, 3, 3))
     return {name: np.asarray(value, dtype) for name, value in named.items()}
 
@@ -144,11 +144,11 @@ def final(law, reference, q0, Ts, N, method, stage):
     return jnp.stack(q), jnp.sqrt(squared), (total + squared) / (N + 1)
 
 
-def loop(problem: Problem, N: int, method, stage):
+def loop(case: Case, N: int, method, stage):
     """`final` as a function of alpha and one lane's start and target."""
 
     def one(alpha, q0, position, rotation=None):
-        law = dataclasses.replace(problem.law, alpha=alpha)
+        law = dataclasses.replace(case.law, alpha=alpha)
         return final(law, ref.hold(position, rotation), q0, TS, N, method, stage)
 
     return one
@@ -213,16 +213,16 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
       error: mean of the lanes' final ‖e‖.
       gradient_over_forward: None, or what `gradients` tells.
     """
-    problem, method = ROBOTS[line.robot](), METHODS[line.method]
+    case, method = ROBOTS[line.robot](), METHODS[line.method]
     stage = STAGES[line.stage](line.M)
-    per_step = evaluations_per_step(method, stage, problem.law.chain.n)
+    per_step = evaluations_per_step(method, stage, case.law.chain.n)
     N = steps_for(line, per_step)
-    named = inputs(problem, line.batch, line.dtype)
+    named = inputs(case, line.batch, line.dtype)
     alpha = jnp.asarray(ALPHA, line.dtype)
     base = peak_mib()
 
     def end(*lane):
-        return loop(problem, N, method, stage)(alpha, *lane)[1]
+        return loop(case, N, method, stage)(alpha, *lane)[1]
 
     run = functools.partial(lanes(end, cores=line.cores), *named.values())
     first = clock(run)
@@ -242,16 +242,16 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
         "error": float(np.mean(run())),
         "gradient_over_forward": None,
     }
-    return record | (gradients(line, problem, method, stage, named, alpha, seconds) if line.gradient else {})
+    return record | (gradients(line, case, method, stage, named, alpha, seconds) if line.gradient else {})
 
 
-def gradients(line, problem, method, stage, named, alpha, seconds) -> dict:
+def gradients(line, case, method, stage, named, alpha, seconds) -> dict:
     """Times [s] of the tracking loss and of loss and gradient, all as `jit(vmap(...))`; ratios; compile times."""
-    N = min(steps_for(line, evaluations_per_step(method, stage, problem.law.chain.n)), STEPS_OF_GRADIENT)
+    N = min(steps_for(line, evaluations_per_step(method, stage, case.law.chain.n)), STEPS_OF_GRADIENT)
     some = {name: value[:LANES_OF_GRADIENT] for name, value in named.items()}
 
     def loss(alpha, *lane):
-        return loop(problem, N, method, stage)(alpha, *lane)[2]
+        return loop(case, N, method, stage)(alpha, *lane)[2]
 
     def value(*lane):
         return loss(alpha, *lane)

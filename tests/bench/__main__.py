@@ -72,8 +72,8 @@ def million(rounds, seconds):
 
 
 SECTIONS = {
-    "peers": lambda args: peers.compare(args.rounds, say),
-    "tricks": lambda args: tricks.compare(args.rounds, say=say),
+    "peers": lambda args: peers.compare(args.rounds, args.batch, say),
+    "tricks": lambda args: tricks.compare(args.rounds, args.batch, say=say),
     "cores": lambda args: cores(min(args.rounds, 5), args.seconds),
     "compile": lambda args: compiling(min(args.rounds, 3), args.seconds),
     "gradient": lambda args: gradient(min(args.rounds, 3), args.seconds),
@@ -86,6 +86,7 @@ def main() -> None:
     parser.add_argument("section", nargs="*", help=f"any of {', '.join(SECTIONS)}; by default all")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--seconds", type=float, default=2.0, help="for the repeated runs of one line")
+    parser.add_argument("--batch", type=int, default=peers.BATCH, help="of peers and tricks; less only to try things")
     parser.add_argument("--output", type=pathlib.Path, default=RESULTS / "peers.json")
     args = parser.parse_args()
     for name in args.section:

@@ -30,7 +30,9 @@ def compiled() -> pathlib.Path:
             raise SystemExit(f"Eigen's headers are not in {EIGEN}: install libeigen3-dev.")
         BUILD.mkdir(parents=True, exist_ok=True)
         part = library.with_suffix(".part")
-        subprocess.run([*command, str(SOURCE), "-o", str(part)], check=True)
+        done = subprocess.run([*command, str(SOURCE), "-o", str(part)], capture_output=True, text=True)
+        if done.returncode != 0:  # else only warnings, a great many, about the headers
+            raise SystemExit(done.stderr)
         part.rename(library)
     return library
 

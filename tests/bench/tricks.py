@@ -33,7 +33,7 @@ def without_opaque_stages():
 
 
 def without_hints():
-    os.environ["CNCLIK_HINTS"] = "0"  # what a user would do; here too late for the import, hence:
+    # As CNCLIK_HINTS=0 does, which is read when cnclik is imported.
     hints._context = jax.make_user_context(default_value=False)
 
 
@@ -74,9 +74,9 @@ def work(name, dtype, batch) -> None:
     """Compile the loop with one trick off, then time a run per line on stdin."""
     os.sched_setaffinity(0, bench.cores_here()[-1:])
     TRICKS[name]()
-    problem = bench.ROBOTS["panda"]()
-    arrays = tuple(bench.inputs(problem, batch, dtype).values())
-    looped = bench.loop(problem, bench.STEPS, ck.EE, ck.picard(5))
+    case = bench.ROBOTS["panda"]()
+    arrays = tuple(bench.inputs(case, batch, dtype).values())
+    looped = bench.loop(case, bench.STEPS, ck.EE, ck.picard(5))
     batched = ck.lanes(lambda *lane: looped(jnp.asarray(bench.ALPHA, dtype), *lane)[:2], cores=1)
     run = functools.partial(batched, *arrays)
     first = bench.clock(run)

@@ -36,10 +36,10 @@ def test_json_is_all_there_is_on_stdout():
     assert 0.1 < record["gradient_over_forward"] < 100
     assert "planar2" in done.stderr
     # The loops were those of solve.
-    problem = bench.ROBOTS["planar2"]()
+    case = bench.ROBOTS["planar2"]()
     ends = [
-        np.linalg.norm(ck.solve(problem.law, ck.hold(goal), q0, bench.TS, 4, ck.CN, ck.picard(2)).e[-1])
-        for q0, goal in zip(*bench.inputs(problem, 3, "float64").values(), strict=True)
+        np.linalg.norm(ck.solve(case.law, ck.hold(goal), q0, bench.TS, 4, ck.CN, ck.picard(2)).e[-1])
+        for q0, goal in zip(*bench.inputs(case, 3, "float64").values(), strict=True)
     ]
     assert record["error"] == pytest.approx(np.mean(ends), rel=1e-12)
 

@@ -11,11 +11,11 @@ from cnclik.study.bench import Line
 
 @pytest.mark.parametrize("robot, method, stage", [("planar2", ck.TRAPEZOID, ck.chord(2)), ("ur5", ck.EE, ck.picard(5))])
 def test_final_is_the_end_of_solve(robot, method, stage):
-    problem = bench.ROBOTS[robot]()
-    q0, *target = (values[1] for values in bench.inputs(problem, 2, "float64").values())
+    case = bench.ROBOTS[robot]()
+    q0, *target = (values[1] for values in bench.inputs(case, 2, "float64").values())
     reference = ck.hold(*target)
-    whole = ck.solve(problem.law, reference, q0, bench.TS, 3, method, stage)
-    q, error, mean = jax.jit(bench.loop(problem, 3, method, stage))(bench.ALPHA * np.ones(()), q0, *target)
+    whole = ck.solve(case.law, reference, q0, bench.TS, 3, method, stage)
+    q, error, mean = jax.jit(bench.loop(case, 3, method, stage))(bench.ALPHA * np.ones(()), q0, *target)
     squares = np.sum(np.square(whole.e), axis=1)
     np.testing.assert_allclose(q, whole.q[-1], rtol=0, atol=1e-13)
     np.testing.assert_allclose(error, np.sqrt(squares[-1]), rtol=0, atol=1e-13)
@@ -24,16 +24,16 @@ def test_final_is_the_end_of_solve(robot, method, stage):
 
 @pytest.mark.parametrize("robot", ["planar5", "ur5", "chain30"])
 def test_targets_can_be_reached_and_starts_differ(robot):
-    problem = bench.ROBOTS[robot]()
-    given = bench.inputs(problem, 5000, "float32")
+    case = bench.ROBOTS[robot]()
+    given = bench.inputs(case, 5000, "float32")
     assert {a.dtype for a in given.values()} == {np.dtype("float32")}
     assert len(np.unique(given["q0"], axis=0)) == 5000
     assert len(np.unique(given["position"], axis=0)) == 4096
     # The goals are poses within the spread of the posture: no farther from it than all joints can carry the tip.
-    at = ck.pose(problem.law.chain, np.array(problem.posture)).position
-    reach = 4.0 * problem.law.chain.n * problem.spread  # no arm here is longer than 5 m
+    at = ck.pose(case.law.chain, np.array(case.posture)).position
+    reach = 4.0 * case.law.chain.n * case.spread  # no arm here is longer than 5 m
     assert np.linalg.norm(given["position"] - at, axis=1).max() < reach
-    assert ("rotation" in given) == bool(problem.law.task.orientation)
+    assert ("rotation" in given) == bool(case.law.task.orientation)
 
 
 def test_steps_shrink_with_the_batch_and_obey_N():
