@@ -1,0 +1,105 @@
+"""Losses: what a tuning makes small, as smooth functions of a run.
+
+A loss maps a `View` to a number in the unit its line names; weighted sums of them are losses too. Times beyond the
+horizon have weight 0, so that loops with different sampling times are judged over the same time.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from cnclik import errors
+
+
+class View(NamedTuple):
+    """What a loss may look at.
+
+    Attributes:
+      run: the `Trajectory`; its e is the true error.
+      weight: (N,) shares of the horizon, of e[1] … e[N] and of the N steps, summing to 1. e[0] is given, not earned.
+      Ts: sampling time [s].
+      horizon: [s].
+      tolerance: what counts as arrived [m, rad].
+      maps: (K, m, m) one-step maps of the error at rest along the path.
+    """
+
+    run: object
+    weight: object
+    Ts: object
+    horizon: object
+    tolerance: object
+    maps: object
+
+
+def _squares(rows):
+    return jnp.sum(rows * rows, axis=-1)
+
+
+def _root(value):
+    """√ with derivative 0 at 0."""
+    zero = value == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, value)))
+
+
+def tracking(view: View):
+    """RMS of ‖e‖ [m, rad]."""
+    return _root(jnp.sum(view.weight * _squares(view.run.e[1:])))
+
+
+def worst(view: View, power=16):
+    """Largest ‖e‖, smoothly: (Σ w ‖e‖^2p / max w)^(1/2p), from 1 to N^(1/2p) times the largest [m, rad]."""
+    squares = _squares(view.run.e[1:])
+    counts = view.weight > 0
+    top = lax.stop_gradient(jnp.max(jnp.where(counts, squares, 0.0)))
+    top = jnp.where(top > 0, top, 1.0)
+    share = view.weight / lax.stop_gradient(jnp.max(view.weight))
+    return _root(top) * jnp.sum(share * (squares / top) ** power) ** (0.5 / power)
+
+
+def settling(view: View):
+    """Time spent outside the tolerance, smoothly: ∫ ‖e‖²/(‖e‖² + tolerance²) dt [s]."""
+    squares = _squares(view.run.e[1:])
+    return view.horizon * jnp.sum(view.weight * squares / (squares + view.tolerance**2))
+
+
+def effort(view: View):
+    """RMS of ‖q̇‖ [rad/s, m/s]."""
+    return _root(jnp.sum(view.weight * _squares(view.run.qdot)))
+
+
+def jerk(view: View):
+    """RMS of ‖Δ²q̇‖/Ts² [rad/s³, m/s³]."""
+    second = jnp.diff(view.run.qdot, n=2, axis=0) / view.Ts**2
+    return _root(jnp.sum(view.weight[2:] * _squares(second)))
+
+
+def noise(view: View):
+    """Standard deviation of the error at rest per unit of white measurement noise, RMS over axes and path [1].
+
+    A step does e ← A e + (A − I) w, so P = A P Aᵀ + (A − I)(A − I)ᵀ: √(z/(2 − z)) for explicit Euler.
+    """
+    m = view.maps.shape[-1]
+    a = view.maps
+    change = a - jnp.eye(m, dtype=a.dtype)
+    p = change @ jnp.swapaxes(change, -1, -2)
+    for _ in range(12):  # P = Σ AᵏQAᵏᵀ, doubled each time
+        p = p + a @ p @ jnp.swapaxes(a, -1, -2)
+        a = a @ a
+    return _root(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
+
+
+LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise)}
+
+
+def terms(loss):
+    """A loss as a user names it, as (function, weight) pairs: a name, {name: weight}, or a function of a `View`."""
+    if callable(loss):
+        return ((loss, 1.0),)
+    if isinstance(loss, str):
+        loss = {loss: 1.0}
+    if not isinstance(loss, dict) or not loss:
+        raise errors.fail("loss", "be a name, a table of names and weights, or a function", f"is {loss!r}")
+    for name, weight in loss.items():
+        errors.number(f"weight of {name}", weight, at_least=0)
+    return tuple((LOSSES[errors.one_of("loss", name, LOSSES)], float(weight)) for name, weight in loss.items())
