@@ -14,7 +14,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from cnclik.record import combine, partition
 
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
-_few_lanes = jax.make_user_context(default_value=False)
+_lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many
 
 
 def hints(on: bool):
@@ -60,9 +60,14 @@ def opaque(fn):
     return stage
 
 
-def few_lanes():
-    """Context manager: what is traced inside runs for one lane or one tile, so its loops may be `one_function`."""
-    return _few_lanes(True)
+def few_lanes(count: int):
+    """Context manager: what is traced inside runs for `count` lanes, so few that a loop may be `one_function`."""
+    return _lanes(count)
+
+
+def alone() -> bool:
+    """Whether one lane is all there is around what is traced."""
+    return _lanes.value == 1
 
 
 # What may be part of one native function: elementwise operations, data movement and control flow. The rest (sorting,
@@ -105,7 +110,7 @@ def one_function(loop):
 
     @functools.wraps(loop)
     def call(*args):
-        if not (hints_on() and _few_lanes.value and _is_native(jitted.trace(*args).jaxpr)):
+        if not (hints_on() and _lanes.value and _is_native(jitted.trace(*args).jaxpr)):
             return loop(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jitted(*args)

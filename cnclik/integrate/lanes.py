@@ -89,7 +89,7 @@ def _tiled(fn, tile, *args):
 
     def one(start):
         part = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args)
-        with few_lanes():
+        with few_lanes(tile):
             return jax.vmap(fn)(*part)
 
     if size == tile:

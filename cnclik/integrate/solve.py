@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import few_lanes, one_function
+from cnclik.hints import alone, few_lanes, one_function
 from cnclik.integrate.method import EE, METHODS, Method
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags
@@ -163,8 +163,8 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
     errors.number("t0", t0)
     arguments = (law, reference, q0, Ts, t0, stage)
     # Called with numbers, no vmap is around this loop: it may become one native function.
-    alone = all(map(errors.concrete, jax.tree.leaves(arguments)))
-    with few_lanes() if alone else contextlib.nullcontext():
+    known = all(map(errors.concrete, jax.tree.leaves(arguments)))
+    with few_lanes(1) if known else contextlib.nullcontext():
         return _solve(*arguments, N=N, method=method)
 
 
@@ -205,21 +205,22 @@ def cast(tree, dtype):
 @functools.partial(jax.jit, static_argnames=("N", "method"))
 def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     ref.check(reference, law.task)  # shapes only: once, while tracing
-    short = 0 < N <= SHORT
+    # Alone, the trajectory is put together in the loop's own function; else what nobody asks for shall vanish.
+    short = alone() and 0 < N <= SHORT
 
     def loop(law, reference, q0, Ts, t0, stage, k):
         def one(q, k):
             made = advance(law, reference, q, t0 + k * Ts, Ts, method, stage)
             return made.q, (q, made.e, made.qdot, made.residual, made.contraction, made.status)
 
-        q, steps = lax.scan(one, tuple(q0), k[:-1])
+        q, steps = lax.scan(jax.checkpoint(one, prevent_cse=False), tuple(q0), k[:-1])
         return q, evaluate(law, reference, t0 + k[-1] * Ts, q).e, steps
 
     def whole(law, reference, q0, Ts, t0, stage):
         law, reference = cast((law, reference), q0.dtype)
         Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
         k = jnp.arange(N + 1).astype(q0.dtype)
-        run = one_function(loop) if N > SHORT else loop
+        run = loop if short or N == 0 else one_function(loop)
         q, e, (qs, es, qdot, residual, contraction, status) = run(law, reference, q0, Ts, t0, stage, k)
         qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
         # A coordinate that no joint moves is a literal, hence the asarray.
