@@ -252,9 +252,9 @@ def _disk(folder, when=""):
     try:
         yield
     except OSError as error:
-        raise errors.fail(
-            "out", "be a folder that can be written", f"{str(folder)!r}: {error.strerror or error}{when}"
-        ) from error
+        reason = f"{error.strerror or error}{when}"
+        message = f"Argument `out` must be a folder that can be written, but {str(folder)!r} is not: {reason}."
+        raise errors.ArgumentError(message) from error
 
 
 @contextlib.contextmanager
