@@ -772,3 +772,34 @@ def calibrate(
     loss = done.history.loss[0]
     values = tuple(np.asarray(v) for v in pm.values_of((p,), jnp.asarray(done.best[0])))
     return Calibrated(values, before**0.5, float(done.best_loss[0]) ** 0.5, done.why, np.sqrt(loss))
+
+
+# --- the map around a tuned loop ----------------------------------------------------------------------
+
+
+def radius_field(tuned, made, q):
+    """Spectral radius of the linear loop at rest at q over gains and sampling times around a tuned one.
+
+    Args:
+      tuned: `Tuned`. made: the problem it came from (method, stage, Ts). q: (n,).
+    Returns: an xarray.Dataset over (Ts, alpha), alpha being the gain's largest |eigenvalue| [1/s].
+    """
+    import xarray as xr
+
+    from cnclik.study.spectrum import _maps, _task_radius
+
+    rate = largest_rate(tuned.law.alpha)
+    centre = tuned.z / tuned.Ts
+    alpha = np.geomspace(centre / 20, centre * 8, 40)
+    Ts = np.geomspace(tuned.Ts / 8, tuned.Ts * 8, 25)
+    grid_Ts, grid_alpha = (v.ravel() for v in np.meshgrid(Ts, alpha, indexing="ij"))
+    q = as_joint_values(tuned.law.chain, q)
+    law = replace(tuned.law, alpha=jnp.asarray(tuned.law.alpha))
+    moved, rows = _maps(law, at_rest(law, None, q), q, grid_alpha / rate, grid_Ts, made.method, made.stage)
+    radius = _task_radius(moved, rows).reshape(len(Ts), len(alpha))
+    gain = "gain α" if np.ndim(tuned.law.alpha) == 0 else "largest gain of α"
+    return xr.Dataset(
+        {"radius": (("Ts", "alpha"), radius, {"units": "1", "long_name": "spectral radius"})},
+        coords={"alpha": ("alpha", alpha, {"units": "1/s"}), "Ts": ("Ts", Ts, {"units": "s"})},
+        attrs={"Ts_before": float(made.Ts), "gain": gain},
+    )

@@ -209,7 +209,9 @@ def test_forward_reverse_and_finite_differences_agree():
 
 
 def test_gradient_mode_goes_by_number():
-    assert gradient_mode(3) == "forward" and gradient_mode(30) == "reverse" and gradient_mode(30, "forward") == "forward"
+    assert (
+        gradient_mode(3) == "forward" and gradient_mode(30) == "reverse" and gradient_mode(30, "forward") == "forward"
+    )
 
 
 def test_radius_bound_is_an_upper_bound_and_tight():
