@@ -13,6 +13,7 @@ VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
     "robots": "show a URDF file: its tree, joints, limits and candidate tips",
     "solve": "run one loop on one robot: trajectory, figures, summary",
+    "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",

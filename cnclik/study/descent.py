@@ -70,7 +70,12 @@ def begin(optimizer, u, constraints: int) -> Carry:
     )
 
 
-@functools.partial(jax.jit, static_argnames=("steps", "optimizer", "mode"))
+# Most of a descent's time is compilation: code that is less optimised is ready sooner.
+@functools.partial(
+    jax.jit,
+    static_argnames=("steps", "optimizer", "mode"),
+    compiler_options={"xla_backend_optimization_level": 0},
+)
 def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
     """`steps` evaluations from each of S starts, with fixed multipliers.
 

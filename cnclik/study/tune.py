@@ -85,12 +85,13 @@ def _delayed(a, delay):
 
 
 class Judged(NamedTuple):
-    """What values lead to: loss, largest spectral radius measured along the runs, velocity over limit, postures."""
+    """What values lead to."""
 
     loss: jax.Array
-    radius: jax.Array
-    speed: jax.Array
-    postures: jax.Array  # (B·K, n)
+    radius: jax.Array  # largest spectral radius measured along the runs
+    speed: jax.Array  # largest |q̇| over its limit
+    postures: jax.Array  # (B·K, n) where the radius was measured
+    run: object  # `Trajectory` of the first scenario
 
 
 @record
@@ -188,26 +189,17 @@ class LoopObjective:
             jnp.where(finite, radius, inf),
             jnp.where(jnp.isfinite(speed), speed, inf),
             postures,
+            jax.tree.map(lambda x: x[0], runs),
         )
-
-    def nominal(self, values):
-        """The first scenario's run and loop."""
-        loop = pm.put(self.loop, self.parameters, values)
-        first = jax.tree.map(lambda x: x[0], self.scenarios)
-        return rollout(loop, first, self.N, self.method, self.stage, delay=self.delay, horizon=self.horizon)
 
 
 _LANES = 16  # values judged together: one shape, one program
 
 
-@jax.jit
+# Most of a tuning's time is compilation: code that is less optimised is ready sooner.
+@functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
-
-
-@jax.jit
-def _nominal(objective, values):
-    return objective.nominal(values)
 
 
 class _Seen(NamedTuple):
@@ -217,6 +209,7 @@ class _Seen(NamedTuple):
     radius: np.ndarray
     speed: np.ndarray
     postures: np.ndarray
+    run: object
     violation: np.ndarray
 
 
@@ -688,8 +681,8 @@ def _result(objective, values, judged, status, history, final, own, first, mode,
         z=_z(loop),
         history=history,
         starts=final,
-        before=_nominal(objective, tuple(jnp.asarray(v) for v in own)),
-        after=_nominal(objective, tuple(jnp.asarray(v) for v in values)),
+        before=jax.tree.map(lambda x: x[0], first.run),
+        after=judged.run,
         status=status,
         why=why,
         gradient=f"{mode} mode, {count} free numbers, {kind} stages",
@@ -779,3 +772,34 @@ def calibrate(
     loss = done.history.loss[0]
     values = tuple(np.asarray(v) for v in pm.values_of((p,), jnp.asarray(done.best[0])))
     return Calibrated(values, before**0.5, float(done.best_loss[0]) ** 0.5, done.why, np.sqrt(loss))
+
+
+# --- the map around a tuned loop ----------------------------------------------------------------------
+
+
+def radius_field(tuned, made, q):
+    """Spectral radius of the linear loop at rest at q over gains and sampling times around a tuned one.
+
+    Args:
+      tuned: `Tuned`. made: the problem it came from (method, stage, Ts). q: (n,).
+    Returns: an xarray.Dataset over (Ts, alpha), alpha being the gain's largest |eigenvalue| [1/s].
+    """
+    import xarray as xr
+
+    from cnclik.study.spectrum import _maps, _task_radius
+
+    rate = largest_rate(tuned.law.alpha)
+    centre = tuned.z / tuned.Ts
+    alpha = np.geomspace(centre / 20, centre * 8, 40)
+    Ts = np.geomspace(tuned.Ts / 8, tuned.Ts * 8, 25)
+    grid_Ts, grid_alpha = (v.ravel() for v in np.meshgrid(Ts, alpha, indexing="ij"))
+    q = as_joint_values(tuned.law.chain, q)
+    law = replace(tuned.law, alpha=jnp.asarray(tuned.law.alpha))
+    moved, rows = _maps(law, at_rest(law, None, q), q, grid_alpha / rate, grid_Ts, made.method, made.stage)
+    radius = _task_radius(moved, rows).reshape(len(Ts), len(alpha))
+    gain = "gain α" if np.ndim(tuned.law.alpha) == 0 else "largest gain of α"
+    return xr.Dataset(
+        {"radius": (("Ts", "alpha"), radius, {"units": "1", "long_name": "spectral radius"})},
+        coords={"alpha": ("alpha", alpha, {"units": "1/s"}), "Ts": ("Ts", Ts, {"units": "s"})},
+        attrs={"Ts_before": float(made.Ts), "gain": gain},
+    )

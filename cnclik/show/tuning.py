@@ -1,0 +1,123 @@
+"""Figures of a tuning: its history, the error before and after, where it works on the stability map, responses."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from cnclik.show import style
+
+_LEAST = 1e-16
+_BEFORE = {"color": "0.55", "linewidth": 1.2, "label": "before"}
+_AFTER = {"color": style.BLUE, "linewidth": 1.2, "label": "after"}
+_COLORS = (style.BLUE, style.VERMILION, style.GREEN, style.ORANGE, style.PURPLE, style.SKY)
+_DASHES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+
+
+def history(tuned):
+    """Loss and worst constraint against the number of evaluations."""
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(style.COLUMN, 3.2), sharex=True)
+    loss, violation = np.asarray(tuned.history["loss"]), np.asarray(tuned.history["violation"])
+    count = np.arange(1, len(loss) + 1)
+    upper.semilogy(count, np.where(loss > _LEAST, loss, np.nan), color=style.BLUE)
+    upper.set_ylabel(f"loss: {tuned.loss}")
+    lower.plot(count, tuned.margin * (1 + np.clip(violation, -1, 1)), color=style.VERMILION)
+    lower.axhline(tuned.margin, **style.GUIDE)
+    lower.annotate(
+        "bound", (1, tuned.margin), xytext=(0, 2), textcoords="offset points", ha="right",
+        xycoords=("axes fraction", "data"), fontsize=6.5, color="0.35",
+    )  # fmt: skip
+    lower.set_ylabel("worst constraint,\nas a radius")
+    lower.set_xlabel("evaluations with gradient")
+    return figure
+
+
+def error(tuned, task):
+    """Norm of position and orientation error before and after."""
+    count = len(task.position)
+    parts = [
+        (name, part)
+        for name, part, size in (
+            ("position error [m]", slice(0, count), count),
+            ("orientation error [rad]", slice(count, None), task.m - count),
+        )
+        if size
+    ]
+    figure, axes = plt.subplots(
+        len(parts), 1, figsize=(style.COLUMN, 0.6 + 1.5 * len(parts)), sharex=True, squeeze=False
+    )
+    for axis, (name, part) in zip(axes[:, 0], parts, strict=True):
+        for run, look in ((tuned.before, _BEFORE), (tuned.after, _AFTER)):
+            norm = np.linalg.norm(np.asarray(run.e)[:, part], axis=1)
+            shown = np.where(np.isfinite(norm) & (norm > _LEAST), norm, np.nan)
+            axis.semilogy(np.asarray(run.t), shown, **look)
+        axis.set_ylabel(name)
+    axes[0, 0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def operating(field, tuned):
+    """Spectral radius of the linear loop over gain and sampling time, with the operating points.
+
+    Args:
+      field: Dataset over (Ts, alpha) with `radius`.
+    """
+    figure, axis = plt.subplots(figsize=(style.COLUMN, 2.8))
+    levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
+    shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.82"]
+    axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades)
+    lines = axis.contour(
+        field.alpha, field.Ts, field.radius, levels=[0.2, 0.4, 0.6, 0.8], colors="white", linewidths=0.5
+    )
+    axis.clabel(lines, fontsize=6, fmt="%.1f")
+    axis.contour(field.alpha, field.Ts, field.radius, levels=[1.0], colors="black", linewidths=1.0)
+    bound = axis.contour(
+        field.alpha, field.Ts, field.radius, levels=[tuned.margin], colors=style.VERMILION, linewidths=1.0
+    )
+    bound.set_linestyle("--")
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.grid(False)
+    low, high = float(field.alpha[0]), float(field.alpha[-1])
+    point = {"linestyle": "none", "markersize": 6, "markeredgecolor": "white", "zorder": 5, "clip_on": False}
+    for x, y, marker, color, label in (
+        (tuned.z_before / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", "0.35", "before"),
+        (tuned.z / tuned.Ts, tuned.Ts, "D", style.VERMILION, "after"),
+    ):
+        if low <= x <= high:
+            axis.plot(x, y, marker=marker, color=color, label=label, **point)
+    axis.plot([], [], color="black", linewidth=1.0, label="stable to here")
+    axis.plot([], [], color=style.VERMILION, linestyle="--", linewidth=1.0, label=f"margin {tuned.margin:g}")
+    axis.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
+    axis.set_xlabel(f"{field.attrs['gain']} [1/s]")
+    axis.set_ylabel("sampling time [s]")
+    return figure
+
+
+def responses(data):
+    """Step and sine test around the resting place, per task axis."""
+    figure, (step, sine) = plt.subplots(2, 1, figsize=(style.COLUMN, 3.4))
+    for axis, test in ((step, "step"), (sine, "sine")):
+        one = data.sel(test=test)
+        stop = 25 if test == "step" else None
+        time = one.time.values[:stop]
+        axis.plot(time, one.wanted.values[0][:stop], color="0.55", linewidth=2.4, label="wanted", zorder=1)
+        for i, name in enumerate(one.axis.values):
+            axis.plot(
+                time, one.response.sel(axis=name).values[:stop], label=name, color=_COLORS[i % 6],
+                linestyle=_DASHES[i % 6], marker="." if test == "step" else "", zorder=2,
+            )  # fmt: skip
+        axis.set_ylabel(f"{test} response")
+    step.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
+    sine.set_xlabel("time [s]")
+    return figure
+
+
+def pictures(tuned, task, field, data) -> dict:
+    """All figures by name."""
+    drawn = {"history": history(tuned)} if len(tuned.history["loss"]) else {}
+    drawn["error"] = error(tuned, task)
+    if field is not None:
+        drawn["operating"] = operating(field, tuned)
+    if data is not None:
+        drawn["responses"] = responses(data)
+    return drawn
