@@ -31,7 +31,7 @@ ORDINARY = dict(
 CASES = {
     "ordinary": {},
     # Stretched along +y, with the target further inward and to the side: J loses its row along y.
-    "singular": dict(q0=[0.0, 0.0, 0.0], start=[0.3, 1.2]),
+    "singular": dict(q0=[0.0, 0.0, 0.0], start=[0.1, 2.0], end=[0.1, 1.9], damping=0.3),
     # And with nothing to do in the direction that is left.
     "singular, at rest": dict(q0=[0.0, 0.0, 0.0], start=[0.0, 2.2], end=[0.0, 2.2], null_velocity=[0.0] * 3),
 }
@@ -79,27 +79,24 @@ def test_damped_loops(method, case):
     close(reverse(x), forward(x), atol=1e-12 * size)
 
 
-@pytest.mark.parametrize("method", ["EE", "CN"])
-def test_loops_with_the_pseudoinverse(method):
+def test_loops_with_the_pseudoinverse():
     """Where J has full rank; the damping alone has no effect."""
-    p = arguments()
-    x, values, forward, reverse = prepare(method, "pseudoinverse", p)
+    x, values, forward, reverse = prepare("CN", "pseudoinverse", arguments())
     wanted = central_differences(values, x)
     close(forward(x), wanted, atol=1e-6 * np.abs(wanted).max())
     close(reverse(x), forward(x), atol=1e-12 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("case", ["singular", "singular, at rest"])
-@pytest.mark.parametrize("method", ["EE", "CN"])
-def test_pseudoinverse_at_a_singularity_is_never_nan(method, case):
-    x, values, forward, reverse = prepare(method, "pseudoinverse", arguments(**CASES[case]))
+def test_pseudoinverse_at_a_singularity_is_never_nan(case):
+    x, values, forward, reverse = prepare("CN", "pseudoinverse", arguments(**CASES[case]))
     assert np.all(np.isfinite(values(x[None])))
     assert np.all(np.isfinite(forward(x))) and np.all(np.isfinite(reverse(x)))
 
 
 @pytest.mark.parametrize("alpha", [[4.0, 2.0], [[4.0, 1.0], [-0.5, 2.0]]], ids=["per axis", "matrix"])
 def test_other_gains(alpha):
-    x, values, forward, reverse = prepare("CN", "damped", arguments(alpha=alpha))
+    x, values, forward, reverse = prepare("EE", "damped", arguments(alpha=alpha))
     wanted = central_differences(values, x)
     close(forward(x), wanted, atol=1e-6 * np.abs(wanted).max())
     close(reverse(x), forward(x), atol=1e-12 * np.abs(wanted).max())
@@ -109,19 +106,18 @@ def test_other_gains(alpha):
 
 
 def wrist(v):
-    """A spatial arm that turns: points, axes, tool, target orientation and gain, all differentiated."""
+    """A spatial arm that turns: points, axes, tool, target quaternion, start and gain, all differentiated."""
     points, axes, home, turn, q0, alpha = (
         v[:9].reshape(3, 3),
         v[9:18].reshape(3, 3),
         v[18:21],
-        v[21:24],
-        v[24:27],
-        v[27],
+        v[21:25],
+        v[25:28],
+        v[28],
     )
     arm = ck.from_screws(points, axes, home)
     law = ck.Law(arm, ck.orientation(), alpha=alpha, inverse=ck.damped(0.2))
-    half = jnp.sqrt(1 - jnp.sum(turn**2))
-    run = ck.solve(law, ck.hold(None, jnp.array([half, *turn])), q0, 0.1, 2, "CN", ck.picard(1))
+    run = ck.solve(law, ck.hold(None, turn), q0, 0.1, 2, "CN", ck.picard(1))
     return jnp.concatenate([run.q[-1], run.e[-1], ck.pose(arm, run.q[-1]).position])
 
 
@@ -132,11 +128,11 @@ AT = np.concatenate([np.linspace(-0.4, 0.5, 9), AXES, [0.1, 0.2, 0.9]])
 
 @pytest.mark.parametrize(
     ("turn", "q0"),
-    [([0.1, -0.3, 0.2], [0.3, 0.8, -0.4]), ([0.1, -0.3, 0.2], [0.3, 0.0, 0.2]), ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])],
+    [([0.9, 0.1, -0.3, 0.2], [0.3, 0.8, -0.4]), ([0.9, 0.1, -0.3, 0.2], [0.3, 0, 0.2]), ([1, 0, 0, 0], [0, 0, 0])],
     ids=["ordinary", "singular", "singular, nothing to turn"],
 )
 def test_orientation_loop(turn, q0):
-    x = np.concatenate([AT, turn, q0, [3.0]])
+    x = np.concatenate([AT, turn / np.linalg.norm(turn), q0, [3.0]])
     values, forward, reverse = WRIST
     wanted = central_differences(values, x)
     close(forward(x), wanted, atol=1e-6 * np.abs(wanted).max())
@@ -145,8 +141,6 @@ def test_orientation_loop(turn, q0):
 
 def test_half_a_turn_away_is_finite():
     """A target at an angle of exactly π: a discontinuity of the error, but no NaN in the loop's derivatives."""
-    x = np.concatenate([AT, [1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [3.0]])
+    x = np.concatenate([AT, [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [3.0]])
     _, forward, reverse = WRIST
-    keep = [*range(21), *range(24, 28)]  # √(1 − |turn|²) itself has no derivative there
-    assert np.all(np.isfinite(np.asarray(forward(x))[:, keep]))
-    assert np.all(np.isfinite(np.asarray(reverse(x))[:, keep]))
+    assert np.all(np.isfinite(forward(x))) and np.all(np.isfinite(reverse(x)))

@@ -97,7 +97,7 @@ def derivatives(shape):
     return jax.jit(jax.vmap(flat)), jax.jit(jax.jacfwd(flat)), jax.jit(jax.jacrev(flat)), jax.jit(second)
 
 
-@pytest.mark.parametrize("shape", [(1, 3), (2, 2), (2, 5), (3, 3), (4, 2), (6, 7)], ids=str)
+@pytest.mark.parametrize("shape", [(1, 3), (2, 2), (2, 5), (3, 3), (4, 2)], ids=str)
 def test_derivative_at_full_rank(shape):
     many, forward, reverse, second = derivatives(shape)
     rng, k = np.random.default_rng(1), min(shape)
@@ -112,6 +112,17 @@ def test_derivative_at_full_rank(shape):
         slope = lambda x: np.asarray(forward(x)) @ d  # noqa: B023, E731
         numeric = (slope(x + h * d) - slope(x - h * d)) / (2 * h)
         close(second(x, d), numeric, atol=1e-7 * np.abs(numeric).max())
+
+
+def test_derivative_of_a_whole_pose():
+    """6×7, in one direction: the size of a pose task on a redundant arm."""
+    rng = np.random.default_rng(5)
+    a, d = rng.normal(size=(2, 6, 7))
+    _, found = jax.jit(lambda a, d: jax.jvp(pinv, (a,), (d,)))(a, d)
+    h = 1e-5
+    after, before = (np.linalg.pinv(a + s * d) for s in (h, -h))
+    wanted = (after - before) / (2 * h)
+    close(found, wanted, atol=1e-7 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (2, 5), (3, 3), (4, 2)], ids=str)
