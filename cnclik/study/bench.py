@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.hints import one_function
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS
 from cnclik.integrate.solve import advance, cast, evaluations_per_step
@@ -130,16 +131,19 @@ def inputs(case: Case, batch: int, dtype) -> dict:
 def final(law, reference, q0, Ts, N, method, stage):
     """The end of a loop of N steps, none of it stored: (q (n,), ‖e‖, mean of ‖e‖² over its N + 1 instants)."""
     law, reference = cast((law, reference), q0.dtype)
-    Ts = jnp.asarray(Ts, q0.dtype)
-
-    def one(carry, k):
-        q, total = carry
-        made = advance(law, reference, q, k * Ts, Ts, method, stage)
-        return (made.q, total + sp.dot(made.e, made.e)), None
-
     k = jnp.arange(N + 1).astype(q0.dtype)
-    (q, total), _ = lax.scan(one, (tuple(q0), jnp.zeros_like(q0[0])), k[:-1])
-    e = evaluate(law, reference, k[-1] * Ts, q).e
+
+    @one_function
+    def march(law, reference, q0, Ts, stage, k):
+        def one(carry, k):
+            q, total = carry
+            made = advance(law, reference, q, k * Ts, Ts, method, stage)
+            return (made.q, total + sp.dot(made.e, made.e)), None
+
+        (q, total), _ = lax.scan(one, (tuple(q0), jnp.zeros_like(q0[0])), k[:-1])
+        return q, total, evaluate(law, reference, k[-1] * Ts, q).e
+
+    q, total, e = march(law, reference, q0, jnp.asarray(Ts, q0.dtype), stage, k)
     squared = sp.dot(e, e)
     return jnp.stack(q), jnp.sqrt(squared), (total + squared) / (N + 1)
 
