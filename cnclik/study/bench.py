@@ -22,9 +22,10 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.hints import one_function
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS
-from cnclik.integrate.solve import advance, cast, evaluations_per_step
+from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
 from cnclik.integrate.stage import chord, newton, picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import damped, pseudoinverse
@@ -128,30 +129,38 @@ def inputs(case: Case, batch: int, dtype) -> dict:
 
 
 def final(law, reference, q0, Ts, N, method, stage):
-    """The end of a loop of N steps, none of it stored: (q (n,), ‖e‖, mean of ‖e‖² over its N + 1 instants)."""
+    """The end of a loop of N steps, none of it stored: (q (n,), ‖e‖)."""
     law, reference = cast((law, reference), q0.dtype)
-    Ts = jnp.asarray(Ts, q0.dtype)
-
-    def one(carry, k):
-        q, total = carry
-        made = advance(law, reference, q, k * Ts, Ts, method, stage)
-        return (made.q, total + sp.dot(made.e, made.e)), None
-
     k = jnp.arange(N + 1).astype(q0.dtype)
-    (q, total), _ = lax.scan(one, (tuple(q0), jnp.zeros_like(q0[0])), k[:-1])
-    e = evaluate(law, reference, k[-1] * Ts, q).e
-    squared = sp.dot(e, e)
-    return jnp.stack(q), jnp.sqrt(squared), (total + squared) / (N + 1)
+
+    @one_function
+    def march(law, reference, q0, Ts, stage, k):
+        one = lambda q, k: (advance(law, reference, q, k * Ts, Ts, method, stage).q, None)  # noqa: E731
+        q, _ = lax.scan(one, tuple(q0), k[:-1])
+        return q, evaluate(law, reference, k[-1] * Ts, q).e
+
+    q, e = march(law, reference, q0, jnp.asarray(Ts, q0.dtype), stage, k)
+    return jnp.stack(q), jnp.sqrt(sp.dot(e, e))
 
 
 def loop(case: Case, N: int, method, stage):
-    """`final` as a function of alpha and one lane's start and target."""
+    """`final` as a function of one lane's start and target."""
 
-    def one(alpha, q0, position, rotation=None):
-        law = dataclasses.replace(case.law, alpha=alpha)
-        return final(law, ref.hold(position, rotation), q0, TS, N, method, stage)
+    def one(q0, position, rotation=None):
+        return final(case.law, ref.hold(position, rotation), q0, TS, N, method, stage)
 
     return one
+
+
+def tracking_loss(case: Case, N: int, method, stage):
+    """Mean of ‖e‖² over a loop's N + 1 instants, as a function of alpha and one lane's start and target."""
+
+    def loss(alpha, q0, position, rotation=None):
+        law = dataclasses.replace(case.law, alpha=alpha)
+        e = solve(law, ref.hold(position, rotation), q0, TS, N, method, stage).e
+        return jnp.mean(jnp.sum(e * e, axis=1))
+
+    return loss
 
 
 # --- measuring ----------------------------------------------------------------------------------------
@@ -218,13 +227,9 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
     per_step = evaluations_per_step(method, stage, case.law.chain.n)
     N = steps_for(line, per_step)
     named = inputs(case, line.batch, line.dtype)
-    alpha = jnp.asarray(ALPHA, line.dtype)
     base = peak_mib()
-
-    def end(*lane):
-        return loop(case, N, method, stage)(alpha, *lane)[1]
-
-    run = functools.partial(lanes(end, cores=line.cores), *named.values())
+    end = loop(case, N, method, stage)
+    run = functools.partial(lanes(lambda *lane: end(*lane)[1], cores=line.cores), *named.values())
     first = clock(run)
     run_s = repeat(run, seconds)
     record = dataclasses.asdict(line) | {
@@ -242,16 +247,14 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
         "error": float(np.mean(run())),
         "gradient_over_forward": None,
     }
-    return record | (gradients(line, case, method, stage, named, alpha, seconds) if line.gradient else {})
+    return record | (gradients(line, case, method, stage, named, seconds) if line.gradient else {})
 
 
-def gradients(line, case, method, stage, named, alpha, seconds) -> dict:
+def gradients(line, case, method, stage, named, seconds) -> dict:
     """Times [s] of the tracking loss and of loss and gradient, all as `jit(vmap(...))`; ratios; compile times."""
     N = min(steps_for(line, evaluations_per_step(method, stage, case.law.chain.n)), STEPS_OF_GRADIENT)
     some = {name: value[:LANES_OF_GRADIENT] for name, value in named.items()}
-
-    def loss(alpha, *lane):
-        return loop(case, N, method, stage)(alpha, *lane)[2]
+    loss, alpha = tracking_loss(case, N, method, stage), jnp.asarray(ALPHA, line.dtype)
 
     def value(*lane):
         return loss(alpha, *lane)

@@ -91,8 +91,7 @@ def ours(task, dtype, inverse="damped"):
 
     @functools.cache
     def batched(N):
-        looped = bench.loop(case, N, ck.METHODS[task], ck.picard(5))
-        return ck.lanes(lambda *lane: looped(jnp.asarray(bench.ALPHA, dtype), *lane)[:2], cores=1)
+        return ck.lanes(bench.loop(case, N, ck.METHODS[task], ck.picard(5)), cores=1)
 
     def run(lanes, N):
         return jax.block_until_ready(batched(N)(*(a[:lanes] for a in given(dtype))))
