@@ -110,7 +110,7 @@ def _grid(p, steps):
     """At most `steps` gains, evenly spread in the logarithm over the bounds where explicit Euler can be stable."""
     shape = np.shape(p.start)
     count = int(np.prod(shape, dtype=int))
-    each = max(2, int(round(steps ** (1 / count) - 0.5 + 1e-9))) if count > 1 else steps
+    each = max(2, round(steps ** (1 / count) - 0.5 + 1e-9)) if count > 1 else steps
     axis = np.geomspace(np.max(p.lower) * 10, np.max(p.upper) / 4, each)
     return [np.reshape(v, shape) for v in np.stack(np.meshgrid(*[axis] * count), -1).reshape(-1, count)]
 
