@@ -23,13 +23,14 @@ class Kind(enum.IntEnum):
     """How a loop ended."""
 
     CONVERGED = 0  # throughout the last quarter the error is below tolerance·scale
-    SLOW = 1  # not there yet, but all of the last quarter is below all of the one before
+    SLOW = 1  # not there yet, but all of the last quarter is below all of the one before, and clearly
     NOT_CONVERGED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
     DIVERGED = 3  # not finite, or in the last quarter the error comes up to the scale again
     NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity while the error was below the scale
 
 
 _GROWN = 1 + 1e-3  # an error beyond this times the scale has grown
+_ON_THE_WAY = 0.98  # largest ratio of two quarters' largest errors that is not standing still short of the target
 
 
 def stable(kind):
@@ -74,12 +75,13 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     bound = tolerance * scale
 
     def judge(k, e, seen):
-        above, least, final = seen
+        above, least, most, final = seen
         size = sp.safe_norm(e)
         size = jnp.where(jnp.isfinite(size), size, jnp.inf)
         return (
             jnp.where(size > bound, k, above),
             jnp.where((k >= before) & (k < tail), jnp.minimum(least, size), least),
+            jnp.where((k >= before) & (k < tail), jnp.maximum(most, size), most),
             jnp.where(k >= tail, jnp.maximum(final, size), final),
         )
 
@@ -92,15 +94,16 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         return (made.q, judge(k, made.e, seen), bits | made.status.astype(jnp.int32), grown, first_near), None
 
     k = jnp.arange(N + 1).astype(q0.dtype)
-    nothing = (jnp.full_like(first, -1.0), jnp.full_like(first, jnp.inf), jnp.zeros_like(first))
+    nothing = (jnp.full_like(first, -1.0), jnp.full_like(first, jnp.inf), jnp.zeros_like(first), jnp.zeros_like(first))
     never = jnp.zeros_like(first, bool)
     start = (tuple(q0), nothing, jnp.zeros_like(first, jnp.int32), never, never)
     (q, seen, bits, _, first_near), _ = lax.scan(one, start, k[:-1])
-    above, least, final = judge(k[-1], evaluate(law, reference, k[-1] * Ts, q).e, seen)
+    above, least, most, final = judge(k[-1], evaluate(law, reference, k[-1] * Ts, q).e, seen)
     near, stuck = (bits & int(Status.NEAR_SINGULAR)) != 0, (bits & int(Status.NOT_CONVERGED)) != 0
     converged = final <= bound
     failed = jnp.where(first_near, Kind.NEAR_SINGULAR, jnp.where(final >= scale, Kind.DIVERGED, Kind.NOT_CONVERGED))
-    kind = jnp.where(converged, Kind.CONVERGED, jnp.where(final < jnp.minimum(least, scale), Kind.SLOW, failed))
+    slow = (final < jnp.minimum(least, scale)) & (final < _ON_THE_WAY * most)
+    kind = jnp.where(converged, Kind.CONVERGED, jnp.where(slow, Kind.SLOW, failed))
     steps = above + 1
     rate = jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan)
     return Outcome(
