@@ -17,6 +17,7 @@ VERBS = {
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
+    "compare": "compare the methods on Panda and UR5: error of pose tracking against work",
     "trouble": "compare damping and limit methods on real robots near singularities, limits and out of reach",
 }
 
