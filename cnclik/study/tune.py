@@ -233,7 +233,7 @@ def _look(objective, many) -> _Seen:
 
 @record
 class Tuned:
-    """What a tuning found. Nothing in it is NaN; what could not be computed is inf.
+    """What a tuning found. No number in it is NaN, what could not be computed is inf; trajectories are as they were.
 
     Attributes:
       law, Ts: with the tuned values in them (`schedule` too, where there is one).
@@ -681,14 +681,22 @@ def _result(objective, values, judged, status, history, final, own, first, mode,
         z=_z(loop),
         history=history,
         starts=final,
-        before=jax.tree.map(lambda x: x[0], first.run),
-        after=judged.run,
+        before=_cut(jax.tree.map(lambda x: x[0], first.run), before, objective),
+        after=_cut(judged.run, loop, objective),
         status=status,
         why=why,
         gradient=f"{mode} mode, {count} free numbers, {kind} stages",
         evaluations=int(evaluations),
         postures=np.asarray(judged.postures),
     )
+
+
+def _cut(run, loop, objective):
+    """The run up to the horizon: with a tuned Ts the program runs as many steps as the smallest one needs."""
+    N = min(objective.N, int(np.ceil(float(objective.horizon) / float(loop.Ts) - 1e-9)))
+    points = {name: getattr(run, name)[: N + 1] for name in ("t", "q", "x", "e")}
+    steps = {name: getattr(run, name)[:N] for name in ("qdot", "residual", "contraction", "status")}
+    return replace(run, **points, **steps, evaluations=run.evaluations * N // objective.N)
 
 
 def _z(loop):
