@@ -23,7 +23,7 @@ def test_array_of_passes_equals_static_passes_under_vmap():
     for M in (0, 1, 5):
         one = run(ck.picard(M))
         for field in ("q", "e", "qdot", "residual", "contraction"):
-            close(getattr(many, field)[M], getattr(one, field), atol=1e-14)
+            close(getattr(many, field)[M], getattr(one, field), atol=1e-12)
         assert many.evaluations[M] == one.evaluations == 3 * (1 + M)
         np.testing.assert_array_equal(many.status[M], one.status)
 
