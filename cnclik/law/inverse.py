@@ -79,7 +79,7 @@ class SingularDamped:
     def __call__(self, rows) -> Factored:
         thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
         tiny = _tiny(thin)
-        squared = _least_squared(thin, dense.ldl(dense.gram(thin, tiny)))
+        squared = _least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
         shift = jnp.maximum(share * self.damping * self.damping, tiny)
         return Factored(_damped_apply(rows, shift), jnp.sqrt(lax.stop_gradient(squared)))
@@ -103,24 +103,18 @@ def _tiny(rows):
 
 
 @opaque
-def _least_squared(rows, factor):
-    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u from six inverse iterations on J Jᵀ.
+def _least_squared(rows):
+    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector by one-sided Jacobi.
 
     With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
     """
-    m = len(rows)
-    held = lax.stop_gradient(factor)
-    guess = [dense.ldl_solve(held, tuple(1.0 if i == j else 0.0 for i in range(m))) for j in range(m)]
-    u, largest = guess[0], guess[0][0]
-    for j in range(1, m):  # the column with the largest diagonal is never orthogonal to what is sought
-        better = guess[j][j] > largest
-        u = tuple(jnp.where(better, a, b) for a, b in zip(guess[j], u, strict=True))
-        largest = jnp.where(better, guess[j][j], largest)
-    for _ in range(6):
-        length = sp.safe_norm(u)
-        u = dense.ldl_solve(held, tuple(x / length for x in u))
-    length = sp.safe_norm(u)
-    u = lax.stop_gradient(tuple(x / length for x in u))
+    left, turned = dense.orthogonal_rows(lax.stop_gradient(rows))
+    columns = sp.transpose(left)
+    u, least = columns[0], sp.dot(turned[0], turned[0])
+    for column, row in zip(columns[1:], turned[1:], strict=True):
+        squared = sp.dot(row, row)
+        u = tuple(jnp.where(squared < least, a, b) for a, b in zip(column, u, strict=True))
+        least = jnp.minimum(least, squared)
     back = sp.matvec(sp.transpose(rows), u)
     return sp.dot(back, back)
 
@@ -182,7 +176,7 @@ def singular_damped(damping, threshold) -> SingularDamped:
     """Damped only where the least singular value σ_m of J is below a threshold.
 
     λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m
-    comes from inverse iteration, and its derivative from the Rayleigh quotient: no decomposition is
+    comes from a one-sided Jacobi iteration, and its derivative from the Rayleigh quotient: no decomposition is
     differentiated. Exact where σ_m ≥ ε.
 
     Args:

@@ -33,7 +33,7 @@ def test_out_of_reach_is_not_taken_for_convergence():
     """A target beyond the arm ends near a stretched, singular arm: bounded and wrong."""
     kind, made = kinds(ck.hold([2.5, 0.0]), [0.5])
     assert kind[0] in (Kind.NEAR_SINGULAR, Kind.DIVERGED, Kind.NOT_CONVERGED)
-    assert made.near_singular[0] and not stable(kind)[0]
+    assert not stable(kind)[0] and made.final[0] > 0.5  # the arm is half a metre short
 
 
 def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
