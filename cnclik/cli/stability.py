@@ -246,16 +246,15 @@ def _study(args):
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise errors.fail("spec", "be a TOML file that can be read", f"{args.spec.name}: {error}") from None
     name = errors.one_of("study", spec.pop("study", None), tuple(evidence.STUDIES))
-    begun = time.perf_counter()
+    begun, stem = time.perf_counter(), args.spec.stem
+    draw = {"agreement": show.agreement, "implicit": show.reaching}[name]
     with output_folder(args.out) as out, progress.bar("loops") as report:
         data = evidence.STUDIES[name](**spec, progress=report)
         data = data.assign_attrs(provenance(float) | {"config": as_json({"study": name} | spec)})
-        _write(data, out / f"{name}.nc")
-        (out / f"{name}.md").write_text(evidence.TABLES[name](data), encoding="utf-8")
-        getattr(show, {"agreement": "agreement", "implicit": "reaching"}[name])(
-            data, out / f"{name}.png", {"Title": name, "Description": data.attrs["config"]}
-        )
-    print((args.out / f"{name}.md").read_text(encoding="utf-8"))
+        _write(data, out / f"{stem}.nc")
+        (out / f"{stem}.md").write_text(evidence.TABLES[name](data), encoding="utf-8")
+        draw(data, out / f"{stem}.png", {"Title": stem, "Description": data.attrs["config"]})
+    print((args.out / f"{stem}.md").read_text(encoding="utf-8"))
     print(f"{time.perf_counter() - begun:.0f} s; results in {args.out}")
 
 
