@@ -89,19 +89,22 @@ def _join(args) -> dict:
         return {"process": 0, "processes": 1, "barrier": None}
     import jax
 
-    # A process that dies must not take the others along while they work: they need it only at the start.
     try:
-        jax.distributed.initialize(*given, heartbeat_timeout_seconds=86400, shutdown_timeout_seconds=5)
+        jax.distributed.initialize(*given)
     except (ValueError, RuntimeError) as error:
         first = str(error).strip().splitlines()[0]
         raise errors.fail("distributed", "find coordinator, processes and process", f"does not: {first}") from None
-    from jax.experimental import multihost_utils
+    place = {"process": jax.process_index(), "processes": jax.process_count()}
 
-    return {
-        "process": jax.process_index(),
-        "processes": jax.process_count(),
-        "barrier": multihost_utils.sync_global_devices,
-    }
+    def barrier(last):
+        from jax.experimental import multihost_utils
+
+        multihost_utils.sync_global_devices(f"cnclik {last}")
+        if last:
+            # From here on nobody needs the others: one that dies or is done must not take them along.
+            jax.distributed.shutdown()
+
+    return place | {"barrier": barrier}
 
 
 def _check(spec) -> None:

@@ -179,14 +179,14 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, barrier=None
       folder: where `data.zarr` is or will be.
       fresh: start over.
       process, processes: this process's number among all that run this together.
-      barrier: called with a tag; returns when all processes have called it.
+      barrier: returns when all processes have called it; called with True when they need each other no more.
       progress: called with (points done, points this process has to do).
 
     Returns: whether the whole sweep is now done (other processes may still be at it).
     Raises: ArgumentError for a store of another spec, a folder that can't be written, or a full disk; what is
       done is kept, and the same call goes on from there.
     """
-    folder, barrier = pathlib.Path(folder), barrier or (lambda tag: None)
+    folder, barrier = pathlib.Path(folder), barrier or (lambda last: None)
     of, first, store = spec.grid(), None, None
     if process == 0:
         store = prepare(spec, folder, fresh=fresh)
@@ -195,11 +195,11 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, barrier=None
             with _disk(folder):
                 create(folder, spec, of, first.outputs)
             store = Store(folder)
-    barrier("created")
+    barrier(False)
     store = store or prepare(spec, folder)
     of = sweep.dataclasses.replace(of, lanes=store.lanes)
     missing = store.missing(of.blocks())
-    barrier("shared out")
+    barrier(True)
     share = _share(spec, of, missing, process, processes)
     todo, done = sum(map(_size, share)), 0
     total = len(missing)
