@@ -9,16 +9,16 @@ import os
 import sys
 
 VERBS = {
-    "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
     "robots": "show a URDF file: its tree, joints, limits and candidate tips",
     "solve": "run one loop on one robot: trajectory, figures, summary",
-    "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
+    "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
-    "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
+    "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
     "compare": "compare the methods on Panda and UR5: error of pose tracking against work",
     "trouble": "compare damping and limit methods on real robots near singularities, limits and out of reach",
+    "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
 
 
