@@ -11,7 +11,7 @@ from cnclik.study.problem import start_from
 
 pin = pytest.importorskip("pinocchio")
 
-# file, tip, and which of the 500 steps' paths: robots people own, 5 to 9 joints, prismatic and continuous ones too.
+# file, tip, base: robots people own, 6 to 8 joints, prismatic and continuous ones among them.
 ROBOTS = {
     "Panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp", None),
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "tool0", None),
@@ -73,7 +73,10 @@ def loop(path, arm, tip, base, q0, direction):
     return np.array(path_of_q), start, rotation_d
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+QUICK = ("Panda", "PR2 arm")  # compiling a chain takes seconds
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ROBOTS])
 def test_a_loop_of_500_steps_is_pinocchios(name):
     import jax.numpy as jnp
 
