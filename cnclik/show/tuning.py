@@ -66,7 +66,7 @@ def operating(field, tuned):
     shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.82"]
     axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades)
     lines = axis.contour(
-        field.alpha, field.Ts, field.radius, levels=[0.2, 0.4, 0.6, 0.8], colors="white", linewidths=0.5
+        field.alpha, field.Ts, field.radius, levels=[0.2, 0.4, 0.6, 0.8], colors="0.35", linewidths=0.4
     )
     axis.clabel(lines, fontsize=6, fmt="%.1f")
     axis.contour(field.alpha, field.Ts, field.radius, levels=[1.0], colors="black", linewidths=1.0)
@@ -94,22 +94,26 @@ def operating(field, tuned):
 
 
 def responses(data):
-    """Step and sine test around the resting place, per task axis."""
-    figure, (step, sine) = plt.subplots(2, 1, figsize=(style.COLUMN, 3.4))
-    for axis, test in ((step, "step"), (sine, "sine")):
-        one = data.sel(test=test)
-        stop = 25 if test == "step" else None
-        time = one.time.values[:stop]
-        axis.plot(time, one.wanted.values[0][:stop], color="0.55", linewidth=2.4, label="wanted", zorder=1)
-        for i, name in enumerate(one.axis.values):
-            axis.plot(
-                time, one.response.sel(axis=name).values[:stop], label=name, color=_COLORS[i % 6],
-                linestyle=_DASHES[i % 6], marker="." if test == "step" else "", zorder=2,
-            )  # fmt: skip
-        axis.set_ylabel(f"{test} response")
-    step.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
-    sine.set_xlabel("time [s]")
+    """Step and sine test around the resting place, per task axis, and what the sine leaves as an error."""
+    figure, panels = plt.subplots(3, 1, figsize=(style.COLUMN, 4.2))
+    for panel, test in zip(panels[:2], ("step", "sine"), strict=True):
+        one = data.sel(test=test).isel(time=slice(0, 26 if test == "step" else None))
+        panel.plot(one.time, one.wanted[0], color="0.55", linewidth=2.4, label="wanted", zorder=1)
+        _lines(panel, one, one.response, "." if test == "step" else "")
+        panel.set_ylabel(f"{test} response")
+    sine = data.sel(test="sine")
+    _lines(panels[2], sine, sine.wanted - sine.response, "")
+    panels[2].set_ylabel("sine error")
+    panels[2].ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
+    panels[2].set_xlabel("time [s]")
+    panels[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
     return figure
+
+
+def _lines(panel, one, values, marker):
+    for i, name in enumerate(one.axis.values):
+        look = {"color": _COLORS[i % 6], "linestyle": _DASHES[i % 6], "marker": marker, "zorder": 2}
+        panel.plot(one.time, values.sel(axis=name), label=name, **look)
 
 
 def pictures(tuned, task, field, data) -> dict:
