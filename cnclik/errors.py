@@ -27,7 +27,7 @@ def concrete(value) -> bool:
 
 def number(name: str, value, *, positive=False, at_least=None):
     """A finite real number (or a traced scalar); returned as it came."""
-    if np.ndim(value) != 0 or isinstance(value, (str, bytes)) or value is None:
+    if type(value) is not float and (np.ndim(value) != 0 or isinstance(value, (str, bytes)) or value is None):
         raise fail(name, "be a number", f"is {value!r}")
     if concrete(value):
         try:

@@ -9,6 +9,7 @@ program as constants, and geometry that is zero costs nothing. Arrays are differ
 import dataclasses
 
 import jax
+import numpy as np
 
 _LITERAL = (float, int, bool, str, type(None))
 
@@ -21,10 +22,12 @@ def is_literal(value) -> bool:
 class Literals:
     """The literal part of a flattened tree, hashed once: it is a key of JAX's compilation caches."""
 
-    __slots__ = ("_hash", "treedef", "values")
+    __slots__ = ("_hash", "all_arrays", "treedef", "values")
 
     def __init__(self, treedef, values):
         self.treedef, self.values = treedef, values
+        # A tuple of arrays and nothing else: what most results are, put together and taken apart without ceremony.
+        self.all_arrays = all(v is HOLE for v in values) and treedef == jax.tree.structure((0,) * len(values))
         self._hash = hash((treedef, values))
 
     def __hash__(self):
@@ -69,6 +72,17 @@ def record(cls=None, *, kw_only=True):
     """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above."""
     if cls is None:
         return lambda cls: record(cls, kw_only=kw_only)
+    checked = getattr(cls, "__post_init__", lambda self: None)
+
+    def frozen(self):
+        checked(self)
+        for name, value in self.__dict__.items():
+            if type(value) is np.ndarray and value.flags.writeable:
+                own = value.copy()  # the caller may write to theirs
+                own.flags.writeable = False
+                object.__setattr__(self, name, own)
+
+    cls.__post_init__ = frozen
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False)(cls)
     names = tuple(f.name for f in dataclasses.fields(cls))
 
@@ -82,8 +96,13 @@ def record(cls=None, *, kw_only=True):
 
     def unflatten(literals, arrays):
         self = object.__new__(cls)  # no __init__: leaves may be tracers, None, or any object
-        for name, value in zip(names, combine(arrays, literals), strict=True):
-            object.__setattr__(self, name, value)
+        fields = self.__dict__
+        if not literals.all_arrays:
+            fields.update(zip(names, combine(arrays, literals), strict=True))
+            return self
+        fields.update(zip(names, arrays, strict=True))
+        if all(isinstance(v, jax.Array) for v in arrays):
+            fields["_flat"] = list(arrays), literals
         return self
 
     def fields_alone(self):
@@ -98,6 +117,20 @@ def record(cls=None, *, kw_only=True):
 def replace(rec, **changes):
     """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
     return dataclasses.replace(rec, **changes)
+
+
+def placed(rec):
+    """The record with its arrays on JAX's device, made once: a call with NumPy arrays copies each of them anew."""
+    key = jax.config.jax_enable_x64, jax.config.jax_default_device
+    made = rec.__dict__.get("_placed")
+    if made is not None and made[0] == key:
+        return made[1]
+    arrays, treedef = jax.tree.flatten(rec)
+    if not all(isinstance(v, jax.Array) or (isinstance(v, np.ndarray) and not v.flags.writeable) for v in arrays):
+        return rec
+    made = jax.tree.unflatten(treedef, [jax.numpy.asarray(v) for v in arrays])
+    object.__setattr__(rec, "_placed", (key, made))
+    return made
 
 
 def stack(records):

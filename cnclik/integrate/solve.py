@@ -5,7 +5,6 @@ steps. Everything is pure with static shapes: jit, vmap, jvp and grad go through
 geometry and damping.
 """
 
-import contextlib
 import functools
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, evaluate, task_coordinates
-from cnclik.record import record
+from cnclik.record import placed, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
 
@@ -163,9 +162,10 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
     errors.number("t0", t0)
     arguments = (law, reference, q0, Ts, t0, stage)
     # Called with numbers, no vmap is around this loop: it may become one native function.
-    known = all(map(errors.concrete, jax.tree.leaves(arguments)))
-    with few_lanes(1) if known else contextlib.nullcontext():
+    if not all(map(errors.concrete, jax.tree.leaves(arguments))):
         return _solve(*arguments, N=N, method=method)
+    with few_lanes(1):
+        return _solve(placed(law), placed(reference), q0, Ts, t0, stage, N=N, method=method)
 
 
 def step(law: Law, reference, q, t, Ts, method=EE, stage=picard(5)) -> Step:

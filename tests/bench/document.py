@@ -85,12 +85,11 @@ def to_reach(found) -> list[dict]:
 
         cpp = peer("Pinocchio C++", dtype="float64")
         times("Panda EE, float32, against Pinocchio C++ (float64)", 15, cpp, peer("cnclik"))
+        times("Panda EE, float32, against Pinocchio C++ (float32)", 15, peer("Pinocchio C++"), peer("cnclik"))
         times("Panda EE, float64, against Pinocchio C++ (float64)", 8, cpp, peer("cnclik", dtype="float64"))
         cpp_cn = peer("Pinocchio C++", "CN", "float64")
         times("Panda CN, picard(5), float32, against Pinocchio C++ (float64)", 12, cpp_cn, peer("cnclik", "CN"))
-        for flags in ("default", "single thread"):
-            slow = peer("textbook JAX, cho_solve", flags=flags)
-            times(f"against textbook JAX under vmap, {flags} flags, float32", 100, slow, peer("cnclik"))
+        times("against textbook JAX under vmap, float32", 100, peer("textbook JAX, cho_solve"), peer("cnclik"))
         times(
             "against frax 0.1.0, single-thread flags, float32",
             25,

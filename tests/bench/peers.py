@@ -239,9 +239,8 @@ def with_pinv(q, position, rotation):
 
 
 def single(dtype, seconds=0.2) -> dict:
-    """One warm solve of 50 steps from Python, and Pinocchio C++'s time for it [s]."""
-    solve, cpp = _single(dtype)
-    return {"cnclik": bench.repeat(solve, seconds).median, "Pinocchio C++": bench.repeat(cpp, seconds).median}
+    """One warm solve of 50 steps from Python, one of none (what the call costs), and Pinocchio C++'s time [s]."""
+    return {name: bench.repeat(call, seconds).median for name, call in _single(dtype).items()}
 
 
 @functools.cache
@@ -251,8 +250,8 @@ def _single(dtype):
     q0, position, rotation = (jnp.asarray(a[0]) for a in few)
     reference, solver = ck.hold(position, rotation), PinocchioCpp(*panda(), dtype)
 
-    def solve():
-        return jax.block_until_ready(ck.solve(case.law, reference, q0, bench.TS, STEPS))
+    def solve(N=STEPS):
+        return jax.block_until_ready(ck.solve(case.law, reference, q0, bench.TS, N))
 
     def cpp():
         return solver.run(*few, damping=bench.DAMPING, N=STEPS, M=None, **SETTINGS)
@@ -260,7 +259,7 @@ def _single(dtype):
     found = float(np.abs(np.asarray(solve().q[-1]) - cpp()[0][0]).max())
     if not found <= TOLERANCE[dtype]:
         raise SystemExit(f"a single solve in {dtype} differs by {found:.3g}")
-    return solve, cpp
+    return {"cnclik": solve, "cnclik, no step": functools.partial(solve, 0), "Pinocchio C++": cpp}
 
 
 def work(flags, dtype, batch) -> None:
@@ -358,7 +357,7 @@ def compare(rounds=ROUNDS, batch=BATCH, say=lambda text: None) -> dict:
     singles = [
         {"name": name, "dtype": dtype, "N": STEPS, "seconds": [one[name] for one in made]}
         for dtype, made in solves.items()
-        for name in ("cnclik", "Pinocchio C++")
+        for name in made[0]
     ]
     return {"peers": records, "single": singles}
 

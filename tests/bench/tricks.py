@@ -15,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
-from cnclik import hints
 from cnclik.robot import kinematics
 from cnclik.study import bench
+
+hints = sys.modules["cnclik.hints"]  # the package's attribute of this name is the function
 
 
 def all_on():
@@ -41,6 +42,10 @@ def without_own_sines():
     kinematics.sincos = hints.opaque(lambda angles: (tuple(map(jnp.sin, angles)), tuple(map(jnp.cos, angles))))
 
 
+def without_wide_vectors():
+    sys.modules["cnclik.integrate.lanes"].OPTIONS = {}
+
+
 def without_tiles():
     ck.lanes = lambda fn, cores: jax.jit(jax.vmap(fn))
 
@@ -57,6 +62,7 @@ TRICKS = {
     "without opaque stages": without_opaque_stages,
     "without both (hints off)": without_hints,
     "library sine and cosine": without_own_sines,
+    "without 512-bit vectors": without_wide_vectors,
     "without tiles (one vmap)": without_tiles,
     "without any: jit(vmap), hints off, library sine": without_any,
 }
