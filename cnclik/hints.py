@@ -24,7 +24,22 @@ def hints(on: bool):
 
 def hints_on() -> bool:
     """Whether stages are fenced: the switch is on and the program is for a CPU."""
-    return _context.value and jax.default_backend() == "cpu"
+    return _context.value and on_cpu()
+
+
+def switched_on() -> bool:
+    """Whether the switch is on."""
+    return _context.value
+
+
+def in_kernel():
+    """Context manager: what is traced inside becomes one GPU kernel: no fences, and the library's functions."""
+    return _lanes(-1)
+
+
+def on_cpu() -> bool:
+    """Whether what is traced is a program for a CPU."""
+    return jax.default_backend() == "cpu" and _lanes.value >= 0
 
 
 def opaque(fn):

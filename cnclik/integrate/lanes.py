@@ -1,12 +1,14 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-The batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in
-time is compiled as one native function (`cnclik.hints`). Tiles run in blocks of bounded size, the blocks side
-by side on all cores. Under `hints(False)` the same tiles run without compiler hints.
+On a CPU the batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in
+time is compiled as one native function (`cnclik.hints`). On a GPU the whole function becomes one kernel
+(`cnclik.integrate.kernel`) where it can, else XLA compiles `jax.vmap(fn)`. Either way batches run in blocks of bounded
+size, side by side on all cores, or on all devices. Under `hints(False)` the same runs without hints and kernels.
 """
 
 import functools
 import itertools
+import logging
 import os
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,32 +18,42 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import few_lanes
+from cnclik.hints import few_lanes, hints, switched_on
+from cnclik.integrate import kernel
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 BLOCK = 1 << 15  # lanes that one call of a compiled program carries: bounds memory, feeds the cores
+DEVICE_BLOCK = 1 << 20  # the same where a device has thousands of lanes in flight
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
-def lanes(fn, *, tile: int = TILE, block: int = BLOCK, cores: int | None = None):
+def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int | None = None):
     """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but fast.
 
     Every argument is a tree of arrays with one leading batch axis of any size from 1 to tens of millions; what
     all lanes share is best closed over. `fn` should return what is wanted of a loop (an error, a metric) and not
-    its whole trajectory: memory is that of inputs and results plus one block per core.
+    its whole trajectory: memory is that of inputs and results plus one block per core or device. On a GPU a `fn`
+    of the loop's end alone (`.e[-1]`) is one kernel; one that uses its history runs as XLA compiles it.
 
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
-      tile: lanes per tile. block: lanes per call, a multiple of `tile`.
-      cores: how many cores may work at once, by default all this process may use.
+      tile: lanes per tile, by default 64, on a GPU 128 (there a power of 2).
+      block: lanes per call, a multiple of `tile`; by default 32768, on a GPU 2**20.
+      cores: how many cores of a CPU may work at once, by default all this process may use.
 
-    Under jit, vmap or grad it is one traced program on one core; called with arrays it uses all cores.
+    Under jit, vmap or grad it is one traced program on one core; called with arrays it uses all cores, or devices.
     """
-    tile = errors.integer("tile", tile, at_least=1)
-    block = errors.integer("block", block, at_least=tile)
+    on_cpu = jax.default_backend() == "cpu"
+    tile = errors.integer("tile", (TILE if on_cpu else kernel.TILE) if tile is None else tile, at_least=1)
+    default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
+    block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = _cores() if cores is None else errors.integer("cores", cores, at_least=1)
     traced = functools.partial(_tiled, fn, tile)
-    compiled, ready = jax.jit(traced, compiler_options=OPTIONS if jax.default_backend() == "cpu" else None), set()
+    compiled = jax.jit(traced, compiler_options=OPTIONS) if on_cpu else _kernel_or(traced, fn, tile)
+    # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
+    devices = jax.local_devices()
+    workers = [None] * cores if on_cpu and len(devices) == 1 else devices
+    ready = set()
 
     @functools.wraps(fn)
     def call(*args):
@@ -51,7 +63,25 @@ def lanes(fn, *, tile: int = TILE, block: int = BLOCK, cores: int | None = None)
             return traced(*args)
         if size <= tile:
             return compiled(*args)
-        return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, cores), cores)
+        return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, len(workers)), workers)
+
+    return call
+
+
+def _kernel_or(traced, fn, tile):
+    """The function as one GPU kernel, or as XLA compiles it where it has none."""
+    plain, one_kernel = jax.jit(traced), jax.jit(kernel.batched(fn, tile=tile))
+    refused = set()
+
+    def call(*args):
+        key = jax.tree.structure(args), *((np.shape(x)[1:], x.dtype) for x in jax.tree.leaves(args))
+        if switched_on() and key not in refused:
+            try:
+                return jax.block_until_ready(one_kernel(*args))
+            except Exception as why:  # whatever the reason: XLA's path below has the same meaning, or the same error
+                refused.add(key)
+                logging.getLogger(__name__).info("no kernel, XLA compiles it instead: %s", str(why).split("\n")[0])
+        return plain(*args)
 
     return call
 
@@ -75,9 +105,9 @@ def _size(args) -> int:
     return size
 
 
-def _block(size, tile, block, cores):
-    """Lanes per call: at most `block`, in whole tiles, so that every core gets as many calls."""
-    calls = cores * -(-size // (cores * block))
+def _block(size, tile, block, workers):
+    """Lanes per call: at most `block`, in whole tiles, so that every worker gets as many calls."""
+    calls = workers * -(-size // (workers * block))
     return -(-size // (calls * tile)) * tile
 
 
@@ -105,18 +135,24 @@ def _tiled(fn, tile, *args):
     return lax.fori_loop(0, -(-size // tile), put, empty)
 
 
-def _blocks(compiled, ready, leaves, treedef, size, block, cores):
+def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     """Run blocks side by side; each result is copied into place as soon as it is there."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
-    key = (treedef, block, *((leaf.shape[1:], leaf.dtype) for leaf in leaves))
+    key = treedef, block, switched_on(), *((leaf.shape[1:], leaf.dtype) for leaf in leaves)
+
+    wide, switch = jax.config.jax_enable_x64, switched_on()
 
     def run(start):
-        part = [_take(leaf, start, block) for leaf in leaves]
-        return start, jax.block_until_ready(compiled(*jax.tree.unflatten(treedef, part)))
+        with jax.enable_x64(wide), hints(switch):  # a thread of the pool knows nothing of the caller's contexts
+            part = [_take(leaf, start, block) for leaf in leaves]
+            device = workers[start // block % len(workers)]
+            if device is not None:
+                part = jax.device_put(part, device)
+            return start, jax.block_until_ready(compiled(*jax.tree.unflatten(treedef, part)))
 
     starts = list(range(0, size, block))
     whole = None
-    with ThreadPoolExecutor(cores) as pool:
+    with ThreadPoolExecutor(len(workers)) as pool:
         if key not in ready:  # compile once, not once per thread
             done = [run(starts.pop(0))]
             ready.add(key)

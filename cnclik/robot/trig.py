@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.hints import opaque
+from cnclik.hints import on_cpu, opaque
 
 RANGE = 1e4
 
@@ -68,8 +68,14 @@ def _sincos_jvp(primals, tangents):
     return (sines, cosines), (moved, tuple(-s * d for s, d in zip(sines, turns, strict=True)))
 
 
-@opaque
 def _sincos(angles):
+    if on_cpu():
+        return _own(angles)
+    return tuple(map(jnp.sin, angles)), tuple(map(jnp.cos, angles))  # a GPU's own are quick
+
+
+@opaque
+def _own(angles):
     far = [~(jnp.abs(x) <= RANGE) for x in angles]  # true for NaN as well
     near = [_reduced(x) for x in angles]
     # A far lane carries its angle into the loop in the place of its sine: were the angle an invariant of

@@ -1,11 +1,16 @@
 """lanes means vmap: any size, any tree, both ways of compiling, under the transformations."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.hints import hints_on
 from cnclik.integrate.lanes import lanes
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -88,3 +93,34 @@ def test_one_program_for_all_blocks():
 def test_batches_that_do_not_fit(args):
     with pytest.raises(ck.ArgumentError, match="Argument `args` must"):
         lanes(lambda *a: a)(*args)
+
+
+def test_every_block_runs_in_the_callers_contexts():
+    seen = []
+
+    def noted(x):
+        seen.append((x.dtype, hints_on()))
+        return x * 1.000000001
+
+    x = np.linspace(0.0, 1.0, 40)
+    with jax.enable_x64(True), ck.hints(False):
+        found = lanes(noted, tile=4, block=8, cores=2)(x)
+    np.testing.assert_array_equal(found, x * 1.000000001)
+    assert set(seen) == {(np.dtype("float64"), False)}
+
+
+def test_several_devices():
+    """Blocks go round all devices, and come back in order; in a process of its own, told to have three."""
+    code = """
+import jax, numpy as np, cnclik as ck
+assert len(jax.local_devices()) == 3
+seen = set()
+tell = lambda x: 2 * x
+x = np.arange(101.0, dtype=np.float32)
+before = jax.device_put
+jax.device_put = lambda part, device: seen.add(device.id) or before(part, device)
+found = ck.lanes(tell, tile=4, block=8)(x)
+assert np.array_equal(found, 2 * x) and seen == {0, 1, 2}, seen
+"""
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_PLATFORMS": "cpu"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
