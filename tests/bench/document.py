@@ -4,6 +4,7 @@ The page's text is written by hand; between `<!-- NAME -->` and `<!-- end -->` s
 results/speed/peers.json (`python -m tests.bench`) and results/speed/table.json (`cnclik bench --json`).
 """
 
+import itertools
 import json
 import os
 import pathlib
@@ -96,9 +97,9 @@ def to_reach(found) -> list[dict]:
             peer("frax 0.1.0", flags="single thread"),
             peer("cnclik"),
         )
-        for dtype in ("float32", "float64"):
-            one, other = (pick(singles, name=name, dtype=dtype) for name in ("cnclik", "Pinocchio C++"))
-            what = f"one warm solve of {one['N']} steps from Python, {dtype}, in Pinocchio C++'s time for it"
+        for dtype, flags in itertools.product(("float32", "float64"), ("single thread", "default")):
+            one, other = (pick(singles, name=name, dtype=dtype, flags=flags) for name in ("cnclik", "Pinocchio C++"))
+            what = f"one warm solve of {one['N']} steps from Python, {dtype}, {flags} flags, over Pinocchio C++"
             row(what, 1.5, ratio(one, other), unit="×", at_least=False)
     if "cores" in found:
         one, two = (
@@ -163,8 +164,8 @@ def _single(found):
     rows = []
     for r in found["peers"]["single"]:
         low, middle, high = min(r["seconds"]), statistics.median(r["seconds"]), max(r["seconds"])
-        rows.append((r["name"], r["dtype"], f"{middle * 1e6:.1f}", f"{low * 1e6:.1f} - {high * 1e6:.1f}"))
-    return table(("one warm solve of 50 steps", "type", "µs", "range"), rows)
+        rows.append((r["name"], r["dtype"], r["flags"], f"{middle * 1e6:.1f}", f"{low * 1e6:.1f} - {high * 1e6:.1f}"))
+    return table(("one warm solve of 50 steps", "type", "flags", "µs", "range"), rows)
 
 
 def _tricks(found):

@@ -1,7 +1,7 @@
 """cnclik and its peers on the Panda's pose loop: equal results first, then times, in turn, on one core.
 
 Each contender lives in a worker process with the number type and the XLA flags it wants ("single thread" are those
-that frax asks for); all workers are held to the same core, and only one of them works at a time. A record is
+that frax asks for, and JAX's dispatch in the calling thread); all workers are held to the same core, and only one of them works at a time. A record is
 one contender on one task: `evaluations_per_second` (median of the rounds, with `spread`), `seconds`, those of
 each round, and `difference`, from Pinocchio C++ in float64 on the very same starts and targets.
 """
@@ -267,6 +267,7 @@ def work(flags, dtype, batch) -> None:
     global BATCH
     BATCH = int(batch)
     os.sched_setaffinity(0, bench.cores_here()[-1:])  # before JAX makes its threads, which is on first use
+    jax.config.update("jax_cpu_enable_async_dispatch", flags != "single thread")
     field = contenders(flags, dtype)
 
     def told(i):
@@ -340,13 +341,13 @@ def compare(rounds=ROUNDS, batch=BATCH, say=lambda text: None) -> dict:
                 say(f"{who}: equal to {record['difference']:.1e}")
                 places.append((worker, i))
                 records.append(record)
-        taken, solves = [[] for _ in records], {"float64": [], "float32": []}
+        taken, solves = [[] for _ in records], {worker: [] for worker in workers}
         for k in range(rounds):
             say(f"round {k + 1} of {rounds}")
             for (worker, i), times in zip(places, taken, strict=True):
                 times.append(worker("time", i))
-            for worker in workers[:2]:
-                solves[worker.dtype].append(worker("single"))
+            for worker, made in solves.items():
+                made.append(worker("single"))
     finally:
         for worker in workers:
             worker.close()
@@ -355,8 +356,8 @@ def compare(rounds=ROUNDS, batch=BATCH, say=lambda text: None) -> dict:
         record |= {"evaluations_per_second": times[0][1] / t.median, "spread": t.spread}
         record["seconds"] = [seconds / evaluations for seconds, evaluations in times]
     singles = [
-        {"name": name, "dtype": dtype, "N": STEPS, "seconds": [one[name] for one in made]}
-        for dtype, made in solves.items()
+        {"name": name, "dtype": worker.dtype, "flags": worker.flags, "N": STEPS, "seconds": [one[name] for one in made]}
+        for worker, made in solves.items()
         for name in made[0]
     ]
     return {"peers": records, "single": singles}
