@@ -1,9 +1,10 @@
 """cnclik and its peers on the Panda's pose loop: equal results first, then times, in turn, on one core.
 
-Each contender lives in a worker process with the number type and the XLA flags it wants ("single thread" are those
-that frax asks for, and JAX's dispatch in the calling thread); all workers are held to the same core, and only one of them works at a time. A record is
-one contender on one task: `evaluations_per_second` (median of the rounds, with `spread`), `seconds`, those of
-each round, and `difference`, from Pinocchio C++ in float64 on the very same starts and targets.
+Each contender lives in a worker process with the number type and the XLA flags it wants; "single thread" are those
+that frax asks for, and JAX's dispatch in the calling thread. All workers are held to the same core, and only one of
+them works at a time. A record is one contender on one task: `evaluations_per_second` (median of the rounds, with
+`spread`), `seconds`, those of each round, and `difference`, from Pinocchio C++ in float64 on the very same starts and
+targets.
 """
 
 import functools
