@@ -24,6 +24,7 @@ class Factored(NamedTuple):
 
     apply: Callable
     least: object  # estimate of the least singular value of J; no derivative
+    shift: object = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
 
 
 @record
@@ -42,15 +43,9 @@ class Damped:
     damping: object  # λ, never λ²
 
     def __call__(self, rows) -> Factored:
-        m, n = len(rows), len(rows[0])
         shift = self.damping * self.damping
-        if m <= n:
-            factor = dense.ldl(dense.gram(rows, shift))
-            apply = lambda t: _apply(sp.transpose(rows), dense.ldl_solve(factor, t))  # noqa: E731
-        else:  # the smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ
-            factor = dense.ldl(dense.gram(sp.transpose(rows), shift))
-            apply = lambda t: dense.ldl_solve(factor, _apply(sp.transpose(rows), t))  # noqa: E731
-        return Factored(apply, _least(factor, shift))
+        apply, factor = damped_apply(rows, shift)
+        return Factored(apply, _least(factor, shift), shift)
 
 
 @record
@@ -66,7 +61,8 @@ class ManipulabilityDamped:
         factor = dense.ldl(dense.gram(thin, tiny))
         w = jnp.sqrt(functools.reduce(jnp.multiply, (jnp.maximum(p, tiny) for p in factor[2])))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
-        return Factored(_damped_apply(rows, jnp.maximum(below * below, tiny)), _least(factor, tiny))
+        shift = jnp.maximum(below * below, tiny)
+        return Factored(damped_apply(rows, shift)[0], _least(factor, tiny), shift)
 
 
 @record
@@ -82,18 +78,17 @@ class SingularDamped:
         squared = _least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
         shift = jnp.maximum(share * self.damping * self.damping, tiny)
-        return Factored(_damped_apply(rows, shift), jnp.sqrt(lax.stop_gradient(squared)))
+        return Factored(damped_apply(rows, shift)[0], jnp.sqrt(lax.stop_gradient(squared)), shift)
 
 
-def _damped_apply(rows, shift):
-    """Application of Jᵀ (J Jᵀ + shift·I)⁻¹."""
-    m, n = len(rows), len(rows[0])
+def damped_apply(rows, shift):
+    """Application of Jᵀ (J Jᵀ + shift·I)⁻¹, and the factors behind it."""
     columns = sp.transpose(rows)
-    if m <= n:
+    if len(rows) <= len(columns):
         factor = dense.ldl(dense.gram(rows, shift))
-        return lambda t: _apply(columns, dense.ldl_solve(factor, t))
+        return lambda t: _apply(columns, dense.ldl_solve(factor, t)), factor
     factor = dense.ldl(dense.gram(columns, shift))  # the smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ
-    return lambda t: dense.ldl_solve(factor, _apply(columns, t))
+    return lambda t: dense.ldl_solve(factor, _apply(columns, t)), factor
 
 
 def _tiny(rows):

@@ -17,7 +17,7 @@ from cnclik import errors
 from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.inverse import Pseudoinverse
+from cnclik.law.inverse import Pseudoinverse, damped_apply
 from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.record import record
 from cnclik.robot import spatial as sp
@@ -120,25 +120,29 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
         rows=rows,
         apply=made.apply,
         least=made.least,
-        correct=lambda h, r: correct(law, q, rows, made.apply, h, r),
+        correct=lambda h, r: correct(law, q, rows, made, h, r),
         held=held,
     )
 
 
-def correct(law: Law, q, rows, apply, h, r):
+def correct(law: Law, q, rows, made, h, r):
     """(I − h ∂f/∂q)⁻¹ r with the derivative of J# left out: what an implicit stage needs at any alpha·Ts.
 
     With the weighted rows B = WJ, A = B# and C = WKW⁻¹ the derivative is −A C B, and by the push-through identity
     (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. For exact J# and scalar gain, A B is a projection
-    and this is I − (h alpha/(1 + h alpha)) A B. A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and
-    the system is n×n.
+    and this is I − (h alpha/(1 + h alpha)) A B. With scalar gain and A = Bᵀ (B Bᵀ + λ² I)⁻¹ it is the same with λ²
+    divided by 1 + h alpha in A. A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and the system
+    is n×n.
     """
+    apply = made.apply
     if callable(law.null_velocity):
         return dense.solve(_whole(law, q, rows, apply, h), r)
     task = sp.matvec(rows, r)
-    if law.alpha.ndim == 0 and law.limits is None and isinstance(law.inverse, Pseudoinverse):
+    exact = isinstance(law.inverse, Pseudoinverse)
+    if law.alpha.ndim == 0 and law.limits is None and (exact or made.shift is not None):
         hz = h * law.alpha
-        return sp.vsub(r, sp.scale(hz / (1.0 + hz), apply(task)))
+        again = apply if exact else damped_apply(rows, made.shift / (1.0 + hz))[0]
+        return sp.vsub(r, sp.scale(hz / (1.0 + hz), again(task)))
     c = _gain_rows(law)
     products = sp.transpose(tuple(sp.matvec(rows, apply(unit)) for unit in _units(len(rows), rows[0][0])))
     system = _plus_identity(h, sp.matmul(c, products))
