@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.hints import opaque
+from cnclik.hints import on_cpu, opaque
 from cnclik.robot import spatial as sp
 
 
@@ -146,11 +146,12 @@ def _rotate(a, b, n):
 
 
 def pinv(rows):
-    """Moore-Penrose pseudoinverse J# (n rows of m scalars) and the least singular value.
+    """Moore-Penrose pseudoinverse J# (n rows of m scalars) and the least singular value (see below).
 
-    J# = Σ wᵢ uᵢᵀ/σᵢ² over the singular values above max(m, n)·10·eps·σ_max, as numpy.linalg.pinv
-    truncates, so a rank-deficient J is included. Its derivative is taken from the closed form (Golub &
-    Pereyra 1973, eq. 4.12) and not through a decomposition:
+    Well conditioned, it is Jᵀ (J Jᵀ)⁻¹, refined; the singular value is then an estimate, from below and within √m.
+    Else, and for one or two rows, J# = Σ wᵢ uᵢᵀ/σᵢ² over the singular values above max(m, n)·10·eps·σ_max, as
+    numpy.linalg.pinv truncates, so a rank-deficient J is included. Its derivative is taken from the closed form (Golub
+    & Pereyra 1973, eq. 4.12) and not through a decomposition:
 
       dJ# = −J# dJ J# + J# J#ᵀ dJᵀ (I − J J#) + (I − J# J) dJᵀ J#ᵀ J#,
 
@@ -171,6 +172,51 @@ def _pinv(rows):
 
 @opaque
 def _pinv_value(rows):
+    if len(rows) <= 2 or not on_cpu():  # two rows need one rotation; a GPU's kernel has no loop of unknown length
+        return _pinv_by_rotations(rows)
+    quick, least, trusted = _pinv_by_elimination(rows)
+    # Where rows are nearly dependent, a lane carries J into the loop in the place of J# (cf. `robot.trig`): the loop
+    # runs once if some lane needs it, else not at all, and no lane's result depends on its neighbours.
+    state = tuple(
+        tuple(jnp.where(trusted, x, y) for x, y in zip(*pair, strict=True))
+        for pair in zip(quick, sp.transpose(rows), strict=True)
+    )
+
+    def rotate(carry):
+        _, state, least = carry
+        slow, exact = _pinv_by_rotations(sp.transpose(state))
+        choose = functools.partial(jnp.where, trusted)
+        state = tuple(tuple(map(choose, a, b)) for a, b in zip(state, slow, strict=True))
+        return jnp.zeros_like(trusted), state, choose(least, exact)
+
+    _, state, least = lax.while_loop(lambda carry: jnp.any(carry[0]), rotate, (~trusted, state, least))
+    return state, least
+
+
+def _pinv_by_elimination(rows):
+    """Jᵀ (J Jᵀ)⁻¹ =: P once refined, the least singular value from below within √m, and whether to trust them.
+
+    P (2I − J P) squares what is left of I − J P, of the size eps·κ²: in the end as good as any, eps·κ, while
+    κ³ < 1/eps. κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹) tells; a singular J makes that infinite or NaN.
+    """
+    columns = sp.transpose(rows)
+    factor = ldl(gram(rows, 0.0))
+    size, inverse = sp.total(sp.dot(row, row) for row in rows), inverse_trace(factor)
+    first = tuple(ldl_solve(factor, column) for column in columns)
+    definite = functools.reduce(jnp.minimum, factor[2]) > 0
+    trusted = definite & (size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3))
+    return _refined(rows, first), 1.0 / jnp.sqrt(jnp.where(definite, inverse, 1.0)), trusted
+
+
+@opaque
+def _refined(rows, p):
+    product = sp.matmul(rows, p)
+    eye = ((float(i == j) for j in range(len(rows))) for i in range(len(rows)))
+    left = tuple(tuple(2.0 * e - x for e, x in zip(*pair, strict=True)) for pair in zip(eye, product, strict=True))
+    return sp.matmul(p, left)
+
+
+def _pinv_by_rotations(rows):
     u, w = orthogonal_rows(rows)
     squares = [sp.dot(row, row) for row in w]
     largest, least = functools.reduce(jnp.maximum, squares), functools.reduce(jnp.minimum, squares)

@@ -41,8 +41,8 @@ class Law:
       feedforward: factor of the desired velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: (position [m], orientation [rad]) beyond which the error is shortened before the gain, or None.
         A target out of reach, or far away, then pulls no harder than one at that distance; see `clamped`.
-      near_singular: steps whose least singular value of the task Jacobian (an estimate from below; with
-        the pseudoinverse exact) is under this are marked NEAR_SINGULAR [m or 1].
+      near_singular: steps whose least singular value of the task Jacobian (an estimate from below, within √m;
+        exact with the pseudoinverse of one or two rows) is under this are marked NEAR_SINGULAR [m or 1].
 
     Raises: ArgumentError naming the argument that does not fit.
     """

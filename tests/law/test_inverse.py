@@ -41,10 +41,11 @@ def test_against_numpy(name, shape):
             matrix = wanted_matrix(name, a)
         found, least = apply(INVERSES[name], a, v)
         close(found, matrix @ v, atol=1e-11 * np.abs(matrix).max())
-        # `least` is exact for the pseudoinverse, else an estimate from below.
+        # `least` is an estimate from below; for the pseudoinverse within √m, and exact with two rows.
         s = np.linalg.svd(a, compute_uv=False)[-1]
         if name == "pseudoinverse":
-            assert least == pytest.approx(s, abs=1e-13)
+            exact = min(shape) <= 2
+            assert s * (1 if exact else min(shape) ** -0.5) - 1e-13 <= least <= s + 1e-13
         else:
             assert -1e-12 <= least <= s + 1e-5
 
