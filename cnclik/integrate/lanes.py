@@ -49,7 +49,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = _cores() if cores is None else errors.integer("cores", cores, at_least=1)
     traced = functools.partial(_tiled, fn, tile)
-    compiled = jax.jit(traced, compiler_options=OPTIONS) if on_cpu else _kernel_or(traced, fn, tile)
+    compiled = _hinted(traced) if on_cpu else _kernel_or(traced, fn, tile)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
@@ -66,6 +66,12 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
         return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, len(workers)), workers)
 
     return call
+
+
+def _hinted(traced):
+    """The function compiled with OPTIONS while hints are on."""
+    plain, hinted = jax.jit(traced), jax.jit(traced, compiler_options=OPTIONS)
+    return lambda *args: (hinted if switched_on() else plain)(*args)
 
 
 def _kernel_or(traced, fn, tile):
