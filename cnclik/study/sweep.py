@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.lanes import OPTIONS, lanes
+from cnclik.integrate.lanes import lanes, options
 from cnclik.study.metrics import Metrics
 
 UNITS = {
@@ -243,8 +243,8 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         batched = lambda values: jax.tree.map(lambda v: v[None], lane(values))  # noqa: E731
         compiled = jax.jit(batched).lower(shapes).compile()
     else:
-        options = OPTIONS if jax.default_backend() == "cpu" else None
-        compiled = jax.jit(lanes(lane), compiler_options=options).lower(shapes).compile()
+        traced = jax.jit(lanes(lane)).trace(shapes)
+        compiled = traced.lower().compile(options(traced))
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
 
