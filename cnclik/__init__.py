@@ -1,8 +1,11 @@
 """cnclik: closed-loop inverse kinematics as a time-stepping problem.
 
 A robot (`load_urdf`, `planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), many of them
-studied. Pure functions over frozen records; jit, vmap and grad go through everything.
+studied (`sweep`). Pure functions over frozen records; jit, vmap and grad go through everything.
 """
+
+import importlib
+from typing import TYPE_CHECKING
 
 from cnclik.errors import ArgumentError
 from cnclik.hints import hints
@@ -24,4 +27,27 @@ from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_too
 from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
 from cnclik.robot.urdf import load_urdf
 
+if TYPE_CHECKING:
+    from cnclik.study.metrics import Metrics, measure
+    from cnclik.study.sweep import sweep
+
 __version__ = "0.1.0"
+
+# Public names of rooms that a newcomer's first loop doesn't need: loaded when they are first asked for.
+_ON_USE = {
+    "Metrics": "cnclik.study.metrics",
+    "measure": "cnclik.study.metrics",
+    "sweep": "cnclik.study.sweep",
+}
+
+
+def __getattr__(name):
+    if name not in _ON_USE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(importlib.import_module(_ON_USE[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__():
+    return sorted({*globals(), *_ON_USE})

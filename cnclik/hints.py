@@ -100,14 +100,17 @@ _NATIVE_NAMES = """
 _NATIVE = frozenset(_NATIVE_NAMES.split())
 
 
-def _is_native(jaxpr) -> bool:
+def equations(jaxpr):
+    """All equations of a traced program, those inside its calls and loops too."""
     for equation in jaxpr.eqns:
-        if equation.primitive.name not in _NATIVE:
-            return False
-        inner = jax.tree.leaves(list(equation.params.values()), is_leaf=lambda v: hasattr(v, "eqns"))
-        if not all(_is_native(getattr(v, "jaxpr", v)) for v in inner if hasattr(v, "eqns") or hasattr(v, "jaxpr")):
-            return False
-    return True
+        yield equation
+        for value in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda v: hasattr(v, "eqns")):
+            if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
+                yield from equations(getattr(value, "jaxpr", value))
+
+
+def _is_native(jaxpr) -> bool:
+    return all(equation.primitive.name in _NATIVE for equation in equations(jaxpr))
 
 
 def one_function(loop):

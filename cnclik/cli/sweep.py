@@ -126,7 +126,9 @@ def _check(spec) -> None:
     block_s = time.perf_counter() - begun
     # Other programs cost as many times more as they take more evaluations of f.
     costs = np.array([spec.evaluations(p) for p in grid.programs])
-    run_s = block_s * len(blocks) / len(costs) * float(np.sum(costs / costs[0]))
+    cores = sweep.available_cores()
+    run_s = block_s * len(blocks) / len(costs) * float(np.sum(costs / costs[0])) / cores
+    block_memory = program.memory * cores  # each core has a block of its own
     size = grid.size * sum(o.dtype.itemsize * math.prod(o.shape) for o in program.outputs)
     programs = len(grid.programs)
     rows = {
@@ -135,9 +137,9 @@ def _check(spec) -> None:
         "grid": " × ".join(f"{a.name} {len(a)}" for a in grid.axes) + f" = {grid.size:,} loops",
         "programs": f"{programs} (about {compile_s:.1f} s each to compile)",
         "blocks": f"{len(blocks)} of {math.prod(grid.block):,} loops",
-        "memory": f"{(program.memory + 2**28) / 2**20:,.0f} MiB, {program.memory / 2**20:,.0f} of them for a block",
+        "memory": f"{(block_memory + 2**28) / 2**20:,.0f} MiB, {block_memory / 2**20:,.0f} of them for blocks",
         "on disk": f"{size / 2**20:,.1f} MiB before compression",
-        "time": f"{_clock(compile_s * programs + run_s)} ({_clock(run_s)} without compiling)",
+        "time": f"{_clock(compile_s * programs + run_s)} ({_clock(run_s)} without compiling), cores used: {cores}",
     }
     width = max(map(len, rows))
     for name, text in rows.items():

@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import few_lanes, hints, switched_on
+from cnclik.hints import equations, few_lanes, hints, switched_on
 from cnclik.integrate import kernel
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
@@ -68,10 +68,28 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     return call
 
 
-def _hinted(traced):
-    """The function compiled with OPTIONS while hints are on."""
-    plain, hinted = jax.jit(traced), jax.jit(traced, compiler_options=OPTIONS)
-    return lambda *args: (hinted if switched_on() else plain)(*args)
+def options(traced) -> dict:
+    """How to compile a traced program (`jax.jit(fn).trace(...)`): with OPTIONS, for a CPU and while hints are on.
+
+    With 512-bit vectors XLA (jax 0.10.2) gives 0 for most arctangents: programs that hold one go without.
+    """
+    if jax.default_backend() != "cpu" or not switched_on():
+        return {}
+    return {} if any(equation.primitive.name == "atan" for equation in equations(traced.jaxpr)) else OPTIONS
+
+
+def _hinted(fn):
+    """The function compiled with the options its program may have."""
+    plain, hinted, found = jax.jit(fn), jax.jit(fn, compiler_options=OPTIONS), {}
+
+    def call(*args):
+        leaves, treedef = jax.tree.flatten(args)
+        key = treedef, switched_on(), *((np.shape(x), x.dtype) for x in leaves)
+        if key not in found:
+            found[key] = hinted if options(plain.trace(*args)) else plain
+        return found[key](*args)
+
+    return call
 
 
 def _kernel_or(traced, fn, tile):

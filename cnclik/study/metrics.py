@@ -99,46 +99,15 @@ def _norms(rows):
     return _sqrt(_squares(rows))
 
 
-def _fold(reduce, values, fill):
-    """Reduce the first axis, time, in pieces of 16.
-
-    XLA rewrites longer reductions on a CPU into a form that can't be part of one native function, which is what
-    `lanes` makes of a tile.
-    """
-    while values.shape[0] > 16:
-        rest = jnp.full((-values.shape[0] % 16, *values.shape[1:]), fill, values.dtype)
-        values = jnp.concatenate([values, rest])
-        values = reduce(values.reshape(-1, 16, *values.shape[1:]), axis=1)
-    return reduce(values, axis=0)
-
-
-def _sum(values):
-    return _fold(jnp.sum, values, 0)
-
-
-def _mean_of(values):
-    return _sum(values) / values.shape[0]
-
-
 def _max(values):
     """Largest of non-negative values, over all axes."""
-    values = values.reshape(values.shape[0], -1)
-    return jnp.max(_fold(jnp.max, values, 0), initial=0) if values.size else jnp.zeros((), values.dtype)
-
-
-def _min(values):
-    values = values.reshape(values.shape[0], -1)
-    return jnp.min(_fold(jnp.min, values, _largest_of(values.dtype)))
-
-
-def _largest_of(dtype):
-    return jnp.inf if jnp.issubdtype(dtype, jnp.floating) else jnp.iinfo(dtype).max
+    return jnp.max(values, initial=0)
 
 
 def _first(hit):
     """Index of the first True, the length where there is none."""
     count = hit.shape[0]
-    return _min(jnp.where(hit, jnp.arange(count), count))
+    return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
 
 def _all(loop):
@@ -158,11 +127,11 @@ def _final(part, loop):
 
 
 def _mean(part, loop):
-    return _mean_of(_norms(part(loop)))
+    return jnp.mean(_norms(part(loop)))
 
 
 def _rms(part, loop):
-    return _sqrt(_mean_of(_squares(part(loop))))
+    return _sqrt(jnp.mean(_squares(part(loop))))
 
 
 def _largest(part, loop):
@@ -239,7 +208,7 @@ def _max_qdot(loop):
 
 
 def _rms_qdot(loop):
-    return _sqrt(_mean_of(_squares(loop.run.qdot))) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
+    return _sqrt(jnp.mean(_squares(loop.run.qdot))) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
 
 
 def _rms_qddot(loop):
@@ -247,11 +216,11 @@ def _rms_qddot(loop):
     if steps < 2:
         return jnp.zeros((), loop.run.q.dtype)
     step = (loop.run.t[-1] - loop.run.t[0]) / steps
-    return _sqrt(_mean_of(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
+    return _sqrt(jnp.mean(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
 
 
 def _path_length(loop):
-    return _sum(_norms(jnp.diff(loop.run.q, axis=0)))
+    return jnp.sum(_norms(jnp.diff(loop.run.q, axis=0)))
 
 
 def _velocity_ratio(loop):
@@ -262,7 +231,7 @@ def _velocity_ratio(loop):
 def _limit_distance(loop):
     q = loop.run.q
     below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
-    return _min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
+    return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
 def _task_jacobian(loop, t, q):
@@ -280,7 +249,7 @@ def _least_singular_value(loop):
     least = jnp.argmin(squares, axis=0)
     vector = tuple(jnp.take_along_axis(jnp.stack(row), least[None], axis=0)[0] for row in u)
     sigma = sp.safe_norm(sp.matvec(sp.transpose(rows), vector))
-    return _min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
+    return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 
 # --- the iteration and its status ---------------------------------------------------------------------
@@ -301,7 +270,7 @@ def _evaluations(loop):
 def _count(bit, loop):
     status = loop.run.status
     hit = (status == 0) if bit == 0 else (status & bit) != 0
-    return _sum(hit.astype(jnp.int32))
+    return jnp.sum(hit.astype(jnp.int32))
 
 
 def _errors(prefix, part, unit, label, needs=""):

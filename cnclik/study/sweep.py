@@ -19,10 +19,8 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.lanes import lanes
+from cnclik.integrate.lanes import lanes, options
 from cnclik.study.metrics import Metrics
-
-batch = lanes  # how one lane becomes a block of lanes
 
 UNITS = {
     **{"alpha": "1/s", "Ts": "s", "t": "s", "horizon": "s", "duration": "s", "period": "s"},
@@ -245,12 +243,8 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         batched = lambda values: jax.tree.map(lambda v: v[None], lane(values))  # noqa: E731
         compiled = jax.jit(batched).lower(shapes).compile()
     else:
-        try:
-            compiled = jax.jit(batch(lane)).lower(shapes).compile()
-        except jax.errors.JaxRuntimeError:
-            # XLA can't hold histories beyond some length (about 60 steps) in the one function that `lanes` makes
-            # of a tile: these go without its layout, several times slower.
-            compiled = jax.jit(jax.vmap(lane)).lower(shapes).compile()
+        traced = jax.jit(lanes(lane)).trace(shapes)
+        compiled = traced.lower().compile(options(traced))
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
 

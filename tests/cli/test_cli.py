@@ -83,29 +83,29 @@ def run(code):
     return done.stdout.strip()
 
 
+OTHERS = """
+import jax, jax.numpy, numpy, sys
+before = {m.partition(".")[0] for m in sys.modules}
+import cnclik as ck
+others = lambda: {m.partition(".")[0] for m in sys.modules} - before - set(sys.stdlib_module_names) - {"cnclik"}
+"""
+
+
 def test_import_is_light():
-    """Only jax and numpy, and under a second beyond jax (processor time: other work on the machine doesn't count)."""
-    heavy = [
-        "matplotlib",
-        "xarray",
-        "rich",
-        "tyro",
-        "optax",
-        "zarr",
-        "yourdfpy",
-        "h5netcdf",
-        "pandas",
-        "scipy.optimize",
-    ]
-    loaded = run(
-        "import jax, sys; before = set(sys.modules); import cnclik; "
-        f"print([m for m in {heavy} if m in sys.modules and m not in before])"
-    )
-    assert loaded == "[]"
+    """No package but jax and numpy, and under a second beyond jax (processor time: other work doesn't count)."""
+    assert run(OTHERS + "print(others())") == "set()"
+    assert run(OTHERS + "print('cnclik.study.sweep' in sys.modules)") == "False"
     seconds = float(
         run("import time, jax, jax.numpy; t = time.process_time(); import cnclik; print(time.process_time() - t)")
     )
     assert seconds < 1
+
+
+def test_names_loaded_on_use_are_public_and_light():
+    unknown = "[n for n in ('Metrics', 'measure', 'sweep') if n not in dir(ck) or not getattr(ck, n)]"
+    assert run(OTHERS + f"print({unknown}, others())") == "[] set()"
+    assert run(OTHERS + "print(ck.sweep is __import__('cnclik.study.sweep', fromlist='x').sweep)") == "True"
+    assert run(OTHERS + "from cnclik import measure; print(measure.__name__, hasattr(ck, 'sweeep'))") == "measure False"
 
 
 def test_one_bad_line_from_a_shell():

@@ -60,6 +60,19 @@ def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
             )
 
 
+def test_long_histories_and_every_metric_of_them():
+    def study(alpha):
+        law = ck.Law(ARM, ck.position("xy"), alpha=alpha)
+        run = ck.solve(law, PATH, Q0, 0.01, 300, ck.EE)
+        return measure(run, law, PATH, ["error", *SCALARS])
+
+    found = sweep(study, alpha=np.linspace(1.0, 20.0, 100))  # two tiles of lanes, the last one filled up
+    for i in (0, 70, 99):
+        wanted = study(float(found.alpha[i]))
+        for name, value in wanted.items():
+            np.testing.assert_allclose(found[name][i], value, rtol=1e-9, atol=1e-11, err_msg=name)
+
+
 def cheap(alpha, Ts=1.0, scale=1.0):
     return {"z": alpha * Ts * scale, "history": alpha * jnp.arange(3.0)}
 
