@@ -33,9 +33,9 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
     """Passes M of --plane; the strip over M goes up to the largest."""
     alpha_range: tuple[float, float] | None = None
-    """Gains of --map [1/s]; by default from a tenth to five times that at --alpha."""
+    """Gains of --map [1/s]; by default about --alpha and the linear boundary."""
     Ts_range: tuple[float, float] | None = None
-    """Sampling times of --map [s]; by default from a fifth to five times --Ts."""
+    """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""
     spec: pathlib.Path | None = None
@@ -194,8 +194,10 @@ def _map(args, out):
     found, rest = _loop(args)
     now = _advise(args, found, rest)
     rate = largest_rate(found.law.alpha)
-    alphas = np.geomspace(*_range("alpha-range", args.alpha_range, rate, (0.1, 5)), args.cells)
-    times = np.geomspace(*_range("Ts-range", args.Ts_range, found.Ts, (0.2, 5)), args.cells)
+    # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
+    half = np.sqrt(min(now.margin, 20 / now.z))
+    alphas = np.geomspace(*_range("alpha-range", args.alpha_range, rate, half), args.cells)
+    times = np.geomspace(*_range("Ts-range", args.Ts_range, found.Ts, half), args.cells)
     config = table(args) | {"tolerance": args.tolerance}
     loop = dict(method=found.method, stage=found.stage, N=args.N, tolerance=args.tolerance)
     with progress.bar("loops") as report:
@@ -258,8 +260,9 @@ def _study(args):
     print(f"{time.perf_counter() - begun:.0f} s; results in {args.out}")
 
 
-def _range(name, given, around, factors):
-    low, high = given if given is not None else (around * factors[0], around * factors[1])
+def _range(name, given, now, half):
+    """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
+    low, high = given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
     errors.number(name, low, positive=True)
     if not high > low:
         raise errors.fail(name, "increase", f"is {low:g} to {high:g}")

@@ -191,7 +191,9 @@ def implicit_study(
             # Reaching and tracking are lanes of one program: a point is a circle of radius 0.
             reach = _lanes(q0[:, None], grid, np.array(passes)[:, None, None], 0.0, 1.0)
             turns = rms_N[r, own]
-            circle = _lanes(rest, track_z * turns[:, None], np.array(passes)[:, None], track["radius"] * arm, 1 / turns[:, None])
+            circle = _lanes(
+                rest, track_z * turns[:, None], np.array(passes)[:, None], track["radius"] * arm, 1 / turns[:, None]
+            )
             report = None if progress is None else lambda ran, done=done: progress(done + ran, total)
             size = _errors(law, rest, reach, circle, stage, max(N, 2 * turns.max()), method, report)
             done += len(reach[0]) + len(circle[0])
