@@ -252,7 +252,8 @@ def _errors(law, rest, reach, circle, stage, N, method, progress):
         return jnp.sqrt(jnp.sum(run.e**2, -1))
 
     both = [np.concatenate(pair) for pair in zip(reach, circle, strict=True)]
-    size = np.asarray(maps.lanes(one, block=maps.BLOCK)(*both))
+    work = len(both[0]) * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
+    size = np.asarray(maps.many(one, work)(*both))
     if progress is not None:
         progress(len(size))
     return size
@@ -290,7 +291,7 @@ def _implicit_table(data):
                 values = one[name].values
                 if np.isfinite(values).any():
                     i = int(np.nanargmin(values))
-                    cells += [f"{values[i]:.0f}", f"{float(data.z[i]):.2f}"]
+                    cells += [f"{values[i]:.3g}", f"{float(data.z[i]):.2f}"]
                 else:
                     cells += ["–", "–"]
             reached = data.z.values[np.isfinite(one.steps.values)]
@@ -300,11 +301,11 @@ def _implicit_table(data):
         fewest = part.evaluations.min("z")
         quick = part.steps.min("z")
         track = part.rms
-        winner = lambda v: str(data.case.values[int(np.nanargmin(v.values))])  # noqa: E731
+        winner = lambda v: ", ".join(data.case.values[v.values == np.nanmin(v.values)])  # noqa: E731
         lines += [
             "",
-            f"Fewest evaluations to reach: {winner(fewest)}; fewest steps: {winner(quick)}; "
-            f"best tracking at equal cost: {winner(track)}.",
+            f"Fewest evaluations to reach: {winner(fewest)}. Fewest steps: {winner(quick)}. "
+            f"Best tracking at equal cost: {winner(track)}.",
         ]
     return "\n".join(lines) + "\n"
 

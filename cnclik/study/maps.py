@@ -18,6 +18,7 @@ from cnclik.study.outcome import Kind, Outcome, outcome, stable
 from cnclik.study.spectrum import largest_rate, recommend, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
+WORTH = 10_000_000  # evaluations of f: fewer don't win back what a native loop takes longer to compile, up to 20 s
 BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
@@ -72,7 +73,7 @@ def measure(
         own = stage if M is None else replace(stage, M=M)
         return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
 
-    run = lanes(one, block=BLOCK)
+    run = many(one, count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n)))
     done = []
     for i in range(0, count, chunk):
         part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]
@@ -80,6 +81,11 @@ def measure(
         if progress is not None:
             progress(min(i + chunk, count))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
+
+
+def many(one, evaluations):
+    """vmap(one), for so many evaluations of f in all: what `lanes` compiles is faster, but takes longer to compile."""
+    return lanes(one, block=BLOCK) if evaluations > WORTH else jax.jit(jax.vmap(one))
 
 
 def stability_map(law, reference, q0, alpha, Ts, *, method=EE, stage=picard(5), **options):
