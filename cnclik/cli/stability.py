@@ -33,9 +33,9 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
     """Passes M of --plane; the strip over M goes up to the largest."""
     alpha_range: tuple[float, float] | None = None
-    """Gains of --map [1/s]; by default from a tenth to five times that at --alpha."""
+    """Gains of --map [1/s]; by default about --alpha and the linear boundary."""
     Ts_range: tuple[float, float] | None = None
-    """Sampling times of --map [s]; by default from a fifth to five times --Ts."""
+    """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""
     spec: pathlib.Path | None = None
@@ -133,49 +133,95 @@ def _plane(args, out):
     methods = [METHODS[errors.one_of("methods", name, METHODS)] for name in args.methods]
     explicit, implicit = [m for m in methods if not m.implicit], [m for m in methods if m.implicit]
     # One compiled program per method: the number of passes is an array.
-    picard = lambda M: stages.picard(jnp.asarray(M), maximum=max(args.passes))  # noqa: E731
-    regions, rows = {}, []
+    most = max(args.passes, default=0)
+    picard = lambda M: stages.picard(jnp.asarray(M), maximum=most)  # noqa: E731
+    regions, rows, delays = {}, [], []
     if explicit:
         regions["explicit"] = {m.name: linear.stability_region(m, points=201) for m in explicit}
         rows += [(m.name, "", linear.limits(m)) for m in explicit]
     with progress.bar("limits") as report:
-        total, done = len(implicit) * (len(args.passes) + 1), 0
+        total, done = len(implicit) * (most + 2), 0
         for m in implicit:
-            kinds = [(f"picard({M})", picard(M)) for M in args.passes] + [("exact", stages.chord(1))]
             regions[m.name] = {}
-            for name, stage in kinds:
-                regions[m.name][name] = linear.stability_region(m, stage, points=201)
+            for M in (*range(most + 1), None):
+                name, stage = ("exact", stages.chord(1)) if M is None else (f"picard({M})", picard(M))
+                if M is None or M in args.passes:
+                    regions[m.name][name] = linear.stability_region(m, stage, points=201)
                 rows.append((m.name, name, linear.limits(m, stage)))
                 done += 1
                 report(done, total)
+    for m in methods:
+        delays.append((m.name, [linear.delay_limit(d, m, stages.chord(1)) for d in range(5)]))
     show.plane(regions, out / "plane.png", {"Title": "stability regions"})
     shown = Table(title="Limits of z = alpha·Ts on the real axis", title_justify="left")
     for name in ("method", "stage", "stable", "monotone", "dead-beat", "fastest", "error × per step"):
         shown.add_column(name, justify="left" if name in ("method", "stage") else "right")
     for method, stage, found in rows:
-        values = (found.stable, found.monotone, found.dead_beat, found.fastest, found.rate)
-        shown.add_row(method, stage, *("–" if v != v else f"{v:.4f}" for v in values))
+        shown.add_row(method, stage, *_values(found))
     Console().print(shown)
+    late = Table(title="Largest stable z, error measured d samples late, stages exact", title_justify="left")
+    for name in ("method", *(f"d = {d}" for d in range(5))):
+        late.add_column(name, justify="left" if name == "method" else "right")
+    for method, found in delays:
+        late.add_row(method, *_numbers(found))
+    Console().print(late)
+    (out / "plane.md").write_text(_limits_text(rows, delays), encoding="utf-8")
     names = ("stable", "monotone", "dead_beat", "fastest", "rate")
+    shown_rows = [(group, name) for group, several in regions.items() for name in several]
     first = next(iter(next(iter(regions.values())).values()))
     table_ = xr.Dataset(
         {n: ("row", np.array([getattr(f, n) for _, _, f in rows]), {"units": "1"}) for n in names}
         | {
             "region": (
-                ("row", "im", "re"),
+                ("region_row", "im", "re"),
                 np.stack([r.values.astype(np.float32) for g in regions.values() for r in g.values()]),
                 {"units": "1", "long_name": "|R(z)|"},
-            )
+            ),
+            "delay_limit": (
+                ("delayed", "delay"),
+                np.array([found for _, found in delays]),
+                {"units": "1", "long_name": "largest stable z, error measured late, stages exact"},
+            ),
         },
         coords={
             "method": ("row", [r[0] for r in rows]),
             "stage": ("row", [r[1] for r in rows]),
+            "region_row": [" ".join(pair) for pair in shown_rows],
+            "delayed": [m for m, _ in delays],
+            "delay": ("delay", np.arange(5), {"units": "1", "long_name": "samples"}),
             "re": first.re,
             "im": first.im,
         },
         attrs=provenance(float) | {"config": as_json({"methods": args.methods, "passes": args.passes})},
     )
     _write(table_, out / "plane.nc")
+
+
+def _values(found):
+    return _numbers((found.stable, found.monotone, found.dead_beat, found.fastest, found.rate))
+
+
+def _numbers(values):
+    return ["–" if v != v else "none" if v == float("inf") else f"{v:.4f}" for v in values]
+
+
+def _limits_text(rows, delays):
+    lines = [
+        "# Limits of z = alpha·Ts on the real axis",
+        "",
+        "`exact` is what chord(M) and newton(M) do. none: no limit.",
+        "",
+        "| method | stage | stable | monotone | dead-beat | fastest | error × per step |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        *(f"| {method} | {stage} | " + " | ".join(_values(found)) + " |" for method, stage, found in rows),
+        "",
+        "## Error measured d samples late, stages exact: largest stable z",
+        "",
+        "| method | d = 0 | 1 | 2 | 3 | 4 |",
+        "| --- | --- | --- | --- | --- | --- |",
+        *(f"| {method} | " + " | ".join(_numbers(found)) + " |" for method, found in delays),
+    ]
+    return "\n".join(lines) + "\n"
 
 
 # --- the map ------------------------------------------------------------------------------------------
@@ -194,8 +240,10 @@ def _map(args, out):
     found, rest = _loop(args)
     now = _advise(args, found, rest)
     rate = largest_rate(found.law.alpha)
-    alphas = np.geomspace(*_range("alpha-range", args.alpha_range, rate, (0.1, 5)), args.cells)
-    times = np.geomspace(*_range("Ts-range", args.Ts_range, found.Ts, (0.2, 5)), args.cells)
+    # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
+    half = np.sqrt(min(now.margin, 20 / now.z))
+    alphas = np.geomspace(*_range("alpha-range", args.alpha_range, rate, half), args.cells)
+    times = np.geomspace(*_range("Ts-range", args.Ts_range, found.Ts, half), args.cells)
     config = table(args) | {"tolerance": args.tolerance}
     loop = dict(method=found.method, stage=found.stage, N=args.N, tolerance=args.tolerance)
     with progress.bar("loops") as report:
@@ -258,8 +306,9 @@ def _study(args):
     print(f"{time.perf_counter() - begun:.0f} s; results in {args.out}")
 
 
-def _range(name, given, around, factors):
-    low, high = given if given is not None else (around * factors[0], around * factors[1])
+def _range(name, given, now, half):
+    """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
+    low, high = given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
     errors.number(name, low, positive=True)
     if not high > low:
         raise errors.fail(name, "increase", f"is {low:g} to {high:g}")

@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cnclik.show import style as look
 from cnclik.study.outcome import Kind
@@ -72,8 +73,10 @@ def stability_map(data, path, metadata, *, title="", operating=None):
         axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
         if _geometric(data.alpha):
             axis.set_xscale("log")
+            _plain_ticks(axis.xaxis)
         if _geometric(data.Ts):
             axis.set_yscale("log")
+            _plain_ticks(axis.yaxis)
         _boundary(axis, data.limit, data.Ts)
         if operating is not None:
             alpha, Ts, margin = operating
@@ -148,6 +151,13 @@ def _geometric(values):
     """Whether a coordinate is spaced geometrically rather than evenly."""
     steps = np.diff(values.values)
     return len(steps) > 1 and steps[-1] > 1.5 * steps[0]
+
+
+def _plain_ticks(axis):
+    """1, 2, 5, 10 … in place of powers, which overlap where an axis spans one or two decades."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 # --- evidence -----------------------------------------------------------------------------------------

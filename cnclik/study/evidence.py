@@ -3,22 +3,16 @@
 Each takes what its spec says (see results/stability/*.toml) and returns one labelled dataset.
 """
 
-import functools
-
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import METHODS
-from cnclik.integrate.solve import advance, cast, evaluations_per_step
+from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.record import replace
-from cnclik.robot import spatial as sp
 from cnclik.study import maps
 from cnclik.study.linear import stability_limit
-from cnclik.study.outcome import Kind
 from cnclik.study.problem import length, problem_from, reference_from
 from cnclik.study.spectrum import at_rest
 
@@ -37,21 +31,25 @@ def _moves(law, size, count, seed):
     return size * drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
-def _cases(methods, picard, chord):
-    """(label, method, stage kind or None, M or None) for each way to step."""
+def _groups(methods, picard, chord):
+    """(method, stage kind or None, passes) for each way to step: what shares one compiled program."""
     for name in methods:
         method = METHODS[errors.one_of("methods", name, METHODS)]
         if not method.implicit:
-            yield name, method, None, None
+            yield method, None, (0,)
             continue
         for kind, some in (("picard", picard), ("chord", chord)):
-            for M in some:
-                yield f"{name} {kind}({M})", method, kind, M
+            if some:
+                yield method, kind, tuple(some)
 
 
-def _stage(kind, M, maximum):
-    """A stage whose passes are an array, so that every M shares one program."""
-    return stages.picard(0) if kind is None else getattr(stages, kind)(jnp.asarray(M), maximum=maximum)
+def _labels(method, kind, passes):
+    return [f"{method} {kind}({M})" if kind else str(method) for M in passes]
+
+
+def _stage(kind, passes):
+    """A stage whose number of passes is a lane's own; the largest fixes the program."""
+    return stages.picard(0) if kind is None else getattr(stages, kind)(max(passes))
 
 
 # --- agreement ----------------------------------------------------------------------------------------
@@ -74,40 +72,43 @@ def agreement_study(
     """
     import xarray as xr
 
-    cases = list(_cases(methods, picard, chord))
-    limits = [stability_limit(m, _stage(kind, M, max((*picard, *chord)))) for _, m, kind, M in cases]
-    grid = np.linspace(z[0], z[1], int(z[2]))
-    lanes = len(sizes) * directions * len(grid)
+    groups = list(_groups(methods, picard, chord))
+    cases = [label for group in groups for label in _labels(*group)]
+    limits = np.array([stability_limit(m, _masked(kind, M, passes)) for m, kind, passes in groups for M in passes])
+    values = np.linspace(z[0], z[1], int(z[2])) * np.where(np.isfinite(limits), limits, 10.0)[:, None]
+    lanes = len(sizes) * directions * int(z[2])
     total, done = len(robots) * len(cases) * lanes, 0
     found = np.full((3, len(robots), len(cases), len(sizes)), np.nan)
     for r, (_, law, rest, arm) in enumerate(_robots(robots, tasks)):
         target = at_rest(law, None, rest)
         moves = np.concatenate([_moves(law, s * arm, directions, seed) for s in sizes])
         q0 = maps.starts(law, rest, moves).reshape(len(sizes), directions, 1, -1)
-        for c, (_, method, kind, M) in enumerate(cases):
-            limit = limits[c]
-            values = grid * (limit if np.isfinite(limit) else 10.0)
+        first = 0
+        for method, kind, passes in groups:
+            own = slice(first, first + len(passes))
+            first = own.stop
             made = maps.measure(
                 law,
                 target,
                 q0,
-                alpha=values,
+                alpha=values[own, None, None],
                 Ts=1.0,
-                M=M,
+                M=np.array(passes)[:, None, None, None] if kind else None,
                 N=N,
                 method=method,
-                stage=_shared(kind, picard, chord),
+                stage=_stage(kind, passes),
                 tolerance=tolerance,
+                progress=None if progress is None else lambda ran, done=done: progress(done + ran, total),
             )
-            for s in range(len(sizes)):
-                inside, outside = values < limit * (1 - band), values > limit * (1 + band)
-                good = maps.stable(made.kind[s])
-                found[0, r, c, s] = maps.agreement(made.kind[s], values, limit, band=band)
-                found[1, r, c, s] = 1 - good[:, inside].mean()
-                found[2, r, c, s] = good[:, outside].mean() if outside.any() else 0.0
-            done += lanes
-            if progress is not None:
-                progress(done, total)
+            done += len(passes) * lanes
+            for c in range(own.start, own.stop):
+                inside, outside = values[c] < limits[c] * (1 - band), values[c] > limits[c] * (1 + band)
+                for s in range(len(sizes)):
+                    kinds = made.kind[c - own.start, s]
+                    good = maps.stable(kinds)
+                    found[0, r, c, s] = maps.agreement(kinds, values[c], limits[c], band=band)
+                    found[1, r, c, s] = 1 - good[:, inside].mean()
+                    found[2, r, c, s] = good[:, outside].mean() if outside.any() else 0.0
     dims = ("robot", "case", "size")
     return xr.Dataset(
         {
@@ -118,17 +119,15 @@ def agreement_study(
         },
         coords={
             "robot": list(robots),
-            "case": [case[0] for case in cases],
+            "case": cases,
             "size": ("size", np.asarray(sizes, float), {"units": "1", "long_name": "initial error / arm length"}),
         },
     )
 
 
-def _shared(kind, picard, chord):
-    """The stage that `measure` gives its passes to; the largest M of its kind fixes the program."""
-    if kind is None:
-        return stages.picard(0)
-    return getattr(stages, kind)(max(picard if kind == "picard" else chord))
+def _masked(kind, M, passes):
+    """One M of a group, as an array: linear theory too compiles once for all of them."""
+    return None if kind is None else getattr(stages, kind)(jnp.asarray(M), maximum=max(passes))
 
 
 def _agreement_table(data):
@@ -170,41 +169,43 @@ def implicit_study(
     """
     import xarray as xr
 
-    cases = list(_cases(methods, picard, chord))
-    grid = np.geomspace(z[0], z[1], int(z[2]))
-    lanes = len(sizes) * directions * len(grid)
-    total, done = len(robots) * len(cases) * lanes, 0
+    groups = list(_groups(methods, picard, chord))
+    cases = [label for group in groups for label in _labels(*group)]
+    grid, track_z = np.geomspace(z[0], z[1], int(z[2])), np.asarray(track["z"], float)
+    starts = len(sizes) * directions
+    total, done = len(robots) * len(cases) * (starts * len(grid) + len(track_z)), 0
     shape = (len(robots), len(cases))
-    arrived, steps, cost = np.zeros((*shape, len(grid))), np.full((*shape, len(grid)), np.nan), np.zeros(shape)
+    arrived, steps, cost = np.zeros((*shape, len(grid))), np.full((*shape, len(grid)), np.nan), np.zeros(shape, int)
     rms, rms_z, rms_N = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, int)
     for r, (_, law, rest, arm) in enumerate(_robots(robots, tasks)):
-        target = at_rest(law, None, rest)
         moves = np.concatenate([_moves(law, s * arm, directions, seed) for s in sizes])
-        q0 = maps.starts(law, rest, moves)[:, None]
-        for c, (_, method, kind, M) in enumerate(cases):
-            stage = _shared(kind, picard, chord)
-            made = maps.measure(
-                law,
-                target,
-                q0,
-                alpha=grid,
-                Ts=1.0,
-                M=M,
-                N=N,
-                method=method,
-                stage=stage,
-                tolerance=tolerance,
-                scale=1.0,
+        q0 = maps.starts(law, rest, moves)
+        first = 0
+        for method, kind, passes in groups:
+            own = slice(first, first + len(passes))
+            first = own.stop
+            stage = _stage(kind, passes)
+            fixed = [stages.picard(0) if kind is None else getattr(stages, kind)(M) for M in passes]
+            cost[r, own] = [int(evaluations_per_step(method, one, law.chain.n)) for one in fixed]
+            rms_N[r, own] = np.maximum(track["evaluations"] // cost[r, own], 4)
+            # Reaching and tracking are lanes of one program: a point is a circle of radius 0.
+            reach = _lanes(q0[:, None], grid, np.array(passes)[:, None, None], 0.0, 1.0)
+            turns = rms_N[r, own]
+            circle = _lanes(
+                rest, track_z * turns[:, None], np.array(passes)[:, None], track["radius"] * arm, 1 / turns[:, None]
             )
-            ended = made.kind == Kind.CONVERGED
-            arrived[r, c] = ended.mean(0)
-            steps[r, c] = np.where(ended.all(0), np.median(made.steps, 0), np.nan)
-            fixed = stages.picard(0) if kind is None else getattr(stages, kind)(M)
-            cost[r, c] = int(evaluations_per_step(method, fixed, law.chain.n))
-            rms[r, c], rms_z[r, c], rms_N[r, c] = _track(law, rest, arm, method, stage, M, int(cost[r, c]), track)
-            done += lanes
-            if progress is not None:
-                progress(done, total)
+            report = None if progress is None else lambda ran, done=done: progress(done + ran, total)
+            size = _errors(law, rest, reach, circle, stage, max(N, 2 * turns.max()), method, report)
+            done += len(reach[0]) + len(circle[0])
+            split = len(reach[0])
+            ended, needed = _arrival(size[:split, : N + 1].reshape(len(passes), starts, len(grid), -1), tolerance)
+            arrived[r, own] = ended.mean(1)
+            steps[r, own] = np.where(ended.all(1), np.median(needed, 1), np.nan)
+            tracked = size[split:].reshape(len(passes), len(track_z), -1)
+            for i, turn in enumerate(turns):
+                error = np.sqrt(np.mean(tracked[i, :, turn : 2 * turn] ** 2, -1))
+                best = int(np.argmin(np.where(np.isfinite(error), error, np.inf)))
+                rms[r, own.start + i], rms_z[r, own.start + i] = error[best], track_z[best]
     dims = ("robot", "case", "z")
     return xr.Dataset(
         {
@@ -217,38 +218,53 @@ def implicit_study(
         },
         coords={
             "robot": list(robots),
-            "case": [case[0] for case in cases],
+            "case": cases,
             "z": ("z", grid, {"units": "1", "long_name": "z = α·Ts"}),
         },
     )
 
 
-def _track(law, rest, arm, method, stage, M, cost, track):
-    """RMS error over the second of two turns of a circle, at its best z: (error, z, steps per turn)."""
-    N = max(track["evaluations"] // cost, 4)
-    z = np.asarray(track["z"], float)
-    path = reference_from("circle", law.chain, law.task, rest, radius=track["radius"] * arm, period=1.0)
-    size = np.asarray(_circle(law, path, jnp.asarray(rest), jnp.asarray(z), N, M, stage, method=method))
-    best = int(np.argmin(np.where(np.isfinite(size), size, np.inf)))
-    return size[best], z[best], N
+def _lanes(q0, alpha, M, radius, Ts):
+    """Arguments of many loops, broadcast against each other and laid out in one row."""
+    shape = np.broadcast_shapes(np.shape(q0)[:-1], np.shape(alpha), np.shape(M), np.shape(Ts))
+    flat = lambda v, kind=float: np.broadcast_to(np.asarray(v, kind), shape).ravel()  # noqa: E731
+    starts = np.broadcast_to(q0, (*shape, q0.shape[-1])).reshape(-1, q0.shape[-1])
+    return starts, flat(alpha), flat(M, int), flat(radius), flat(Ts)
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
-def _circle(law, path, rest, z, N, M, stage, *, method):
-    own = stage if M is None else replace(stage, M=M)
+def _errors(law, rest, reach, circle, stage, N, method, progress):
+    """‖e‖ (loops, N + 1) about a circle through the tip at `rest`, one turn per second."""
+    at = reference_from("circle", law.chain, law.task, rest, radius=1.0, period=1.0)
 
-    def one(z):
-        law_, path_, Ts = cast((replace(law, alpha=law.alpha * z * N), path, 1.0 / N), rest.dtype)
+    def one(q0, alpha, M, radius, Ts):
+        curve = at.curve
+        path = replace(
+            at,
+            curve=replace(
+                curve,
+                center=curve.center + (1 - radius) * curve.first,
+                first=radius * curve.first,
+                second=radius * curve.second,
+            ),
+        )
+        own = stage if isinstance(stage, stages.Picard) and stage.maximum == 0 else replace(stage, M=M)
+        run = solve(replace(law, alpha=law.alpha * alpha), path, q0, Ts, N, method, own)
+        return jnp.sqrt(jnp.sum(run.e**2, -1))
 
-        def go(k, carry):
-            q, total = carry
-            made = advance(law_, path_, q, k * Ts, Ts, method, own)
-            return made.q, total + jnp.where(k >= N, sp.dot(made.e, made.e), 0.0)
+    both = [np.concatenate(pair) for pair in zip(reach, circle, strict=True)]
+    work = len(both[0]) * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
+    size = np.asarray(maps.many(one, work)(*both))
+    if progress is not None:
+        progress(len(size))
+    return size
 
-        _, total = lax.fori_loop(0, 2 * N, go, (tuple(rest), jnp.zeros_like(rest[0])))
-        return jnp.sqrt(total / N)
 
-    return jax.vmap(one)(z)
+def _arrival(size, tolerance):
+    """Whether loops (..., N + 1) stay below the tolerance in their last quarter, and after how many steps."""
+    N = size.shape[-1] - 1
+    above = ~(size <= tolerance)
+    last = np.where(above.any(-1), N - np.argmax(above[..., ::-1], -1), -1)
+    return ~above[..., N - N // 4 :].any(-1), last + 1
 
 
 def _implicit_table(data):
@@ -275,7 +291,7 @@ def _implicit_table(data):
                 values = one[name].values
                 if np.isfinite(values).any():
                     i = int(np.nanargmin(values))
-                    cells += [f"{values[i]:.0f}", f"{float(data.z[i]):.2f}"]
+                    cells += [f"{values[i]:.3g}", f"{float(data.z[i]):.2f}"]
                 else:
                     cells += ["–", "–"]
             reached = data.z.values[np.isfinite(one.steps.values)]
@@ -285,11 +301,11 @@ def _implicit_table(data):
         fewest = part.evaluations.min("z")
         quick = part.steps.min("z")
         track = part.rms
-        winner = lambda v: str(data.case.values[int(np.nanargmin(v.values))])  # noqa: E731
+        winner = lambda v: ", ".join(data.case.values[v.values == np.nanmin(v.values)])  # noqa: E731
         lines += [
             "",
-            f"Fewest evaluations to reach: {winner(fewest)}; fewest steps: {winner(quick)}; "
-            f"best tracking at equal cost: {winner(track)}.",
+            f"Fewest evaluations to reach: {winner(fewest)}. Fewest steps: {winner(quick)}. "
+            f"Best tracking at equal cost: {winner(track)}.",
         ]
     return "\n".join(lines) + "\n"
 

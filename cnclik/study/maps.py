@@ -1,13 +1,12 @@
 """Maps: outcomes of whole nonlinear loops over alpha, Ts and M, with the linear boundary beside them."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import EE
 from cnclik.integrate.solve import advance, evaluations_per_step
 from cnclik.integrate.stage import picard
@@ -18,7 +17,9 @@ from cnclik.study.linear import label, named, stability_limit
 from cnclik.study.outcome import Kind, Outcome, outcome, stable
 from cnclik.study.spectrum import largest_rate, recommend, settle
 
-CHUNK = 4096  # lanes run together: what fits a processor's caches
+CHUNK = 1 << 15  # loops run between two looks at the progress
+WORTH = 10_000_000  # evaluations of f: fewer don't win back what a native loop takes longer to compile, up to 20 s
+BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
 def measure(
@@ -44,7 +45,7 @@ def measure(
       q0: (..., n) start; alpha, Ts, M: (...); all are broadcast against each other, one loop each.
       M: passes in place of the stage's own, or None.
       N, tolerance, scale: horizon in steps and what counts as arrived.
-      chunk: loops run together.
+      chunk: loops run between two calls of `progress`, on all cores.
       progress: called with the number of loops done so far, or None.
     Returns: `Outcome` of NumPy arrays (...).
     """
@@ -52,40 +53,39 @@ def measure(
     ref.check(reference, law.task)
     N = errors.integer("N", N, at_least=4)
     q0 = np.asarray(errors.array("q0", q0), float)
-    lanes = np.broadcast_shapes(q0.shape[:-1], np.shape(alpha), np.shape(Ts), np.shape(M) if M is not None else ())
-    count = int(np.prod(lanes))
-    chunk = min(chunk, count)
+    shape = np.broadcast_shapes(q0.shape[:-1], np.shape(alpha), np.shape(Ts), np.shape(M) if M is not None else ())
+    count = int(np.prod(shape))
+    chunk = min(errors.integer("chunk", chunk, at_least=1), count)
     pad = -count % chunk
 
     def flat(values, kind=float, tail=()):
-        values = np.broadcast_to(np.asarray(values, kind), lanes + tail).reshape((count, *tail))
+        values = np.broadcast_to(np.asarray(values, kind), shape + tail).reshape((count, *tail))
         return np.concatenate([values, np.broadcast_to(values[-1:], (pad, *tail))])  # one shape, one compilation
 
     factor, time = flat(alpha) / largest_rate(law.alpha), flat(Ts)
     start = flat(q0, tail=q0.shape[-1:])
-    passes = None
     if M is not None:
-        passes = flat(M, int)
-        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(passes))))
-    done = []
-    for i in range(0, count, chunk):
-        part = slice(i, i + chunk)
-        own = None if passes is None else passes[part]
-        made = _run(law, reference, start[part], factor[part], time[part], own, stage, tolerance, scale, N, method)
-        done.append(jax.tree.map(np.asarray, made))
-        if progress is not None:
-            progress(min(i + chunk, count))
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(lanes), *done)
+        M = flat(M, int)
+        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))
 
-
-@functools.partial(jax.jit, static_argnames=("N", "method"))
-def _run(law, reference, q0, factor, Ts, M, stage, tolerance, scale, N, method):
     def one(q0, factor, Ts, M):
         gained = replace(law, alpha=law.alpha * factor)
         own = stage if M is None else replace(stage, M=M)
         return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
 
-    return jax.vmap(one)(q0, factor, Ts, M)
+    run = many(one, count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n)))
+    done = []
+    for i in range(0, count, chunk):
+        part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]
+        done.append(jax.tree.map(np.asarray, run(*part)))
+        if progress is not None:
+            progress(min(i + chunk, count))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
+
+
+def many(one, evaluations):
+    """vmap(one), for so many evaluations of f in all: what `lanes` compiles is faster, but takes longer to compile."""
+    return lanes(one, block=BLOCK) if evaluations > WORTH else jax.jit(jax.vmap(one))
 
 
 def stability_map(law, reference, q0, alpha, Ts, *, method=EE, stage=picard(5), **options):

@@ -5,16 +5,17 @@ pass close to the target on its way.
 """
 
 import enum
+import functools
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
+from cnclik.hints import one_function
 from cnclik.integrate.method import EE, METHODS, Method
 from cnclik.integrate.solve import advance, cast
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
-from cnclik.law.law import evaluate
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 
@@ -69,38 +70,44 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     """
     method = METHODS[method] if isinstance(method, str) else method
     law, reference, Ts, tolerance = cast((law, reference, Ts, tolerance), q0.dtype)
+    Ts = jnp.asarray(Ts, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)
-    first = sp.safe_norm(evaluate(law, reference, jnp.zeros_like(Ts), tuple(q0)).e)
-    scale = first if scale is None else jnp.asarray(scale, q0.dtype)
-    bound = tolerance * scale
+    given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
-    def judge(k, e, seen):
-        above, least, most, final = seen
-        size = sp.safe_norm(e)
+    def one(own, carry, k):
+        law, reference, Ts, stage, tolerance, given = own
+        q, scale, (above, least, most, final), bits, grown, first_near = carry
+        made = advance(law, reference, q, k * Ts, Ts, method, stage)
+        size = sp.safe_norm(made.e)
+        if given is None:
+            scale = jnp.where(k == 0, size, scale)
+        # A loop that diverges wanders through singularities; one that meets them first is another matter.
+        grown |= ~(size <= scale * _GROWN)
         size = jnp.where(jnp.isfinite(size), size, jnp.inf)
-        return (
-            jnp.where(size > bound, k, above),
+        seen = (
+            jnp.where(size > tolerance * scale, k, above),
             jnp.where((k >= before) & (k < tail), jnp.minimum(least, size), least),
             jnp.where((k >= before) & (k < tail), jnp.maximum(most, size), most),
             jnp.where(k >= tail, jnp.maximum(final, size), final),
         )
+        status = jnp.where(k < N, made.status.astype(jnp.int32), 0)
+        first_near |= ~grown & ((status & int(Status.NEAR_SINGULAR)) != 0)
+        return (made.q, scale, seen, bits | status, grown, first_near), None
 
-    def one(carry, k):
-        q, seen, bits, grown, first_near = carry
-        made = advance(law, reference, q, k * Ts, Ts, method, stage)
-        # A loop that diverges wanders through singularities; one that meets them first is another matter.
-        grown |= ~(sp.safe_norm(made.e) <= scale * _GROWN)
-        first_near |= ~grown & ((made.status & int(Status.NEAR_SINGULAR)) != 0)
-        return (made.q, judge(k, made.e, seen), bits | made.status.astype(jnp.int32), grown, first_near), None
+    def loop(own, start, k):
+        return lax.scan(functools.partial(one, own), start, k)[0]
 
+    # The step after the last is made too, only for its error: one more way to evaluate it would cost far more to
+    # compile than it costs to run.
     k = jnp.arange(N + 1).astype(q0.dtype)
-    nothing = (jnp.full_like(first, -1.0), jnp.full_like(first, jnp.inf), jnp.zeros_like(first), jnp.zeros_like(first))
-    never = jnp.zeros_like(first, bool)
-    start = (tuple(q0), nothing, jnp.zeros_like(first, jnp.int32), never, never)
-    (q, seen, bits, _, first_near), _ = lax.scan(one, start, k[:-1])
-    above, least, most, final = judge(k[-1], evaluate(law, reference, k[-1] * Ts, q).e, seen)
+    zero = jnp.zeros((), q0.dtype)
+    nothing = (zero - 1, zero + jnp.inf, zero, zero)
+    never = jnp.zeros((), bool)
+    start = (tuple(q0), zero if given is None else given, nothing, jnp.zeros((), jnp.int32), never, never)
+    own = (law, reference, Ts, stage, tolerance, given)
+    _, scale, (above, least, most, final), bits, _, first_near = one_function(loop)(own, start, k)
     near, stuck = (bits & int(Status.NEAR_SINGULAR)) != 0, (bits & int(Status.NOT_CONVERGED)) != 0
-    converged = final <= bound
+    converged = final <= tolerance * scale
     failed = jnp.where(first_near, Kind.NEAR_SINGULAR, jnp.where(final >= scale, Kind.DIVERGED, Kind.NOT_CONVERGED))
     slow = (final < jnp.minimum(least, scale)) & (final < _ON_THE_WAY * most)
     kind = jnp.where(converged, Kind.CONVERGED, jnp.where(slow, Kind.SLOW, failed))
