@@ -36,22 +36,15 @@ ROBOTS = {
 }
 LAMBDA, EPSILON = 0.05, 0.1  # λ (λ₀, λ_max) of every damped inverse; σ below which the last is damped
 CLAMP = (0.1, 0.5)
-METHODS = {
+METHODS = {  # name: the law's options, from a manipulability to be damped below
     "pseudoinverse": lambda w: {},
     "damped, no clamp": lambda w: {"inverse": inverse.damped(LAMBDA)},
     "damped": lambda w: {"inverse": inverse.damped(LAMBDA), "error_clamp": CLAMP},
     "manipulability-damped": lambda w: {"inverse": inverse.manipulability_damped(LAMBDA, w), "error_clamp": CLAMP},
-    "singular-damped": lambda w: {"inverse": inverse.singular_damped(LAMBDA, EPSILON), "error_clamp": CLAMP},
-    "damped, weighted": lambda w: {
-        "inverse": inverse.damped(LAMBDA),
-        "limits": limits.weighted_least_norm(),
-        "error_clamp": CLAMP,
-    },
-    "singular-damped, saturation": lambda w: {
-        "inverse": inverse.singular_damped(LAMBDA, EPSILON),
-        "limits": limits.saturation(),
-        "error_clamp": CLAMP,
-    },
+    "singular-damped": lambda w: _singular_damped(),
+    "same, velocity scaling": lambda w: _singular_damped() | {"limits": limits.velocity_scaling()},
+    "same, weighted": lambda w: _singular_damped() | {"limits": limits.weighted_least_norm()},
+    "same, saturation": lambda w: _singular_damped() | {"limits": limits.saturation()},
 }
 PATHS = ("singularity", "limit", "unreachable")
 ALPHA, TS, N, KNOTS = 5.0, 0.01, 800, 41
@@ -66,6 +59,10 @@ def example_robots() -> pathlib.Path:
         raise errors.fail("robots", "be a folder, or example-robot-data be installed", "neither is") from None
 
 
+def _singular_damped():
+    return {"inverse": inverse.singular_damped(LAMBDA, EPSILON), "error_clamp": CLAMP}
+
+
 def run(folder=None, robots=None, track=lambda tasks: tasks) -> list[dict]:
     """Every robot on every path with every method, as rows.
 
@@ -76,12 +73,13 @@ def run(folder=None, robots=None, track=lambda tasks: tasks) -> list[dict]:
     """
     folder = example_robots() if folder is None else pathlib.Path(folder)
     robots = list(ROBOTS) if robots is None else robots
+    files = {robot: ROBOTS[errors.one_of("robots", robot, ROBOTS)] for robot in robots}
+    chains = {robot: load_urdf(folder / file, tip, base) for robot, (file, tip, base) in files.items()}
     made = {}
     rows = []
     for robot, method in track([(r, m) for r in robots for m in METHODS]):
         if robot not in made:
-            file, tip, base = ROBOTS[errors.one_of("robots", robot, ROBOTS)]
-            made[robot] = _paths(load_urdf(folder / file, tip, base))
+            made[robot] = _paths(chains[robot])
         chain, w0, paths = made[robot]
         law = Law(chain, pose_task(), alpha=ALPHA, **METHODS[method](w0))
         for path, (start, reference) in paths.items():
@@ -189,13 +187,14 @@ def page(rows) -> str:
         "",
         f"Written by `cnclik trouble`. Spatial pose tracking, explicit Euler, alpha = {ALPHA:g} 1/s, Ts = {TS:g} s,"
         f" {N} steps. λ (λ₀, λ_max) = {LAMBDA:g} for every damped inverse; the singular-damped one is damped below"
-        f" σ = {EPSILON:g}, the manipulability-damped one below 0.3 of the start's w. All but the first two clamp the"
-        f" error at {CLAMP[0]:g} m and {CLAMP[1]:g} rad.",
+        f" σ = {EPSILON:g}, the manipulability-damped one below 0.3 of the start's w; *same* is the singular-damped one"
+        f" with a method for limits. All but the first two clamp the error at {CLAMP[0]:g} m and {CLAMP[1]:g} rad.",
         "",
         "Errors are RMS over the run; *speed* is the largest joint velocity, and in brackets its share of that joint's"
         " limit; *past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed that the"
-        " next step takes back, over the second half of the run. Steps are counted by status: near singular, at limit,"
-        " not finite.",
+        " next step takes back, over the second half of the run. Steps are counted by status: near singular (least"
+        " singular value below 0.01; *damped* and *manipulability-damped* know it from below only), at limit, not"
+        " finite.",
     ]
     for path in PATHS:
         lines += [
