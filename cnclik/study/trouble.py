@@ -195,6 +195,11 @@ def page(rows) -> str:
         " next step takes back, over the second half of the run. Steps are counted by status: near singular (least"
         " singular value below 0.01; *damped* and *manipulability-damped* know it from below only), at limit, not"
         " finite.",
+        "",
+        "## In short",
+        "",
+        "Errors: median over the robots; speed, past and chatter: the worst robot.",
+        *_short(rows),
     ]
     for path in PATHS:
         lines += [
@@ -222,3 +227,31 @@ def page(rows) -> str:
             lines.append(f"| {' | '.join(shown)} |")
             before = row["robot"]
     return "\n".join(lines) + "\n"
+
+
+def _short(rows):
+    """One line per path and method, over all robots."""
+    lines = [
+        "",
+        "| path | method | position [m] | orientation [rad] | speed/limit | past [rad] |"
+        " chatter [rad/s] | not finite |",
+        f"| --- | --- {'| ---: ' * 6}|",
+    ]
+    for path in PATHS:
+        for k, method in enumerate(METHODS):
+            those = [r for r in rows if r["path"] == path and r["method"] == method]
+            if not those:
+                continue
+            columns = {name: [r[name] for r in those] for name in those[0]}
+            shown = [
+                path if k == 0 else "",
+                method,
+                f"{np.median(columns['position_rms']):.2e}",
+                f"{np.median(columns['orientation_rms']):.2e}",
+                f"{max(columns['fastest_share']):.3g}",
+                f"{max(columns['past_limit']):.2g}",
+                f"{max(columns['chatter']):.2g}",
+                str(sum(columns["NON_FINITE"])),
+            ]
+            lines.append(f"| {' | '.join(shown)} |")
+    return lines
