@@ -128,7 +128,7 @@ def work(data):
     for column, robot in zip(grid.T, data.robot.values, strict=True):
         for panel, name in zip(column, parts, strict=True):
             for method in data.method.values:
-                at = data.sel(robot=robot, method=method)
+                at = data.sel({"robot": robot, "method": method})
                 panel.loglog(at.evaluations / at.Ts, at[name], **style.line(str(method)))
         column[0].set_title(str(robot), loc="left")
         column[-1].set_xlabel("evaluations of f per second of motion [1/s]")
