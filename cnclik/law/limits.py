@@ -232,9 +232,15 @@ class Saturated:
 
 
 def _beyond_reach(rows, velocity):
-    """Norm of the part of a task velocity that no joint velocity gives, shift·(J Jᵀ + shift·I)⁻¹ v as shift → 0."""
+    """Norm of the part of a task velocity that no joint velocity gives.
+
+    shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0; twice over, so that single precision, whose
+    shift is large, takes for out of reach only what lies in directions of σ below 0.01 of ‖J‖.
+    """
     shift = _tiny(rows)
-    return shift * sp.safe_norm(dense.ldl_solve(dense.ldl(dense.gram(rows, shift)), velocity))
+    factor = dense.ldl(dense.gram(rows, shift))
+    once = sp.scale(shift, dense.ldl_solve(factor, velocity))
+    return shift * sp.safe_norm(dense.ldl_solve(factor, once))
 
 
 def _bounds(q, low, high, speed, rate):
