@@ -469,12 +469,12 @@ def _waypoints(file, task, here):
     """Waypoints of a CSV file: time, position, optional quaternion w x y z."""
     path = pathlib.Path(file)
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "is no text"
         raise errors.fail("reference", "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    rows = list(csv.reader(lines))
-    if rows and not _is_number(rows[0][0]):
+    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
         rows = rows[1:]
     for k, row in enumerate(rows):
         if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
