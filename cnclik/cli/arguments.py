@@ -40,6 +40,9 @@ def _one_line(Args, argv, said) -> str:
         near = difflib.get_close_matches(first.split("=")[0], list(options), n=1, cutoff=0.4)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         return f"Option must be one of {', '.join(options)}, but is {first!r}{hint}."
+    missing = re.match(r"Missing from .*?: (\S+) (.*?)\.? \(required\)", message)
+    if missing:
+        return f"Argument `{missing[1]}` must be given, but is not: {missing[2]}."
     named = next((n for n in sorted(options, key=len, reverse=True) if n in message), None)
     if named and message.startswith("Missing value"):
         return f"Option `{named}` must be given {_kind(options[named])}, but has no value."
@@ -64,10 +67,14 @@ def _message(said) -> str:
 
 def _options(Args, prefix="") -> dict:
     """{"--name": type} of a dataclass; those of nested dataclasses as "--outer.name"."""
-    hints = typing.get_type_hints(Args)
+    hints, marked = typing.get_type_hints(Args), typing.get_type_hints(Args, include_extras=True)
     found = {}
     for field in dataclasses.fields(Args):
-        name = prefix + field.name.replace("_", "-")
+        marks = getattr(marked[field.name], "__metadata__", ())
+        if tyro.conf.Positional in marks:
+            continue
+        renamed = next((n for n in (getattr(m, "name", None) for m in marks) if n), field.name)
+        name = prefix + renamed.replace("_", "-")
         if dataclasses.is_dataclass(hints[field.name]):
             found |= _options(hints[field.name], name + ".")
         else:

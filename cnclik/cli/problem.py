@@ -61,7 +61,7 @@ class LoopOptions:
     method: str = "CN"
     """EE, IE, CN (the paper's), TRAPEZOID, HEUN, MIDPOINT, RK4."""
     stage: str = "picard"
-    """How implicit stages are solved."""
+    """How implicit stages are solved: picard, chord, newton."""
     M: int = 5
     """Passes of that iteration."""
     alpha: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X ...")] = (5.0,)

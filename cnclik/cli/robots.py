@@ -40,7 +40,8 @@ def run(args: Args) -> None:
     moving, mimic = (
         sum(map(test, tree.edges)) for test in (lambda e: e.type != "fixed", lambda e: e.mimic is not None)
     )
-    print(f"{len(tree.links)} links, {moving} moving joints, {mimic} of them mimic.")
+    links = "1 link" if len(tree.links) == 1 else f"{len(tree.links)} links"
+    print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
     print(f"Tips (leaf links that a joint moves): {', '.join(tree.tips()) or 'none'}.")
 
 

@@ -45,6 +45,7 @@ def run(args: Args) -> None:
             with progress.status("Drawing"):
                 _draw(folder, data, made)
         written = sorted(p.name for p in folder.iterdir())
+    print(_title(made))
     Console().print(_summary(made, data, seconds))
     print(f"Wrote {', '.join(written)} to {args.out}/.")
 
@@ -145,7 +146,7 @@ def _summary(made, data, seconds):
     from cnclik.study.chatter import chatter
     from cnclik.study.linear import stability_limit
 
-    shown = Table(title=_title(made), show_header=False, title_justify="left", box=None, padding=(0, 2, 0, 0))
+    shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     units = data.axis_unit.values
     for unit, name in (("m", "position"), ("rad", "orientation")):
         part = data.e.values[:, units == unit]
@@ -160,7 +161,7 @@ def _summary(made, data, seconds):
     limit = stability_limit(made.method, made.stage)
     alpha = np.linalg.eigvals(made.law.alpha).real if made.law.alpha.ndim == 2 else np.atleast_1d(made.law.alpha)
     z = float(np.max(alpha)) * made.Ts
-    where = "stable" if z < limit else "UNSTABLE"
+    where = "UNSTABLE" if z >= limit or np.min(alpha) < 0 else "stable" if np.min(alpha) > 0 else "errors stay"
     known = "any z" if math.isinf(limit) else f"z < {limit:.4g}"
     shown.add_row("z = alpha·Ts", f"{z:.4g}; {made.method} with {_stage(made)} is linearly stable for {known}: {where}")
     shown.add_row("time per step", f"{1e6 * seconds:.0f} µs")

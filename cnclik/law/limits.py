@@ -16,7 +16,8 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.hints import opaque
-from cnclik.law.inverse import Factored
+from cnclik.law import dense
+from cnclik.law.inverse import Factored, _tiny
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 
@@ -171,8 +172,8 @@ class Saturated:
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, held=False)
         low, high = zip(*(bounds[i] for i in limited), strict=True)
         zero = sp.total((*q, *velocity)) * 0.0
-        reached = sp.safe_norm(sp.vsub(velocity, sp.matvec(rows, plain.apply(velocity))))
         asked = sp.safe_norm(velocity)
+        reached = _beyond_reach(rows, velocity)
 
         def free(locked):
             """The rows without the locked joints' columns."""
@@ -182,11 +183,13 @@ class Saturated:
             )
 
         def one(at: _Pass, _):
-            apply = inverse(free(at.locked)).apply
+            left = free(at.locked)
+            apply = inverse(left).apply
             along = apply(velocity)
             rest = sp.vsub(at.fixed, apply(sp.matvec(rows, at.fixed)))
-            # Is the task still within reach of the joints that are left?
-            lost = sp.safe_norm(sp.vsub(velocity, sp.matvec(rows, along))) > reached + 0.01 * asked
+            # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
+            # inverse holds back next to a singularity is no reason to stand still.
+            lost = _beyond_reach(left, velocity) > reached + 0.01 * asked
             pick = lambda v: tuple(v[i] + zero for i in limited)  # noqa: E731
             s, worst, at_bound, over = _share(pick(along), pick(rest), low, high, at.locked)
             s = jnp.where(lost, -1.0, s)
@@ -226,6 +229,18 @@ class Saturated:
         for k, i in enumerate(limited):
             qdot[i] = jnp.clip(qdot[i], low[k], high[k])
         return Limited(qdot=tuple(qdot), apply=factored.apply, least=plain.least, held=found.held)
+
+
+def _beyond_reach(rows, velocity):
+    """Norm of the part of a task velocity that no joint velocity gives.
+
+    shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0; twice over, so that single precision, whose
+    shift is large, takes for out of reach only what lies in directions of σ below 0.01 of ‖J‖.
+    """
+    shift = _tiny(rows)
+    factor = dense.ldl(dense.gram(rows, shift))
+    once = sp.scale(shift, dense.ldl_solve(factor, velocity))
+    return shift * sp.safe_norm(dense.ldl_solve(factor, once))
 
 
 def _bounds(q, low, high, speed, rate):

@@ -31,8 +31,13 @@ def joint_paths(data, chain):
 def joint_velocities(data, chain):
     """Joint velocities, held during each step, with their limits where the velocity comes near them."""
 
+    fastest = np.nanmax(np.abs(data.qdot.values), initial=0.0) or 1.0
+
     def draw(panel, i):
         v = data.qdot.values[:, i]
+        if np.nanmax(np.abs(v), initial=0.0) <= 1e-9 * fastest:  # rounding, which would fill the panel
+            v = np.where(np.isfinite(v), 0.0, v)
+            panel.set_ylim(-0.1 * fastest, 0.1 * fastest)
         panel.stairs(v, data.time.values, color=style.BLACK, baseline=None, linewidth=1.0)
         limit = chain.velocity_limit[i]
         for bound in (-limit, limit):
@@ -123,7 +128,7 @@ def work(data):
     for column, robot in zip(grid.T, data.robot.values, strict=True):
         for panel, name in zip(column, parts, strict=True):
             for method in data.method.values:
-                at = data.sel(robot=robot, method=method)
+                at = data.sel({"robot": robot, "method": method})
                 panel.loglog(at.evaluations / at.Ts, at[name], **style.line(str(method)))
         column[0].set_title(str(robot), loc="left")
         column[-1].set_xlabel("evaluations of f per second of motion [1/s]")

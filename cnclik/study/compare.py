@@ -96,8 +96,8 @@ def table(data) -> str:
         lines += ["", f"## {robot}", "", "| method | evaluations per step | " + " | ".join(steps) + " | order |"]
         lines.append("| --- " + "| ---: " * (len(steps) + 2) + "|")
         for method in data.method.values:
-            at = data.sel(robot=robot, method=method)
+            at = data.sel({"robot": robot, "method": method})
             values = [f"{v:.2e}" for v in at.position_error.values]
-            slope = float(slopes.sel(robot=robot, method=method))
+            slope = float(slopes.sel({"robot": robot, "method": method}))
             lines.append(f"| {method} | {at.evaluations.item():.0f} | {' | '.join(values)} | {slope:.2f} |")
     return "\n".join(lines) + "\n"

@@ -247,8 +247,10 @@ def task_from(text, chain: Chain | None = None) -> tasks.Task:
 
 
 def gain_from(alpha):
-    """A gain [1/s]: a number, or one per task coordinate; a list of one is a number."""
+    """A gain [1/s]: a number, or one per task coordinate; a list of one is a number. A negative one is refused."""
     alpha = np.asarray(errors.array("alpha", alpha), float)
+    if alpha.ndim < 2 and np.any(alpha < 0):
+        raise errors.fail("alpha", "be at least 0", f"is {alpha.tolist()}")
     return alpha[0] if alpha.shape == (1,) else alpha
 
 
@@ -293,7 +295,10 @@ def null_from(chain: Chain, task, posture=None, manipulability=None):
         raise errors.fail("manipulability", "be left out where `posture` is given", f"is {manipulability!r}")
     if posture is not None:
         return null.posture(errors.array("posture", posture, (chain.n,)))
-    return None if manipulability is None else null.maximize_manipulability(chain, task, manipulability)
+    if manipulability is None:
+        return None
+    errors.number("manipulability", manipulability, positive=True)
+    return null.maximize_manipulability(chain, task, manipulability)
 
 
 # --- loop ---------------------------------------------------------------------------------------------
@@ -366,9 +371,11 @@ def reference_from(
     if name == "line":
         first, turned = _point("from", start, task, here)
         last, turned_last = _point("to", end, task, _away(chain, q0) if end is None else here)
+        errors.number("period", period, positive=True)
         turns = {} if turned is None else {"rotation": turned, "rotation_end": turned_last}
         return references.line(first, last, duration=period, **turns)
     if name == "circle":
+        _needs_position(name, task)
         radius = length(chain) / 10 if radius is None else radius
         errors.number("radius", radius, positive=True)
         at, rotation = _point("center", center, task, here)
@@ -377,10 +384,9 @@ def reference_from(
             at = at - _stacked(first)
         return references.circle(at, radius, period=period, normal=normal, rotation=rotation)
     if name == "lissajous":
+        _needs_position(name, task)
         amplitude = length(chain) / 20 if amplitude is None else amplitude
         at, rotation = _point("center", center, task, here)
-        if at is None:
-            raise errors.fail("reference", "be hold or a file for a task without position", "is 'lissajous'")
         amplitude = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),)))
         size = amplitude * np.ones(len(at))
         return references.lissajous(at, size, period=period, frequency=frequency, rotation=rotation)
@@ -403,6 +409,11 @@ def _refuse_unused(name, given):
         if value is not None and key not in _USES.get(name, ()):
             shown = {"start": "from", "end": "to"}.get(key, key)
             raise errors.fail(shown, f"be left out for the reference {name!r}", f"is {value!r}")
+
+
+def _needs_position(name, task):
+    if not task.position:
+        raise errors.fail("reference", "be hold, line or a file for a task without position", f"is {name!r}")
 
 
 def _tip(chain, q):
@@ -458,12 +469,12 @@ def _waypoints(file, task, here):
     """Waypoints of a CSV file: time, position, optional quaternion w x y z."""
     path = pathlib.Path(file)
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "is no text"
         raise errors.fail("reference", "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    rows = list(csv.reader(lines))
-    if rows and not _is_number(rows[0][0]):
+    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
         rows = rows[1:]
     for k, row in enumerate(rows):
         if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
@@ -472,6 +483,10 @@ def _waypoints(file, task, here):
         raise errors.fail("reference", "hold at least two waypoints", f"{path.name} holds {len(rows)}")
     table = np.array(rows, float)
     points = [_point(f"{path.name} row {k + 1}", row, task, here) for k, row in enumerate(table[:, 1:])]
+    if np.any(np.diff(table[:, 0]) <= 0):
+        k = int(np.argmax(np.diff(table[:, 0]) <= 0))
+        first, second = table[k : k + 2, 0]
+        raise errors.fail("reference", "hold times that increase", f"{path.name} has {first:g} and then {second:g}")
     positions = np.stack([p for p, _ in points]) if task.position else None
     rotations = np.stack([r for _, r in points]) if task.orientation else None
     return references.waypoints(table[:, 0], positions, rotations)

@@ -36,22 +36,15 @@ ROBOTS = {
 }
 LAMBDA, EPSILON = 0.05, 0.1  # λ (λ₀, λ_max) of every damped inverse; σ below which the last is damped
 CLAMP = (0.1, 0.5)
-METHODS = {
+METHODS = {  # name: the law's options, from a manipulability to be damped below
     "pseudoinverse": lambda w: {},
     "damped, no clamp": lambda w: {"inverse": inverse.damped(LAMBDA)},
     "damped": lambda w: {"inverse": inverse.damped(LAMBDA), "error_clamp": CLAMP},
     "manipulability-damped": lambda w: {"inverse": inverse.manipulability_damped(LAMBDA, w), "error_clamp": CLAMP},
-    "singular-damped": lambda w: {"inverse": inverse.singular_damped(LAMBDA, EPSILON), "error_clamp": CLAMP},
-    "damped, weighted": lambda w: {
-        "inverse": inverse.damped(LAMBDA),
-        "limits": limits.weighted_least_norm(),
-        "error_clamp": CLAMP,
-    },
-    "singular-damped, saturation": lambda w: {
-        "inverse": inverse.singular_damped(LAMBDA, EPSILON),
-        "limits": limits.saturation(),
-        "error_clamp": CLAMP,
-    },
+    "singular-damped": lambda w: _singular_damped(),
+    "same, velocity scaling": lambda w: _singular_damped() | {"limits": limits.velocity_scaling()},
+    "same, weighted": lambda w: _singular_damped() | {"limits": limits.weighted_least_norm()},
+    "same, saturation": lambda w: _singular_damped() | {"limits": limits.saturation()},
 }
 PATHS = ("singularity", "limit", "unreachable")
 ALPHA, TS, N, KNOTS = 5.0, 0.01, 800, 41
@@ -66,6 +59,10 @@ def example_robots() -> pathlib.Path:
         raise errors.fail("robots", "be a folder, or example-robot-data be installed", "neither is") from None
 
 
+def _singular_damped():
+    return {"inverse": inverse.singular_damped(LAMBDA, EPSILON), "error_clamp": CLAMP}
+
+
 def run(folder=None, robots=None, track=lambda tasks: tasks) -> list[dict]:
     """Every robot on every path with every method, as rows.
 
@@ -76,12 +73,13 @@ def run(folder=None, robots=None, track=lambda tasks: tasks) -> list[dict]:
     """
     folder = example_robots() if folder is None else pathlib.Path(folder)
     robots = list(ROBOTS) if robots is None else robots
+    files = {robot: ROBOTS[errors.one_of("robots", robot, ROBOTS)] for robot in robots}
+    chains = {robot: load_urdf(folder / file, tip, base) for robot, (file, tip, base) in files.items()}
     made = {}
     rows = []
     for robot, method in track([(r, m) for r in robots for m in METHODS]):
         if robot not in made:
-            file, tip, base = ROBOTS[errors.one_of("robots", robot, ROBOTS)]
-            made[robot] = _paths(load_urdf(folder / file, tip, base))
+            made[robot] = _paths(chains[robot])
         chain, w0, paths = made[robot]
         law = Law(chain, pose_task(), alpha=ALPHA, **METHODS[method](w0))
         for path, (start, reference) in paths.items():
@@ -189,13 +187,19 @@ def page(rows) -> str:
         "",
         f"Written by `cnclik trouble`. Spatial pose tracking, explicit Euler, alpha = {ALPHA:g} 1/s, Ts = {TS:g} s,"
         f" {N} steps. λ (λ₀, λ_max) = {LAMBDA:g} for every damped inverse; the singular-damped one is damped below"
-        f" σ = {EPSILON:g}, the manipulability-damped one below 0.3 of the start's w. All but the first two clamp the"
-        f" error at {CLAMP[0]:g} m and {CLAMP[1]:g} rad.",
+        f" σ = {EPSILON:g}, the manipulability-damped one below 0.3 of the start's w; *same* is the singular-damped one"
+        f" with a method for limits. All but the first two clamp the error at {CLAMP[0]:g} m and {CLAMP[1]:g} rad.",
         "",
         "Errors are RMS over the run; *speed* is the largest joint velocity, and in brackets its share of that joint's"
         " limit; *past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed that the"
-        " next step takes back, over the second half of the run. Steps are counted by status: near singular, at limit,"
-        " not finite.",
+        " next step takes back, over the second half of the run. Steps are counted by status: near singular (least"
+        " singular value below 0.01; *damped* and *manipulability-damped* know it from below only), at limit, not"
+        " finite.",
+        "",
+        "## In short",
+        "",
+        "Errors: median over the robots; speed, past and chatter: the worst robot.",
+        *_short(rows),
     ]
     for path in PATHS:
         lines += [
@@ -223,3 +227,31 @@ def page(rows) -> str:
             lines.append(f"| {' | '.join(shown)} |")
             before = row["robot"]
     return "\n".join(lines) + "\n"
+
+
+def _short(rows):
+    """One line per path and method, over all robots."""
+    lines = [
+        "",
+        "| path | method | position [m] | orientation [rad] | speed/limit | past [rad] |"
+        " chatter [rad/s] | not finite |",
+        f"| --- | --- {'| ---: ' * 6}|",
+    ]
+    for path in PATHS:
+        for k, method in enumerate(METHODS):
+            those = [r for r in rows if r["path"] == path and r["method"] == method]
+            if not those:
+                continue
+            columns = {name: [r[name] for r in those] for name in those[0]}
+            shown = [
+                path if k == 0 else "",
+                method,
+                f"{np.median(columns['position_rms']):.2e}",
+                f"{np.median(columns['orientation_rms']):.2e}",
+                f"{max(columns['fastest_share']):.3g}",
+                f"{max(columns['past_limit']):.2g}",
+                f"{max(columns['chatter']):.2g}",
+                str(sum(columns["NON_FINITE"])),
+            ]
+            lines.append(f"| {' | '.join(shown)} |")
+    return lines

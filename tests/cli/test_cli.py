@@ -73,6 +73,16 @@ def test_wrong_options_are_one_line(argv, says, capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_options_are_named_as_they_are_typed():
+    from cnclik.cli.solve import Args as Solve
+
+    with pytest.raises(errors.ArgumentError, match="--from, --to,") as caught:
+        arguments.parse(Solve, ["panda", "--form", "1"], prog="x", description="x")
+    assert "did you mean '--from'" in str(caught.value) and "--robot" not in str(caught.value)
+    with pytest.raises(errors.ArgumentError, match="Argument `ROBOT` must be given, but is not: A URDF file"):
+        arguments.parse(Solve, [], prog="x", description="x")
+
+
 def test_right_options_pass():
     args = arguments.parse(Args, ["--Ts", "0.5", "--pair", "3", "4", "--gain", "2"], prog="x", description="x")
     assert args == Args(Ts=0.5, pair=(3, 4), gain=2.0)

@@ -145,6 +145,15 @@ def test_a_redundant_arm_tracks_within_limits(limits):
     assert np.any(np.asarray(run.status) & ck.Status.AT_LIMIT)
 
 
+@pytest.mark.parametrize("inverse", [ck.damped(0.3), ck.singular_damped(0.5, 2.0)])
+def test_damping_does_not_stop_a_saturated_arm(inverse):
+    """What a damped inverse holds back is not out of reach: the other joints go on when one is at its limit."""
+    _, law, reference, q0 = redundant(ck.saturation())
+    run = ck.solve(ck.replace(law, inverse=inverse), reference, q0, 0.01, 400)
+    assert np.any(np.asarray(run.status) & ck.Status.AT_LIMIT)
+    assert np.abs(run.e[-1]).max() < 5e-3 and np.abs(run.e).max() < 0.06
+
+
 @pytest.mark.parametrize("limits", [ck.saturation(2.0), ck.weighted_least_norm(2.0)])
 def test_a_start_outside_comes_back_while_the_task_goes_on(limits):
     arm, law, _, q0 = redundant(limits)

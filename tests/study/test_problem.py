@@ -66,10 +66,12 @@ def test_waypoint_files(tmp_path):
     start, file = ck.pose(arm, q0).position, tmp_path / "way.csv"
     rows = [[0.0, *start, 0, 1, 0, 0], [1.0, *(start + 0.1), 0, 1, 0, 0]]
     text = "time,x,y,z,qw,qx,qy,qz\n# half way there\n" + "\n".join(",".join(map(str, row)) for row in rows)
-    file.write_text(text)
+    file.write_text(text, encoding="utf-8-sig")  # as spreadsheets write it
     position, rotation = p.reference_from(str(file), arm, task, q0).curve(1.0)
     np.testing.assert_allclose(position, start + 0.1, atol=1e-12)
     np.testing.assert_allclose(rotation, np.diag([1, -1, -1]), atol=1e-12)
+    file.write_text(text.split("\n", 2)[2], encoding="utf-8-sig")
+    np.testing.assert_allclose(p.reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +80,8 @@ def test_waypoint_files(tmp_path):
         ("", "two waypoints"),
         ("0,1,2,3", "two waypoints"),
         ("0,1,2,3\n1,1,2", "as many in every row"),
+        ("0,1,2,3\n1,1,2,3\n0.5,1,2,3", "way.csv has 1 and then 0.5"),
+        ("O.0,1,2,3\n1,1,2,3\n2,1,2,3", "row 1 of way.csv does not"),
         ("0,1,2,3\n1,1,2,x", "as many in every row"),
         ("0,1\n1,1", "3 or 7 numbers"),
         ("0,1,2,3\n0,1,2,3", "increase"),
@@ -108,7 +112,11 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"to": [1, 2, 3]}, "`to` must be left out"),
         ({"radius": 0.1}, "`radius` must be left out"),
         ({"reference": "circle", "radius": 0}, "positive"),
+        ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
+        ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
+        ({"reference": "line", "period": 0}, "`period`"),
         ({"alpha": [1, 2]}, "alpha"),
+        ({"alpha": -5.0}, "`alpha` must be at least 0"),
         ({"q0": [0] * 6}, "q0"),
         ({"Ts": 0}, "Ts"),
         ({"N": 0}, "N"),
@@ -123,6 +131,7 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"limits": "sns"}, "limits"),
         ({"posture": [0] * 6}, "posture"),
         ({"posture": [0] * 7, "manipulability": 1}, "manipulability"),
+        ({"manipulability": -1}, "`manipulability`"),
         ({"speed": 3}, "`option`"),
     ],
 )

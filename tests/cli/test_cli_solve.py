@@ -1,0 +1,66 @@
+"""`cnclik solve`, `robots` and `trouble` as a user meets them: files, figures, summary, and one line for bad input."""
+
+import csv
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+
+import cnclik as ck
+from cnclik.cli import main
+from cnclik.show import run as pictures
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    out = tmp_path_factory.mktemp("solved")
+    main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--csv", "--out", str(out)])
+    return out
+
+
+def test_files_hold_the_run(solved):
+    names = {"trajectory.nc", "trajectory.csv", "error.png", "joints.png", "status.png", "velocities.png"}
+    assert {p.name for p in solved.iterdir()} == names
+    with xr.open_dataset(solved / "trajectory.nc") as data, (solved / "trajectory.csv").open() as file:
+        rows = list(csv.DictReader(file))
+        assert len(rows) == 31
+        np.testing.assert_array_equal([float(r["q_q2"]) for r in rows], data.q.values[:, 1])
+        assert rows[-1]["status"] == "" and rows[0]["status"] == "0"
+
+
+def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
+    main(["solve", "planar:1,1", "--method", "EE", "--N", "2", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "planar:1,1: task x y, N = 2 steps" in shown and "linearly stable for z < 2: errors stay" in shown
+
+
+def test_a_joint_at_rest_is_drawn_at_rest(solved):
+    with xr.open_dataset(solved / "trajectory.nc") as data:
+        data = data.load()
+    data.qdot.values[:, 0] = 1.0
+    data.qdot.values[:, 1] = 1e-17 * np.resize([1, -1], data.qdot.shape[0])
+    figure = pictures.joint_velocities(data, ck.planar_arm([1.0, 1.0]))
+    low, high = figure.axes[1].get_ylim()
+    plt.close(figure)
+    assert high - low > 0.01
+
+
+@pytest.mark.parametrize(
+    "argv, told",
+    [
+        (["robots", "nowhere.urdf"], "not there"),
+        (["solve", "nowhere.urdf"], "not there"),
+        (["solve", "panda", "--q0", "0", "nan", "0", "0", "0", "0", "0"], "must be finite"),
+        (["solve", "panda", "--q0", "1"], "must have shape (7,)"),
+        (["solve", "panda", "--alpha", "-1"], "at least 0"),
+        (["trouble", "--folder", "nowhere", "--out", "out"], "not there"),
+    ],
+)
+def test_bad_input_is_one_line_and_2(argv, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(argv)
+    shown = capsys.readouterr()
+    assert left.value.code == 2 and told in shown.err and shown.out == ""
+    assert shown.err.count("\n") == 1 and not any(tmp_path.iterdir())
