@@ -25,3 +25,19 @@ from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
 from cnclik.robot.urdf import load_urdf
 
 __version__ = "0.1.0"
+
+# Studies are loaded on first use: `import cnclik` needs jax and numpy alone.
+_LAZY = {"tune": "cnclik.study.tune", "calibrate": "cnclik.study.tune"}
+
+
+def __getattr__(name):
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    value = globals()[name] = getattr(importlib.import_module(_LAZY[name]), name)
+    return value
+
+
+def __dir__():
+    return sorted({*globals(), *_LAZY})
