@@ -134,11 +134,11 @@ def rivals(rows):
     figure, panels = plt.subplots(1, 2, figsize=(style.PAGE, 0.9 + 0.3 * len(places)), sharey=True)
     for panel, value, label in (
         (panels[0], lambda r: r.loss, "RMS error [m, rad]"),
-        (panels[1], lambda r: r.seconds, "CPU time, compilation included [s]"),
+        (panels[1], lambda r: r.seconds if r.evaluations > 1 else 0.0, "CPU time, compilation included [s]"),
     ):
         for name, (color, marker) in _WAYS.items():
             for r in (r for r in rows if r.way.startswith(name) and value(r) > 0 and np.isfinite(value(r))):
-                y = places.index((r.case, r.gain)) + 0.16 * (1.5 - list(_WAYS).index(name))
+                y = places.index((r.case, r.gain)) + 0.16 * (list(_WAYS).index(name) - 1.5)
                 face = color if r.satisfied else "white"
                 panel.plot(value(r), y, marker, color=color, markerfacecolor=face, markersize=4.5)
         panel.set_xscale("log")
