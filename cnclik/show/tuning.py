@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from cnclik.show import style
 
@@ -142,6 +143,9 @@ def rivals(rows):
                 face = color if r.satisfied else "white"
                 panel.plot(value(r), y, marker, color=color, markerfacecolor=face, markersize=4.5)
         panel.set_xscale("log")
+        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_xlabel(label)
         for y in range(1, len(places)):
             panel.axhline(y - 0.5, color="0.9", linewidth=0.5, zorder=0)

@@ -1,5 +1,6 @@
 """Tuning against known answers, and starts that must not end in a NaN."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -66,7 +67,7 @@ def test_reach_with_the_trapezoid_finds_two():
 
 def test_the_papers_feedforward_is_three_times_too_large():
     printed = ck.with_feedforward(LINE, [-1.0, 0.0])
-    found = at(printed, method="CN", stage=ck.picard(2), over="feedforward")
+    found = at(printed, method="HEUN", over="feedforward")
     # The path moves −1/(N·Ts) = −1/3 per second. The method's own error, O(Ts²), is what remains.
     assert abs(found.values["feedforward"] - 1 / 3) < 1e-3
     assert found.loss_after < 2.2e-4 < 0.1 < found.loss_before
@@ -103,7 +104,7 @@ def test_delay_loss_is_what_is_left_of_a_unit_error():
         e = [1.0, 1.0]
         for _ in range(2000):
             e.append(e[-1] - z * e[-2])
-        np.testing.assert_allclose(LOSSES["delay"](view), np.sqrt(np.sum(np.square(e[1:]))), rtol=1e-9)
+        np.testing.assert_allclose(LOSSES["delay"](view), np.sqrt(np.sum(np.square(e))), rtol=1e-9)
         np.testing.assert_allclose(LOSSES["delay"](view) ** 2, (1 + z) / ((1 - z) * z * (2 + z)), rtol=1e-9)
     unstable = View(None, None, 0.1, 1.0, 1e-3, maps=-0.2 * jnp.eye(2)[None])  # z = 1.2: late, it grows
     assert not np.isfinite(LOSSES["delay"](unstable))
@@ -153,7 +154,7 @@ def test_null_space_gain_is_dead_beat_too():
     arm = ck.planar_arm([1.0, 0.8, 0.6])
     across = np.linalg.svd(np.asarray(ck.jacobian(arm, POSTURE))[:2])[2][-1]
     q0 = POSTURE + 1e-4 * across
-    law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(POSTURE, gain=2.5))
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(POSTURE, rate=2.5))
     place = np.asarray(ck.pose(arm, q0).position)[:2]
     still = ck.line(place, place, duration=3.0)
     found = tune(law, still, q0, **(LOOP | {"N": 2, "over": "null_gain", "loss": null_distance}))
@@ -162,7 +163,7 @@ def test_null_space_gain_is_dead_beat_too():
 
 def test_every_parameter_goes_where_it_belongs():
     law = ck.replace(
-        LAW, inverse=ck.damped(0.1), null_velocity=ck.posture([0.0, 1.0], gain=1.0), alpha=np.array([4.0, 6.0])
+        LAW, inverse=ck.damped(0.1), null_velocity=ck.posture([0.0, 1.0], rate=1.0), alpha=np.array([4.0, 6.0])
     )
     loop = pm.Loop(law=law, Ts=jnp.asarray(0.1))
     read = {
@@ -220,17 +221,11 @@ def test_joint_velocity_limit_binds_and_is_kept():
     assert held.z < free.z
 
 
-@pytest.mark.slow
-def test_delay_is_in_the_margin():
-    """With one sample of delay the roots of λ² − λ + z count: 0.6 allows z = 0.24 to 0.36."""
-    found = at(NEAR, delay=1, margin=0.6)
-    roots = np.abs(np.roots([1.0, -1.0, found.z]))
-    np.testing.assert_allclose(found.radius, roots.max(), rtol=1e-6)
-    assert found.satisfied and 0.24 - 1e-9 <= found.z <= 0.36 + 1e-9
-
-
 def test_noise_delay_and_wrong_lengths_run_as_in_plain_numpy():
-    """Two paths, two starts, two draws each: the first run by hand, then tuned over all four."""
+    """Two paths, two starts, two draws each: the first run by hand, then tuned over all four.
+
+    With one sample of delay the roots of λ² − λ + z count: a margin of 0.6 allows z = 0.24 to 0.36.
+    """
     options = {"noise": 1e-3, "delay": 1, "model_error": 0.01, "draws": 2, "seed": 4}
     paths, starts = [LINE, NEAR], np.array([Q0, Q0 + 0.01])
     objective = make_objective(LAW, paths, starts, Ts=0.1, N=30, method="EE", velocity_limit=1e6, **options)
@@ -253,10 +248,11 @@ def test_noise_delay_and_wrong_lengths_run_as_in_plain_numpy():
             break
         told = errors[max(k - 1, 0)] + np.asarray(scenarios.noise)[0, k]
         q = q + 0.1 * np.linalg.solve(tip(q, np.ones(2))[1], np.array([-1 / 3, 0.0]) + 5.0 * told)
-    found = tune(LAW, paths, starts, **(LOOP | options | {"starts": 2}))
+    found = tune(LAW, paths, starts, **(LOOP | options | {"starts": 2, "margin": 0.6}))
     np.testing.assert_allclose(found.before.e, errors, rtol=0, atol=1e-12)
     assert found.satisfied and finite(found) and found.starts.shape == (2,)
-    assert found.loss_after < found.loss_before
+    assert found.radius_before > 0.6 and 0.24 - 1e-9 <= found.z <= 0.36 + 1e-9
+    np.testing.assert_allclose(found.radius, np.abs(np.roots([1.0, -1.0, found.z])).max(), rtol=1e-6)
 
 
 @pytest.mark.parametrize("alpha", [1e3, 1e8, 1e200])
@@ -291,19 +287,21 @@ def test_start_at_a_singularity_ends_with_a_status():
     inside(found)
 
 
-def test_any_optimizer_of_optax():
-    import optax
-
-    found = at(NEAR, optimizer=optax.adam(0.1))
-    assert abs(found.z - 1) < 1e-2 and found.satisfied
-
-
 # --- what may be tuned --------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("alpha", [np.array([4.0, 6.0]), np.array([[5.0, 1.0], [1.0, 3.0]])])
-def test_gains_per_axis_and_matrices(alpha):
+def test_one_gain_per_axis_with_an_optimizer_of_optax():
+    import optax
+
+    found = at(NEAR, law=ck.replace(LAW, alpha=np.array([4.0, 6.0])), optimizer=optax.adam(0.1))
+    np.testing.assert_allclose(found.values["alpha"] * 0.1, 1.0, atol=2e-2)
+    assert found.satisfied
+
+
+@pytest.mark.slow
+def test_matrix_gain_is_better_than_one_number():
+    alpha = np.array([[5.0, 1.0], [1.0, 3.0]])
     scalar = 0.000326587  # what one gain for both axes reaches on this line
     found = at(law=ck.replace(LAW, alpha=alpha), steps=80)
     assert found.values["alpha"].shape == alpha.shape and found.satisfied
@@ -312,21 +310,15 @@ def test_gains_per_axis_and_matrices(alpha):
 
 
 @pytest.mark.slow
-def test_many_starts_and_other_parameters():
+def test_many_starts_and_other_parameters_in_reverse_mode():
     law = ck.replace(LAW, inverse=ck.damped(0.1))
-    over = ("alpha", "damping", "feedforward")
-    found = at(law=law, over=over, starts=3)
-    one = at(law=law, over=over)
-    assert found.starts.shape == (3,) and found.loss_after <= one.loss_after * (1 + 1e-6)
-    assert set(found.values) == set(over) and found.satisfied
+    over = ("schedule", "Ts", "damping", "feedforward")
+    found = at(law=law, over=over, starts=3, gradient="reverse")
+    assert set(found.values) == set(over) and found.values["schedule"].shape == (pm.KNOTS,)
+    assert found.starts.shape == (3,) and found.loss_after <= found.starts.min() * (1 + 1e-6)
+    assert found.loss_after < 0.5 * found.loss_before and found.satisfied and finite(found)
+    assert 0.025 <= found.Ts <= 0.4 and found.gradient.startswith("reverse mode, 8 free numbers")
     inside(found)
-
-
-@pytest.mark.slow
-def test_schedule_and_sampling_time():
-    found = at(NEAR, over=("schedule", "Ts"))
-    assert found.values["schedule"].shape == (pm.KNOTS,) and 0.025 <= found.Ts <= 0.4
-    assert found.satisfied and finite(found)
 
 
 @pytest.mark.parametrize(
@@ -362,10 +354,14 @@ def test_forward_reverse_and_finite_differences_agree(stage):
     law = ck.replace(LAW, alpha=np.array([[5.0, 1.0], [1.0, 3.0]]))
     losses = {"tracking": 1.0, "jerk": 1e-5, "noise": 1e-3, "delay": 1e-3}
     objective = make_objective(law, LINE, Q0, Ts=0.1, N=6, method="CN", stage=stage, loss=losses)
-    both = jax.jit(lambda u: jnp.append(*reversed(objective(pm.values_of(objective.parameters, u)))))
+    quick = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+    both = quick(lambda u: jnp.append(*reversed(objective(pm.values_of(objective.parameters, u)))))
     u = jnp.asarray(pm.free_of(objective.parameters, [law.alpha]))
-    forward, reverse = jax.jit(jax.jacfwd(both))(u), jax.jit(jax.jacrev(both))(u)
-    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)
+    forward = quick(jax.jacfwd(both))(u)
+    # One row at a time in reverse: the loss and the first constraint, the way a descent asks for it.
+    some = jnp.asarray([1.0, 0.1, *[0.0] * 8])
+    reverse = quick(jax.grad(lambda u: some[: len(forward)] @ both(u)))(u)
+    np.testing.assert_allclose(some[: len(forward)] @ forward, reverse, rtol=1e-9, atol=1e-12)
     h = 1e-5
     apart = np.stack([(both(u + h * d) - both(u - h * d)) / (2 * h) for d in np.eye(len(u))], axis=1)
     np.testing.assert_allclose(forward, apart, rtol=1e-5, atol=1e-8)
