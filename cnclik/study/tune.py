@@ -20,7 +20,7 @@ from cnclik.law.law import Law
 from cnclik.record import record, replace, stack
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.study import parameters as pm
-from cnclik.study.descent import descend, gradient_mode
+from cnclik.study.descent import READY_SOON, descend, gradient_mode
 from cnclik.study.linear import named
 from cnclik.study.losses import View, terms
 from cnclik.study.rollout import Scenario, noise_of, perturbed, rollout, scheduled
@@ -196,8 +196,7 @@ class LoopObjective:
 _LANES = 16  # values judged together: one shape, one program
 
 
-# Most of a tuning's time is compilation: code that is less optimised is ready sooner.
-@functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+@functools.partial(jax.jit, compiler_options=READY_SOON)
 def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
 
