@@ -30,14 +30,17 @@ from cnclik.robot.urdf import load_urdf
 if TYPE_CHECKING:
     from cnclik.study.metrics import Metrics, measure
     from cnclik.study.sweep import sweep
+    from cnclik.study.tune import calibrate, tune
 
 __version__ = "0.1.0"
 
 # Public names of rooms that a newcomer's first loop doesn't need: loaded when they are first asked for.
 _ON_USE = {
     "Metrics": "cnclik.study.metrics",
+    "calibrate": "cnclik.study.tune",
     "measure": "cnclik.study.metrics",
     "sweep": "cnclik.study.sweep",
+    "tune": "cnclik.study.tune",
 }
 
 

@@ -29,11 +29,11 @@ class Args(ProblemOptions):
     N: int = 200
     """Steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What is tuned: alpha, schedule, damping, feedforward, tool, Ts."""
+    """What is tuned: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts."""
     shape: str = "as-given"
     """Gain to tune: scalar, per-axis, matrix (symmetric positive definite), or as --alpha is given."""
     loss: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[=WEIGHT] ...")] = ("tracking",)
-    """tracking (RMS), worst, settling, effort, jerk, noise; several with weights, such as tracking=1 jerk=1e-4."""
+    """tracking (RMS), worst, settling, effort, jerk, noise, delay; several with weights: tracking=1 jerk=1e-4."""
     margin: float = 0.9
     """Bound of the spectral radius along the path."""
     alpha_bounds: tuple[float, float] | None = None
@@ -158,25 +158,59 @@ def _loss(words):
 
 
 def controller_lines(found, made) -> dict:
-    """Ready-to-use lines: a gain per step for pink and mink, a rate for one's own loop."""
+    """Ready-to-use lines: a gain per step for pink and mink, a rate for one's own loop.
+
+    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], and add damping (λ²) to JᵀJ.
+    """
     from cnclik.study.linear import amplification
 
     alpha = np.asarray(found.law.alpha)
-    z = alpha * found.Ts
-    show = lambda v: np.array2string(np.asarray(v), precision=6, separator=", ").replace("\n", "")  # noqa: E731
-    lines = {"rate": f"qdot = J_pinv @ ({_feedforward(found)}{show(alpha)} {'*' if alpha.ndim < 2 else '@'} e)"}
-    lines["rate"] += f"  # alpha [1/s], every Ts = {found.Ts:.6g} s"
+    z = float(found.z)
+    name, inverse, damping = _inverse(found.law.inverse)
+    product = f"{_show(alpha)} {'*' if alpha.ndim < 2 else '@'} e"
+    when = f"alpha [1/s], every Ts = {found.Ts:.6g} s"
     if found.schedule is not None:
-        lines["rate"] += f"; alpha scaled to {show(found.schedule)} 1/s at {len(found.schedule)} even instants"
+        when += f"; alpha scaled to {_show(found.schedule)} 1/s at {len(found.schedule)} even instants"
+    if made.method.name == "EE":
+        null = "" if found.law.null_velocity is None else f" + (I - {name} @ J) @ qdot_0"
+        lines = {"rate": f"qdot = {name} @ ({_feedforward(found)}{product}){null}  # {when}; {inverse}"}
+    else:  # the gain is that of a step which is no explicit Euler step: take its rate
+        stage = f", ck.{type(made.stage).__name__.lower()}({made.stage.M})" if made.method.implicit else ""
+        lines = {"rate": f'qdot = ck.step(law, path, q, t, {found.Ts:.6g}, "{made.method.name}"{stage}).qdot'}
+        lines["rate"] += f"  # law: J# (xdot_d + {product}), {when}; {inverse}"
+    if found.schedule is not None:
         return lines | {"pink_mink": "no line: pink and mink have one constant gain"}
     if alpha.ndim:
         return lines | {"pink_mink": "no line: pink and mink have one gain for all axes of a task"}
-    note = "" if z <= 1 else f" (z = {z:.4g} is beyond the 1 they accept)"
-    line = f"FrameTask(..., gain={min(float(z), 1.0):.6g})  # dt = {found.Ts:.6g} s{note}"
+    if damping is None:
+        return lines | {"pink_mink": f"no line: pink and mink have no {inverse.split(' (')[0]}"}
+    line = f"task = FrameTask(..., gain={min(z, 1.0):.6g})"
+    line += f"; solve_ik(..., dt={found.Ts:.6g}, damping={damping:.6g})  # dt [s]"
+    line += "" if z <= 1 else f"; z = {z:.4g} is beyond the 1 they accept"
     if made.method.name != "EE":
-        euler = abs(float(amplification("EE", None, min(float(z), 1.0))))
-        line += f"; pink and mink step by explicit Euler: the error shrinks by {euler:.4g} per step there"
+        euler = abs(float(amplification("EE", None, min(z, 1.0))))
+        line += f"; they step by explicit Euler: the error shrinks by {euler:.4g} per step there"
+    if float(found.law.feedforward):
+        line += "; no feed-forward there"
     return lines | {"pink_mink": line}
+
+
+def _show(v):
+    return np.array2string(np.asarray(v), precision=6, separator=", ").replace("\n", "")
+
+
+def _inverse(inverse):
+    """Name and formula of J# for a line of code, and its λ² where it is one number, else None."""
+    from cnclik.law import inverse as kinds
+
+    if isinstance(inverse, kinds.Pseudoinverse):
+        return "J_pinv", "J_pinv = pinv(J)", 0.0
+    if isinstance(inverse, kinds.Damped):
+        size = float(inverse.damping)
+        return "J_damped", f"J_damped = J.T @ inv(J @ J.T + {size:.6g}**2 * I)", size**2
+    if isinstance(inverse, kinds.Transpose):
+        return "J.T", "transpose (J.T)", None
+    return "J_inverse", f"{type(inverse).__name__} (its J#)", None
 
 
 def _feedforward(found):
@@ -280,7 +314,7 @@ def _summary(found, made, lines, drawn, seconds) -> str:
     text += ["| | |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in values + rows), ""]
     text += ["## For a controller", ""]
     text += ["```python", lines["rate"], "```", ""]
-    if lines["pink_mink"].startswith("FrameTask"):
+    if lines["pink_mink"].startswith("task"):
         text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
     else:
         text += [f"pink and mink: {lines['pink_mink']}."]

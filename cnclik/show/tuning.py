@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from cnclik.show import style
 
@@ -114,6 +115,51 @@ def _lines(panel, one, values, marker):
     for i, name in enumerate(one.axis.values):
         look = {"color": _COLORS[i % 6], "linestyle": _DASHES[i % 6], "marker": marker, "zorder": 2}
         panel.plot(one.time, values.sel(axis=name), label=name, **look)
+
+
+_WAYS = {
+    "hand": ("0.45", "s"),
+    "grid": (style.ORANGE, "^"),
+    "Nelder": (style.GREEN, "v"),
+    "gradient": (style.BLUE, "D"),
+}
+
+
+def rivals(rows):
+    """What each way to find a gain reached, and how long it took.
+
+    Args:
+      rows: `study.rivals.Row`s. Hollow where a constraint is broken.
+    """
+    places = list(dict.fromkeys((r.case, r.gain) for r in rows))
+    figure, panels = plt.subplots(1, 2, figsize=(style.PAGE, 0.9 + 0.3 * len(places)), sharey=True)
+    for panel, value, label in (
+        (panels[0], lambda r: r.loss, "RMS error [m, rad]"),
+        (panels[1], lambda r: r.seconds if r.evaluations > 1 else 0.0, "CPU time, compilation included [s]"),
+    ):
+        for name, (color, marker) in _WAYS.items():
+            for r in (r for r in rows if r.way.startswith(name) and value(r) > 0 and np.isfinite(value(r))):
+                y = places.index((r.case, r.gain)) + 0.16 * (list(_WAYS).index(name) - 1.5)
+                face = color if r.satisfied else "white"
+                panel.plot(value(r), y, marker, color=color, markerfacecolor=face, markersize=4.5)
+        panel.set_xscale("log")
+        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set_xlabel(label)
+        for y in range(1, len(places)):
+            panel.axhline(y - 0.5, color="0.9", linewidth=0.5, zorder=0)
+        panel.grid(False, axis="y")
+    panels[0].set_yticks(range(len(places)), [f"{case}, {gain}" for case, gain in places])
+    panels[0].set_ylim(len(places) - 0.5, -0.5)
+    named = {name: next((r.way for r in rows if r.way.startswith(name)), None) for name in _WAYS}
+    for name, (color, marker) in _WAYS.items():
+        if named[name]:
+            panels[0].plot([], [], marker, color=color, markersize=4.5, label=named[name])
+    if not all(r.satisfied for r in rows):
+        panels[0].plot([], [], "o", color="0.3", markerfacecolor="white", markersize=4.5, label="constraint broken")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=5, loc="outside upper center")
+    return figure
 
 
 def pictures(tuned, task, field, data) -> dict:

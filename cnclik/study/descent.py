@@ -19,6 +19,10 @@ FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a
 REACH = 2.0  # largest change of a free number in one step: a factor e² of a gain far below its upper bound
 SHORTEN, GIVE_UP = 0.3, 12
 
+# Most of a tuning's time is compilation: code that is less optimised is ready sooner. XLA's older emitters take a
+# third of the time of its newer ones.
+READY_SOON = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+
 
 def gradient_mode(count: int, mode: str = "auto") -> str:
     """How gradients of `count` free numbers are taken: "forward" up to 8, else "reverse"."""
@@ -70,11 +74,10 @@ def begin(optimizer, u, constraints: int) -> Carry:
     )
 
 
-# Most of a descent's time is compilation: code that is less optimised is ready sooner.
 @functools.partial(
     jax.jit,
     static_argnames=("steps", "optimizer", "mode"),
-    compiler_options={"xla_backend_optimization_level": 0},
+    compiler_options=READY_SOON,
 )
 def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
     """`steps` evaluations from each of S starts, with fixed multipliers.

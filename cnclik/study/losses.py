@@ -6,6 +6,7 @@ horizon have weight 0, so that loops with different sampling times are judged ov
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -89,7 +90,27 @@ def noise(view: View):
     return _root(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
 
 
-LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise)}
+def delay(view: View):
+    """What is left of a unit error if it is measured one sample late: √(Σ ‖e[k]‖²), RMS over axes and path [1].
+
+    e[k+1] = e[k] + (A − I) e[k−1]: √((1 + z)/((1 − z) z (2 + z))) for explicit Euler, least at z = 0.466; not finite
+    where the late loop is unstable.
+    """
+    m = view.maps.shape[-1]
+    eye, zero = jnp.eye(m, dtype=view.maps.dtype), jnp.zeros((m, m), view.maps.dtype)
+
+    def one(a):
+        late = jnp.block([[eye, a - eye], [eye, zero]])
+        p = jnp.block([[eye, zero], [zero, zero]])
+        for _ in range(12):  # P = Σ AᵏQAᵏᵀ, doubled each time
+            p = p + late @ p @ late.T
+            late = late @ late
+        return jnp.trace(p[:m, :m])
+
+    return _root(jnp.mean(jax.vmap(one)(view.maps)) / m)
+
+
+LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise, delay)}
 
 
 def terms(loss):
@@ -102,4 +123,6 @@ def terms(loss):
         raise errors.fail("loss", "be a name, a table of names and weights, or a function", f"is {loss!r}")
     for name, weight in loss.items():
         errors.number(f"weight of {name}", weight, at_least=0)
+    if not any(weight > 0 for weight in loss.values()):
+        raise errors.fail("loss", "give a weight above 0", "gives none")
     return tuple((LOSSES[errors.one_of("loss", name, LOSSES)], float(weight)) for name, weight in loss.items())

@@ -185,12 +185,26 @@ def _put_tool(loop, value):
     return replace(loop, law=replace(loop.law, chain=replace(chain, tip=offset)))
 
 
+def scaled_links(chain, factors):
+    """The chain with its links' offsets longer by factors (n + 1,): those before each joint, then the tip's."""
+
+    def stretch(offset, factor):
+        return Offset(position=sp.scale(factor, offset.position), rotation=offset.rotation)
+
+    joints = tuple(replace(j, origin=stretch(j.origin, factors[i])) for i, j in enumerate(chain.joints))
+    return replace(chain, joints=joints, tip=stretch(chain.tip, factors[len(joints)]))
+
+
+def _put_links(loop, value):
+    return replace(loop, law=replace(loop.law, chain=scaled_links(loop.law.chain, value)))
+
+
 def _put_ts(loop, value):
     return replace(loop, Ts=value)
 
 
 KNOTS = 5  # of a gain schedule
-NAMES = ("alpha", "schedule", "damping", "null_gain", "feedforward", "tool", "Ts")
+NAMES = ("alpha", "schedule", "damping", "null_gain", "feedforward", "links", "tool", "Ts")
 
 
 def named(name: str, loop: Loop, bounds=None) -> Parameter:
@@ -198,11 +212,12 @@ def named(name: str, loop: Loop, bounds=None) -> Parameter:
 
     alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
     [1/s]. schedule: K = 5 gains over the horizon [1/s]. damping: λ of damped(λ). null_gain: factor of the null-space
-    velocity. feedforward: factor of ẋ_d. tool: offset (3,) of the tip in the last frame [m]. Ts: sampling time [s].
+    velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links' offsets, the tip's last. tool: offset
+    (3,) of the tip in the last frame [m]. Ts: sampling time [s].
 
     Args:
       bounds: (lower, upper), or None: z = alpha·Ts from 0.001 to 10, damping and Ts up to a factor 1000 and 4 around
-        their start, factors from 0 to 2 (null_gain 10), the tool within 0.5 m.
+        their start, factors from 0 to 2 (null_gain 10, links 0.5 to 2), the tool within 0.5 m.
     """
     errors.one_of("over", name, NAMES)
     law, Ts = loop.law, float(loop.Ts)
@@ -216,15 +231,19 @@ def named(name: str, loop: Loop, bounds=None) -> Parameter:
         made = np.full(KNOTS, largest_rate(law.alpha)), 1e-3 / Ts, 10.0 / Ts, _put_schedule, BOX, "1/s"
     elif name == "damping":
         if not isinstance(law.inverse, inverses.Damped):
-            raise errors.fail("over", "name damping only for a law with damped(...)", "does")
+            raise errors.fail(
+                "over", "name damping for a law that has damped(...) alone", "names it for another inverse"
+            )
         start = float(law.inverse.damping)
         made = start, start / 1e3, start * 1e3, _put_damping, BOX, "m or 1"
     elif name == "null_gain":
         if law.null_velocity is None:
-            raise errors.fail("over", "name null_gain only for a law with a null_velocity", "does")
+            raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
         made = 1.0, 0.0, 10.0, _put_null_gain, BOX, "1"
     elif name == "feedforward":
         made = float(law.feedforward), 0.0, 2.0, _put_feedforward, BOX, "1"
+    elif name == "links":
+        made = np.ones(len(law.chain.joints) + 1), 0.5, 2.0, _put_links, BOX, "1"
     elif name == "tool":
         start = np.array([float(v) for v in law.chain.tip.position])
         made = start, start - 0.5, start + 0.5, _put_tool, BOX, "m"

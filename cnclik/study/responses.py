@@ -11,6 +11,7 @@ from cnclik.law import reference as ref
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.study.descent import READY_SOON
 from cnclik.study.linear import named
 from cnclik.study.spectrum import at_rest
 
@@ -40,7 +41,7 @@ class _Probe:
         return position, rotation
 
 
-@functools.partial(jax.jit, static_argnames=("N", "method"), compiler_options={"xla_backend_optimization_level": 0})
+@functools.partial(jax.jit, static_argnames=("N", "method"), compiler_options=READY_SOON)
 def _responses(law, target, q, Ts, stage, units, omega, *, N, method):
     def one(unit, omega):
         curve = _Probe(base=target.curve, task=law.task, unit=unit, omega=omega)

@@ -20,7 +20,7 @@ from cnclik.law.law import Law
 from cnclik.record import record, replace, stack
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.study import parameters as pm
-from cnclik.study.descent import descend, gradient_mode
+from cnclik.study.descent import READY_SOON, descend, gradient_mode
 from cnclik.study.linear import named
 from cnclik.study.losses import View, terms
 from cnclik.study.rollout import Scenario, noise_of, perturbed, rollout, scheduled
@@ -196,8 +196,7 @@ class LoopObjective:
 _LANES = 16  # values judged together: one shape, one program
 
 
-# Most of a tuning's time is compilation: code that is less optimised is ready sooner.
-@functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+@functools.partial(jax.jit, compiler_options=READY_SOON)
 def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
 
@@ -342,8 +341,8 @@ def tune(
       reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n); the loss is the mean over them.
       Ts: sampling time [s]. N: steps; N·Ts is the horizon, also where Ts is tuned.
       method, stage: as for `solve`.
-      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, tool, Ts), or
-        `parameters.Parameter`s of one's own.
+      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
+        Ts), or `parameters.Parameter`s of one's own.
       bounds: {name: (lower, upper)} in place of the defaults.
       loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
       margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
@@ -492,6 +491,8 @@ def _parameters(over, loop, bounds):
     names = [p.name for p in made]
     if len(set(names)) != len(names):
         raise errors.fail("over", "name each parameter once", f"is {names}")
+    if {"links", "tool"} <= set(names):
+        raise errors.fail("over", "name links (the tip's offset among them) or tool", "names both")
     for name in bounds:
         errors.one_of("bounds", name, names)
     return made
@@ -653,9 +654,6 @@ def _result(objective, values, judged, status, history, final, own, first, mode,
     before = pm.put(objective.loop, objective.parameters, tuple(jnp.asarray(v) for v in own))
     names = [p.name for p in objective.parameters]
     by_name = lambda items: dict(zip(names, items, strict=True))  # noqa: E731
-    implicit = getattr(objective.stage, "implicit", False)
-    kind = ("implicit" if implicit else "unrolled") if objective.method.implicit else "no implicit"
-    count = pm.total(objective.parameters)
     finite = lambda v: float(np.nan_to_num(v, nan=np.inf))  # noqa: E731
     why = _WHY[status]
     if status == "infeasible":
@@ -685,10 +683,25 @@ def _result(objective, values, judged, status, history, final, own, first, mode,
         after=_cut(judged.run, loop, objective),
         status=status,
         why=why,
-        gradient=f"{mode} mode, {count} free numbers, {kind} stages",
+        gradient=gradient_in_words(pm.total(objective.parameters), mode, objective.method, objective.stage),
         evaluations=int(evaluations),
         postures=np.asarray(judged.postures),
     )
+
+
+def gradient_in_words(count, mode, method, stage) -> str:
+    """Which derivative a tuning takes: its mode, how many free numbers, and how implicit stages enter it.
+
+    Args: count: free numbers. mode: "auto", "forward" or "reverse". method, stage: as for `solve`.
+    """
+    numbers = f"{count} free number{'' if count == 1 else 's'}"
+    if not method.implicit:
+        stages = "no implicit stages"
+    elif getattr(stage, "implicit", False):
+        stages = "stages by the implicit function theorem"
+    else:
+        stages = "stages unrolled, pass by pass"
+    return f"{gradient_mode(count, mode)} mode, {numbers}, {stages}"
 
 
 def _cut(run, loop, objective):
