@@ -18,6 +18,7 @@ from cnclik.integrate.method import METHODS
 from cnclik.show import style
 from cnclik.study.linear import stability_limit
 from cnclik.study.problem import stage_from
+from cnclik.study.sweep import UNITS
 
 _SYMBOLS = {"alpha": "α", "Ts": "Ts", "z": "z = α·Ts", "damping": "λ", "case": ""}
 _HISTORY = ("time", "step")
@@ -449,9 +450,10 @@ def _lines(part, dim):
 
 def _named(dim, value):
     text = _text(value)
-    return (
-        text if dim in ("method", "case", "robot", "stage", "task", "inverse") else f"{_SYMBOLS.get(dim, dim)} = {text}"
-    )
+    if dim in ("method", "case", "robot", "stage", "task", "inverse"):
+        return text
+    unit = UNITS.get(dim, "1")
+    return f"{_SYMBOLS.get(dim, dim)} = {text}" + (f" {unit}" if unit != "1" else "")
 
 
 def _text(value):
@@ -507,6 +509,6 @@ def _y_scale(ax, value, one):
         log = bool(positive.size and known.min() >= 0 and positive.max() > 50 * positive.min())
     if log:
         ax.set_yscale("log")
-        ax.set_ylim(bottom=max(known[known > 0].min(), known.max() * 1e-16))
+        ax.set_ylim(bottom=0.7 * max(known[known > 0].min(), known.max() * 1e-16))
     if "limits" in one:
         ax.set_ylim(*one["limits"])

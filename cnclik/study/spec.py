@@ -53,6 +53,22 @@ _ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")  # keys of a fig
 _EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", "log", "limits")
 
 
+def _are_numbers(value, count=None):
+    return (
+        isinstance(value, list) and len(value) == (count or len(value)) and all(type(v) in (int, float) for v in value)
+    )
+
+
+_FIGURE_TYPES = {  # of a figure's keys that aren't names
+    "select": (lambda v: isinstance(v, dict), "be a table of an axis' name and value"),
+    "limits": (lambda v: _are_numbers(v, 2), "be [least, greatest]"),
+    "contours": (lambda v: isinstance(v, bool) or _are_numbers(v), "be true, false or a list of levels"),
+    "log": (lambda v: isinstance(v, bool), "be true or false"),
+    "boundary": (lambda v: isinstance(v, bool), "be true or false"),
+    "reduce": (lambda v: v in ("median", "mean", "min", "max"), "be median, mean, min or max"),
+}
+
+
 @dataclasses.dataclass(frozen=True)
 class Spec:
     """A validated spec. `grid()` is what it runs over, `study` what is run."""
@@ -472,6 +488,12 @@ def _figures(figures, spec: Spec) -> tuple:
     dims = [a.name for a in spec.grid().axes]
     for i, figure in enumerate(figures):
         where = f"figure[{i}]"
+        if not isinstance(figure, dict):
+            raise errors.fail(where, "be a table", f"is {figure!r}")
+        for key, value in figure.items():
+            fits, words = _FIGURE_TYPES.get(key, (lambda v: isinstance(v, str), "be a name"))
+            if not fits(value):
+                raise errors.fail(f"{where}.{key}", words, f"is {value!r}")
         kind = errors.one_of(f"{where}.kind", figure.get("kind"), FIGURES)
         _known(where, figure, (*_EVERY_FIGURE, *FIGURES[kind]))
         if "value" in figure:
