@@ -255,6 +255,10 @@ def parse(written: dict, name="spec") -> Spec:
         robots = [DEFAULTS | fixed | c for c in (cases.values() or [{}])]
         choices = axes.get("robot", [None])
         widest = max(_robot(_plain(r | ({"robot": c} if c else {}))).n for r in robots for c in choices)
+    units = _table(written, "units")
+    for named, unit in units.items():
+        if not isinstance(unit, str):
+            raise errors.fail(f"units.{named}", "be a unit's name", f"is {unit!r}")
     spec = Spec(
         name=name,
         question=written["question"].strip(),
@@ -266,7 +270,7 @@ def parse(written: dict, name="spec") -> Spec:
         axes={n: _axis(n, v, widest) for n, v in axes.items()},
         written=axes,
         cases=cases,
-        units=_table(written, "units"),
+        units=units,
         figures=(),
     )
     spec = dataclasses.replace(spec, axes=_compiled_in(spec))

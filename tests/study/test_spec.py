@@ -128,6 +128,7 @@ def test_changes_on_the_command_line(tmp_path):
         ({"metrics": ["mean_eror"]}, "did you mean 'mean_error'"),
         ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
+        ({"units": {"z": 3}}, "`units.z` must be a unit's name"),
         ({"figure": [3]}, "`figure[0]` must be a table, but is 3"),
         ({"figure": [{"kind": ["heat"]}]}, "`figure[0].kind` must be a name"),
         ({"figure": [{"kind": "heat", "select": 3}]}, "`figure[0].select` must be a table"),
