@@ -105,10 +105,13 @@ def _advise(args, found, rest):
     for column, justify in (("", "left"), ("value", "right"), ("z = alpha·Ts", "right"), ("error × per step", "right")):
         shown.add_column(column, justify=justify)
     number = lambda v: np.array2string(np.asarray(v), precision=5, separator=", ")  # noqa: E731
+    edge = lambda found: "1" if np.isfinite(found.z_largest) else "–"  # noqa: E731
     shown.add_row(f"alpha now, Ts = {found.Ts:g} s", number(found.law.alpha), f"{now.z:.4g}", f"{now.radius:.4g}")
-    shown.add_row("largest stable alpha [1/s]", number(gains.largest), f"{gains.z_largest:.4g}", "1")
+    shown.add_row("largest stable alpha [1/s]", number(gains.largest), f"{gains.z_largest:.4g}", edge(gains))
     shown.add_row("fastest alpha [1/s]", number(gains.fastest), f"{gains.z_fastest:.4g}", f"{gains.radius:.3g}")
-    shown.add_row(escape("largest stable Ts [s] at alpha now"), number(times.largest), f"{times.z_largest:.4g}", "1")
+    shown.add_row(
+        escape("largest stable Ts [s] at alpha now"), number(times.largest), f"{times.z_largest:.4g}", edge(times)
+    )
     shown.add_row(
         escape("fastest Ts [s] at alpha now"), number(times.fastest), f"{times.z_fastest:.4g}", f"{times.radius:.3g}"
     )
