@@ -50,8 +50,18 @@ def run(args: Args) -> None:
 
     if args.cells < 2:
         raise errors.fail("cells", "be at least 2", f"is {args.cells}")
+    for name in ("methods", "passes"):
+        if not getattr(args, name):
+            raise errors.fail(name, "name at least one", "is empty")
     for M in args.passes:
         errors.integer("passes", M, at_least=0)
+    errors.integer("N", args.N, at_least=4)
+    errors.number("tolerance", args.tolerance, positive=True)
+    for name, given in (("alpha-range", args.alpha_range), ("Ts-range", args.Ts_range)):
+        if given is not None:
+            errors.number(name, given[0], positive=True)
+            if not given[0] < given[1]:
+                raise errors.fail(name, "increase", f"is {given[0]:g} to {given[1]:g}")
     if args.spec is not None:
         _study(args)
     elif args.plane or args.map:
@@ -95,10 +105,13 @@ def _advise(args, found, rest):
     for column, justify in (("", "left"), ("value", "right"), ("z = alpha·Ts", "right"), ("error × per step", "right")):
         shown.add_column(column, justify=justify)
     number = lambda v: np.array2string(np.asarray(v), precision=5, separator=", ")  # noqa: E731
+    edge = lambda found: "1" if np.isfinite(found.z_largest) else "–"  # noqa: E731
     shown.add_row(f"alpha now, Ts = {found.Ts:g} s", number(found.law.alpha), f"{now.z:.4g}", f"{now.radius:.4g}")
-    shown.add_row("largest stable alpha [1/s]", number(gains.largest), f"{gains.z_largest:.4g}", "1")
+    shown.add_row("largest stable alpha [1/s]", number(gains.largest), f"{gains.z_largest:.4g}", edge(gains))
     shown.add_row("fastest alpha [1/s]", number(gains.fastest), f"{gains.z_fastest:.4g}", f"{gains.radius:.3g}")
-    shown.add_row(escape("largest stable Ts [s] at alpha now"), number(times.largest), f"{times.z_largest:.4g}", "1")
+    shown.add_row(
+        escape("largest stable Ts [s] at alpha now"), number(times.largest), f"{times.z_largest:.4g}", edge(times)
+    )
     shown.add_row(
         escape("fastest Ts [s] at alpha now"), number(times.fastest), f"{times.z_fastest:.4g}", f"{times.radius:.3g}"
     )
@@ -242,8 +255,8 @@ def _map(args, out):
     rate = largest_rate(found.law.alpha)
     # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
     half = np.sqrt(min(now.margin, 20 / now.z))
-    alphas = np.geomspace(*_range("alpha-range", args.alpha_range, rate, half), args.cells)
-    times = np.geomspace(*_range("Ts-range", args.Ts_range, found.Ts, half), args.cells)
+    alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)
+    times = np.geomspace(*_range(args.Ts_range, found.Ts, half), args.cells)
     config = table(args) | {"tolerance": args.tolerance}
     loop = dict(method=found.method, stage=found.stage, N=args.N, tolerance=args.tolerance)
     with progress.bar("loops") as report:
@@ -306,13 +319,9 @@ def _study(args):
     print(f"{time.perf_counter() - begun:.0f} s; results in {args.out}")
 
 
-def _range(name, given, now, half):
+def _range(given, now, half):
     """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
-    low, high = given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
-    errors.number(name, low, positive=True)
-    if not high > low:
-        raise errors.fail(name, "increase", f"is {low:g} to {high:g}")
-    return low, high
+    return given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
 
 
 def _write(data, path):

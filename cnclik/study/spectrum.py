@@ -160,12 +160,17 @@ def at_rest(law, target, q):
     ref.check(target, law.task)
     if errors.concrete(q):
         try:
-            size = float(jnp.linalg.norm(jnp.stack(evaluate(law, target, jnp.zeros((), q.dtype), tuple(q)).e)))
+            size = float(_error(law, target, q))
         except jax.errors.ConcretizationTypeError:
             return target  # traced geometry: taken at the caller's word
         if not size < _AT_REST:
             raise errors.fail("q", "be at rest on the target (see `settle`)", f"leaves an error of {size:.3g}")
     return target
+
+
+@jax.jit
+def _error(law, reference, q):
+    return jnp.linalg.norm(jnp.stack(evaluate(law, reference, jnp.zeros((), q.dtype), tuple(q)).e))
 
 
 def settle(law, target, q0, *, N=200):

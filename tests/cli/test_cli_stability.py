@@ -18,6 +18,8 @@ def test_advice_on_the_terminal(capsys):
     [
         (["--method", "EULER"], "Argument `method` must be one of"),
         (["--cells", "1"], "Argument `cells` must be at least 2, but is 1."),
+        (["--N", "3"], "Argument `N` must be at least 4, but is 3."),
+        (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Argument `Ts-range` must increase, but is 0.1 to 0.01."),
         (["--spec", "missing.toml"], "Argument `spec` must be a TOML file that can be read"),
         (["planar:1,1", "--target", "9", "0"], "Argument `target` must be one the loop comes to rest on"),
     ],
@@ -40,3 +42,11 @@ def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
         np.testing.assert_allclose(data.limit, 1 / data.Ts, rtol=1e-6)  # picard(5)
         assert '"robot": "planar:1,1"' in data.attrs["config"]
     assert "144 loops" in capsys.readouterr().out
+
+
+def test_plane_writes_the_limits_of_every_M_and_of_late_errors(tmp_path, capsys):
+    main(["stability", "--plane", "--methods", "EE", "IE", "--passes", "2", "--out", str(tmp_path)])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["plane.md", "plane.nc", "plane.png"]
+    text = (tmp_path / "plane.md").read_text(encoding="utf-8")
+    assert "| IE | picard(1) | 1.0000 |" in text and "| IE | picard(2) | 1.3532 |" in text
+    assert "| EE | 2.0000 | 1.0000 | 0.6180 | 0.4450 | 0.3473 |" in text
