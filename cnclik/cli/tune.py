@@ -186,7 +186,7 @@ def controller_lines(found, made) -> dict:
     if damping is None:
         return lines | {"pink_mink": f"no line: pink and mink have no {inverse.split(' (')[0]}"}
     line = f"task = FrameTask(..., gain={min(z, 1.0):.6g})"
-    line += f"; solve_ik(..., dt={found.Ts:.6g}, damping={damping:.6g})  # dt [s]"
+    line += f"; solve_ik(..., dt={found.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
     line += "" if z <= 1 else f"; z = {z:.4g} is beyond the 1 they accept"
     if made.method.name != "EE":
         euler = abs(float(amplification("EE", None, min(z, 1.0))))
