@@ -18,7 +18,8 @@ _CAPTIONS = {
     "history": "Loss and worst constraint over the evaluations.",
     "error": "Error before and after.",
     "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
-    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path.",
+    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path; axes that "
+    "answer alike lie on each other.",
 }
 
 
@@ -114,8 +115,8 @@ def run(args: Args) -> None:
         if args.figures:
             with console.status("Drawing"):
                 drawn = _draw(folder, found, made, args)
-        config = {k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}
-        (folder / "tuned.json").write_text(json.dumps(_json(found, lines, config), indent=1, allow_nan=False) + "\n")
+        made_by = _json(found, lines, _config(args))
+        (folder / "tuned.json").write_text(json.dumps(made_by, indent=1, allow_nan=False) + "\n")
         text = _summary(found, made, lines, drawn, seconds)
         (folder / "summary.md").write_text(text, encoding="utf-8")
         written = sorted(p.name for p in folder.iterdir())
@@ -185,7 +186,7 @@ def controller_lines(found, made) -> dict:
     if damping is None:
         return lines | {"pink_mink": f"no line: pink and mink have no {inverse.split(' (')[0]}"}
     line = f"task = FrameTask(..., gain={min(z, 1.0):.6g})"
-    line += f"; solve_ik(..., dt={found.Ts:.6g}, damping={damping:.6g})  # dt [s]"
+    line += f"; solve_ik(..., dt={found.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
     line += "" if z <= 1 else f"; z = {z:.4g} is beyond the 1 they accept"
     if made.method.name != "EE":
         euler = abs(float(amplification("EE", None, min(z, 1.0))))
@@ -269,6 +270,13 @@ def _json(found, lines, config):
     )
 
 
+def _config(args) -> dict:
+    """Every option that has a part in the numbers, as it was set."""
+    own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
+    given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures")}
+    return _plain(table(args) | {name.rstrip("_"): v for name, v in given.items()})
+
+
 def _draw(folder, found, made, args) -> dict:
     from cnclik.show import style, tuning
     from cnclik.study.responses import responses
@@ -281,7 +289,7 @@ def _draw(folder, found, made, args) -> dict:
     with style.style():
         drawn = tuning.pictures(found, made.law.task, field, data)
         for name, figure in drawn.items():
-            about = {"Title": f"{made.name}: {name}", "Comment": json.dumps(_plain(table(args)))}
+            about = {"Title": f"{made.name}: {name}", "Comment": json.dumps(_config(args))}
             style.save(figure, folder / f"{name}.png", about)
     return {name: _CAPTIONS[name] for name in drawn}
 

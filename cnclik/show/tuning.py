@@ -19,7 +19,8 @@ def history(tuned):
     loss, violation = np.asarray(tuned.history["loss"]), np.asarray(tuned.history["violation"])
     count = np.arange(1, len(loss) + 1)
     upper.semilogy(count, np.where(loss > _LEAST, loss, np.nan), color=style.BLUE)
-    upper.set_ylabel(f"loss: {tuned.loss}")
+    upper.set_ylabel("loss")
+    upper.set_title(tuned.loss, loc="left")
     lower.plot(count, tuned.margin * (1 + np.clip(violation, -1, 1)), color=style.VERMILION)
     lower.axhline(tuned.margin, **style.GUIDE)
     lower.annotate(

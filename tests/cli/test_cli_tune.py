@@ -23,6 +23,7 @@ def tuned(tmp_path, *options):
 def test_everything_a_controller_needs(tmp_path, capsys):
     made = tuned(tmp_path, "--margin", 0.5, "--damping", 0.01)
     assert set(made) >= KEYS
+    assert made["config"]["margin"] == 0.5 and made["config"]["damping"] == 0.01 and made["config"]["steps"] == 40
     assert made["satisfied"] and 0.49 < made["spectral_radius"] <= 0.5 * (1 + 1e-9)
     np.testing.assert_allclose(made["z"], made["alpha"] * 0.1, rtol=1e-12)
     assert made["loss_after"] < made["loss_before"]
