@@ -120,16 +120,21 @@ def replace(rec, **changes):
 
 
 def placed(rec):
-    """The record with its arrays on JAX's device, made once: a call with NumPy arrays copies each of them anew."""
+    """The record with its arrays on JAX's device, or None where it holds traced ones.
+
+    Made once for a record: a call with NumPy arrays copies each of them anew.
+    """
     key = jax.config.jax_enable_x64, jax.config.jax_default_device
     made = rec.__dict__.get("_placed")
     if made is not None and made[0] == key:
         return made[1]
     arrays, treedef = jax.tree.flatten(rec)
-    if not all(isinstance(v, jax.Array) or (isinstance(v, np.ndarray) and not v.flags.writeable) for v in arrays):
-        return rec
-    made = jax.tree.unflatten(treedef, [jax.numpy.asarray(v) for v in arrays])
-    object.__setattr__(rec, "_placed", (key, made))
+    if any(isinstance(v, jax.core.Tracer) for v in arrays):
+        return None
+    with jax.ensure_compile_time_eval():  # else, called while a user's function is traced, what is kept would be traced
+        made = jax.tree.unflatten(treedef, [jax.numpy.asarray(v) for v in arrays])
+    if not any(isinstance(v, np.ndarray) and v.flags.writeable for v in arrays):
+        object.__setattr__(rec, "_placed", (key, made))
     return made
 
 

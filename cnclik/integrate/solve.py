@@ -160,12 +160,26 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
     q0, method = _arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0)
     errors.number("t0", t0)
-    arguments = (law, reference, q0, Ts, t0, stage)
     # Called with numbers, no vmap is around this loop: it may become one native function.
-    if not all(map(errors.concrete, jax.tree.leaves(arguments))):
-        return _solve(*arguments, N=N, method=method)
+    known = placed(law), placed(reference), placed(stage)
+    if any(r is None for r in known) or not all(map(errors.concrete, (q0, Ts, t0))):
+        return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
+    law, reference, stage = known
     with few_lanes(1):
-        return _solve(placed(law), placed(reference), q0, Ts, t0, stage, N=N, method=method)
+        return _solve(law, reference, q0, _scalar(Ts), _scalar(t0), stage, N=N, method=method)
+
+
+def _scalar(value):
+    """A Python number as an array that is made once."""
+    return (
+        _scalar_in(value, jax.config.jax_enable_x64, jax.config.jax_default_device) if type(value) is float else value
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _scalar_in(value, *_):
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(value)
 
 
 def step(law: Law, reference, q, t, Ts, method=EE, stage=picard(5)) -> Step:

@@ -238,3 +238,18 @@ def test_bad_input(call, message):
 def test_the_nearest_name_is_suggested():
     with pytest.raises(ck.ArgumentError, match=r"did you mean 'TRAPEZOID'\?"):
         solve(Q, 0.1, 3, "TRAPEZE")
+
+
+@pytest.mark.parametrize("around", [jax.jit, jax.vmap, jax.grad], ids=lambda f: f.__name__)
+def test_nothing_traced_is_kept(around):
+    """The first solve of a law may be inside a user's own transformation; the next ones must not find its tracers."""
+    law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=3.0)
+    target, q0 = ck.hold(np.array([1.0, 0.5])), jnp.array([0.3, 0.5])
+
+    def scaled(factor):
+        return factor * ck.solve(law, target, q0, 0.0625, 3).e[-1, 0]
+
+    around(scaled)(jnp.ones(2) if around is jax.vmap else 1.0)
+    fresh = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=3.0)
+    wanted = ck.solve(fresh, ck.hold(np.array([1.0, 0.5])), q0, 0.0625, 3).e
+    np.testing.assert_array_equal(ck.solve(law, target, q0, 0.0625, 3).e, wanted)
