@@ -162,7 +162,7 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
     errors.number("t0", t0)
     # Called with numbers, no vmap is around this loop: it may become one native function.
     known = placed(law), placed(reference), placed(stage)
-    if any(r is None for r in known) or not all(map(errors.concrete, (q0, Ts, t0))):
+    if None in known or not all(map(errors.concrete, (q0, Ts, t0))):
         return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
     law, reference, stage = known
     with few_lanes(1):
