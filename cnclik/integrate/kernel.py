@@ -120,8 +120,16 @@ def _all_known(arrays):
     return all(_is_known(cell) for a in arrays for cell in a.flat)
 
 
+def _broadcast_in_dim(x, shape, broadcast_dimensions, **_):
+    sizes = [1] * len(shape)
+    for axis, size in zip(broadcast_dimensions, x.shape, strict=True):
+        sizes[axis] = size
+    return np.broadcast_to(x.reshape(sizes), shape)
+
+
 # Where each cell of a result comes from: NumPy moves the cells.
 _MOVES = {
+    "broadcast_in_dim": _broadcast_in_dim,
     "squeeze": lambda x, dimensions: np.squeeze(x, dimensions),
     "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
     "reshape": lambda x, new_sizes, **_: x.reshape(new_sizes),
@@ -137,15 +145,6 @@ _MOVES = {
     "stop_gradient": lambda x, **_: x,
 }
 
-
-def _broadcast_in_dim(x, shape, broadcast_dimensions, **_):
-    sizes = [1] * len(shape)
-    for axis, size in zip(broadcast_dimensions, x.shape, strict=True):
-        sizes[axis] = size
-    return np.broadcast_to(x.reshape(sizes), shape)
-
-
-_MOVES["broadcast_in_dim"] = _broadcast_in_dim
 
 _ELEMENTWISE_NAMES = """
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq

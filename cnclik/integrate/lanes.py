@@ -83,8 +83,7 @@ def _hinted(fn):
     plain, hinted, found = jax.jit(fn), jax.jit(fn, compiler_options=OPTIONS), {}
 
     def call(*args):
-        leaves, treedef = jax.tree.flatten(args)
-        key = treedef, switched_on(), *((np.shape(x), x.dtype) for x in leaves)
+        key = switched_on(), _signature(*jax.tree.flatten(args))
         if key not in found:
             found[key] = hinted if options(plain.trace(*args)) else plain
         return found[key](*args)
@@ -98,7 +97,7 @@ def _kernel_or(traced, fn, tile):
     refused = set()
 
     def call(*args):
-        key = jax.tree.structure(args), *((np.shape(x)[1:], x.dtype) for x in jax.tree.leaves(args))
+        key = _signature(*jax.tree.flatten(args))
         if switched_on() and key not in refused:
             try:
                 return jax.block_until_ready(one_kernel(*args))
@@ -108,6 +107,11 @@ def _kernel_or(traced, fn, tile):
         return plain(*args)
 
     return call
+
+
+def _signature(leaves, treedef) -> tuple:
+    """What one lane of the arguments looks like: calls in which it agrees run the same program."""
+    return treedef, *((np.shape(x)[1:], x.dtype) for x in leaves)
 
 
 def _cores() -> int:
@@ -162,7 +166,7 @@ def _tiled(fn, tile, *args):
 def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     """Run blocks side by side; each result is copied into place as soon as it is there."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
-    key = treedef, block, switched_on(), *((leaf.shape[1:], leaf.dtype) for leaf in leaves)
+    key = block, switched_on(), _signature(leaves, treedef)
 
     wide, switch = jax.config.jax_enable_x64, switched_on()
 

@@ -57,7 +57,7 @@ class ManipulabilityDamped:
 
     def __call__(self, rows) -> Factored:
         thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
-        tiny = _tiny(thin)
+        tiny = tiny_shift(thin)
         factor = dense.ldl(dense.gram(thin, tiny))
         w = jnp.sqrt(functools.reduce(jnp.multiply, (jnp.maximum(p, tiny) for p in factor[2])))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
@@ -74,7 +74,7 @@ class SingularDamped:
 
     def __call__(self, rows) -> Factored:
         thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
-        tiny = _tiny(thin)
+        tiny = tiny_shift(thin)
         squared = _least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
         shift = jnp.maximum(share * self.damping * self.damping, tiny)
@@ -91,7 +91,7 @@ def damped_apply(rows, shift):
     return lambda t: dense.ldl_solve(factor, _apply(columns, t)), factor
 
 
-def _tiny(rows):
+def tiny_shift(rows):
     """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
     trace = sp.total(sp.dot(row, row) for row in rows)
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6))

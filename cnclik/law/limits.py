@@ -17,7 +17,7 @@ from jax import lax
 from cnclik import errors
 from cnclik.hints import opaque
 from cnclik.law import dense
-from cnclik.law.inverse import Factored, _tiny
+from cnclik.law.inverse import Factored, tiny_shift
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 
@@ -237,7 +237,7 @@ def _beyond_reach(rows, velocity):
     shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0; twice over, so that single precision, whose
     shift is large, takes for out of reach only what lies in directions of σ below 0.01 of ‖J‖.
     """
-    shift = _tiny(rows)
+    shift = tiny_shift(rows)
     factor = dense.ldl(dense.gram(rows, shift))
     once = sp.scale(shift, dense.ldl_solve(factor, velocity))
     return shift * sp.safe_norm(dense.ldl_solve(factor, once))

@@ -185,8 +185,7 @@ def implicit_study(
             own = slice(first, first + len(passes))
             first = own.stop
             stage = _stage(kind, passes)
-            fixed = [stages.picard(0) if kind is None else getattr(stages, kind)(M) for M in passes]
-            cost[r, own] = [int(evaluations_per_step(method, one, law.chain.n)) for one in fixed]
+            cost[r, own] = [int(evaluations_per_step(method, _stage(kind, (M,)), law.chain.n)) for M in passes]
             rms_N[r, own] = np.maximum(track["evaluations"] // cost[r, own], 4)
             # Reaching and tracking are lanes of one program: a point is a circle of radius 0.
             reach = _lanes(q0[:, None], grid, np.array(passes)[:, None, None], 0.0, 1.0)
