@@ -11,9 +11,10 @@ from cnclik.errors import ArgumentError
 from cnclik.hints import hints
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
-from cnclik.integrate.solve import Step, Trajectory, solve, step
+from cnclik.integrate.solve import Step, solve, step
 from cnclik.integrate.stage import chord, newton, picard
 from cnclik.integrate.status import Status, StepError, require_ok
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, singular_damped, transpose
 from cnclik.law.law import Law
 from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
@@ -26,21 +27,21 @@ from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
 from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
 from cnclik.robot.urdf import load_urdf
+from cnclik.version import __version__
 
 if TYPE_CHECKING:
-    from cnclik.study.metrics import Metrics, measure
-    from cnclik.study.sweep import sweep
-    from cnclik.study.tune import calibrate, tune
+    from cnclik.measure.metrics import Metrics, measure
+    from cnclik.sweeps.sweep import sweep
+    from cnclik.tuning.tune import calibrate, tune
 
-__version__ = "0.1.0"
 
 # Public names of rooms that a newcomer's first loop doesn't need: loaded when they are first asked for.
 _ON_USE = {
-    "Metrics": "cnclik.study.metrics",
-    "calibrate": "cnclik.study.tune",
-    "measure": "cnclik.study.metrics",
-    "sweep": "cnclik.study.sweep",
-    "tune": "cnclik.study.tune",
+    "Metrics": "cnclik.measure.metrics",
+    "calibrate": "cnclik.tuning.tune",
+    "measure": "cnclik.measure.metrics",
+    "sweep": "cnclik.sweeps.sweep",
+    "tune": "cnclik.tuning.tune",
 }
 
 

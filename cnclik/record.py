@@ -114,6 +114,11 @@ def record(cls=None, *, kw_only=True):
     return cls
 
 
+def leaf(value):
+    """A parameter: a Python number becomes a float64 array, so that another value needs no new compilation."""
+    return np.asarray(value, float) if type(value) in (int, float) else value
+
+
 def replace(rec, **changes):
     """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
     return dataclasses.replace(rec, **changes)

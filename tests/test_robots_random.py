@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import cnclik as ck
 from cnclik.integrate.status import Status
-from cnclik.study.problem import task_from
+from cnclik.problem.build import task_from
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
@@ -125,7 +125,7 @@ def test_no_nan_without_a_status(name, task):
 @SETTINGS
 @given(values=st.lists(ANY | WORD | st.none(), max_size=8), q0=st.lists(ANY, max_size=8))
 def test_arguments_are_refused_by_name(values, q0):
-    from cnclik.study.problem import problem_from
+    from cnclik.problem.build import problem_from
 
     try:
         made = problem_from("planar:1,1", q0=q0, target=values, damping=0.1)

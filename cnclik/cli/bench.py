@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from cnclik import errors
-from cnclik.study import bench
-from cnclik.study.bench import Line
+from cnclik.bench import timing as bench
+from cnclik.bench.timing import Line
 
 Robot = Literal[tuple(bench.ROBOTS)]
 Method = Literal["EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4"]

@@ -21,7 +21,7 @@ def run(args: Args) -> None:
     """Draw, and say what."""
     from cnclik.show import sweeps
     from cnclik.show.output import output_folder
-    from cnclik.study import store
+    from cnclik.sweeps import store
 
     data = store.read(args.folder)
     missing = store.blocks_missing(args.folder)
@@ -29,7 +29,7 @@ def run(args: Args) -> None:
         print(f"{missing} blocks are not done yet: their cells stay empty.")
     figures = None
     if args.spec is not None:
-        from cnclik.study import spec
+        from cnclik.sweeps import spec
 
         figures = spec.read(args.spec).figures
     with output_folder(args.folder, name="folder") as folder:

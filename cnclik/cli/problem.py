@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from cnclik.study.problem import Problem, problem_from
+from cnclik.problem.build import Problem, problem_from
 
 _hidden = {"help_behavior_hint": ""}  # "(default: None)" tells nobody anything
 Numbers = Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="X ...", **_hidden)]

@@ -7,9 +7,12 @@ import time
 
 @contextlib.contextmanager
 def bar(unit: str, *, quiet=False):
-    """Yields report(done, total). `unit` names what is counted."""
+    """Yields report(done, total, note=""), the one form of progress that every function of the library takes.
+
+    Args: unit: what is counted.
+    """
     if quiet:
-        yield lambda done, total: None
+        yield lambda done, total, note="": None
         return
     if not sys.stderr.isatty():
         yield _Lines(unit)
@@ -27,12 +30,12 @@ def bar(unit: str, *, quiet=False):
         task = shown.add_task("", total=None, rate=f"compiling, {unit}")
         begun = None
 
-        def report(done, total):
+        def report(done, total, note=""):
             nonlocal begun
             now = time.perf_counter()
             begun = now if begun is None else begun
             rate = f"{done / (now - begun):,.0f} {unit}/s" if done else f"compiling, {unit}"
-            shown.update(task, completed=done, total=max(total, 1), rate=rate)
+            shown.update(task, completed=done, total=max(total, 1), rate=f"{rate}  {note}" if note else rate)
 
         yield report
 
@@ -43,11 +46,15 @@ class _Lines:
     def __init__(self, unit):
         self.unit, self.begun, self.last = unit, time.perf_counter(), time.perf_counter()
 
-    def __call__(self, done, total):
+    def __call__(self, done, total, note=""):
         now = time.perf_counter()
         if now - self.last < 10 or not total:
             return
         self.last = now
         rate = done / (now - self.begun)
         left = f", {(total - done) / rate:,.0f} s left" if rate else ""
-        print(f"{done:,} of {total:,} {self.unit}, {rate:,.0f}/s{left}", file=sys.stderr, flush=True)
+        print(
+            f"{done:,} of {total:,} {self.unit}, {rate:,.0f}/s{left}{f', {note}' if note else ''}",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from cnclik.study import paper
+from cnclik.paper import readings as paper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,8 @@ def run(args: Args) -> None:
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with output_folder(args.out) as folder, Progress(*columns, console=Console(stderr=True)) as progress:
-        from cnclik.study import claims, paper_data
+        from cnclik.paper import claims
+        from cnclik.paper import data as paper_data
 
         found = paper_data.everything(lambda arms: progress.track(arms, description="Running both arms "))
         judged = claims.judge(found.trajectories, found.passes)
@@ -37,8 +38,8 @@ def run(args: Args) -> None:
 
 
 def _write(folder, found, judged, reading, track) -> dict:
-    from cnclik.show import paper as pictures
-    from cnclik.show import report
+    from cnclik.paper import figures as pictures
+    from cnclik.paper import story as report
 
     drawn = pictures.figures(*found, reading)
     pictures.draw(drawn, folder, track)
@@ -54,8 +55,8 @@ def _write(folder, found, judged, reading, track) -> dict:
 
 
 def _tell(console, found, judged) -> None:
-    from cnclik.show import report
-    from cnclik.study import claims
+    from cnclik.paper import claims
+    from cnclik.paper import story as report
 
     report.show(report.claim_table(judged, claims.undetermined(found.trajectories)), console)
     report.show(report.method_table(found.methods), console)

@@ -25,7 +25,7 @@ class Args:
 def run(args: Args) -> None:
     from rich.console import Console
 
-    from cnclik.study import rivals
+    from tests.bench import rivals
 
     for case in args.cases:
         errors.one_of("cases", case, rivals.CASES)

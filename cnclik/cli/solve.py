@@ -35,7 +35,7 @@ def run(args: Args) -> None:
     progress = Console(stderr=True)
     with output_folder(args.out) as folder:
         trajectory, seconds = _march(made, progress)
-        from cnclik.study.dataset import to_dataset
+        from cnclik.measure.dataset import to_dataset
 
         data = to_dataset(trajectory, made.law, config=config)
         data.to_netcdf(folder / "trajectory.nc", engine="h5netcdf")
@@ -83,25 +83,9 @@ def _march(made, progress):
             parts.append(part)
             seconds += more
             bar.update(task, completed=min((k + 1) * size, made.N))
-    return _joined(parts, made.N), seconds / (pieces * size)
+    from cnclik.integrate.trajectory import join, truncate
 
-
-def _joined(parts, N):
-    """Pieces end to end; where one ends the next begins, so that instant is kept once."""
-    from cnclik.integrate.solve import Trajectory
-
-    def steps(name):
-        return np.concatenate([np.asarray(getattr(p, name)) for p in parts])[:N]
-
-    def instants(name):
-        values = [np.asarray(getattr(p, name)) for p in parts]
-        return np.concatenate([*(v[:-1] for v in values), values[-1][-1:]])[: N + 1]
-
-    return Trajectory(
-        **{name: instants(name) for name in ("t", "q", "x", "e")},
-        **{name: steps(name) for name in ("qdot", "residual", "contraction", "status")},
-        evaluations=np.asarray(parts[0].evaluations * N // (len(parts[0].status))),
-    )
+    return truncate(join(parts), made.N), seconds / (pieces * size)
 
 
 def _write_csv(path, data) -> None:
@@ -143,8 +127,8 @@ def _summary(made, data, seconds):
     from rich.table import Table
 
     from cnclik.integrate.status import count
-    from cnclik.study.chatter import chatter
-    from cnclik.study.linear import stability_limit
+    from cnclik.measure.chatter import chatter
+    from cnclik.stability.linear import stability_limit
 
     shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     units = data.axis_unit.values

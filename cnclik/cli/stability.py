@@ -79,7 +79,7 @@ def run(args: Args) -> None:
 
 
 def _loop(args):
-    from cnclik.study.spectrum import settle
+    from cnclik.stability.spectrum import settle
 
     found = problem(args)
     return found, settle(found.law, found.reference, found.q0)
@@ -92,15 +92,14 @@ def _advise(args, found, rest):
     from rich.markup import escape
     from rich.table import Table
 
-    from cnclik.study import spectrum
-    from cnclik.study.linear import label
+    from cnclik.stability import spectrum
 
     loop = dict(method=found.method, stage=found.stage, target=found.reference)
     gains = spectrum.recommend(found.law, rest, Ts=found.Ts, **loop)
     times = spectrum.recommend(found.law, rest, **loop)
     now = spectrum.margin(found.law, rest, found.Ts, **loop)
     eigen = spectrum.spectrum(found.law, found.reference, rest, found.Ts, found.method, found.stage)
-    how = f"{found.method}" + (f", {label(found.stage)}" if found.method.implicit else "")
+    how = f"{found.method}" + (f", {found.stage}" if found.method.implicit else "")
     shown = Table(title=f"{found.name}, {how}, task {' '.join(found.law.task.names)}", title_justify="left")
     for column, justify in (("", "left"), ("value", "right"), ("z = alpha·Ts", "right"), ("error × per step", "right")):
         shown.add_column(column, justify=justify)
@@ -139,9 +138,9 @@ def _plane(args, out):
 
     from cnclik.integrate import stage as stages
     from cnclik.integrate.method import METHODS
+    from cnclik.measure.dataset import as_json, provenance
     from cnclik.show import stability as show
-    from cnclik.study import linear
-    from cnclik.study.dataset import as_json, provenance
+    from cnclik.stability import linear
 
     methods = [METHODS[errors.one_of("methods", name, METHODS)] for name in args.methods]
     explicit, implicit = [m for m in methods if not m.implicit], [m for m in methods if m.implicit]
@@ -243,11 +242,10 @@ def _limits_text(rows, delays):
 def _map(args, out):
     import numpy as np
 
+    from cnclik.measure.dataset import as_json, provenance
     from cnclik.show import stability as show
-    from cnclik.study import maps
-    from cnclik.study.dataset import as_json, provenance
-    from cnclik.study.linear import label
-    from cnclik.study.spectrum import largest_rate
+    from cnclik.stability import maps
+    from cnclik.stability.spectrum import largest_rate
 
     begun = time.perf_counter()
     found, rest = _loop(args)
@@ -267,7 +265,7 @@ def _map(args, out):
     attributes = provenance(float) | {"config": as_json(config)}
     data = data.assign_attrs(attributes)
     _write(data, out / "map.nc")
-    how = f"{found.method}" + (f", {label(found.stage)}" if found.method.implicit else "")
+    how = f"{found.method}" + (f", {found.stage}" if found.method.implicit else "")
     show.stability_map(
         data,
         out / "map.png",
@@ -297,10 +295,10 @@ def _map(args, out):
 def _study(args):
     import tomllib
 
+    from cnclik.measure.dataset import as_json, provenance
     from cnclik.show import stability as show
     from cnclik.show.output import output_folder
-    from cnclik.study import evidence
-    from cnclik.study.dataset import as_json, provenance
+    from cnclik.stability import evidence
 
     try:
         spec = tomllib.loads(args.spec.read_text(encoding="utf-8"))

@@ -41,14 +41,14 @@ class Args:
 def run(args: Args) -> None:
     """Validate, compute what is missing, draw."""
     place = _join(args)
-    from cnclik.study import spec as specs
+    from cnclik.sweeps import spec as specs
 
     spec = specs.read(args.spec, args.set)
     out = args.out or pathlib.Path("results") / spec.name
     if args.check:
         _check(spec)
         return
-    from cnclik.study import store
+    from cnclik.sweeps import store
 
     grid = spec.grid()
     print(f"{spec.name}: {grid.size:,} loops, {' × '.join(f'{a.name} {len(a)}' for a in grid.axes)}", flush=True)
@@ -65,7 +65,7 @@ def run(args: Args) -> None:
 def finish(out: pathlib.Path, *, figures=True, export=None) -> None:
     """What follows from a finished store: summary, figures, exports."""
     from cnclik.show.output import output_folder
-    from cnclik.study import store, summary
+    from cnclik.sweeps import store, summary
 
     data = store.read(out)
     with output_folder(out) as folder:
@@ -112,7 +112,7 @@ def _check(spec) -> None:
     import jax
     import numpy as np
 
-    from cnclik.study import sweep
+    from cnclik.sweeps import sweep
 
     grid = spec.grid()
     begun = time.perf_counter()

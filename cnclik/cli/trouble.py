@@ -24,7 +24,7 @@ def run(args: Args) -> None:
     from rich.progress import track
 
     from cnclik.show.output import output_folder
-    from cnclik.study import trouble
+    from cnclik.sweeps import trouble
 
     for name in args.robots:
         errors.one_of("robots", name, trouble.ROBOTS)

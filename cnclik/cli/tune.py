@@ -71,7 +71,7 @@ def run(args: Args) -> None:
     from rich.console import Console
 
     from cnclik.show.output import output_folder
-    from cnclik.study.tune import tune
+    from cnclik.tuning.tune import tune
 
     console = Console(stderr=True)
     bounds = {name: b for name, b in (("alpha", args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
@@ -149,7 +149,7 @@ def _loss(words):
             made[name] = float(weight) if weight else 1.0
         except ValueError:
             raise errors.fail("loss", "give weights as numbers, such as jerk=1e-4", f"is {word!r}") from None
-    from cnclik.study.losses import terms
+    from cnclik.tuning.losses import terms
 
     terms(made)
     return made if len(made) > 1 or next(iter(made.values())) != 1.0 else next(iter(made))
@@ -163,7 +163,7 @@ def controller_lines(found, made) -> dict:
 
     pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], and add damping (λ²) to JᵀJ.
     """
-    from cnclik.study.linear import amplification
+    from cnclik.stability.linear import amplification
 
     alpha = np.asarray(found.law.alpha)
     z = float(found.z)
@@ -279,8 +279,8 @@ def _config(args) -> dict:
 
 def _draw(folder, found, made, args) -> dict:
     from cnclik.show import style, tuning
-    from cnclik.study.responses import responses
-    from cnclik.study.tune import radius_field
+    from cnclik.stability.responses import responses
+    from cnclik.tuning.tune import radius_field
 
     ends = np.asarray(found.after.q)[-1]
     usable = found.status != "non-finite" and np.isfinite(ends).all()

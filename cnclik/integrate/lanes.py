@@ -9,7 +9,6 @@ size, side by side on all cores, or on all devices. Under `hints(False)` the sam
 import functools
 import itertools
 import logging
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -18,6 +17,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.hints import cores as available
 from cnclik.hints import equations, few_lanes, hints, switched_on
 from cnclik.integrate import kernel
 
@@ -47,7 +47,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     tile = errors.integer("tile", (TILE if on_cpu else kernel.TILE) if tile is None else tile, at_least=1)
     default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
-    cores = _cores() if cores is None else errors.integer("cores", cores, at_least=1)
+    cores = available() if cores is None else errors.integer("cores", cores, at_least=1)
     traced = functools.partial(_tiled, fn, tile)
     compiled = _hinted(traced) if on_cpu else _kernel_or(traced, fn, tile)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
@@ -112,13 +112,6 @@ def _kernel_or(traced, fn, tile):
 def _signature(leaves, treedef) -> tuple:
     """What one lane of the arguments looks like: calls in which it agrees run the same program."""
     return treedef, *((np.shape(x)[1:], x.dtype) for x in leaves)
-
-
-def _cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1
 
 
 def _size(args) -> int:

@@ -17,40 +17,14 @@ from cnclik.hints import alone, few_lanes, one_function
 from cnclik.integrate.method import EE, METHODS, Method
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags
+from cnclik.integrate.trajectory import Trajectory, assemble
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, evaluate, task_coordinates
+from cnclik.law.law import Law, evaluate
 from cnclik.record import placed, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
 
 SHORT = 200  # steps up to which the trajectory is put together in the same native function as the loop
-
-
-@record
-class Trajectory:
-    """A loop in time: N steps between N + 1 instants t[k] = t0 + k·Ts.
-
-    Attributes:
-      t: (N + 1,) [s].
-      q: (N + 1, n) joint values [rad, m].
-      x: (N + 1, m) task coordinates of the tip [m, rad].
-      e: (N + 1, m) error, x_d − x (rotations: vector of the turn that is left) [m, rad].
-      qdot: (N, n) joint velocity held during step k, (q[k+1] − q[k])/Ts [rad/s, m/s].
-      residual: (N,) last change of the implicit stage, as a joint displacement; 0 for explicit methods.
-      contraction: (N,) ratio of its last two changes; at 1 or more it diverges.
-      status: (N,) bits of `Status`.
-      evaluations: evaluations of f(q, t) in the whole run, each one a Jacobian and an inverse.
-    """
-
-    t: jax.Array
-    q: jax.Array
-    x: jax.Array
-    e: jax.Array
-    qdot: jax.Array
-    residual: jax.Array
-    contraction: jax.Array
-    status: jax.Array
-    evaluations: jax.Array
 
 
 @record
@@ -235,22 +209,9 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
         Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
         k = jnp.arange(N + 1).astype(q0.dtype)
         run = loop if short or N == 0 else one_function(loop)
-        q, e, (qs, es, qdot, residual, contraction, status) = run(law, reference, q0, Ts, t0, stage, k)
-        qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
-        # A coordinate that no joint moves is a literal, hence the asarray.
-        x = jax.vmap(lambda q: tuple(jnp.asarray(v, q0.dtype) for v in task_coordinates(law, q)))(qs)
-        columns = functools.partial(jnp.stack, axis=-1)
-        return Trajectory(
-            t=t0 + k * Ts,
-            q=columns(qs),
-            x=columns(x),
-            e=columns(es),
-            qdot=columns(qdot),
-            residual=residual,
-            contraction=contraction,
-            status=status,
-            evaluations=jnp.asarray(N * evaluations_per_step(method, stage, law.chain.n)),
-        )
+        q, e, steps = run(law, reference, q0, Ts, t0, stage, k)
+        evaluations = N * evaluations_per_step(method, stage, law.chain.n)
+        return assemble(law, t0 + k * Ts, steps, q, e, evaluations)
 
     run = one_function(whole) if short else whole
     return run(law, reference, q0, Ts, t0, stage)

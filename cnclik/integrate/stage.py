@@ -27,8 +27,15 @@ class Solved(NamedTuple):
     contraction: object  # last change over the one before it; at 1 or more the iteration diverges
 
 
+class _Named:
+    """A stage in words: "picard(5)"."""
+
+    def __str__(self):
+        return f"{type(self).__name__.lower()}({self.M})"
+
+
 @record
-class Picard:
+class Picard(_Named):
     """See `picard`."""
 
     M: object
@@ -44,7 +51,7 @@ class Picard:
 
 
 @record
-class Chord:
+class Chord(_Named):
     """See `chord`."""
 
     M: object
@@ -68,7 +75,7 @@ class Chord:
 
 
 @record
-class Newton:
+class Newton(_Named):
     """See `newton`."""
 
     M: object

@@ -97,9 +97,13 @@ def matmul(a, b):
 
 def safe_norm(v):
     """‖v‖ with derivative 0 (not NaN) at v = 0."""
-    squared = dot(v, v)
-    zero = squared == 0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, squared)))
+    return safe_sqrt(dot(v, v))
+
+
+def safe_sqrt(x):
+    """√x with derivative 0 (not NaN) at x = 0."""
+    zero = x == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, x)))
 
 
 # --- rotations ----------------------------------------------------------------------------------------

@@ -119,21 +119,3 @@ def _per_joint(data, draw, unit):
             panel.set_xlabel("time $t$ [s]")
     figure.align_ylabels(grid[:, 0])
     return figure
-
-
-def work(data):
-    """Error against evaluations of f(q, t) per second of motion, every method, one column per robot."""
-    parts = {"position_error": "position error [m]", "orientation_error": "orientation error [rad]"}
-    figure, grid = plt.subplots(2, data.sizes["robot"], sharex=True, sharey="row", figsize=(style.PAGE, 4.3))
-    for column, robot in zip(grid.T, data.robot.values, strict=True):
-        for panel, name in zip(column, parts, strict=True):
-            for method in data.method.values:
-                at = data.sel({"robot": robot, "method": method})
-                panel.loglog(at.evaluations / at.Ts, at[name], **style.line(str(method)))
-        column[0].set_title(str(robot), loc="left")
-        column[-1].set_xlabel("evaluations of f per second of motion [1/s]")
-    for row, label in zip(grid, parts.values(), strict=True):
-        row[0].set_ylabel(f"RMS {label}")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    return figure

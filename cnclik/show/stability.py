@@ -6,8 +6,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from cnclik.measure.outcome import Kind
 from cnclik.show import style as look
-from cnclik.study.outcome import Kind
 
 RATES = "viridis"
 _FLAT = {

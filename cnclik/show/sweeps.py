@@ -15,10 +15,10 @@ from matplotlib import colors, figure, patches, ticker
 
 from cnclik import errors
 from cnclik.integrate.method import METHODS
+from cnclik.problem.build import stage_from
 from cnclik.show import style
-from cnclik.study.linear import stability_limit
-from cnclik.study.problem import stage_from
-from cnclik.study.sweep import UNITS
+from cnclik.stability.linear import stability_limit
+from cnclik.sweeps.sweep import UNITS
 
 _SYMBOLS = {"alpha": "α", "Ts": "Ts", "z": "z = α·Ts", "damping": "λ", "case": ""}
 _HISTORY = ("time", "step")
@@ -35,7 +35,7 @@ def draw(data, folder, *, figures=None, form="png") -> list:
     """Draw the figures that the data's spec asks for, or `figures`, or good ones if none are asked for.
 
     Args:
-      data: dataset of a sweep, as `cnclik.study.store.read` gives it.
+      data: dataset of a sweep, as `cnclik.sweeps.store.read` gives it.
       folder: where to put them.
       figures: tables as [[figure]] in a spec.
       form: "png", "pdf" or "svg".

@@ -16,8 +16,8 @@ import sys
 import tempfile
 import time
 
-from cnclik.study import bench
-from cnclik.study.bench import Line
+from cnclik.bench import timing as bench
+from cnclik.bench.timing import Line
 from tests.bench import document, peers, tricks
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "speed"

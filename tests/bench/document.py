@@ -24,7 +24,7 @@ def machine() -> dict:
     import jax
     import jaxlib
 
-    from cnclik.study import bench
+    from cnclik.bench import timing as bench
 
     return {
         "processor": bench.processor(),

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
-from cnclik.study import bench
+from cnclik.bench import timing as bench
 from tests.bench import textbook
 from tests.bench.pinocchio_cpp import PinocchioCpp
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
+from cnclik.bench import timing as bench
 from cnclik.robot import kinematics
-from cnclik.study import bench
 
 hints = sys.modules["cnclik.hints"]  # the package's attribute of this name is the function
 

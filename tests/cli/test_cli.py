@@ -104,7 +104,7 @@ others = lambda: {m.partition(".")[0] for m in sys.modules} - before - set(sys.s
 def test_import_is_light():
     """No package but jax and numpy, and under a second beyond jax (processor time: other work doesn't count)."""
     assert run(OTHERS + "print(others())") == "set()"
-    assert run(OTHERS + "print('cnclik.study.sweep' in sys.modules)") == "False"
+    assert run(OTHERS + "print('cnclik.sweeps.sweep' in sys.modules)") == "False"
     seconds = float(
         run("import time, jax, jax.numpy; t = time.process_time(); import cnclik; print(time.process_time() - t)")
     )
@@ -114,7 +114,7 @@ def test_import_is_light():
 def test_names_loaded_on_use_are_public_and_light():
     unknown = "[n for n in ('Metrics', 'measure', 'sweep') if n not in dir(ck) or not getattr(ck, n)]"
     assert run(OTHERS + f"print({unknown}, others())") == "[] set()"
-    assert run(OTHERS + "print(ck.sweep is __import__('cnclik.study.sweep', fromlist='x').sweep)") == "True"
+    assert run(OTHERS + "print(ck.sweep is __import__('cnclik.sweeps.sweep', fromlist='x').sweep)") == "True"
     assert run(OTHERS + "from cnclik import measure; print(measure.__name__, hasattr(ck, 'sweeep'))") == "measure False"
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.bench import timing as bench
 from cnclik.cli import bench as cli
-from cnclik.study import bench
 
 ROOT = pathlib.Path(__file__).parents[2]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cnclik.cli import main
-from cnclik.study.rivals import Row, as_csv, grid_of, page
+from tests.bench.rivals import Row, as_csv, grid_of, page
 
 ARM = ["tune", "planar-clockwise:1,1", "--reference", "line", "--from", "1", "1", "--to", "0", "1", "--q0", "0"]
 ARM += [str(np.pi / 2), "--method", "EE", "--Ts", "0.1", "--N", "30", "--steps", "40"]
@@ -95,7 +95,7 @@ def test_rivals_page_and_csv():
 
 @pytest.mark.parametrize("axes", [0, 1, 2, 3, 6])
 def test_grid_uses_no_more_than_it_may(axes):
-    from cnclik.study import parameters as pm
+    from cnclik.tuning import parameters as pm
 
     start = np.full((axes,), 5.0) if axes else 5.0
     p = pm.parameter("alpha", start, 0.01, 100.0, None)
@@ -107,7 +107,7 @@ def test_grid_uses_no_more_than_it_may(axes):
 
 @pytest.mark.slow
 def test_gradient_is_no_worse_than_its_rivals(tmp_path, capsys):
-    from cnclik.study.rivals import rivals
+    from tests.bench.rivals import rivals
 
     rows = {r.way: r for r in rivals("2-dof line", "per-axis", steps=60)}
     assert len(rows) == 4 and all(r.satisfied and r.evaluations <= 60 for r in rows.values())

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from oracles import central_differences, close
 
 import cnclik as ck
+from tests.oracles import central_differences, close
 
 N = 4
 ORDINARY = dict(

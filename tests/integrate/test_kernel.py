@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.bench import timing as bench
 from cnclik.integrate import kernel
 from cnclik.integrate.lanes import _kernel_or
-from cnclik.study import bench
 
 LANES = 11  # not a multiple of the tile
 PANDA = bench.ROBOTS["panda"]()

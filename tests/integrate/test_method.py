@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
-from oracles import AMPLIFICATION, clik, close, picard_amplification, planar_law
 
 import cnclik as ck
+from tests.oracles import AMPLIFICATION, clik, close, picard_amplification, planar_law
 
 IMPLICIT = ["IE", "CN", "TRAPEZOID"]
 Z = [0.1, 0.5, 1.0, 1.354, 2.0, 2.7852935634, 3.3]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.study.problem import start_from
+from cnclik.problem.build import start_from
 
 pin = pytest.importorskip("pinocchio")
 

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import clik, close, planar_law
 
 import cnclik as ck
+from tests.oracles import clik, close, planar_law
 
 LENGTHS = [0.7, 1.1, 0.4]
 ARM = ck.planar_arm(LENGTHS)

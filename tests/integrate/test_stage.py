@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close
 
 import cnclik as ck
+from tests.oracles import close
 
 ARM = ck.planar_arm([1.0, 0.8, 0.5])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=4.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import central_differences, close
 
 from cnclik.law import dense
+from tests.oracles import central_differences, close
 
 
 def rows(a):

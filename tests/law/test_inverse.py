@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close
 
 import cnclik as ck
+from tests.oracles import close
 
 INVERSES = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.2), "transpose": ck.transpose()}
 

@@ -4,10 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close, damped_inverse, pinocchio_pose_and_jacobian, planar_jacobian, planar_law, planar_position
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
+from tests.oracles import (
+    close,
+    damped_inverse,
+    pinocchio_pose_and_jacobian,
+    planar_jacobian,
+    planar_law,
+    planar_position,
+)
 
 LENGTHS = np.array([0.7, 1.1, 0.4])
 ARM = ck.planar_arm(LENGTHS.tolist())

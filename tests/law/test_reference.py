@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.law.reference import sample
+from tests.oracles import close
 
 POSE = ck.pose_task()
 

@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.law.task import error_and_rows
 from cnclik.robot.kinematics import frames
+from tests.oracles import close
 
 ARM = ck.from_screws(
     [[0.0, 0, 0], [0, 0, 0.3], [0, 0.4, 0.3], [0, 0.8, 0.3]],

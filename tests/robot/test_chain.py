@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+from tests.oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 
 LENGTHS = [0.7, 1.1, 0.4]
 # Parameters per joint: literal right angles and zeros (which fold) among general numbers.

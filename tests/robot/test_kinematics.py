@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import close, pinocchio_pose_and_jacobian, planar_jacobian, transform
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+from tests.oracles import close, pinocchio_pose_and_jacobian, planar_jacobian, transform
 
 KINDS = ["R", "P", "RPRRPRR", "PRRPRRR", "RRRRRRR"]
 

@@ -8,10 +8,10 @@ import pytest
 import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import close, hat
 from scipy.spatial.transform import Rotation
 
 from cnclik.robot import spatial as sp
+from tests.oracles import close, hat
 
 
 @jax.jit

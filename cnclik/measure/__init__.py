@@ -1,0 +1,1 @@
+"""Numbers from runs: metrics, outcomes, labelled datasets, files."""

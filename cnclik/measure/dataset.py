@@ -1,0 +1,119 @@
+"""Trajectories as labelled data: named dimensions, units on every variable, the configuration in the attributes."""
+
+import functools
+import json
+import subprocess
+from pathlib import Path
+
+import jax
+import numpy as np
+import xarray as xr
+
+from cnclik import errors
+from cnclik.integrate.status import Status
+from cnclik.integrate.trajectory import Trajectory
+from cnclik.law.law import Law
+from cnclik.robot.chain import REVOLUTE
+from cnclik.version import __version__
+
+
+def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> xr.Dataset:
+    """A trajectory, or a batch of them, as an `xarray.Dataset`.
+
+    Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from
+    instant k to k + 1), then `joint` or `axis`. Every variable bears `long_name` and `units`.
+
+    Args:
+      trajectory: from `solve`; batched, its leaves carry leading axes.
+      law: the law that was run: its chain names the joints, its task the axes.
+      dims: names of the leading axes, outermost first.
+      coords: labels along them, {dim: values}.
+      config: what made the data, put into the attributes as one JSON string.
+
+    Raises: ArgumentError where `dims` does not fit the trajectory's leading axes.
+    """
+    dims = tuple(dims)
+    t, evaluations = np.asarray(trajectory.t), np.asarray(trajectory.evaluations)
+    if np.ndim(trajectory.residual) != len(dims) + 1:
+        raise errors.fail(
+            "dims", f"name the {np.ndim(trajectory.residual) - 1} leading axes of the trajectory", f"is {dims}"
+        )
+    lanes = np.shape(trajectory.residual)[:-1]
+    q_units = _joint_units(law.chain)
+    x_units = law.task.units
+    one = functools.partial(_joined, separator=" or ")
+    instant, step = (*dims, "time"), (*dims, "step")
+    flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(s.name for s in Status if s)}
+    variables = {
+        "q": ((*instant, "joint"), trajectory.q, _about("joint value", one(q_units))),
+        "x": ((*instant, "axis"), trajectory.x, _about("task coordinate", one(x_units))),
+        "e": ((*instant, "axis"), trajectory.e, _about("error x_d − x", one(x_units))),
+        "qdot": ((*step, "joint"), trajectory.qdot, _about("joint velocity", one(f"{u}/s" for u in q_units))),
+        "residual": (step, trajectory.residual, _about("last change of the implicit stage", one(q_units))),
+        "contraction": (step, trajectory.contraction, _about("ratio of its last two changes", "1")),
+        "status": (step, trajectory.status, _about("status bits", "1") | flags),
+        "evaluations": (dims, np.broadcast_to(evaluations, lanes), _about("evaluations of f(q, t)", "1")),
+    }
+    labels = {
+        "joint": ("joint", list(law.chain.joint_names), _about("joint", "1")),
+        "joint_unit": ("joint", list(q_units), _about("unit of the joint's value", "1")),
+        "axis": ("axis", list(law.task.names), _about("task coordinate", "1")),
+        "axis_unit": ("axis", list(x_units), _about("unit of the task coordinate", "1")),
+        "step": ("step", np.arange(np.shape(trajectory.residual)[-1]), _about("step", "1")),
+    }
+    first = t.reshape(-1, t.shape[-1])[0]
+    if np.all(t == first):
+        labels["time"] = ("time", first, _about("time", "s"))
+    else:  # lanes with clocks of their own, such as a sweep over Ts
+        variables["t"] = (instant, t, _about("time", "s"))
+    variables = {name: (d, np.asarray(v), about) for name, (d, v, about) in variables.items()}
+    found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(trajectory.q.dtype))
+    return found if config is None else found.assign_attrs(config=as_json(config))
+
+
+def as_json(config) -> str:
+    """A configuration as one line of JSON with sorted keys: what goes into attributes."""
+    return json.dumps(config, sort_keys=True, ensure_ascii=False)
+
+
+def provenance(dtype) -> dict:
+    """What, beside the configuration, the numbers may depend on: versions, commit, dtype, device."""
+    return {
+        "cnclik": __version__,
+        "commit": _commit(),
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "dtype": str(np.dtype(dtype)),
+        "device": jax.default_backend(),
+    }
+
+
+@functools.cache
+def _commit() -> str:
+    """Commit of the checkout this package lies in, "unknown" for an installed one; "+" marks local changes."""
+    package = Path(__file__).parents[1]
+
+    def git(*args):
+        return subprocess.run(["git", *args], cwd=package, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", "__init__.py")  # not just a venv inside some other checkout
+        return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _about(name, units):
+    return {"long_name": name, "units": units}
+
+
+def _joined(units, separator):
+    return separator.join(dict.fromkeys(units))
+
+
+def _joint_units(chain):
+    """Unit of each joint coordinate, that of the first joint it drives."""
+    units = {}
+    for joint in chain.joints:
+        units.setdefault(joint.coordinate, "rad" if joint.kind == REVOLUTE else "m")
+    return tuple(units[i] for i in range(chain.n))

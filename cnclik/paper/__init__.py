@@ -1,0 +1,1 @@
+"""Drexler (2016): its experiments under every reading, its claims, its figures."""

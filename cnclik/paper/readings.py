@@ -1,0 +1,248 @@
+"""The experiments of Drexler (2016), Section V, under every reading its text allows.
+
+Three places of the text do not fix the algorithm: the sense of rotation, whether Ts enters the implicit
+iteration once or twice, and the feed-forward of Case II. A `Reading` settles each; `reproduce` runs all
+eight on both arms and both cases, and beside the paper's methods the textbook ones.
+"""
+
+import functools
+import itertools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.method import CN, METHODS, Method
+from cnclik.integrate.solve import solve
+from cnclik.integrate.stage import picard
+from cnclik.integrate.trajectory import Trajectory, truncate
+from cnclik.law.law import Law, evaluate
+from cnclik.law.reference import Reference, line, with_feedforward
+from cnclik.law.task import position
+from cnclik.record import stack
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import planar_arm
+
+# Settings of Section V.
+TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
+
+PAPER = ("EE", "IE", "CN")
+BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4")
+
+
+class Arm(NamedTuple):
+    """One of the paper's planar arms, links of 1 m; it starts from q = (0, π/2, 0, …)."""
+
+    n: int
+    target: tuple  # Case I: the point to reach [m]
+    start: tuple  # Case II: where the path begins; it runs 1 m in −x [m]
+
+
+ARMS = {"2dof": Arm(2, (1.0, 0.0), (1.0, 1.0)), "5dof": Arm(5, (3.0, 1.0), (4.0, 1.0))}
+CASES = ("reach", "track")  # Case I, Case II
+
+
+class Reading(NamedTuple):
+    """One way to read the paper where its text leaves a choice."""
+
+    rotation: str
+    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
+    Ts: str
+    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
+    feedforward: str
+    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
+
+    def __str__(self):
+        return "/".join(self)
+
+
+_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
+READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
+DEFAULT = READINGS["on-path/once/consistent"]
+
+
+def reading(name) -> Reading:
+    """The reading of that name, such as "on-path/once/consistent"; ArgumentError suggests the nearest."""
+    return READINGS[errors.one_of("reading", str(name), READINGS)]
+
+
+# --- one experiment -----------------------------------------------------------------------------------
+
+
+def law(arm: str, rotation: str = "on-path") -> Law:
+    """The loop of Section V: planar position with gain 5 1/s and the pseudoinverse."""
+    chain = planar_arm([1.0] * ARMS[arm].n, clockwise=rotation == "on-path")
+    return Law(chain, position("xy"), alpha=ALPHA)
+
+
+def start(arm: str):
+    """q at t = 0, (n,): (0, π/2, 0, …) [rad]."""
+    return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
+
+
+def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
+    """Reference of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (eqs. 15-16, 18-19)."""
+    errors.one_of("case", case, CASES)
+    if case == "reach":
+        begin = end = ARMS[arm].target
+        velocity = (0.0, 0.0)
+    else:
+        begin = ARMS[arm].start
+        end = (begin[0] - 1.0, begin[1])
+        velocity = (-1.0 / (N * TS), 0.0) if feedforward == "consistent" else (-1.0, 0.0)
+    # Told explicitly also where it is the path's own, so that all cases have one structure and can be lanes.
+    return with_feedforward(line(begin, end, duration=N * TS), velocity)
+
+
+def tableau(method: Method, Ts: str = "once") -> Method:
+    """The method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
+
+    Eq. 7 moves by Ts times an increment that holds a factor Ts already: θ̃ = θ + Ts·(Ts·slope). The slope is
+    then taken at a·Ts = Ts² instead of Ts.
+    """
+    if Ts == "once" or not method.implicit:
+        return method
+    A = tuple((*row[:-1], row[-1] * TS) for row in method.A)
+    return Method(name=method.name, A=A, b=method.b, c=method.c, order=1, source="Drexler (2016), eqs. 6-8 as printed")
+
+
+def experiment(arm: str, case: str, method: Method | str = CN, reading: Reading = DEFAULT) -> Trajectory:
+    """One run of Section V by itself: `experiment("5dof", "track", "CN").e`.
+
+    Args:
+      arm: "2dof" or "5dof".
+      case: "reach" (Case I) or "track" (Case II).
+      method: any of `METHODS`, or its name.
+      reading: how to read the text.
+    """
+    errors.one_of("arm", arm, ARMS)
+    if not isinstance(method, Method):
+        method = METHODS[errors.one_of("method", method, METHODS)]
+    return solve(
+        law(arm, reading.rotation),
+        path(arm, case, reading.feedforward),
+        start(arm),
+        TS,
+        N,
+        tableau(method, reading.Ts),
+        picard(M),
+    )
+
+
+# --- all of them --------------------------------------------------------------------------------------
+
+HALVINGS = 4  # the sampling time goes down to TS/2^HALVINGS
+CONVERGED = 25  # passes that solve an implicit stage of a tracking run far beyond the method's own error
+PASSES = 40  # passes followed one by one for claim (c)
+NUDGES = 6  # runs from starts displaced by about NUDGE: numbers that move with them are not determined
+NUDGE = 1e-12  # [rad]
+
+
+class Lane(NamedTuple):
+    """One run among those that a compiled program does side by side."""
+
+    rotation: str
+    case: str
+    feedforward: str
+    nudge: int = 0  # number of the displaced start, 0 for the paper's own
+    halving: int = 0  # Ts = TS/2^halving
+    M: int = M
+
+    @property
+    def N(self):
+        return N * 2**self.halving
+
+
+_PATHS = (("reach", "consistent"), ("track", "consistent"), ("track", "printed"))
+_PAPER_LANES = [Lane(rotation, *p) for rotation in ("on-path", "printed") for p in _PATHS]
+_NUDGED_LANES = [lane._replace(nudge=i) for lane in _PAPER_LANES for i in range(1, NUDGES + 1)]
+_WORK_LANES = [Lane("on-path", case, "consistent", halving=h) for case in CASES for h in range(1, HALVINGS + 1)]
+_ORDER_LANES = [Lane("on-path", "track", "consistent", halving=h, M=CONVERGED) for h in range(HALVINGS + 1)]
+LANES = (*_PAPER_LANES, *_NUDGED_LANES, *_WORK_LANES, *_ORDER_LANES)
+
+# What is run in each lane: (Ts once or twice, method).
+METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"), ("twice", "CN"))
+# Where the Picard iteration is followed. IE's stage is CN's second: it is the same iteration, from the states
+# of either run.
+_FOLLOWED = tuple((Ts, name) for Ts, name in METHOD_RUNS if name in ("IE", "CN"))
+
+
+@functools.partial(jax.jit, static_argnames=("N_max",))
+def _program(laws, references, q0, Ts, M, *, N_max):
+    """Every method over all lanes, and the passes of the Picard iteration from the states of the first ones.
+
+    One compiled program per arm, because the methods share their stages: a ninth costs little beside the first.
+    """
+
+    def run(Ts_reading, name):
+        method = tableau(METHODS[name], Ts_reading)
+
+        def lane(law, reference, q0, Ts, M):
+            return solve(law, reference, q0, Ts, N_max, method, picard(M, maximum=CONVERGED))
+
+        return jax.vmap(lane)(laws, references, q0, Ts, M)
+
+    def follow(Ts_reading, trajectory):
+        h = TS if Ts_reading == "once" else TS * TS  # where the next slope is taken: θ + h·slope
+
+        def passes(law, reference, q, t):
+            q = tuple(q)
+
+            def one(slope, _):
+                ahead = tuple(a + h * v for a, v in zip(q, slope, strict=True))
+                new = evaluate(law, reference, t + TS, ahead).qdot
+                return new, TS * sp.safe_norm(sp.vsub(new, slope))
+
+            first = evaluate(law, reference, t, q).qdot
+            _, changes = jax.lax.scan(one, first, length=PASSES)
+            return jnp.append(TS * sp.safe_norm(first), changes)
+
+        # Step by step over all lanes, not all at once: lanes of one shape share their compiled stages.
+        states = jnp.swapaxes(trajectory.q[:, :N], 0, 1), jnp.swapaxes(trajectory.t[:, :N], 0, 1)
+        found = jax.lax.map(lambda at: jax.vmap(passes)(laws, references, *at), states)
+        return jnp.moveaxis(found, 0, -1)[: len(_PAPER_LANES)]
+
+    runs = {key: run(*key) for key in METHOD_RUNS}
+    return runs, {key: follow(key[0], runs[key]) for key in _FOLLOWED}
+
+
+class Found(NamedTuple):
+    """What the programs gave, by name.
+
+    Attributes:
+      runs: {(arm, Ts, method, lane): Trajectory}, Ts being "once" or "twice".
+      residuals: {(arm, Ts, method, lane): (PASSES + 1, N)}: from the state before each step of a run, the
+        change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment (eq. 9) in the last of 0, 1, … passes [rad].
+    """
+
+    runs: dict
+    residuals: dict
+
+
+def run_arm(arm: str) -> Found:
+    """All runs of one arm, by one compiled program."""
+    nudges = NUDGE * np.random.default_rng(0).standard_normal((NUDGES, ARMS[arm].n))
+    nudges = np.concatenate([np.zeros((1, ARMS[arm].n)), nudges])
+    runs, residuals = _program(
+        stack([law(arm, lane.rotation) for lane in LANES]),
+        stack([path(arm, lane.case, lane.feedforward) for lane in LANES]),
+        jnp.stack([start(arm) + nudges[lane.nudge] for lane in LANES]),
+        jnp.array([TS / 2**lane.halving for lane in LANES]),
+        jnp.array([lane.M for lane in LANES]),
+        N_max=max(lane.N for lane in LANES),
+    )
+    runs, residuals = jax.device_get((runs, residuals))
+    return Found(
+        {
+            (arm, Ts, name, lane): truncate(jax.tree.map(lambda a, i=i: a[i], batch), lane.N)
+            for (Ts, name), batch in runs.items()
+            for i, lane in enumerate(LANES)
+        },
+        {
+            (arm, Ts, name, lane): batch[i]
+            for (Ts, name), batch in residuals.items()
+            for i, lane in enumerate(_PAPER_LANES)
+        },
+    )

@@ -1,0 +1,35 @@
+"""Float64 where an answer needs it, whatever the caller's setting.
+
+JAX computes in float32 unless told otherwise, and eigenvalues that are 1 to seven digits can't tell a stable loop
+from an unstable one. What advises (stability, tuning, sweeps) therefore works in float64 by itself.
+"""
+
+import functools
+
+import jax
+import numpy as np
+
+
+def in_float64(fn):
+    """Decorator: run `fn` in float64; arrays among its arguments are widened, results stay as they come.
+
+    Under jit, vmap or grad (traced arguments) the caller's own precision is all there is, and is kept.
+    """
+
+    @functools.wraps(fn)
+    def wide(*args, **kwargs):
+        leaves = jax.tree.leaves((args, kwargs))
+        if jax.config.jax_enable_x64 or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return fn(*args, **kwargs)
+        with jax.enable_x64(True):
+            args, kwargs = jax.tree.map(_widened, (args, kwargs))
+            return fn(*args, **kwargs)
+
+    return wide
+
+
+def _widened(leaf):
+    """A floating array in float64 (as NumPy's: it belongs to no setting); anything else as it is."""
+    if hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating):
+        return np.asarray(leaf, np.float64)
+    return leaf

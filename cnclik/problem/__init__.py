@@ -1,0 +1,1 @@
+"""A loop in plain names: one vocabulary and one builder."""

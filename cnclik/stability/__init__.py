@@ -1,0 +1,1 @@
+"""Which gain is safe at which sampling time."""

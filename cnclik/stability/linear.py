@@ -1,0 +1,246 @@
+"""Linear theory: what a method's own step does to ė = −alpha e.
+
+z = alpha·Ts throughout, real or complex; R(z) is the factor by which one step multiplies e. The library's own
+stepping runs over the linear field, so code and theory can't drift apart: `picard(5)` is the polynomial that five
+passes are, `chord` and `newton` solve a linear stage exactly.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.method import METHODS, Method
+from cnclik.integrate.solve import march
+from cnclik.integrate.stage import picard
+from cnclik.record import record
+
+REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
+_SLACK = 1e-12  # |R| above 1 by more than this is unstable: rounding of R(z) = ±1 is not
+
+
+class _Linear(NamedTuple):
+    """The field q̇ = −w q, for q = x + iy kept as two real scalars."""
+
+    qdot: tuple
+    correct: object
+
+
+def _field(w):
+    a, b = w
+
+    def field(c, q):
+        def correct(h, r):
+            p, s = 1.0 + h * a, h * b
+            size = p * p + s * s
+            return (p * r[0] + s * r[1]) / size, (p * r[1] - s * r[0]) / size
+
+        x, y = q
+        return _Linear(qdot=(b * y - a * x, -a * y - b * x), correct=correct)
+
+    return field
+
+
+@functools.partial(jax.jit, static_argnames=("method",))
+def _amplification(method, stage, a, b):
+    def one(a, b):
+        start = (jnp.ones_like(a), jnp.zeros_like(a))
+        return march(_field((a, b)), start, jnp.ones_like(a), method, stage).q
+
+    return jax.vmap(one)(a, b)
+
+
+def amplification(method, stage, z):
+    """R(z): the factor by which one step of the method multiplies the error of ė = −alpha e.
+
+    Args:
+      method: EE, IE, CN, ... or a `Method` of your own; also by name.
+      stage: how implicit stages are solved, such as picard(5); None for explicit methods.
+      z: alpha·Ts, a number or an array of any shape, real or complex. Numerical analysis writes −z for it.
+    Returns: an array of the shape of z, complex where z is.
+    """
+    method, stage = named(method, stage)
+    z = np.asarray(z)
+    flat = z.reshape(-1)
+    a, b = jnp.asarray(flat.real, float), jnp.asarray(flat.imag, float)
+    x, y = _amplification(method, stage, a, b)
+    value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
+    return value.reshape(z.shape)
+
+
+def named(method, stage):
+    """A method by name, and the stage an explicit method doesn't need."""
+    if not isinstance(method, Method):
+        method = METHODS[errors.one_of("method", method, METHODS)]
+    if stage is None:
+        if method.implicit:
+            raise errors.fail("stage", f"be given for {method}, such as picard(5)", "is None")
+        stage = picard(0)
+    if not hasattr(stage, "tolerance"):
+        raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
+    return method, stage
+
+
+# --- crossings ----------------------------------------------------------------------------------------
+
+
+def first_above(fn, level, reach=REACH, points=1024):
+    """Smallest z > 0 from which fn(z) > level, to 11 digits; inf where that is nowhere up to `reach`.
+
+    fn maps an array (points,) to one. It is looked at every 0.01 up to 10 and in geometric steps beyond; an
+    excursion narrower than that is not seen.
+    """
+    near = np.linspace(0, 10, points + 1)[1:]
+    grids = (near, np.geomspace(10, reach, points)) if reach > 10 else (np.linspace(0, reach, points + 1)[1:],)
+    low = 0.0
+    for grid in grids:
+        above = ~(np.asarray(fn(grid)) <= level)  # NaN counts as above
+        if above.any():
+            i = int(np.argmax(above))
+            low, high = (grid[i - 1] if i else low), grid[i]
+            break
+        low = grid[-1]
+    else:
+        return np.inf
+    for _ in range(4):  # each time a thousandth of the bracket
+        grid = np.linspace(low, high, points + 1)[1:]
+        i = int(np.argmax(~(np.asarray(fn(grid)) <= level)))
+        low, high = (grid[i - 1] if i else low), grid[i]
+    return float(0.5 * (low + high))
+
+
+def least_on(fn, high, points=1024):
+    """Where fn is least on (0, high], and its value there."""
+    low = 0.0
+    if high > 10:  # unbounded in effect: first find the scale
+        grid = np.geomspace(1e-2, high, points)
+        i = int(np.argmin(fn(grid)))
+        if i == points - 1:
+            return float(high), float(np.asarray(fn(grid))[-1])
+        low, high = (grid[i - 1] if i else 0.0), grid[i + 1]
+    for _ in range(5):
+        grid = np.linspace(low, high, points + 1)[1:]
+        values = np.asarray(fn(grid))
+        i = int(np.argmin(values))
+        low, high = (grid[i - 1] if i else low), grid[min(i + 1, points - 1)]
+    return float(grid[i]), float(values[i])
+
+
+# --- limits -------------------------------------------------------------------------------------------
+
+
+@record
+class Limits:
+    """What R(z) says on the real axis, z = alpha·Ts; inf where there is no limit.
+
+    Attributes:
+      stable: largest z up to which |R| ≤ 1.
+      monotone: largest z up to which 0 ≤ R ≤ 1: the error shrinks without changing sign.
+      dead_beat: smallest z with R = 0, where one step removes the error; NaN where there is none.
+      fastest: z of the smallest |R| in the stable range.
+      rate: |R| there.
+    """
+
+    stable: float
+    monotone: float
+    dead_beat: float
+    fastest: float
+    rate: float
+
+
+def limits(method, stage=None) -> Limits:
+    """Stable, monotone, dead-beat and fastest z of a method with its stage, from `amplification`.
+
+    Args: as for `amplification`.
+    """
+    method, stage = named(method, stage)
+    real = functools.partial(amplification, method, stage)
+    size = lambda z: np.abs(real(z))  # noqa: E731
+    stable = first_above(size, 1 + _SLACK)
+    crossing = first_above(lambda z: -real(z), 1e-13)
+    fastest, rate = least_on(size, min(stable, REACH))
+    dead_beat = crossing if crossing < stable else np.nan
+    if fastest >= REACH:  # approached, never reached
+        fastest = np.inf
+    return Limits(stable=stable, monotone=min(stable, crossing), dead_beat=dead_beat, fastest=fastest, rate=rate)
+
+
+def stability_limit(method, stage=None) -> float:
+    """Largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none.
+
+    EE 2, IE with picard(5) 1, IE with chord(M) inf, the paper's CN solved exactly 1 + √5, RK4 2.785.
+    """
+    method, stage = named(method, stage)
+    return first_above(lambda z: np.abs(amplification(method, stage, z)), 1 + _SLACK)
+
+
+def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4.0), points=401):
+    """|R(z)| over the complex plane, stable where it is at most 1.
+
+    A pair of complex z belongs to a gain matrix with complex eigenvalues, or to a law that turns (error in a
+    rotating frame, a Jacobian that is wrong by an angle φ: z exp(iφ)).
+
+    Returns: an xarray.DataArray with dimensions (im, re).
+    """
+    import xarray as xr
+
+    method, stage = named(method, stage)
+    x, y = np.linspace(*real, points), np.linspace(*imaginary, points)
+    values = np.abs(amplification(method, stage, x + 1j * y[:, None]))
+    return xr.DataArray(
+        values,
+        dims=("im", "re"),
+        coords={
+            "re": ("re", x, {"units": "1", "long_name": "Re z"}),
+            "im": ("im", y, {"units": "1", "long_name": "Im z"}),
+        },
+        name="amplification",
+        attrs={"units": "1", "long_name": "|R(z)|", "method": method.name, "stage": str(stage)},
+    )
+
+
+# --- delay --------------------------------------------------------------------------------------------
+
+
+def delayed_radius(method, stage, z, delay: int):
+    """Spectral radius of the loop whose error is measured `delay` samples late.
+
+    A step then adds its increment from the state `delay` samples ago, e[k+1] = e[k] + (R(z) − 1) e[k−d]: the
+    largest root of λ^(d+1) − λ^d + 1 − R(z) = 0.
+
+    Args:
+      z: alpha·Ts, an array of any shape.
+      delay: d ≥ 0, whole samples.
+    """
+    delay = errors.integer("delay", delay, at_least=0)
+    increment = np.asarray(amplification(method, stage, z)) - 1
+    companion = np.zeros((*increment.shape, delay + 1, delay + 1), increment.dtype)
+    companion[..., 0, 0] += 1
+    companion[..., 0, -1] += increment
+    companion[..., np.arange(1, delay + 1), np.arange(delay)] = 1
+    return np.abs(np.linalg.eigvals(companion)).max(-1)
+
+
+def delay_limit(delay: int, method="EE", stage=None) -> float:
+    """Largest stable z = alpha·Ts with an error measured `delay` samples late, on the real axis.
+
+    Explicit Euler: 2 sin(π/(2(2d + 1))), that is 2, 1, 0.618, 0.445, 0.347 for d = 0 … 4 (Levin & May 1976).
+    """
+    method, stage = named(method, stage)
+    return first_above(lambda z: delayed_radius(method, stage, z, delay), 1 + _SLACK)
+
+
+# --- units of gain ------------------------------------------------------------------------------------
+
+
+def gain_per_step(alpha, Ts):
+    """z = alpha·Ts: the dimensionless gain per step that pink and mink take (1 is dead-beat for EE)."""
+    return alpha * Ts
+
+
+def gain_per_second(z, Ts):
+    """alpha = z/Ts [1/s]: the rate that this library, robotics-toolbox and frax take, from a gain per step."""
+    return z / Ts

@@ -1,0 +1,209 @@
+"""Maps: outcomes of whole nonlinear loops over alpha, Ts and M, with the linear boundary beside them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik import errors
+from cnclik.integrate.lanes import lanes
+from cnclik.integrate.method import EE
+from cnclik.integrate.solve import advance, evaluations_per_step
+from cnclik.integrate.stage import picard
+from cnclik.law import reference as ref
+from cnclik.measure.outcome import Kind, Outcome, outcome, stable
+from cnclik.record import replace
+from cnclik.robot.kinematics import as_joint_values, frames, stack
+from cnclik.stability.linear import named, stability_limit
+from cnclik.stability.spectrum import largest_rate, recommend, settle
+
+CHUNK = 1 << 15  # loops run between two looks at the progress
+WORTH = 10_000_000  # evaluations of f: fewer don't win back what a native loop takes longer to compile, up to 20 s
+BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
+
+
+def measure(
+    law,
+    reference,
+    q0,
+    *,
+    alpha,
+    Ts,
+    M=None,
+    N=100,
+    method=EE,
+    stage=picard(5),
+    tolerance=1e-3,
+    scale=None,
+    chunk=CHUNK,
+    progress=None,
+) -> Outcome:
+    """Run a loop for every combination given and say how each ended, see `outcome`.
+
+    Args:
+      law, reference: the loop; a gain that is no scalar is scaled so that its largest |eigenvalue| is alpha.
+      q0: (..., n) start; alpha, Ts, M: (...); all are broadcast against each other, one loop each.
+      M: passes in place of the stage's own, or None.
+      N, tolerance, scale: horizon in steps and what counts as arrived.
+      chunk: loops run between two calls of `progress`, on all cores.
+      progress: called with the number of loops done so far, or None.
+    Returns: `Outcome` of NumPy arrays (...).
+    """
+    method, stage = named(method, stage)
+    ref.check(reference, law.task)
+    N = errors.integer("N", N, at_least=4)
+    q0 = np.asarray(errors.array("q0", q0), float)
+    shape = np.broadcast_shapes(q0.shape[:-1], np.shape(alpha), np.shape(Ts), np.shape(M) if M is not None else ())
+    count = int(np.prod(shape))
+    chunk = min(errors.integer("chunk", chunk, at_least=1), count)
+    pad = -count % chunk
+
+    def flat(values, kind=float, tail=()):
+        values = np.broadcast_to(np.asarray(values, kind), shape + tail).reshape((count, *tail))
+        return np.concatenate([values, np.broadcast_to(values[-1:], (pad, *tail))])  # one shape, one compilation
+
+    factor, time = flat(alpha) / largest_rate(law.alpha), flat(Ts)
+    start = flat(q0, tail=q0.shape[-1:])
+    if M is not None:
+        M = flat(M, int)
+        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))
+
+    def one(q0, factor, Ts, M):
+        gained = replace(law, alpha=law.alpha * factor)
+        own = stage if M is None else replace(stage, M=M)
+        return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
+
+    run = many(one, count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n)))
+    done = []
+    for i in range(0, count, chunk):
+        part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]
+        done.append(jax.tree.map(np.asarray, run(*part)))
+        if progress is not None:
+            progress(min(i + chunk, count))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
+
+
+def many(one, evaluations):
+    """vmap(one), for so many evaluations of f in all: what `lanes` compiles is faster, but takes longer to compile."""
+    return lanes(one, block=BLOCK) if evaluations > WORTH else jax.jit(jax.vmap(one))
+
+
+def stability_map(law, reference, q0, alpha, Ts, *, method=EE, stage=picard(5), **options):
+    """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest.
+
+    Args:
+      law, reference, q0: the loop; the reference must hold still.
+      alpha: (a,) gains [1/s]. Ts: (b,) sampling times [s].
+      method, stage: as for `solve`.
+      options: as for `measure`.
+    Returns: an xarray.Dataset over (Ts, alpha), with `limit` (Ts,), the largest stable alpha by `recommend`.
+    """
+    import xarray as xr
+
+    method, stage = named(method, stage)
+    q0 = as_joint_values(law.chain, q0, "q0")
+    alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
+    rest = settle(law, reference, q0)
+    made = measure(law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, **options)
+    limit = boundary(law, rest, Ts, method=method, stage=stage, target=reference)
+    return xr.Dataset(
+        _variables(made, ("Ts", "alpha")) | {"limit": ("Ts", limit, {"units": "1/s", "long_name": "linear boundary"})},
+        coords={
+            "alpha": ("alpha", alpha, {"units": "1/s", "long_name": "gain α"}),
+            "Ts": ("Ts", Ts, {"units": "s", "long_name": "sampling time"}),
+        },
+        attrs=_attributes(law, q0, method, stage, options),
+    )
+
+
+def boundary(law, rest, Ts, *, method, stage, target=None):
+    """Largest stable alpha [1/s] by linear theory for each Ts (b,): a hyperbola, unless a null-space velocity acts."""
+    Ts = np.asarray(Ts, float)
+    some = Ts if callable(law.null_velocity) else Ts[:1]
+    found = [recommend(law, rest, Ts=float(T), method=method, stage=stage, target=target).z_largest for T in some]
+    return np.asarray(found) / Ts
+
+
+def passes_map(law, reference, q0, z, M, *, Ts=0.1, method=EE, stage=picard(0), **options):
+    """Measured outcomes over z = alpha·Ts and the number of passes M, and the linear limit for each M.
+
+    Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts.
+    Returns: an xarray.Dataset over (M, z), with `limit` (M,) in z.
+    """
+    import xarray as xr
+
+    method, stage = named(method, stage)
+    z, M = np.asarray(z, float), np.asarray(M, int)
+    made = measure(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, **options)
+    masked = [replace(stage, M=jnp.asarray(int(m)), maximum=int(M.max())) for m in M]
+    return xr.Dataset(
+        _variables(made, ("M", "z")) | {"limit": ("M", [stability_limit(method, s) for s in masked], {"units": "1"})},
+        coords={
+            "z": ("z", z, {"units": "1", "long_name": "z = α·Ts"}),
+            "M": ("M", M, {"units": "1", "long_name": "passes M"}),
+        },
+        attrs=_attributes(law, q0, method, stage, options) | {"Ts": Ts, "stage": type(stage).__name__.lower()},
+    )
+
+
+def _variables(made: Outcome, dims):
+    kinds = {"flag_values": [k.value for k in Kind], "flag_meanings": " ".join(k.name for k in Kind)}
+    return {
+        "kind": (dims, made.kind, {"units": "1", "long_name": "outcome"} | kinds),
+        "rate": (dims, made.rate, {"units": "1", "long_name": "mean factor of the error per step"}),
+        "steps": (dims, made.steps, {"units": "1", "long_name": "steps to the tolerance"}),
+        "final": (dims, made.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
+        "near_singular": (dims, made.near_singular, {"units": "1"}),
+        "not_converged": (dims, made.not_converged, {"units": "1", "long_name": "some stage not converged"}),
+    }
+
+
+def _attributes(law, q0, method, stage, options):
+    plain = {k: v for k, v in options.items() if k in ("N", "tolerance", "scale") and v is not None}
+    return {
+        "method": method.name,
+        "stage": str(stage),
+        "q0": np.asarray(q0).ravel(),
+        "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
+    } | ({"N": 100, "tolerance": 1e-3} | plain)
+
+
+# --- agreement with linear theory ----------------------------------------------------------------------
+
+
+def agreement(kind, z, limit, *, band=0.03):
+    """Fraction of loops whose measured outcome is what z against the linear limit says, outside a band around it.
+
+    Args:
+      kind, z, limit: outcomes, z (or alpha) and that of the boundary (inf: all stable), broadcast together.
+    """
+    kind, z, limit = np.broadcast_arrays(kind, z, limit)
+    finite = np.isfinite(limit)
+    outside = ~finite | (np.abs(z - np.where(finite, limit, 0)) > band * np.where(finite, limit, 0))
+    told = stable(kind) == (z < limit)
+    return float(told[outside].mean())
+
+
+def starts(law, rest, moves):
+    """Starts (k, n) from which the tip has to go by -moves (k, d) [m] to be where it is at rest (n,).
+
+    Found by letting the loop go from `rest` to each displaced target, so the initial error is `moves` to rounding
+    where the target is within reach. Orientations are kept.
+    """
+    rest = as_joint_values(law.chain, rest, "rest")
+    moves = jnp.asarray(errors.array("moves", moves, (None, len(law.task.position))))
+    return np.asarray(_starts(replace(law, alpha=law.alpha / largest_rate(law.alpha)), rest, moves))
+
+
+@jax.jit
+def _starts(law, rest, moves):
+    at = frames(law.chain, tuple(rest))
+    rotation = stack(at.rotation, rest) if law.task.orientation else None
+    here = stack(tuple(at.position[i] for i in law.task.linear), rest)
+
+    def one(move):
+        target, zero = ref.hold(here - move, rotation), jnp.zeros_like(rest[0])
+        go = lambda q, _: (advance(law, target, q, zero, zero + 0.5, EE, picard(0)).q, None)  # noqa: E731
+        return stack(lax.scan(go, tuple(rest), None, length=60)[0], rest)
+
+    return jax.vmap(one)(moves)

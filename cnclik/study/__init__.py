@@ -1,1 +1,0 @@
-"""What many loops teach."""

@@ -1,0 +1,1 @@
+"""One study over a labelled grid, on disk and resumable."""

@@ -1,0 +1,1 @@
+"""Gains by gradient, stability as a constraint."""

@@ -1,0 +1,209 @@
+"""Descent under constraints: a loss made small, constraints c ≤ 0 kept, nothing non-finite ever accepted.
+
+The constraints enter an augmented Lagrangian (Nocedal & Wright 2006, eq. 17.65), whose multipliers are updated between
+rounds of steps. Every step evaluates one trial point; one that is not finite, or doesn't descend, is rejected and
+the step shortened. So a round is one compiled program of known length, the same for every start, and can be vmapped.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik.hints import quick_jit
+from cnclik.tuning.parameters import values_of
+
+FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a reverse one a few runs and their memory
+REACH = 2.0  # largest change of a free number in one step: a factor e² of a gain far below its upper bound
+SHORTEN, GIVE_UP = 0.3, 12
+
+
+def gradient_mode(count: int, mode: str = "auto") -> str:
+    """How gradients of `count` free numbers are taken: "forward" up to 8, else "reverse"."""
+    if mode != "auto":
+        return mode
+    return "forward" if count <= FORWARD_UP_TO else "reverse"
+
+
+class Carry(NamedTuple):
+    """Where a descent stands."""
+
+    u: jax.Array  # (p,)
+    merit: jax.Array  # augmented Lagrangian there; inf: not yet known
+    grad: jax.Array
+    loss: jax.Array
+    constraints: jax.Array  # (c,)
+    direction: jax.Array
+    size: jax.Array
+    failures: jax.Array
+    state: object  # the optimizer's
+    best: jax.Array  # u of the lowest loss seen with all constraints kept
+    best_loss: jax.Array
+
+
+class History(NamedTuple):
+    """What a round passed through, one entry per evaluated point."""
+
+    loss: jax.Array
+    violation: jax.Array  # largest constraint; at most 0 where all are kept
+    accepted: jax.Array
+
+
+def begin(optimizer, u, constraints: int) -> Carry:
+    """A descent that has not evaluated anything yet; u (p,)."""
+    u = jnp.asarray(u)
+    zero, inf = jnp.zeros_like(u), jnp.full((), jnp.inf, u.dtype)
+    return Carry(
+        u=u,
+        merit=inf,
+        grad=zero,
+        loss=inf,
+        constraints=jnp.full((constraints,), jnp.inf, u.dtype),
+        direction=zero,
+        size=jnp.ones((), u.dtype),
+        failures=jnp.zeros((), jnp.int32),
+        state=optimizer.init(u),
+        best=u,
+        best_loss=inf,
+    )
+
+
+@quick_jit(
+    static_argnames=("steps", "optimizer", "mode"),
+)
+def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
+    """`steps` evaluations from each of S starts, with fixed multipliers.
+
+    Args:
+      objective: a record with `parameters`, called with their values for (loss, constraints (c,)).
+      carry: `Carry` with a leading axis (S,).
+      multipliers: (S, c). weight: (S,) of the quadratic term. scale: (S,) of the loss.
+      optimizer: an optax transformation; its updates are what is tried first.
+      mode: "forward" or "reverse".
+    Returns: (`Carry`, `History` (S, steps)).
+    """
+    one = functools.partial(_round, objective, steps=steps, optimizer=optimizer, mode=mode)
+    return jax.vmap(one)(carry, multipliers, weight, scale)
+
+
+def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mode):
+    def merit(u):
+        loss, constraints = objective(values_of(objective.parameters, u))
+        beyond = jnp.maximum(constraints + multipliers / weight, 0.0)
+        held = 0.5 * weight * (jnp.sum(beyond**2) - jnp.sum((multipliers / weight) ** 2))
+        value = scale * loss + held
+        return value, (value, loss, constraints)
+
+    derivative = jax.jacfwd(merit, has_aux=True) if mode == "forward" else jax.grad(merit, has_aux=True)
+
+    def one(c: Carry, _):
+        trial = c.u + c.size * c.direction
+        grad, (value, loss, constraints) = derivative(trial)
+        finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(grad))
+        slope = jnp.vdot(c.grad, c.direction)
+        enough = c.merit + 1e-4 * c.size * slope + 1e-13 * jnp.abs(c.merit)
+        accepted = finite & ((value <= enough) | jnp.isinf(c.merit))
+        grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
+
+        updates, state = optimizer.update(grad, c.state, trial)
+        down = jnp.all(jnp.isfinite(updates)) & (jnp.vdot(updates, grad) < 0)
+        steepest = -grad / jnp.maximum(jnp.linalg.norm(grad), 1.0)
+        direction = _shortened(jnp.where(down, updates, steepest))
+        state = _where(down, state, optimizer.init(trial))
+
+        # After some rejections the optimizer's memory is at fault: start it again along the gradient.
+        failures = jnp.where(accepted, 0, c.failures + 1)
+        again = failures == GIVE_UP // 2
+        size = jnp.where(finite, SHORTEN, 0.1) * c.size
+        fallback = -0.1 * c.grad / jnp.maximum(jnp.linalg.norm(c.grad), 1e-300)
+        kept_direction = jnp.where(again, fallback, c.direction)
+        kept_state = _where(again, optimizer.init(c.u), c.state)
+
+        kept = jnp.max(constraints, initial=-jnp.inf) <= 0
+        better = finite & kept & (loss < c.best_loss)
+        new = Carry(
+            u=jnp.where(accepted, trial, c.u),
+            merit=jnp.where(accepted, value, c.merit),
+            grad=jnp.where(accepted, grad, c.grad),
+            loss=jnp.where(accepted, loss, c.loss),
+            constraints=jnp.where(accepted, constraints, c.constraints),
+            direction=jnp.where(accepted, direction, jnp.where(failures < GIVE_UP, kept_direction, 0.0)),
+            size=jnp.where(accepted | again, 1.0, size),
+            failures=failures,
+            state=_where(accepted, state, kept_state),
+            best=jnp.where(better, trial, c.best),
+            best_loss=jnp.where(better, loss, c.best_loss),
+        )
+        return new, History(new.loss, jnp.max(new.constraints, initial=-jnp.inf), accepted)
+
+    return lax.scan(one, carry, None, length=steps)
+
+
+def _shortened(direction):
+    largest = jnp.max(jnp.abs(direction))
+    return direction * jnp.minimum(1.0, REACH / jnp.where(largest > 0, largest, 1.0))
+
+
+def _where(condition, a, b):
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
+
+
+class Descended(NamedTuple):
+    """Where descents from S starts ended."""
+
+    u: np.ndarray  # (S, p) last accepted points
+    best: np.ndarray  # (S, p) points of lowest loss with all constraints kept
+    best_loss: np.ndarray  # (S,) inf where there is none
+    history: History  # (S, evaluations)
+    why: str  # "converged", "steps" or "stuck"
+
+
+def descend(objective, starts, scale, *, constraints, optimizer, mode, steps, rounds, tolerance, progress=None):
+    """Descend from S starts (S, p) in `rounds` rounds that share `steps` evaluations; see the module.
+
+    Args:
+      scale: (S,) factors of the loss, so that it is about 1.
+      constraints: how many there are.
+      tolerance: relative change of the loss over a round under which, with constraints kept, it has converged.
+      progress: called after each round with (evaluations done, loss, violation) of the best start, or None.
+    """
+    starts = jnp.asarray(starts)
+    count, dtype = len(starts), starts.dtype
+    carry = jax.vmap(lambda u: begin(optimizer, u, constraints))(starts)
+    scale = jnp.asarray(scale, dtype)
+    multipliers = jnp.zeros((count, constraints), dtype)
+    weight = jnp.full((count,), 10.0, dtype)
+    per_round = max(2, steps // rounds)
+    pieces, why = [], "steps"
+    before = np.full(count, np.inf)
+    violation_before = np.full(count, np.inf)
+    for i in range(max(1, steps // per_round)):
+        carry, history = round_of_steps(
+            objective, carry, multipliers, weight, scale, steps=per_round, optimizer=optimizer, mode=mode
+        )
+        pieces.append(jax.tree.map(np.asarray, history))
+        loss = np.asarray(carry.loss)
+        violation = np.max(np.asarray(carry.constraints), axis=1, initial=-np.inf)
+        if progress is not None:
+            at = int(np.argmin(np.where(violation <= 1e-3, loss, np.inf)))
+            progress((i + 1) * per_round, float(loss[at]), float(violation[at]))
+        settled = np.abs(before - loss) <= tolerance * np.abs(loss)
+        exact = loss * np.asarray(scale) < 1e-24
+        stuck = np.asarray(carry.failures) >= GIVE_UP
+        done = (violation <= 1e-4) & (settled | exact | stuck)
+        if np.all(done | (stuck & settled)):
+            why = "stuck" if np.all(stuck) and not np.any(done) else "converged"
+            break
+        held = np.where(np.isfinite(carry.constraints), carry.constraints, 0.0)
+        multipliers = jnp.maximum(multipliers + weight[:, None] * held, 0.0)
+        slow = (violation > 1e-4) & (violation > 0.25 * violation_before)
+        weight = jnp.minimum(jnp.where(slow, 4.0 * weight, weight), 1e7)
+        before, violation_before = loss, violation
+        # The merit has changed: evaluate it again where we are, the optimizer's memory empty.
+        fresh = jax.vmap(lambda u: begin(optimizer, u, constraints))(carry.u)
+        carry = fresh._replace(best=carry.best, best_loss=carry.best_loss, loss=carry.loss)
+    history = History(*(np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True)))
+    return Descended(np.asarray(carry.u), np.asarray(carry.best), np.asarray(carry.best_loss), history, why)

@@ -1,0 +1,257 @@
+"""Parameters of a loop that may be tuned, and the transforms that keep them inside their bounds.
+
+An optimizer moves free numbers u; what they stand for can't leave its bounds, whatever u is: numbers by a logistic
+function, symmetric positive definite gains by one of their eigenvalues.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.law import inverse as inverses
+from cnclik.record import record, replace
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import Offset
+from cnclik.stability.spectrum import largest_rate
+
+BOX, SPD = "box", "spd"
+_EDGE = 1e-6  # a start on a bound is moved inside by this fraction of the range, where derivatives still tell
+
+
+@record
+class Parameter:
+    """One thing to tune.
+
+    Attributes:
+      name: what it is called in results.
+      kind: "box": every entry lies between `lower` and `upper`; "spd": a symmetric positive definite matrix whose
+        eigenvalues do.
+      start: where tuning starts; its shape is the parameter's.
+      lower, upper: bounds, numbers or arrays of that shape.
+      put: function (loop, value) -> loop with the value in it.
+      unit: its unit.
+    """
+
+    name: str
+    kind: str
+    start: object
+    lower: object
+    upper: object
+    put: object
+    unit: str = "1"
+
+
+def parameter(name, start, lower, upper, put, *, kind=BOX, unit="1") -> Parameter:
+    """A `Parameter`, checked. Raises ArgumentError for bounds that leave no room."""
+    start = np.asarray(errors.array(name, start, finite=False), float)
+    lower, upper = (np.asarray(errors.array(f"bounds of {name}", v), float) for v in (lower, upper))
+    if not np.all(lower < upper):
+        raise errors.fail(f"bounds of {name}", "increase", f"are {lower.tolist()} and {upper.tolist()}")
+    if kind == BOX:
+        lower, upper = np.broadcast_to(lower, start.shape), np.broadcast_to(upper, start.shape)
+    return Parameter(name=name, kind=kind, start=start, lower=lower, upper=upper, put=put, unit=unit)
+
+
+# --- transforms ---------------------------------------------------------------------------------------
+
+
+def size(p: Parameter) -> int:
+    """How many free numbers the parameter has."""
+    m = np.shape(p.start)[-1] if np.ndim(p.start) else 1
+    return m * (m + 1) // 2 if p.kind == SPD else int(np.prod(np.shape(p.start), dtype=int))
+
+
+def bounded(p: Parameter, u):
+    """The value that the free numbers u (size,) stand for; within its bounds for every finite u.
+
+    box: lower + (upper − lower)/(1 + exp(−u)). spd: lower I + (upper − lower)(I − (I + S)⁻¹) with S = LLᵀ and
+    L lower triangular with diagonal exp(u/2): an eigenvalue s of S gives lower + (upper − lower) s/(1 + s).
+    """
+    if p.kind == BOX:
+        value = p.lower + (p.upper - p.lower) * jax.nn.sigmoid(u.reshape(np.shape(p.start)))
+        return jnp.clip(value, p.lower, p.upper)
+    m = np.shape(p.start)[0]
+    rows, columns = np.tril_indices(m)
+    entries = jnp.where(rows == columns, jnp.exp(0.5 * jnp.clip(u, -60.0, 60.0)), u)
+    factor = jnp.zeros((m, m), u.dtype).at[rows, columns].set(entries)
+    left = jnp.linalg.inv(jnp.eye(m, dtype=u.dtype) + factor @ factor.T)
+    share = jnp.eye(m, dtype=u.dtype) - 0.5 * (left + left.T)
+    return p.lower * jnp.eye(m, dtype=u.dtype) + (p.upper - p.lower) * share
+
+
+def free(p: Parameter, value):
+    """Free numbers of a value, moved inside the bounds where it is on or beyond them; the inverse of `bounded`."""
+    value = np.nan_to_num(np.asarray(value, float), nan=1.0)
+    if p.kind == BOX:
+        share = np.clip((value - p.lower) / (p.upper - p.lower), _EDGE, 1 - _EDGE)
+        return np.log(share / (1 - share)).ravel()
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (value + value.T))
+    share = np.clip((eigenvalues - p.lower) / (p.upper - p.lower), _EDGE, 1 - _EDGE)
+    factor = np.linalg.cholesky((vectors * (share / (1 - share))) @ vectors.T)
+    m = len(share)
+    u = np.where(np.eye(m, dtype=bool), 2 * np.log(np.where(np.eye(m, dtype=bool), factor, 1.0)), factor)
+    return u[np.tril_indices(m)]
+
+
+def total(parameters) -> int:
+    """Free numbers of all parameters together."""
+    return sum(size(p) for p in parameters)
+
+
+def values_of(parameters, u):
+    """The parameters' values, one per parameter, from all free numbers in one vector."""
+    values, at = [], 0
+    for p in parameters:
+        values.append(bounded(p, u[at : at + size(p)]))
+        at += size(p)
+    return tuple(values)
+
+
+def free_of(parameters, values):
+    """Inverse of `values_of`."""
+    return np.concatenate([free(p, v) for p, v in zip(parameters, values, strict=True)])
+
+
+# --- a loop and what may be tuned in it ---------------------------------------------------------------
+
+
+@record
+class Loop:
+    """What parameters are put into.
+
+    Attributes:
+      law: the right-hand side.
+      Ts: sampling time [s].
+      schedule: (K,) gains [1/s] at K instants evenly spread over the horizon, linear between them, that the law's
+        alpha is scaled to (its largest rate); or None: alpha as it is.
+    """
+
+    law: object
+    Ts: object
+    schedule: object = None
+
+
+def put(loop: Loop, parameters, values) -> Loop:
+    """The loop with all values in it."""
+    for p, value in zip(parameters, values, strict=True):
+        loop = p.put(loop, value)
+    return loop
+
+
+@record
+class Scaled:
+    """A null-space velocity times a gain, in component form."""
+
+    base: object
+    gain: object
+
+    def __call__(self, q):
+        base = self.base
+        if dataclasses.is_dataclass(base):
+            wanted = base(q)
+        elif callable(base):
+            wanted = tuple(base(jnp.stack(q)))
+        else:
+            wanted = tuple(base[i] for i in range(len(q)))
+        return sp.scale(self.gain, wanted)
+
+
+def _put_alpha(loop, value):
+    return replace(loop, law=replace(loop.law, alpha=value))
+
+
+def _put_schedule(loop, value):
+    return replace(loop, schedule=value)
+
+
+def _put_damping(loop, value):
+    return replace(loop, law=replace(loop.law, inverse=inverses.Damped(damping=value)))
+
+
+def _put_null_gain(loop, value):
+    return replace(loop, law=replace(loop.law, null_velocity=Scaled(base=loop.law.null_velocity, gain=value)))
+
+
+def _put_feedforward(loop, value):
+    return replace(loop, law=replace(loop.law, feedforward=value))
+
+
+def _put_tool(loop, value):
+    chain = loop.law.chain
+    offset = Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation)
+    return replace(loop, law=replace(loop.law, chain=replace(chain, tip=offset)))
+
+
+def scaled_links(chain, factors):
+    """The chain with its links' offsets longer by factors (n + 1,): those before each joint, then the tip's."""
+
+    def stretch(offset, factor):
+        return Offset(position=sp.scale(factor, offset.position), rotation=offset.rotation)
+
+    joints = tuple(replace(j, origin=stretch(j.origin, factors[i])) for i, j in enumerate(chain.joints))
+    return replace(chain, joints=joints, tip=stretch(chain.tip, factors[len(joints)]))
+
+
+def _put_links(loop, value):
+    return replace(loop, law=replace(loop.law, chain=scaled_links(loop.law.chain, value)))
+
+
+def _put_ts(loop, value):
+    return replace(loop, Ts=value)
+
+
+KNOTS = 5  # of a gain schedule
+NAMES = ("alpha", "schedule", "damping", "null_gain", "feedforward", "links", "tool", "Ts")
+
+
+def named(name: str, loop: Loop, bounds=None) -> Parameter:
+    """A parameter by name, starting at the loop's own value.
+
+    alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
+    [1/s]. schedule: K = 5 gains over the horizon [1/s]. damping: λ of damped(λ). null_gain: factor of the null-space
+    velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links' offsets, the tip's last. tool: offset
+    (3,) of the tip in the last frame [m]. Ts: sampling time [s].
+
+    Args:
+      bounds: (lower, upper), or None: z = alpha·Ts from 0.001 to 10, damping and Ts up to a factor 1000 and 4 around
+        their start, factors from 0 to 2 (null_gain 10, links 0.5 to 2), the tool within 0.5 m.
+    """
+    errors.one_of("over", name, NAMES)
+    law, Ts = loop.law, float(loop.Ts)
+    if name == "alpha":
+        matrix = np.ndim(law.alpha) == 2
+        alpha = np.asarray(law.alpha, float)
+        if matrix and not np.allclose(alpha, alpha.T):
+            raise errors.fail("alpha", "be a symmetric matrix to be tuned", "is not symmetric")
+        made = alpha, 1e-3 / Ts, 10.0 / Ts, _put_alpha, SPD if matrix else BOX, "1/s"
+    elif name == "schedule":
+        made = np.full(KNOTS, largest_rate(law.alpha)), 1e-3 / Ts, 10.0 / Ts, _put_schedule, BOX, "1/s"
+    elif name == "damping":
+        if not isinstance(law.inverse, inverses.Damped):
+            raise errors.fail(
+                "over", "name damping for a law that has damped(...) alone", "names it for another inverse"
+            )
+        start = float(law.inverse.damping)
+        made = start, start / 1e3, start * 1e3, _put_damping, BOX, "m or 1"
+    elif name == "null_gain":
+        if law.null_velocity is None:
+            raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
+        made = 1.0, 0.0, 10.0, _put_null_gain, BOX, "1"
+    elif name == "feedforward":
+        made = float(law.feedforward), 0.0, 2.0, _put_feedforward, BOX, "1"
+    elif name == "links":
+        made = np.ones(len(law.chain.joints) + 1), 0.5, 2.0, _put_links, BOX, "1"
+    elif name == "tool":
+        start = np.array([float(v) for v in law.chain.tip.position])
+        made = start, start - 0.5, start + 0.5, _put_tool, BOX, "m"
+    else:
+        made = Ts, Ts / 4, Ts * 4, _put_ts, BOX, "s"
+    start, lower, upper, put, kind, unit = made
+    if bounds is not None:
+        lower, upper = bounds
+    if name in ("alpha", "schedule", "damping", "Ts") and not np.all(np.asarray(lower, float) > 0):
+        raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
+    return parameter(name, start, lower, upper, put, kind=kind, unit=unit)

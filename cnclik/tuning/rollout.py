@@ -1,0 +1,134 @@
+"""Rollout: the loop as a robot would run it, its error measured with noise, late, and on geometry the model lacks.
+
+All three act through one number per step: the error that is fed back is the measured one, w[k] away from what the
+model at q[k] would say. A step holds w[k], as a controller does that measures once per sample.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
+from cnclik.integrate.trajectory import Trajectory, assemble
+from cnclik.law import reference as ref
+from cnclik.law.task import error_and_rows
+from cnclik.record import record, replace
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import Offset
+from cnclik.robot.kinematics import frames
+from cnclik.tuning.parameters import Loop
+
+
+@record
+class Scenario:
+    """One run that a tuning looks at.
+
+    Attributes:
+      reference, q0: as for `solve`.
+      noise: (N, m) added to the measured error at each step [m, rad], or None.
+      plant: the chain as it really is, the law's being a model of it; None: the same.
+    """
+
+    reference: object
+    q0: object
+    noise: object = None
+    plant: object = None
+
+
+def rollout(loop: Loop, scenario: Scenario, N: int, method, stage, *, delay: int = 0, horizon=None) -> Trajectory:
+    """Run the loop for N steps; `e` is the true error, measured ones are only fed back. Pure, for jit, vmap and grad.
+
+    Args:
+      loop, scenario: what runs, and under which conditions.
+      N, method, stage: as for `solve`.
+      delay: samples by which the measured error is late; before the first one is there it is taken as e[0].
+      horizon: [s] over which a gain schedule is spread, N·Ts by default.
+    """
+    plain = delay == 0 and loop.schedule is None and scenario.noise is None and scenario.plant is None
+    if plain:
+        return solve(loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage)
+    dtype = scenario.q0.dtype
+    loop, scenario = cast((loop, scenario), dtype)
+    law, reference, Ts = loop.law, scenario.reference, loop.Ts
+    true_law = law if scenario.plant is None else replace(law, chain=scenario.plant)
+    horizon = N * Ts if horizon is None else horizon
+    first = _error(true_law, reference, jnp.zeros((), dtype), tuple(scenario.q0))
+
+    def one(carry, k):
+        q, past = carry
+        t = k * Ts
+        e = _error(true_law, reference, t, q)
+        late = (e, *past)
+        measured = late[delay]
+        if scenario.noise is not None:
+            row = scenario.noise[k.astype(int)]
+            measured = tuple(v + row[i] for i, v in enumerate(measured))
+        model = e if scenario.plant is None else _error(law, reference, t, q)
+        told = _shifted(reference, law.task, sp.vsub(measured, model))
+        made = advance(scheduled(loop, t / horizon), told, q, t, Ts, method, stage)
+        return (made.q, late[:delay]), (q, e, made.qdot, made.residual, made.contraction, made.status)
+
+    k = jnp.arange(N + 1).astype(dtype)
+    start = (tuple(scenario.q0), (first,) * delay)
+    (q, _), steps = lax.scan(one, start, k[:-1])
+    e = _error(true_law, reference, k[-1] * Ts, q)
+    evaluations = N * evaluations_per_step(method, stage, law.chain.n)
+    return assemble(true_law, k * Ts, steps, q, e, evaluations)
+
+
+def scheduled(loop: Loop, share):
+    """The law at a share 0 … 1 of the horizon: its alpha as the schedule has it there."""
+    if loop.schedule is None:
+        return loop.law
+    count = loop.schedule.shape[0]
+    rate = jnp.interp(share, jnp.linspace(0.0, 1.0, count, dtype=loop.schedule.dtype), loop.schedule)
+    alpha = loop.law.alpha
+    size = jnp.max(jnp.abs(jnp.linalg.eigvalsh(alpha) if alpha.ndim == 2 else alpha))
+    return replace(loop.law, alpha=alpha * (rate / size))
+
+
+def _error(law, reference, t, q):
+    position, rotation, _ = ref.sample(reference, law.task, t)
+    return error_and_rows(law.task, law.chain, frames(law.chain, q), position, rotation)[0]
+
+
+@record
+class _Shifted:
+    """A curve moved by w (m,) in the task's coordinates; its velocity is the curve's own."""
+
+    base: object
+    task: object
+    w: tuple
+
+    def __call__(self, t):
+        position, rotation = self.base(t)
+        linear, turn = self.w[: len(self.task.position)], self.w[len(self.task.position) :]
+        if self.task.position:
+            places = range(len(linear)) if len(position) == len(linear) else self.task.linear
+            moved = dict(zip(places, linear, strict=True))
+            position = tuple(sp.add(v, moved[i]) if i in moved else v for i, v in enumerate(position))
+        if self.task.orientation:
+            about = dict(zip(self.task.angular, turn, strict=True))
+            rotation = sp.matmul(sp.exp_so3(tuple(about.get(i, 0.0) for i in range(3))), rotation)
+        return position, rotation
+
+
+def _shifted(reference, task, w):
+    """The reference whose error is w more than the reference's own; to first order for rotations."""
+    return ref.Reference(curve=_Shifted(base=reference.curve, task=task, w=w), feedforward=reference.feedforward)
+
+
+def perturbed(chain, relative, rng):
+    """The chain with every link's offset longer or shorter by a normal error of the given relative size."""
+
+    def stretch(offset):
+        factor = 1.0 + relative * rng.standard_normal()
+        return Offset(position=tuple(float(v) * factor for v in offset.position), rotation=offset.rotation)
+
+    joints = tuple(replace(j, origin=stretch(j.origin)) for j in chain.joints)
+    return replace(chain, joints=joints, tip=stretch(chain.tip))
+
+
+def noise_of(sigma, N, m, rng):
+    """Normal measurement noise (N, m) of standard deviation sigma, a number or (m,) [m, rad]."""
+    return np.broadcast_to(np.asarray(sigma, float), (m,)) * rng.standard_normal((N, m))

@@ -1,0 +1,63 @@
+"""Trajectories as labelled data."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+
+import cnclik as ck
+from cnclik.measure.dataset import to_dataset
+
+
+@pytest.fixture(scope="module")
+def scara():
+    """One revolute and one prismatic joint, so that units differ."""
+    chain = ck.from_screws([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [1, 0, 0]], [1.0, 0.0, 0.0], kinds="RP")
+    return ck.Law(chain, ck.position("xy"), alpha=2.0)
+
+
+def test_single_run(scara):
+    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 4)
+    data = to_dataset(run, scara, config={"b": 1, "a": [2]})
+    assert data.q.dims == ("time", "joint") and data.qdot.dims == ("step", "joint")
+    assert data.e.dims == ("time", "axis") and list(data.axis.values) == ["x", "y"]
+    assert list(data.joint_unit.values) == ["rad", "m"] and data.q.units == "rad or m"
+    np.testing.assert_array_equal(data.q.values, run.q)
+    np.testing.assert_array_equal(data.time.values, run.t)
+    assert int(data.evaluations) == 4
+    assert json.loads(data.attrs["config"]) == {"a": [2], "b": 1}
+    assert {"cnclik", "jax", "commit", "dtype", "device"} <= set(data.attrs)
+
+
+def test_every_variable_has_units(scara):
+    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2)
+    data = to_dataset(run, scara)
+    assert all(data[name].attrs.get("units") and data[name].attrs.get("long_name") for name in data.variables)
+
+
+def test_batch_keeps_its_axes_and_clocks(scara, tmp_path):
+    alphas, times = jnp.array([1.0, 2.0, 3.0]), jnp.array([0.1, 0.05])
+
+    def one(alpha, Ts):
+        return ck.solve(ck.replace(scara, alpha=alpha), ck.hold([1.2, 0.3]), [0.0, 0.1], Ts, 2)
+
+    runs = jax.vmap(jax.vmap(one, (None, 0)), (0, None))(alphas, times)
+    data = to_dataset(runs, scara, dims=("alpha", "Ts"), coords={"alpha": alphas, "Ts": times})
+    assert dict(data.sizes) == {"alpha": 3, "Ts": 2, "time": 3, "joint": 2, "step": 2, "axis": 2}
+    assert data.t.dims == ("alpha", "Ts", "time") and "time" not in data.coords  # each Ts has its own clock
+    alone = one(2.0, 0.05)
+    np.testing.assert_allclose(data.e.sel(alpha=2.0, Ts=0.05), alone.e, atol=1e-14)
+    data.to_netcdf(tmp_path / "runs.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "runs.nc") as back:
+        xr.testing.assert_identical(
+            data.drop_vars(["joint_unit", "axis_unit"]), back.drop_vars(["joint_unit", "axis_unit"])
+        )
+
+
+def test_dims_that_do_not_fit(scara):
+    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2)
+    with pytest.raises(ck.ArgumentError, match="Argument `dims` must name the 0 leading axes"):
+        to_dataset(run, scara, dims=("alpha",))

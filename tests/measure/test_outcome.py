@@ -1,0 +1,137 @@
+"""What whole nonlinear loops did, told apart; maps of it against the linear boundary; the certificate."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.measure.outcome import Kind, stable
+from cnclik.stability import attraction, maps
+
+TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
+START = np.array([0.2, 1.4])
+LAW = ck.Law(TWO, ck.position("xy"), alpha=1.0)
+HERE = np.asarray(ck.pose(TWO, START).position[:2])
+TARGET = ck.hold(HERE + np.array([0.05, -0.08]))
+SMALL = ck.hold(HERE + np.array([3e-7, -5e-7]))
+
+
+def kinds(reference, z, M=None, **options):
+    made = maps.measure(LAW, reference, START, alpha=np.asarray(z), Ts=1.0, M=M, N=120, **options)
+    return made.kind, made
+
+
+def test_kinds_are_told_apart():
+    kind, made = kinds(TARGET, [0.01, 0.5, 1.0, 2.6])
+    assert list(kind) == [Kind.SLOW, Kind.CONVERGED, Kind.CONVERGED, Kind.DIVERGED]
+    assert np.isnan(made.rate[0]) and made.rate[1] == pytest.approx(0.5, abs=0.04)
+    assert made.steps[2] <= 3 < made.steps[1] <= 11
+
+
+def test_out_of_reach_is_not_taken_for_convergence():
+    """A target beyond the arm ends near a stretched, singular arm: bounded and wrong."""
+    kind, made = kinds(ck.hold([2.5, 0.0]), [0.5])
+    assert kind[0] in (Kind.NEAR_SINGULAR, Kind.DIVERGED, Kind.NOT_CONVERGED)
+    assert not stable(kind)[0] and made.final[0] > 0.5  # the arm is half a metre short
+
+
+def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
+    """Just beyond the boundary EE wanders within its reach, always below a scale of 10 m."""
+    kind, made = kinds(TARGET, [2.01], scale=10.0)
+    assert kind[0] == Kind.NOT_CONVERGED
+    assert 1.0 < made.final[0] < 10.0 and not made.near_singular[0]
+
+
+@pytest.mark.parametrize(
+    ("method", "kind", "limits"),
+    [
+        ("IE", "picard", {1: 1.0, 2: 1.3532, 5: 1.0}),
+        ("CN", "picard", {1: 2.0, 2: 1.4780, 5: 1.2149}),
+        ("CN", "chord", {5: 3.2361}),
+        ("IE", "chord", {5: np.inf}),
+    ],
+)
+def test_measured_boundary_is_the_linear_one(method, kind, limits):
+    """Whole nonlinear loops from a small error, outside a band of 3 %; the limits are those of docs/stability.md."""
+    M = np.array(list(limits))[:, None]
+    limit = np.array(list(limits.values()))[:, None]
+    z = np.where(np.isfinite(limit), limit, 12.0) * np.linspace(0.1, 1.6, 41)
+    stage = getattr(ck, kind)(int(M.max()))
+    found, _ = kinds(SMALL, z, M=np.broadcast_to(M, z.shape), method=method, stage=stage)
+    assert maps.agreement(found, z, limit) >= 0.99
+
+
+def test_agreement_counts_what_it_should():
+    kind = np.array([Kind.CONVERGED, Kind.SLOW, Kind.DIVERGED, Kind.CONVERGED])
+    z = np.array([0.5, 0.6, 2.5, 2.6])
+    assert maps.agreement(kind, z, 2.0) == 0.75
+    assert maps.agreement(kind, z, np.inf) == 0.75
+    assert maps.agreement(kind, np.array([0.5, 0.6, 2.5, 2.01]), 2.0) == 1.0  # the last lies in the band
+
+
+def test_map_is_labelled_and_carries_the_boundary():
+    alpha, Ts = np.geomspace(2, 60, 6), np.geomspace(0.02, 0.2, 5)
+    data = maps.stability_map(LAW, TARGET, START, alpha, Ts, N=80)
+    assert data.kind.dims == ("Ts", "alpha") and data.alpha.units == "1/s" and data.Ts.units == "s"
+    np.testing.assert_allclose(data.limit, 2 / Ts, rtol=1e-6)
+    assert maps.agreement(data.kind.values, data.alpha.values, data.limit.values[:, None]) == 1.0
+
+
+def test_strip_over_M_shows_odd_and_even_passes():
+    z = np.array([1.1])
+    strip = maps.passes_map(LAW, SMALL, START, z, range(5), method="IE", N=150)
+    assert list(stable(strip.kind.values[:, 0])) == [True, False, True, False, True]
+
+
+def test_measured_delay_limit_on_the_arm():
+    """The whole loop with its error measured d samples late, on both sides of 2 sin(π/(2(2d + 1)))."""
+    d, limit = 2, 2 * np.sin(np.pi / 10)
+
+    def final(z):
+        def one(history, _):
+            moved = ck.step(ck.replace(LAW, alpha=z), SMALL, history[0], 0.0, 1.0).q - history[0]
+            return jnp.concatenate([history[1:], (history[-1] + moved)[None]]), None
+
+        history, _ = jax.lax.scan(one, jnp.tile(START, (d + 1, 1)), None, length=400)
+        target = SMALL.curve(0.0)[0]
+        return jnp.hypot(*(ck.pose(TWO, history[-1]).position[:2] - jnp.stack(target)))
+
+    inside, outside = jax.jit(jax.vmap(final))(limit * jnp.array([0.9, 1.1]))
+    assert inside < 1e-10 < 1e-5 < outside
+
+
+def test_curvature_bounds():
+    assert attraction.curvature_bound(ck.planar_arm([1.0] * 2)) == pytest.approx(2.618, abs=1e-3)
+    assert attraction.curvature_bound(ck.planar_arm([1.0] * 5)) == pytest.approx(12.344, abs=1e-3)
+
+
+def test_curvature_bounds_hold_for_real_arms():
+    rng = np.random.default_rng(1)
+    for chain in (ck.ur5(), ck.panda()):
+        bound = attraction.curvature_bound(chain)
+        q = rng.uniform(-2, 2, (40, chain.n))
+        p = q + rng.normal(size=q.shape) * 0.3
+        change = jax.vmap(lambda a, b, chain=chain: ck.jacobian(chain, a)[:3] - ck.jacobian(chain, b)[:3])(q, p)
+        ratio = np.linalg.norm(change, 2, axis=(1, 2)) / np.linalg.norm(q - p, axis=1)
+        assert ratio.max() <= bound and ratio.max() > 0.1 * bound
+    with pytest.raises(ck.ArgumentError, match="revolute joints only"):
+        attraction.curvature_bound(ck.from_dh([0.0], [0.0], [0.0], kinds="P"))
+
+
+def test_attraction_radius_is_that_of_the_formula():
+    assert attraction.attraction_radius(0.5, 0.8, 12.344) == pytest.approx(2 * 0.64 / (0.5 * 12.344))
+    assert attraction.attraction_radius(1.5, 0.8, 12.344) == pytest.approx(2 * 0.5 * 0.64 / (2.25 * 12.344))
+    assert attraction.attraction_radius(2.0, 0.8, 12.344) == 0
+
+
+def test_certified_errors_converge_and_the_certificate_is_only_sufficient():
+    for z in (0.5, 1.0, 1.8):
+        law = ck.replace(LAW, alpha=jnp.asarray(z))
+        radius = attraction.certified_radius(law, START, 1.0)
+        assert 0 < radius < attraction.attraction_radius(z, 1.0, 2.618)
+        found = attraction.sampled_attraction(law, START, 1.0, [0.99 * radius, 3 * radius, 1.2], directions=16, N=200)
+        assert found.converged[0] == 1
+        assert found.converged[1] == 1  # still, though nothing certifies it
+        assert found.converged[2] < 1
+    assert attraction.certified_radius(ck.replace(LAW, alpha=jnp.asarray(2.5)), START, 1.0) == 0

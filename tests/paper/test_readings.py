@@ -1,0 +1,149 @@
+"""The paper's experiments: against plain NumPy, and against numbers computed by others beforehand."""
+
+import itertools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.paper import claims
+from cnclik.paper import readings as paper
+from tests.paper import oracle
+
+MEANS = [  # arm, case, reading, EE, IE, CN: mean of ‖e‖ over k = 0 … 30, as printed
+    ("2dof", "reach", "on-path/once", "0.0677", "0.0953", "0.0785"),
+    ("5dof", "reach", "on-path/once", "0.0638", "0.1033", "0.0775"),
+    ("2dof", "reach", "printed/once", "0.188", "0.247", None),  # CN: decided by rounding
+    ("5dof", "reach", "printed/once", "0.707", "0.730", "0.616"),
+    ("2dof", "track", "on-path/once/consistent", "1.08e-3", "1.13e-3", "1.81e-4"),
+    ("5dof", "track", "on-path/once/consistent", "8.11e-4", "8.65e-4", "1.38e-4"),
+    ("2dof", "track", "on-path/once/printed", "0.1245", "0.1205", "0.1229"),
+    ("2dof", "track", "on-path/twice/consistent", "1.08e-3", "2.78e-2", "1.35e-2"),
+]
+
+RMS = {  # over k = 1 … 30, Case II, on-path/once/consistent, as printed
+    "2dof": {
+        "EE": "1.123e-3",
+        "IE": "1.188e-3",
+        "HEUN": "3.66e-4",
+        "CN": "1.89e-4",
+        "MIDPOINT": "1.83e-4",
+        "TRAPEZOID": "6.12e-6",
+        "RK4": "3.62e-6",
+    },
+    "5dof": {
+        "EE": "8.49e-4",
+        "IE": "9.07e-4",
+        "HEUN": "2.78e-4",
+        "CN": "1.45e-4",
+        "MIDPOINT": "1.45e-4",
+        "TRAPEZOID": "4.80e-6",
+        "RK4": "2.89e-6",
+    },
+}
+
+
+def same_digits(value, printed):
+    """Whether a number rounds to the digits that are printed."""
+    mantissa, _, exponent = printed.partition("e")
+    unit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+    return abs(value - float(printed)) <= 0.5 * unit * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("arm, case, reading, means", [(*row[:3], row[3:]) for row in MEANS])
+def test_mean_errors_to_printed_digits(results, arm, case, reading, means):
+    readings = [reading] if case == "track" else [f"{reading}/consistent", f"{reading}/printed"]
+    for name in readings:
+        at = results.trajectories.mean_error.sel(arm=arm, case=case, reading=name)
+        for method, printed in zip(paper.PAPER, means, strict=True):
+            if printed is not None:
+                assert same_digits(float(at.sel({"method": method})), printed), (name, method)
+
+
+@pytest.mark.parametrize("arm, method", [(arm, m) for arm in RMS for m in RMS[arm]])
+def test_rms_errors_to_printed_digits(results, arm, method):
+    rms = results.methods.rms_error.sel({"arm": arm, "case": "track", "method": method, "Ts": 0.1})
+    assert same_digits(float(rms), RMS[arm][method])
+
+
+def test_printed_feedforward_settles_where_feedback_balances_it(results):
+    final = results.trajectories.final_error.sel(case="track", reading="on-path/once/printed")
+    np.testing.assert_allclose(final, (1 - 1 / 3) / paper.ALPHA, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    "method, order", [("EE", 1), ("IE", 1), ("CN", 2), ("TRAPEZOID", 2), ("MIDPOINT", 2), ("RK4", 4)]
+)
+def test_observed_orders(results, method, order):
+    """At the finest halving; CN is of order 2 although it is not the textbook method."""
+    observed = results.methods.order.sel({"method": method}).isel(Ts=-1)
+    np.testing.assert_allclose(observed, order, atol=0.05)
+    assert ck.METHODS[method].order == order
+
+
+# --- against the oracle -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reading", paper.READINGS)
+@pytest.mark.parametrize("arm, case", list(itertools.product(paper.ARMS, paper.CASES)))
+def test_trajectories_against_numpy(results, arm, case, reading):
+    for method in paper.PAPER:
+        at = results.trajectories.sel({"arm": arm, "case": case, "reading": reading, "method": method})
+        norm, q = oracle.run(paper.ARMS[arm].n, case, method, *paper.READINGS[reading])
+        if float(at.spread) < 1e-11:
+            np.testing.assert_allclose(at.q.values[:, : q.shape[1]], q, atol=1e-9)
+        if float(at.spread) < 1e-6:  # elsewhere rounding decides, and there is nothing to compare
+            np.testing.assert_allclose(at.error_norm, norm, atol=1e-7, rtol=1e-6)
+
+
+def test_what_rounding_decides_is_marked(results):
+    """The 2-dof arm at its folded singularity, and nothing else."""
+    found = set(claims.undetermined(results.trajectories))
+    assert {(arm, case, method) for arm, _, case, method in found} == {("2dof", "reach", "IE"), ("2dof", "reach", "CN")}
+    assert {reading for _, reading, _, _ in found} == {"printed/once/consistent", "printed/once/printed"}
+
+
+# --- the side-by-side program does what one run does --------------------------------------------------
+
+
+@pytest.mark.parametrize("case, reading", [("reach", "on-path/twice/printed"), ("track", "on-path/once/consistent")])
+def test_lanes_are_single_runs(results, case, reading):
+    alone = paper.experiment("2dof", case, "CN", paper.READINGS[reading])
+    lane = results.trajectories.sel({"arm": "2dof", "case": case, "reading": reading, "method": "CN"})
+    np.testing.assert_allclose(lane.q.values[:, :2], alone.q, atol=1e-12)
+    np.testing.assert_allclose(lane.residual, alone.residual, atol=1e-12)
+    assert int(lane.evaluations) == int(alone.evaluations) == 6 * paper.N
+
+
+def test_paths_are_what_hold_and_line_say():
+    """The explicit feed-forward of the lanes changes nothing under the consistent reading."""
+    law, q0 = paper.law("2dof"), paper.start("2dof")
+    for case, natural in (("reach", ck.hold([1.0, 0.0])), ("track", ck.line([1.0, 1.0], [0.0, 1.0], duration=3.0))):
+        a = ck.solve(law, paper.path("2dof", case), q0, 0.1, 30, ck.EE)
+        b = ck.solve(law, natural, q0, 0.1, 30, ck.EE)
+        np.testing.assert_allclose(a.q, b.q, atol=1e-13)
+
+
+def test_both_arms_start_on_the_path_only_with_clockwise_rotation():
+    for arm, about in paper.ARMS.items():
+        tips = {r: ck.pose(paper.law(arm, r).chain, paper.start(arm)).position[:2] for r in ("on-path", "printed")}
+        np.testing.assert_allclose(tips["on-path"], about.start, atol=1e-15)
+        np.testing.assert_allclose(tips["printed"], jnp.array(about.start) * jnp.array([-1, 1]), atol=1e-15)
+
+
+def test_twice_scales_the_diagonal_only():
+    assert paper.tableau(ck.IE, "twice").A == ((0.1,),)
+    assert paper.tableau(ck.CN, "twice").A == ((0.0,), (0.0, 0.1))
+    assert paper.tableau(ck.EE, "twice") is ck.EE and paper.tableau(ck.CN, "once") is ck.CN
+
+
+def test_wrong_names_are_one_line():
+    for call, message in (
+        (lambda: paper.reading("on-path/once/consistant"), "did you mean 'on-path/once/consistent'"),
+        (lambda: paper.experiment("3dof", "reach"), "Argument `arm` must be one of 2dof, 5dof"),
+        (lambda: paper.experiment("2dof", "hold"), "Argument `case` must be one of reach, track"),
+        (lambda: paper.experiment("2dof", "reach", "CM"), "Argument `method` must be one of"),
+    ):
+        with pytest.raises(ck.ArgumentError, match=message):
+            call()

@@ -1,0 +1,141 @@
+"""Builders that turn a user's words into records: defaults are usable, and nothing is accepted silently."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.problem import build as p
+
+
+def test_the_papers_case_in_words():
+    made = p.problem_from(
+        "planar-clockwise:1,1", reference="line", **{"from": [1, 1], "to": [0, 1]}, q0=[0, np.pi / 2], Ts=0.1, N=30
+    )
+    run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
+    rms = float(np.sqrt(np.mean(np.sum(np.asarray(run.e[1:]) ** 2, 1))))
+    assert abs(rms - 1.89e-4) < 0.01e-4  # CN, M = 5, from the theory notes' independent program
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "planar:1,1,1,1,1"])
+@pytest.mark.parametrize("reference", p.REFERENCES)
+def test_defaults_run_clean(robot, reference):
+    made = p.problem_from(robot, reference=reference, damping=1e-3)
+    run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, "EE")
+    ck.require_ok(run)
+    assert np.abs(run.e[-1]).max() < 0.05
+    if reference != "hold":  # paths start where the tip is
+        assert np.abs(run.e[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "text, position, orientation",
+    [
+        ("pose", "xyz", "xyz"),
+        ("position", "xyz", ""),
+        ("orientation", "", "xyz"),
+        ("xz", "xz", ""),
+        ("rz", "", "z"),
+        ("xyrz", "xy", "z"),
+        (None, "xyz", "xyz"),
+    ],
+)
+def test_tasks_by_name(text, position, orientation):
+    task = p.task_from(text, ck.panda())
+    assert (task.position, task.orientation) == (position, orientation)
+
+
+def test_words_mean_the_plane_on_a_planar_arm():
+    arm = ck.planar_arm([1.0, 1.0])
+    names = [p.task_from(text, arm).names for text in ("pose", "position", "orientation", None)]
+    assert names == [("x", "y", "rz"), ("x", "y"), ("rz",), ("x", "y")]
+
+
+def test_points_take_a_quaternion():
+    arm, task = ck.panda(), ck.pose_task()
+    q0 = p.start_from(arm, task)
+    given = [0.4, 0.1, 0.5, 0.0, 1.0, 0.0, 0.0]
+    hold = p.reference_from("hold", arm, task, q0, target=given)
+    np.testing.assert_allclose(hold.curve.rotation, np.diag([1, -1, -1]), atol=1e-15)
+    kept = p.reference_from("hold", arm, task, q0, target=given[:3])
+    np.testing.assert_allclose(kept.curve.rotation, ck.pose(arm, q0).rotation, atol=1e-15)
+
+
+def test_waypoint_files(tmp_path):
+    arm, task = ck.panda(), ck.pose_task()
+    q0 = p.start_from(arm, task)
+    start, file = ck.pose(arm, q0).position, tmp_path / "way.csv"
+    rows = [[0.0, *start, 0, 1, 0, 0], [1.0, *(start + 0.1), 0, 1, 0, 0]]
+    text = "time,x,y,z,qw,qx,qy,qz\n# half way there\n" + "\n".join(",".join(map(str, row)) for row in rows)
+    file.write_text(text, encoding="utf-8-sig")  # as spreadsheets write it
+    position, rotation = p.reference_from(str(file), arm, task, q0).curve(1.0)
+    np.testing.assert_allclose(position, start + 0.1, atol=1e-12)
+    np.testing.assert_allclose(rotation, np.diag([1, -1, -1]), atol=1e-12)
+    file.write_text(text.split("\n", 2)[2], encoding="utf-8-sig")
+    np.testing.assert_allclose(p.reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text, told",
+    [
+        ("", "two waypoints"),
+        ("0,1,2,3", "two waypoints"),
+        ("0,1,2,3\n1,1,2", "as many in every row"),
+        ("0,1,2,3\n1,1,2,3\n0.5,1,2,3", "way.csv has 1 and then 0.5"),
+        ("O.0,1,2,3\n1,1,2,3\n2,1,2,3", "row 1 of way.csv does not"),
+        ("0,1,2,3\n1,1,2,x", "as many in every row"),
+        ("0,1\n1,1", "3 or 7 numbers"),
+        ("0,1,2,3\n0,1,2,3", "increase"),
+        ("0,1,2,3\n1,1,2,nan", "finite"),
+    ],
+)
+def test_bad_waypoint_files(tmp_path, text, told):
+    file = tmp_path / "way.csv"
+    file.write_text(text)
+    with pytest.raises(ck.ArgumentError, match=told):
+        p.problem_from("panda", reference=str(file))
+
+
+@pytest.mark.parametrize(
+    "options, told",
+    [
+        ({"robot": "pandda"}, "`robot`"),
+        ({"robot": "planar:"}, "planar:1,1,1"),
+        ({"robot": "planar:1,-1"}, "at least 0"),
+        ({"robot": "no.urdf"}, "not there"),
+        ({"tip": "hand"}, "`tip`"),
+        ({"task": "xx"}, "`task`"),
+        ({"task": ""}, "`task`"),
+        ({"reference": "cirle"}, "did you mean 'circle'"),
+        ({"reference": "no.csv"}, "No such file"),
+        ({"target": [1, 2]}, "3 or 7 numbers"),
+        ({"target": [0, 0, 0, 1, 1, 1, 1]}, "unit quaternion"),
+        ({"to": [1, 2, 3]}, "`to` must be left out"),
+        ({"radius": 0.1}, "`radius` must be left out"),
+        ({"reference": "circle", "radius": 0}, "positive"),
+        ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
+        ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
+        ({"reference": "line", "period": 0}, "`period`"),
+        ({"alpha": [1, 2]}, "alpha"),
+        ({"alpha": -5.0}, "`alpha` must be at least 0"),
+        ({"q0": [0] * 6}, "q0"),
+        ({"Ts": 0}, "Ts"),
+        ({"N": 0}, "N"),
+        ({"method": "BDF"}, "method"),
+        ({"stage": "picrad"}, "did you mean 'picard'"),
+        ({"M": -1}, "M"),
+        ({"inverse": "damped"}, "damping"),
+        ({"inverse": "transpose", "damping": 0.1}, "damping"),
+        ({"damping": 0}, "damping"),
+        ({"inverse": "singular-damped", "damping": 0.1}, "`threshold` must be given"),
+        ({"damping": 0.1, "threshold": 0.1}, "`threshold` must be left out"),
+        ({"limits": "sns"}, "limits"),
+        ({"posture": [0] * 6}, "posture"),
+        ({"posture": [0] * 7, "manipulability": 1}, "manipulability"),
+        ({"manipulability": -1}, "`manipulability`"),
+        ({"speed": 3}, "`option`"),
+    ],
+)
+def test_what_does_not_fit_is_named(options, told):
+    with pytest.raises(ck.ArgumentError, match=told) as error:
+        p.problem_from(**({"robot": "panda"} | options))
+    assert "\n" not in str(error.value)

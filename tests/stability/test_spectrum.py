@@ -1,0 +1,96 @@
+"""The whole loop's one-step map at rest against linear theory, direction by direction."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.stability import linear
+from cnclik.stability.spectrum import margin, recommend, settle, spectral_radius, spectrum
+
+ARM = ck.planar_arm([1.0] * 3)
+Q = jnp.array([0.3, 0.9, -0.5])
+XY = ck.position("xy")
+SIGMA = np.linalg.svd(np.asarray(ck.jacobian(ARM, Q))[:2])[1]
+Ts = 0.1
+
+
+def law(**changes):
+    return ck.Law(ARM, XY, **({"alpha": 6.0} | changes))
+
+
+@pytest.mark.parametrize(
+    ("method", "stage"), [(ck.EE, None), (ck.IE, ck.picard(3)), (ck.TRAPEZOID, ck.chord(2))], ids=str
+)
+def test_exact_inverse_amplifies_the_task_by_R_and_the_null_space_by_one(method, stage):
+    found = spectrum(law(), None, Q, Ts, method, stage)
+    np.testing.assert_allclose(found.task, linear.amplification(method, stage, 0.6), atol=1e-9)
+    np.testing.assert_allclose(found.null, 1, atol=1e-12)
+    assert found.coupling < 1e-9 and found.lost == 0
+
+
+def test_damping_slows_each_singular_direction_by_itself():
+    damping = 0.7
+    z = 0.6 * SIGMA**2 / (SIGMA**2 + damping**2)
+    found = spectrum(law(inverse=ck.damped(damping)), None, Q, Ts, ck.IE, ck.picard(4))
+    expected = linear.amplification(ck.IE, ck.picard(4), z)
+    np.testing.assert_allclose(np.sort(found.task.real), np.sort(expected), atol=1e-9)
+
+
+def test_transpose_is_stable_below_two_over_sigma_max_squared():
+    found = recommend(law(inverse=ck.transpose()), Q, Ts=Ts)
+    assert found.largest * Ts == pytest.approx(2 / SIGMA[0] ** 2, rel=1e-6)
+
+
+def test_recommended_gain_of_the_damped_inverse():
+    found = recommend(law(inverse=ck.damped(0.7)), Q, Ts=Ts)
+    factors = SIGMA**2 / (SIGMA**2 + 0.7**2)
+    assert found.z_largest == pytest.approx(2 / factors[0], rel=1e-6)
+    assert found.z_fastest == pytest.approx(2 / (factors[0] + factors[1]), rel=1e-3)  # both as far from 0
+    assert "changes sign" in found.limit
+
+
+def test_recommended_sampling_time_and_margin():
+    found = recommend(law(), Q, method=ck.IE, stage=ck.picard(5))
+    assert found.name == "Ts" and found.largest == pytest.approx(1 / 6, rel=1e-6)
+    now = margin(law(), Q, Ts, ck.IE, ck.picard(5))
+    assert now.margin == pytest.approx(1 / 0.6, rel=1e-6)
+    assert now.radius == pytest.approx(abs(linear.amplification(ck.IE, ck.picard(5), 0.6)), abs=1e-9)
+    assert recommend(law(), Q, Ts=Ts, method=ck.IE, stage=ck.chord(2)).largest == np.inf
+
+
+def test_rotating_gain_is_limited_where_its_complex_eigenvalues_leave_the_region():
+    """K = a (1 ± 2i): EE is stable while |1 − Ts a (1 + 2i)| ≤ 1, that is Ts a ≤ 2/5."""
+    found = recommend(law(alpha=jnp.array([[3.0, 6.0], [-6.0, 3.0]])), Q, Ts=Ts)
+    np.testing.assert_allclose(found.largest, np.array([[4.0, 8.0], [-8.0, 4.0]]), rtol=1e-6)
+    assert "turns" in found.limit
+
+
+def test_null_space_velocity_is_a_limit_of_its_own():
+    """q̇₀ = κ (q* − q) moves the null space by 1 − κ Ts, whatever the task's gain: κ Ts < 2 limits Ts."""
+    own = law(alpha=6.0, null_velocity=lambda q: 15.0 * (Q - q))
+    assert spectrum(own, None, Q, Ts).null == pytest.approx([1 - 15 * Ts], abs=1e-9)
+    found = recommend(own, Q)
+    assert found.largest == pytest.approx(2 / 15, rel=1e-6)
+    assert "null-space" in found.limit
+
+
+def test_radius_is_differentiable_in_the_gain():
+    def radius(alpha):
+        return spectral_radius(law(alpha=alpha), None, Q, Ts, ck.IE, ck.picard(5))
+
+    value, slope = jax.jit(jax.value_and_grad(radius))(jnp.asarray(6.0))
+    assert value == pytest.approx(abs(linear.amplification(ck.IE, ck.picard(5), 0.6)), abs=1e-9)
+    z = 0.6  # R = Σ_{j=0}^{6} (−z)^j
+    assert slope == pytest.approx(Ts * sum(j * (-1) ** j * z ** (j - 1) for j in range(1, 7)), abs=1e-9)
+
+
+def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
+    target = ck.hold(ck.pose(ARM, Q).position[:2] + 0.2)
+    with pytest.raises(ck.ArgumentError, match="`q` must be at rest"):
+        spectrum(law(), target, Q, Ts)
+    rest = settle(law(), target, Q)
+    assert spectrum(law(), target, rest, Ts).radius == pytest.approx(0.4, abs=1e-6)
+    with pytest.raises(ck.ArgumentError, match="`target` must be one the loop comes to rest on"):
+        settle(law(), ck.hold([9.0, 0.0]), Q)

@@ -1,0 +1,271 @@
+"""Stores: what is done survives kills, faults, full disks and lost processes, to the last bit."""
+
+import errno
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import xarray
+
+from cnclik.errors import ArgumentError
+from cnclik.sweeps import spec, store, sweep
+
+TEXT = """
+question = "Does it survive?"
+expectation = "It does."
+metrics = ["final_error", "ok", "error"]
+lanes = 16
+[fixed]
+task = "xy"
+robot = "planar:1,1"
+q0 = [0, "-pi/2"]
+N = 5
+reference = "hold"
+target = [1, 0]
+[axes]
+method = ["EE", "HEUN"]
+alpha = { linspace = [1, 20, 30] }
+Ts = { linspace = [0.01, 0.1, 7] }
+"""
+
+
+def _assert_same(a, b):
+    """Bit-identical but for the commit: an installed copy in another folder doesn't know it."""
+    a, b = (d.assign_attrs(commit="") for d in (a, b))
+    xarray.testing.assert_identical(a, b)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """The spec as a file."""
+    file = tmp_path_factory.mktemp("spec") / "survive.toml"
+    file.write_text(TEXT)
+    return file
+
+
+@pytest.fixture(scope="module")
+def undisturbed(path, tmp_path_factory):
+    """The folder of a run that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert store.run(spec.read(path), folder)
+    return folder
+
+
+def assert_same(folder, other):
+    """Bit for bit: values, dtypes, labels, attributes."""
+    a, b = store.read(folder).load(), store.read(other).load()
+    _assert_same(a, b)
+    for name in a.variables:
+        if a[name].dtype.kind != "O":
+            assert a[name].values.tobytes() == b[name].values.tobytes(), name
+
+
+def test_a_store_is_the_sweep_in_memory(path, undisturbed):
+    s = spec.read(path)
+    found = store.read(undisturbed)
+    wanted = sweep.sweep(s.study, lanes=16, **{a.name: a for a in s.grid().axes})
+    assert list(found.dims) == ["method", "alpha", "Ts", "time"]
+    for name in ("final_error", "ok", "error"):
+        np.testing.assert_array_equal(found[name], wanted[name])
+        assert found[name].attrs["units"] in ("m", "1") and found[name].attrs["long_name"]
+    with xarray.open_zarr(undisturbed / "data.zarr", chunks=None) as plain:
+        assert plain.question == "Does it survive?" and plain.alpha.units == "1/s"
+    assert list(found.method.values) == ["EE", "HEUN"]
+
+
+class Stopped(Exception):  # noqa: N818
+    pass
+
+
+def stop_at(count):
+    def progress(done, total):
+        if done >= count:
+            raise Stopped
+
+    return progress
+
+
+@pytest.mark.parametrize("count", [16, 200, 399])
+def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count):
+    with pytest.raises(Stopped):
+        store.run(spec.read(path), tmp_path, progress=stop_at(count))
+    assert np.isnan(store.read(tmp_path).final_error).any() and store.blocks_missing(tmp_path)
+    seen = []
+    assert store.run(spec.read(path), tmp_path, progress=lambda done, total: seen.append(total))
+    assert seen[0] < 420 - count + 16  # what was done was not done again
+    assert_same(tmp_path, undisturbed)
+
+
+def test_damaged_blocks_are_found_and_done_again(path, undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "copy")
+    chunks = sorted(p for p in (tmp_path / "copy/data.zarr/final_error/c").rglob("*") if p.is_file())
+    chunks[0].write_bytes(b"")  # as a power cut leaves it
+    chunks[1].write_bytes(chunks[2].read_bytes())  # decodes, but is not what was written
+    chunks[3].unlink()
+    seen = []
+    assert store.run(spec.read(path), tmp_path / "copy", progress=lambda done, total: seen.append(done))
+    assert len(seen) == 1 + 3
+    assert_same(tmp_path / "copy", undisturbed)
+
+
+def test_a_changed_spec_is_refused_unless_fresh(path, undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "copy")
+    other = spec.read(path, ["target=[0, 1]"])
+    with pytest.raises(
+        ArgumentError, match=r"differs in cases|differs in fixed\.target: \[1, 0\] there, \[0, 1\] here"
+    ):
+        store.run(other, tmp_path / "copy")
+    assert_same(tmp_path / "copy", undisturbed)
+    store.run(spec.read(path, ["question=Other words, same numbers?"]), tmp_path / "copy")
+    assert_same(tmp_path / "copy", undisturbed)
+    assert store.run(other, tmp_path / "copy", fresh=True)
+    assert not np.array_equal(store.read(tmp_path / "copy").final_error, store.read(undisturbed).final_error)
+
+
+def test_a_folder_with_something_else_is_left_alone(path, tmp_path):
+    (tmp_path / "data.zarr").mkdir()
+    (tmp_path / "data.zarr" / "mine").write_text("precious")
+    with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
+        store.run(spec.read(path), tmp_path)
+    assert (tmp_path / "data.zarr" / "mine").read_text() == "precious"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArgumentError, match="folder that can be written"):
+        store.run(spec.read(path), tmp_path / "file")
+
+
+def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
+    write, calls = store.Store.write, []
+
+    def full(self, block, piece):
+        calls.append(block)
+        if len(calls) > 4:
+            self.group["final_error"][block.region] = piece["final_error"]  # half a block
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(self, block, piece)
+
+    monkeypatch.setattr(store.Store, "write", full)
+    with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 30 blocks; they are kept") as error:
+        store.run(spec.read(path), tmp_path)
+    assert "\n" not in str(error.value)
+    monkeypatch.undo()
+    assert store.run(spec.read(path), tmp_path)
+    assert_same(tmp_path, undisturbed)
+
+
+def test_a_small_tmpfs(path, undisturbed, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=240k", "tmpfs", disk], capture_output=True, text=True)
+    if mounted.returncode:
+        pytest.skip(f"a tmpfs can't be mounted here: {mounted.stderr.strip()}")
+    try:
+        with pytest.raises(ArgumentError, match="No space left on device"):
+            store.run(spec.read(path), disk / "out")
+        done = 30 - store.blocks_missing(disk / "out")
+        assert 0 < done < 30
+        found, wanted = store.read(disk / "out").load(), store.read(undisturbed).load()
+        known = np.isfinite(found.final_error.values)
+        np.testing.assert_array_equal(found.final_error.values[known], wanted.final_error.values[known])
+        subprocess.run(["mount", "-o", "remount,size=8m", disk], check=True)  # room again
+        assert store.run(spec.read(path), disk / "out")
+        assert_same(disk / "out", undisturbed)
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+# --- processes that die -------------------------------------------------------------------------------
+
+
+def command(path, out, *more):
+    return [sys.executable, "-m", "cnclik", "sweep", str(path), "--out", str(out), "--no-figures", *more]
+
+
+def environment():
+    # Blocks slowed down, so that a kill falls among them and not into compilation.
+    return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1"}
+
+
+def wait_for(folder, count, process, limit=300):
+    """Until `count` blocks are done, or the process is."""
+    chunks = folder / "data.zarr" / "progress" / "checksum" / "c"
+    end = time.monotonic() + limit
+    while process.poll() is None and time.monotonic() < end:
+        if chunks.is_dir() and len(os.listdir(chunks)) >= count:
+            return
+        time.sleep(0.001)
+
+
+def kill_and_resume(path, tmp_path, undisturbed, kills, seed):
+    dice = random.Random(seed)
+    died = 0
+    for _ in range(kills):
+        process = subprocess.Popen(
+            command(path, tmp_path), env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        chunks = tmp_path / "data.zarr" / "progress" / "checksum" / "c"
+        done = len(os.listdir(chunks)) if chunks.is_dir() else 0
+        wait_for(tmp_path, done + dice.randint(1, 2), process)
+        time.sleep(dice.random() * 0.02)
+        process.send_signal(signal.SIGKILL)
+        died += process.wait() == -signal.SIGKILL
+    assert died >= min(kills, 5)
+    subprocess.run(command(path, tmp_path), env=environment(), check=True, stdout=subprocess.DEVNULL)
+    assert_same(tmp_path, undisturbed)
+    assert (tmp_path / "summary.csv").exists() and (tmp_path / "config.json").exists()
+
+
+def test_two_kills(path, undisturbed, tmp_path):
+    kill_and_resume(path, tmp_path, undisturbed, 2, seed=1)
+
+
+@pytest.mark.slow
+def test_twenty_kills(path, undisturbed, tmp_path):
+    kill_and_resume(path, tmp_path, undisturbed, 20, seed=2)
+
+
+def start_together(path, out, count):
+    with socket.socket() as s:
+        s.bind(("localhost", 0))
+        port = s.getsockname()[1]
+    shared = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", str(count), "--process"]
+    return [
+        subprocess.Popen(
+            command(path, out, *shared, str(i)),
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for i in range(count)
+    ]
+
+
+def finish(processes):
+    return [(p.communicate(timeout=400)[0], p.returncode) for p in processes]
+
+
+def test_two_processes_make_one_store(path, undisturbed, tmp_path):
+    done = finish(start_together(path, tmp_path, 2))
+    assert all(code == 0 for _, code in done), done
+    assert_same(tmp_path, undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", [0, 2])
+def test_a_lost_process_of_four_is_made_good_by_a_rerun(path, undisturbed, tmp_path, victim):
+    processes = start_together(path, tmp_path, 4)
+    wait_for(tmp_path, 2, processes[victim])
+    processes[victim].send_signal(signal.SIGKILL)
+    done = finish(processes)
+    assert processes[victim].returncode == -signal.SIGKILL, done
+    assert store.blocks_missing(tmp_path) > 0
+    done = finish(start_together(path, tmp_path, 4))
+    assert all(code == 0 for _, code in done), done
+    assert_same(tmp_path, undisturbed)

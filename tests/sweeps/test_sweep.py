@@ -1,0 +1,165 @@
+"""Sweeps against a plain Python loop over `solve`; labels, traces, blocks, refusals."""
+
+import itertools
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray
+
+import cnclik as ck
+from cnclik.errors import ArgumentError
+from cnclik.measure.metrics import METRICS, measure
+from cnclik.sweeps import sweep as sweeps
+from cnclik.sweeps.sweep import sweep
+from tests import plain
+
+ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
+Q0 = np.array([0.0, np.pi / 2])
+PATH = ck.line([1.0, 1.0], [0.0, 1.0], duration=0.6)
+SCALARS = [n for n, m in METRICS.items() if not m.dims and "rotation" not in n]
+N = 8
+
+
+def loop(alpha, Ts, M, method):
+    law = ck.Law(ARM, ck.position("xy"), alpha=alpha)
+    stage = ck.picard(M) if isinstance(M, int) else ck.picard(M, maximum=3)
+    return law, ck.solve(law, PATH, Q0, Ts, N, method, stage)
+
+
+def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
+    traces = []
+
+    def study(alpha, Ts, M, method):
+        traces.append(method)
+        law, run = loop(alpha, Ts, M, method)
+        return measure(run, law, PATH, SCALARS, tolerance=0.01)
+
+    axes = {"method": [ck.EE, ck.CN], "alpha": [2.0, 5.0, 12.0], "Ts": jnp.array([0.05, 0.1]), "M": np.array([0, 3])}
+    # Blocks of four of the twelve points: several of them, the last of each program padded or not.
+    found = sweep(study, lanes=5, **axes)
+    assert traces == [ck.EE, ck.CN]  # one trace per program
+    assert found.final_error.dims == tuple(axes)
+    for i, j, k, m in itertools.product(range(2), range(3), range(2), range(2)):
+        Ts = float(axes["Ts"][k])
+        law, run = loop(axes["alpha"][j], Ts, int(axes["M"][m]), axes["method"][i])
+        t = np.arange(N + 1) * Ts
+        tangent = np.array([-1.0, 0.0]) * (t <= 0.6 + 1e-9)[:, None]
+        with np.errstate(invalid="ignore"):
+            wanted = plain.metrics(run, law, tangent, 0.01, np.inf, -np.inf, np.inf)
+        here = found.isel(method=i, alpha=j, Ts=k, M=m)
+        for name in SCALARS:
+            if name.startswith(("position", "rotation")) or name not in wanted:
+                continue
+            if name == "evaluations" and i == 0:
+                assert here[name] == N
+            np.testing.assert_allclose(
+                here[name], wanted[name], rtol=1e-9, atol=1e-11, err_msg=f"{name} at {here.coords}"
+            )
+
+
+def test_long_histories_and_every_metric_of_them():
+    def study(alpha):
+        law = ck.Law(ARM, ck.position("xy"), alpha=alpha)
+        run = ck.solve(law, PATH, Q0, 0.01, 300, ck.EE)
+        return measure(run, law, PATH, ["error", *SCALARS])
+
+    found = sweep(study, alpha=np.linspace(1.0, 20.0, 100))  # two tiles of lanes, the last one filled up
+    for i in (0, 70, 99):
+        wanted = study(float(found.alpha[i]))
+        for name, value in wanted.items():
+            np.testing.assert_allclose(found[name][i], value, rtol=1e-9, atol=1e-11, err_msg=name)
+
+
+def cheap(alpha, Ts=1.0, scale=1.0):
+    return {"z": alpha * Ts * scale, "history": alpha * jnp.arange(3.0)}
+
+
+def test_coordinates_units_and_configuration_are_labelled():
+    found = sweep(cheap, units={"history": "m"}, attrs={"seed": 7}, alpha=[1.0, 2.0], Ts=np.array([0.1, 0.2, 0.3]))
+    assert dict(found.sizes) == {"alpha": 2, "Ts": 3, "history_0": 3}
+    assert found.alpha.attrs["units"] == "1/s" and found.Ts.attrs["units"] == "s"
+    assert found.history.attrs["units"] == "m" and found.z.attrs["units"] == "1"
+    assert all("units" in found[n].attrs for n in found.variables)
+    assert float(found.z.sel(alpha=2.0, Ts=0.3)) == pytest.approx(0.6, rel=1e-15)
+    assert found.attrs["seed"] == 7 and found.attrs["jax"] == jax.__version__
+    assert json.loads(found.attrs["config"])["axes"]["Ts"] == [0.1, 0.2, 0.3]
+
+
+def test_axes_of_vectors_objects_and_labelled_values():
+    arms = {"short": 1.0, "long": 2.0}
+    found = sweep(
+        lambda arm, target, M, gain: {"value": arm * target[0] + M + gain.sum()},
+        arm=arms,
+        target=np.array([[1.0, 5.0], [2.0, 6.0], [3.0, 7.0]]),
+        M=[1, 2],
+        gain=[[1.0, 1.0], [2.0, 2.0]],
+    )
+    assert list(found.arm.values) == ["short", "long"] and list(found.target.values) == [0, 1, 2]
+    np.testing.assert_array_equal(found.target_value, [[1, 5], [2, 6], [3, 7]])
+    # The axis `arm` selects by its label; an axis called `method` needs sel({"method": ...}).
+    assert float(found.value.sel({"arm": "long", "target": 2, "M": 2, "gain": 1})) == 2 * 3 + 2 + 4
+
+
+def test_only_outer_axes():
+    found = sweep(lambda method: {"order": jnp.asarray(method.order)}, method=[ck.EE, ck.RK4])
+    assert found.order.values.tolist() == [1, 4]
+
+
+def test_blocks_tile_any_grid_once_and_have_one_shape():
+    for lanes in (1, 3, 4, 7, 30, 1000):
+        of = sweeps.grid({"a": np.arange(5.0), "m": [1, 2], "b": np.arange(3.0), "c": np.arange(4.0)}, lanes)
+        assert np.prod(of.block) <= max(lanes, 1)
+        seen = np.zeros(of.shape, int)
+        for block in of.blocks():
+            seen[block.region] += 1
+            values = of.lane_values(block)
+            assert all(len(v) == np.prod(of.block) for v in values.values())
+            np.testing.assert_array_equal(of.cut(block, values["b"])[0, 0, :, 0], np.arange(3.0)[block.region[2]])
+        assert (seen == 1).all()
+
+
+def test_the_result_does_not_depend_on_blocks():
+    axes = {"alpha": np.linspace(0.1, 1, 7), "Ts": np.linspace(0.1, 1, 5)}
+    whole, cut = sweep(cheap, **axes), sweep(cheap, lanes=3, **axes)
+    xarray.testing.assert_equal(whole, cut)
+
+
+def test_a_block_that_needs_too_much_memory_is_cut(monkeypatch):
+    def study(alpha):
+        return {"long": jnp.sin(alpha + jnp.arange(1000.0))}
+
+    of, program = sweeps.fit(study, sweeps.grid({"alpha": np.arange(4096.0)}), memory=2**22)
+    assert program.memory <= 2**22 and 1 < of.lanes < 4096
+
+
+def test_netcdf_round_trip(tmp_path):
+    found = sweep(cheap, alpha=[1.0, 2.0], Ts=np.array([0.1, 0.2]))
+    found.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as back:
+        xarray.testing.assert_identical(found, back.load())
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        ({}, "name at least one axis"),
+        ({"alpha": 3.0}, "Argument `alpha` must be an axis"),
+        ({"alpha": []}, "hold at least one value, but is empty"),
+        ({"alpha": [1.0, np.nan]}, "hold finite values"),
+        ({"alpha": [object()]}, "be a dict"),
+        ({"alpha": [[1.0], [1.0, 2.0]]}, "hold values of one shape"),
+    ],
+)
+def test_axes_that_are_none(axes, words):
+    with pytest.raises(ArgumentError, match=words):
+        sweep(cheap, **axes)
+    with pytest.raises(ArgumentError, match="be a function"):
+        sweep(3, alpha=[1.0])
+
+
+def test_programs_must_agree_on_what_they_return():
+    with pytest.raises(ArgumentError, match="same names and shapes everywhere"):
+        sweep(lambda N, a: {"x": jnp.zeros(N) + a}, N=[2, 3], a=[1.0])
