@@ -1,12 +1,31 @@
-"""The suite runs in float64; float32 has tests of its own with their own tolerances."""
+"""The suite runs in float64; float32 has tests of its own with their own tolerances.
+
+Programs are compiled once for all workers, and for the next run: in JAX's persistent cache, which keys them by their
+content, compiler and flags.
+"""
 
 import os
+import tempfile
 
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # One thread per xdist worker: several workers share few cores.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2**30))
+
+import gc
 
 import jax
+import pytest
 
 jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forget_programs():
+    """A module's programs are of no use to the next: without this a worker keeps gigabytes of them."""
+    yield
+    jax.clear_caches()
+    gc.collect()

@@ -3,10 +3,24 @@
 Loops are written out method by method, as the paper and the textbooks print them, and not from tableaus.
 """
 
+import importlib.metadata
+import pathlib
+
 import numpy as np
 import scipy.linalg
 
 # --- robots -------------------------------------------------------------------------------------------
+
+
+def robots() -> pathlib.Path:
+    """Folder of the robots of the example-robot-data wheel."""
+    files = importlib.metadata.files("example-robot-data")
+    return pathlib.Path(next(f for f in files if f.name == "panda.urdf").locate()).resolve().parents[2]
+
+
+def robot_file(name) -> pathlib.Path:
+    """A robot's URDF file: "panda", "ur5"."""
+    return robots() / {"panda": "panda_description/urdf/panda.urdf", "ur5": "ur_description/urdf/ur5_robot.urdf"}[name]
 
 
 def planar_position(lengths, q, sense=1.0):

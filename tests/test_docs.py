@@ -1,0 +1,119 @@
+"""README and docs, executed: every fenced Python block, every command line, page by page in the order of reading.
+
+Commands run with smaller numbers and, where nothing in them belongs to one robot, on a small arm; `-m slow` runs them
+as printed.
+"""
+
+import pathlib
+import re
+import shlex
+import shutil
+import tomllib
+
+import jax
+import pytest
+
+from cnclik.cli import main
+from tests.oracles import robot_file
+
+ROOT = pathlib.Path(__file__).parents[1]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+
+# Less of the same, by verb.
+FEWER = {
+    "solve": ["--N", "5"],
+    "stability": ["--N", "8", "--cells", "4", "--passes", "0", "1"],
+    "tune": ["--N", "10", "--steps", "6"],
+    "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
+}
+SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints
+ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
+NEEDS_OTHER_MACHINES = ("srun", "ssh", "--distributed")
+
+
+def parts(page):
+    """What a page shows, in its order: ("python", code) and ("command", line)."""
+    text = page.read_text(encoding="utf-8")
+    found = []
+    for block in re.finditer(r"^```(\w*)\n(.*?)^```", text, re.M | re.S):
+        if block[1] == "python":
+            found.append((block.start(), "python", block[2]))
+        else:
+            found += [(block.start(), "command", line) for line in commands(block[2])]
+    outside = re.sub(r"^```.*?^```", lambda m: " " * len(m[0]), text, flags=re.M | re.S)
+    for line in re.finditer(r"^ {4}(\$ )?(cnclik \S.*)$", outside, re.M):
+        found += [(line.start(), "command", one) for one in commands(line[2])]
+    for line in re.finditer(r"`(cnclik [a-z]+ [^`]*)`", outside):
+        found += [(line.start(), "command", one) for one in commands(line[1])]
+    return [(kind, text) for _, kind, text in sorted(found, key=lambda item: item[0])]
+
+
+def commands(text):
+    lines = (line.strip().removeprefix("$ ").partition("  #")[0].strip() for line in text.splitlines())
+    return [line for line in lines if line.startswith("cnclik ") and not any(w in line for w in NEEDS_OTHER_MACHINES)]
+
+
+def fewer(argv):
+    """The same command with less to do."""
+    verb, *rest = argv
+    if verb in ("stability", "tune") and "--q0" not in rest:
+        rest = [SMALL if word in ("panda", "robot.urdf") else word for word in rest]
+        if SMALL in rest and "--tip" in rest:
+            del rest[rest.index("--tip") : rest.index("--tip") + 2]
+    if verb == "sweep" and "--check" not in rest:
+        spec = tomllib.loads(next(ROOT / w for w in rest if w.endswith(".toml")).read_text(encoding="utf-8"))
+        for name, axis in spec.get("axes", {}).items():
+            if isinstance(axis, dict):
+                kind = next(iter(axis))
+                count = 2 if kind == "samples" else [*axis[kind][:2], 2] if len(axis[kind]) == 3 else axis[kind][:1] * 2
+                less = ", ".join(f"{k} = {count if k == kind else v!r}" for k, v in axis.items())
+                rest += ["--set", f"axes.{name}={{ {less} }}"]
+        rest = ["--set", "N=8", *rest] if isinstance(spec.get("fixed", {}).get("N"), int) else rest
+    if verb == "bench" and "--help" not in rest:
+        return [verb, *FEWER[verb], *(["--json"] if "--json" in rest else [])]
+    return [verb, *rest, *FEWER.get(verb, [])]
+
+
+def prepare(folder):
+    """What the pages speak of: robots' files, specs, waypoints."""
+    for name, file in (("panda.urdf", "panda"), ("robot.urdf", "ur5")):
+        shutil.copy(robot_file(file), folder / name)
+    shutil.copytree(ROOT / "sweeps", folder / "sweeps")
+    rows = ("time,x,y,z,qw,qx,qy,qz", "0,0.4,0.0,0.4,0,1,0,0", "2,0.45,0.1,0.4,0,1,0,0", "4,0.4,0.0,0.4,0,1,0,0")
+    (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def read_aloud(page, folder, less):
+    """Run a page from its top to its end, as a reader would who types all of it into one shell and one Python."""
+    prepare(folder)
+    names = {"__name__": "page"}
+    for kind, text in parts(page):
+        if kind == "python":
+            with jax.enable_x64(False):  # Python users get float32
+                exec(compile(text, f"{page.name}", "exec"), names)
+            continue
+        argv = shlex.split(text)[1:]
+        if argv[0] in ELSEWHERE or argv[0].isupper():
+            continue
+        try:
+            main(fewer(argv) if less else argv)
+        except SystemExit as left:
+            assert not left.code, f"{text} ended with {left.code}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    read_aloud(page, tmp_path, less=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    read_aloud(page, tmp_path, less=False)
+
+
+def test_pages_show_commands_and_code():
+    kinds = [kind for page in PAGES for kind, _ in parts(page)]
+    assert kinds.count("python") >= 6 and kinds.count("command") >= 15

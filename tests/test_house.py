@@ -1,0 +1,118 @@
+"""The house: imports run one way, no room uses another's private names, modules stay short, each helper stands once."""
+
+import ast
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
+GROUND = ("errors", "record", "hints", "precision", "version")
+ROOMS = ("robot", "law", "integrate", "problem", "measure", "stability", "sweeps", "tuning", "show", "paper", "bench")
+ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
+MOST_LINES = 400
+
+
+def files():
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def room(path):
+    """The room a file belongs to; the package's own front door and `python -m cnclik` belong to none."""
+    name = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return None if name in ("__init__", "__main__") else name
+
+
+def imported(path):
+    """(line, room, name) of everything a file imports from the package, at its top or inside a function."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "cnclik":
+            _, *inner = node.module.split(".")
+            for alias in node.names:
+                yield node.lineno, inner[0] if inner else alias.name, alias.name
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "cnclik":
+                    yield node.lineno, ([*alias.name.split("."), ""])[1], ""
+
+
+def test_every_file_belongs_to_a_room_of_the_order():
+    assert {room(path) for path in files()} - {None} == set(ORDER)
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_run_one_way_and_touch_no_private_name(path):
+    own = room(path)
+    if own is None:
+        return
+    for line, other, name in imported(path):
+        assert other in ORDER, f"{path}:{line} imports the package's front door"
+        assert ORDER[other] <= ORDER[own], f"{path}:{line} imports {other}, which stands on {own}"
+        if other != own:
+            assert not name.startswith("_") or name == "__version__", f"{path}:{line} imports {other}.{name}"
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_attribute_of_another_room_is_private(path):
+    """`module._name`, for modules of other rooms."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    modules = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cnclik"):
+            for alias in node.names:
+                where = PACKAGE.joinpath(*node.module.split(".")[1:], alias.name)
+                if where.is_dir() or where.with_suffix(".py").exists():
+                    modules[alias.asname or alias.name] = ([*node.module.split("."), alias.name])[1]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            private = node.attr.startswith("_") and not node.attr.startswith("__")
+            assert not (private and modules[node.value.id] != room(path)), f"{path}:{node.lineno} {node.attr}"
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_file_is_long(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+
+
+ONCE = {  # what may stand in one place only, and where
+    r"sched_getaffinity|cpu_count\(": "hints.py",
+    r"\.to_netcdf\(": "measure/files.py",
+    r"\.savefig\(": "show/style.py",
+    r"\bProgress\(|rich\.track|track\(": "cli/progress.py",
+    r"jnp\.sqrt\(jnp\.where\(": "robot/spatial.py",
+    r"np\.array2string\(": "measure/files.py",
+    r"\"\| ---|\| --- \|": "measure/files.py",
+    r"xla_backend_optimization_level": "hints.py",
+}
+
+
+@pytest.mark.parametrize("pattern", ONCE)
+def test_each_helper_stands_once(pattern):
+    found = {str(p.relative_to(PACKAGE)) for p in files() if re.search(pattern, p.read_text(encoding="utf-8"))}
+    assert found <= {ONCE[pattern]}
+
+
+def test_no_rule_of_the_linter_is_switched_off_by_hand():
+    assert not [str(p) for p in files() if "noqa: E731" in p.read_text(encoding="utf-8")]
+
+
+def test_importing_cnclik_loads_only_jax_and_numpy():
+    heavy = ("matplotlib", "xarray", "zarr", "optax", "rich", "tyro", "h5netcdf", "yourdfpy", "lxml")
+    code = f"import sys, cnclik; print([m for m in {heavy} if m in sys.modules])"
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=PACKAGE.parent)
+    assert made.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there():
+    import cnclik
+
+    assert not [name for name in cnclik.__all__ if getattr(cnclik, name, None) is None]
+    assert sorted(set(cnclik.__all__)) == sorted(cnclik.__all__) and dir(cnclik) == sorted(cnclik.__all__)
+
+
+@pytest.mark.parametrize("name", [r for r in ROOMS if r not in ("robot", "law", "integrate")])
+def test_a_room_is_reached_by_attribute_and_by_import(name):
+    code = f"import cnclik, cnclik.{name} as r; assert cnclik.{name} is r and r.__doc__"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGE.parent)
