@@ -272,8 +272,9 @@ class _Reader:
             out.append(_array(cells, var.aval.shape))
         return out
 
-    def scan(self, equation, inputs, *, jaxpr, length, num_consts, num_carry, reverse, **_):
+    def scan(self, equation, inputs, *, jaxpr, length, reverse, **_):
         """A loop in registers; what it stacks up over time is LOST."""
+        num_consts, num_carry = _consts_and_carry(equation, jaxpr)
         consts, start, xs = inputs[:num_consts], inputs[num_consts:][:num_carry], inputs[num_consts + num_carry :]
         counters = [_counter(x, v.aval) for x, v in zip(xs, equation.invars[num_consts + num_carry :], strict=True)]
         avals = [v.aval for v in equation.invars[num_consts:][:num_carry]]
@@ -303,6 +304,17 @@ class _Reader:
         ended = whole(lax.fori_loop(0, length, once, flat(start)))
         lost = [_array([LOST] * int(np.prod(v.aval.shape)), v.aval.shape) for v in equation.outvars[num_carry:]]
         return [*ended, *lost]
+
+
+def _consts_and_carry(equation, jaxpr):
+    """How many of a scan's inputs are constants and how many are carried, from shapes alone.
+
+    What is scanned over or stacked up has one axis more outside than inside; the parameters that say so differ
+    between versions of JAX.
+    """
+    carry = sum(v.aval.ndim == inner.ndim for v, inner in zip(equation.outvars, jaxpr.out_avals, strict=True))
+    scanned = sum(v.aval.ndim > inner.ndim for v, inner in zip(equation.invars, jaxpr.in_avals, strict=True))
+    return len(equation.invars) - carry - scanned, carry
 
 
 def _fold(equation, inputs):
