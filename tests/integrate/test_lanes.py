@@ -35,7 +35,7 @@ def reference():
 
 @pytest.fixture(scope="module", params=[True, False], ids=["hints", "plain"])
 def tiled(request):
-    with ck.hints(request.param):
+    with ck.use_hints(request.param):
         yield lanes(_final, tile=8, block=32, cores=2)
 
 
@@ -103,7 +103,7 @@ def test_every_block_runs_in_the_callers_contexts():
         return x * 1.000000001
 
     x = np.linspace(0.0, 1.0, 40)
-    with jax.enable_x64(True), ck.hints(False):
+    with jax.enable_x64(True), ck.use_hints(False):
         found = lanes(noted, tile=4, block=8, cores=2)(x)
     np.testing.assert_array_equal(found, x * 1.000000001)
     assert set(seen) == {(np.dtype("float64"), False)}

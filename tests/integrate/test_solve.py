@@ -157,14 +157,14 @@ def test_no_new_compilation_for_new_numbers():
 def test_hints_change_nothing_but_speed():
     plain = {}
     for method in ("CN", "RK4"):
-        with ck.hints(False):
+        with ck.use_hints(False):
             plain[method] = run(method=method)
         fenced = run(method=method)
         for field in ("q", "x", "e", "qdot", "residual"):
             close(getattr(plain[method], field), getattr(fenced, field), atol=1e-13)
         np.testing.assert_array_equal(plain[method].status, fenced.status)
     slope = jax.grad(lambda a: jnp.sum(run(alpha=a).q[-1]))
-    with ck.hints(False):
+    with ck.use_hints(False):
         without = slope(4.0)
     close(slope(4.0), without, rtol=1e-11)
 
@@ -178,7 +178,7 @@ def test_hints_are_part_of_the_cache_key():
 
     marks = []
     for on in (True, False, True):
-        with ck.hints(on):
+        with ck.use_hints(on):
             marks.append("inlineable" in fn.lower(Q).as_text())
     assert marks == [True, False, True]
 
