@@ -2,9 +2,10 @@
 
 XLA's CPU fusion copies a producer into every consumer: without a fence it recomputes each sine dozens of
 times. `opaque` puts a stage behind a call the compiler may not inline. Hints change speed, never the
-meaning: `with hints(False): ...` (or CNCLIK_HINTS=0 in the environment) runs the same code without them.
+meaning: `with use_hints(False): ...` (or CNCLIK_HINTS=0 in the environment) runs the same code without them.
 """
 
+import collections
 import functools
 import os
 
@@ -14,11 +15,12 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from cnclik.record import combine, partition
 
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
-_lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many
+_lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
+KEPT_PROGRAMS = 512  # compiled or traced programs that a cache of this library keeps; the least recently used one goes
 
 
-def hints(on: bool):
-    """Context manager: turn every compiler hint of cnclik on or off. Part of JAX's cache keys."""
+def use_hints(on: bool):
+    """Context manager: turn every compiler hint and option of cnclik on or off. Part of JAX's cache keys."""
     return _context(bool(on))
 
 
@@ -37,6 +39,11 @@ def in_kernel():
     return _lanes(-1)
 
 
+def keeps_history() -> bool:
+    """Whether what is traced can look back on a loop's steps: a GPU kernel can't."""
+    return _lanes.value >= 0
+
+
 def on_cpu() -> bool:
     """Whether what is traced is a program for a CPU."""
     return jax.default_backend() == "cpu" and _lanes.value >= 0
@@ -48,7 +55,7 @@ def opaque(fn):
     Literals among the arguments and results stay literals across the fence.
     """
 
-    @functools.cache
+    @functools.lru_cache(maxsize=KEPT_PROGRAMS)
     def fenced(literals):
         made = {}
 
@@ -72,18 +79,72 @@ def opaque(fn):
         arrays, literals = partition(args)
         return fenced(literals)(arrays) if arrays else fn(*args)
 
+    stage.cache_info = fenced.cache_info
     return stage
 
 
+# --- options of the compiler --------------------------------------------------------------------------
+
 # A program that runs once is ready sooner with fewer passes over it: a third of the compile time, slower code.
 QUICK_COMPILE = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+
+
+def known_options(options: dict) -> dict:
+    """Those of the compiler options that this version's compiler knows, and none where the switch is off.
+
+    Options are no stable part of XLA, and one that it doesn't know is an error: each is tried once, on a program
+    of one number, when it is first asked for.
+    """
+    if not switched_on():
+        return {}
+    backend = jax.default_backend()
+    return {name: value for name, value in options.items() if _is_known(name, value, backend)}
+
+
+@functools.cache
+def _is_known(name, value, backend) -> bool:
+    program = jax.jit(_same, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
+    try:
+        program.compile()
+    except Exception:  # what a compiler raises for it differs between versions
+        return False
+    return True
+
+
+def _same(x):
+    return x
 
 
 def quick_jit(fn=None, **options):
     """`jax.jit` for programs whose compile time is most of what a user waits for. Decorator, with jit's arguments."""
     if fn is None:
         return functools.partial(quick_jit, **options)
-    return jax.jit(fn, compiler_options=QUICK_COMPILE, **options)
+
+    @functools.lru_cache(maxsize=8)  # one with hints, one without, per backend
+    def compiled(switch, backend):
+        return jax.jit(fn, compiler_options=known_options(QUICK_COMPILE) or None, **options)
+
+    @functools.wraps(fn)
+    def call(*args, **kwargs):
+        return compiled(switched_on(), jax.default_backend())(*args, **kwargs)
+
+    return call
+
+
+class Recent(collections.OrderedDict):
+    """A dict of at most KEPT_PROGRAMS entries: what was asked for longest ago makes room."""
+
+    def get(self, key, default=None):
+        """The value of a key, which thereby becomes the newest."""
+        if key not in self:
+            return default
+        self.move_to_end(key)
+        return self[key]
+
+    def __setitem__(self, key, value):
+        super().__setitem__(key, value)
+        while len(self) > KEPT_PROGRAMS:
+            self.popitem(last=False)
 
 
 def cores() -> int:
@@ -118,6 +179,14 @@ _NATIVE_NAMES = """
 """
 _NATIVE = frozenset(_NATIVE_NAMES.split())
 
+# What may be compiled with 512-bit vectors: what is tested to give the same numbers. With them XLA (jax 0.10.2) gives
+# 0 for most arctangents, and might do so with others that nobody has looked at.
+_WIDE_NAMES = """
+    argmax argmin copysign cumsum dot_general optimization_barrier population_count reduce_and reduce_max reduce_min
+    reduce_prod reduce_sum scatter scatter-add
+"""
+_WIDE = (_NATIVE | frozenset(_WIDE_NAMES.split())) - {"atan"}
+
 
 def equations(jaxpr):
     """All equations of a traced program, those inside its calls and loops too."""
@@ -130,6 +199,11 @@ def equations(jaxpr):
 
 def _is_native(jaxpr) -> bool:
     return all(equation.primitive.name in _NATIVE for equation in equations(jaxpr))
+
+
+def is_wide(jaxpr) -> bool:
+    """Whether a traced program may be compiled with 512-bit vectors."""
+    return all(equation.primitive.name in _WIDE for equation in equations(jaxpr))
 
 
 def one_function(loop):

@@ -83,7 +83,9 @@ def record(cls=None, *, kw_only=True):
                 object.__setattr__(self, name, own)
 
     cls.__post_init__ = frozen
-    cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False)(cls)
+    if cls.__repr__ is object.__repr__:
+        cls.__repr__ = _in_short
+    cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
     names = tuple(f.name for f in dataclasses.fields(cls))
 
     def flatten(self):
@@ -112,6 +114,26 @@ def record(cls=None, *, kw_only=True):
     cls.__getstate__ = fields_alone
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
+
+
+def brief(value) -> str:
+    """A value in a few words: small arrays by their numbers, large ones and traced ones by dtype and shape."""
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
+        known = isinstance(value, (np.ndarray, np.generic, jax.Array)) and not isinstance(value, jax.core.Tracer)
+        if known and value.size <= 9 and value.dtype.kind in "biuf":
+            return np.array2string(np.asarray(value), precision=5, separator=", ").replace("\n", "")
+        return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
+    if isinstance(value, (tuple, list)):
+        shown = [brief(v) for v in value[:3]] + ([f"… {len(value)} in all"] if len(value) > 3 else [])
+        return f"({', '.join(shown)})"
+    if callable(value) and not dataclasses.is_dataclass(value):
+        return getattr(value, "__name__", type(value).__name__)
+    return repr(value)
+
+
+def _in_short(self) -> str:
+    given = ", ".join(f"{f.name}={brief(getattr(self, f.name))}" for f in dataclasses.fields(self))
+    return f"{type(self).__name__.strip('_')}({given})"
 
 
 def leaf(value):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import cnclik as ck
 from cnclik.record import combine, is_literal, partition, record, replace, stack
 
 
@@ -108,3 +109,51 @@ def test_stack_keeps_what_agrees_literal():
     np.testing.assert_array_equal(both.numbers[2], [3.0, 3.0])
     doubled = jax.vmap(lambda r: r.inner.value * r.numbers[1] + r.numbers[2])(both)
     np.testing.assert_array_equal(doubled, [8.0, 13.0])
+
+
+# --- in print -----------------------------------------------------------------------------------------
+
+
+def test_records_print_in_short():
+    assert repr(outer(extra=np.zeros((40, 40)))) == (
+        "Outer(inner=Inner(value=2.0, label='a'), numbers=(1, 2.5, 3.), extra=float64[40, 40])"
+    )
+    assert repr(Inner(value=tuple(range(9)))) == "Inner(value=(0, 1, 2, … 9 in all), label='a')"
+    assert repr(Inner(value=print)) == "Inner(value=print, label='a')"
+    seen = []
+    jax.jit(lambda r: seen.append(repr(r)) or r.value)(Inner(value=np.ones(3)))
+    assert seen == ["Inner(value=float64[3], label='a')"]
+
+
+@pytest.fixture(scope="module")
+def loop():
+    arm = ck.planar_arm(np.ones(2), joint_names=["shoulder", "elbow"])
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1), error_clamp=(0.1, 0.2))
+    return law, ck.solve(law, ck.hold([1.0, 0.5]), [0.3, 0.9], 0.1, 4)
+
+
+def test_what_a_newcomer_prints_is_a_few_lines(loop):
+    law, run = loop
+    lines = str(run).split("\n")
+    assert lines[0] == "Trajectory: 4 steps, 2 joints, 2 task coordinates, float64"
+    assert "0 to 0.4 s" in lines[1] and f"{np.linalg.norm(run.e[-1]):.4g} at last" in lines[2]
+    assert lines[-1].startswith("  status") and len(lines) < 8
+    for part in ("x, y [m]", "alpha 5. 1/s", "Damped(damping=0.1)", "error_clamp [0.1, 0.2]"):
+        assert part in str(law)
+    assert str(law.chain).split("\n")[1:] == [
+        "  shoulder: revolute, -inf to inf rad, up to inf rad/s",
+        "  elbow: revolute, -inf to inf rad, up to inf rad/s",
+    ]
+    assert repr(ck.pose_task("xy", "z", weights=[1, 1, 2])) == "Task: x, y [m], rz [rad], weights [1., 1., 2.]"
+    assert repr(ck.hold([1.0, 2.0])) == "Reference: Hold(position=[1., 2.], rotation=None)"
+    assert repr(ck.with_feedforward(ck.hold([1.0]), [0.0])).endswith("told velocity [0.]")
+
+
+def test_printing_looks_at_no_traced_value(loop):
+    law, run = loop
+    batch = jax.tree.map(lambda v: jnp.stack([v] * 3), run)
+    assert str(batch).startswith("Trajectory: 3 lanes, each of 4 steps, 2 joints")
+    seen = []
+    jax.jit(lambda *args: seen.extend(map(str, args)))(law, run)
+    assert "alpha float64[]" in seen[0] and seen[1] == "Trajectory: 4 steps, 2 joints, 2 task coordinates"
+    assert "4 steps" in repr(jax.eval_shape(lambda r: r, run))

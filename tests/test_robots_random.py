@@ -57,7 +57,7 @@ def test_any_file_loads_as_it_is_or_is_refused_in_one_line(tmp_path, text, tip, 
     assert arm.n >= 1 and all(lower <= upper for lower, upper in zip(arm.lower, arm.upper, strict=True))
     assert not np.isnan([*arm.lower, *arm.upper, *arm.velocity_limit]).any()
     assert all(f'name="{name}"' in text for name in arm.joint_names)
-    with ck.hints(False):
+    with ck.use_hints(False):
         from cnclik.robot.kinematics import frames
 
         at = frames(arm, tuple(np.linspace(-0.5, 0.5, arm.n)))

@@ -3,12 +3,12 @@
 On a CPU the batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in
 time is compiled as one native function (`cnclik.hints`). On a GPU the whole function becomes one kernel
 (`cnclik.integrate.kernel`) where it can, else XLA compiles `jax.vmap(fn)`. Either way batches run in blocks of bounded
-size, side by side on all cores, or on all devices. Under `hints(False)` the same runs without hints and kernels.
+size, side by side on all cores, or on all devices. Under `use_hints(False)` the same runs without hints and kernels.
 """
 
 import functools
 import itertools
-import logging
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -17,8 +17,8 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.hints import Recent, few_lanes, is_wide, known_options, switched_on, use_hints
 from cnclik.hints import cores as available
-from cnclik.hints import equations, few_lanes, hints, switched_on
 from cnclik.integrate import kernel
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
@@ -53,7 +53,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
-    ready = set()
+    ready = Recent()
 
     @functools.wraps(fn)
     def call(*args):
@@ -69,24 +69,21 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
 
 
 def options(traced) -> dict:
-    """How to compile a traced program (`jax.jit(fn).trace(...)`): with OPTIONS, for a CPU and while hints are on.
-
-    With 512-bit vectors XLA (jax 0.10.2) gives 0 for most arctangents: programs that hold one go without.
-    """
-    if jax.default_backend() != "cpu" or not switched_on():
-        return {}
-    return {} if any(equation.primitive.name == "atan" for equation in equations(traced.jaxpr)) else OPTIONS
+    """How to compile a traced program (`jax.jit(fn).trace(...)`): with OPTIONS, for a CPU and while hints are on."""
+    return known_options(OPTIONS) if jax.default_backend() == "cpu" and is_wide(traced.jaxpr) else {}
 
 
 def _hinted(fn):
     """The function compiled with the options its program may have."""
-    plain, hinted, found = jax.jit(fn), jax.jit(fn, compiler_options=OPTIONS), {}
+    plain, found = jax.jit(fn), Recent()
+    hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
 
     def call(*args):
         key = switched_on(), _signature(*jax.tree.flatten(args))
-        if key not in found:
-            found[key] = hinted if options(plain.trace(*args)) else plain
-        return found[key](*args)
+        made = found.get(key)
+        if made is None:
+            made = found[key] = hinted() if options(plain.trace(*args)) else plain
+        return made(*args)
 
     return call
 
@@ -94,19 +91,44 @@ def _hinted(fn):
 def _kernel_or(traced, fn, tile):
     """The function as one GPU kernel, or as XLA compiles it where it has none."""
     plain, one_kernel = jax.jit(traced), jax.jit(kernel.batched(fn, tile=tile))
-    refused = set()
+    refused = Recent()
 
     def call(*args):
         key = _signature(*jax.tree.flatten(args))
-        if switched_on() and key not in refused:
-            try:
-                return jax.block_until_ready(one_kernel(*args))
-            except Exception as why:  # whatever the reason: XLA's path below has the same meaning, or the same error
-                refused.add(key)
-                logging.getLogger(__name__).info("no kernel, XLA compiles it instead: %s", str(why).split("\n")[0])
+        if not switched_on() or refused.get(key):
+            return plain(*args)
+        try:
+            return jax.block_until_ready(one_kernel(*args))
+        except Exception as error:
+            why = _no_kernel(error, one_kernel, args)
+            if why is None:
+                raise
+        if not refused:  # once for a function
+            warnings.warn(f"no GPU kernel for {_name(fn)}, XLA compiles it instead: {why}", stacklevel=3)
+        refused[key] = True
         return plain(*args)
 
     return call
+
+
+def _no_kernel(error, one_kernel, args) -> str | None:
+    """Why there is no kernel, if it is for that that the call failed; else None, and the error is the caller's."""
+    if not isinstance(error, kernel.UnsupportedError):
+        try:
+            traced = one_kernel.trace(*args)
+        except Exception:
+            return None
+        try:
+            traced.lower().compile()
+        except Exception as failed:  # what Pallas, Triton and XLA raise for it has no common name
+            error = failed
+        else:
+            return None
+    return str(error).split("\n")[0]
+
+
+def _name(fn):
+    return getattr(fn, "__name__", type(fn).__name__)
 
 
 def _signature(leaves, treedef) -> tuple:
@@ -116,7 +138,11 @@ def _signature(leaves, treedef) -> tuple:
 
 def _size(args) -> int:
     """The batch size all leaves share."""
-    sizes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(args)}
+    leaves = jax.tree.leaves(args)
+    if any(not hasattr(leaf, "dtype") for leaf in leaves):  # np.shape of a list's numbers is ()
+        found = next(leaf for leaf in leaves if not hasattr(leaf, "dtype"))
+        raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {found!r}")
+    sizes = {np.shape(leaf)[:1] for leaf in leaves}
     if len(sizes) != 1 or sizes == {()}:
         found = sorted(str(s[0]) if s else "none" for s in sizes) or ["no arrays"]
         raise errors.fail("args", "be arrays with one leading batch axis of the same size", f"have {', '.join(found)}")
@@ -164,7 +190,7 @@ def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     wide, switch = jax.config.jax_enable_x64, switched_on()
 
     def run(start):
-        with jax.enable_x64(wide), hints(switch):  # a thread of the pool knows nothing of the caller's contexts
+        with jax.enable_x64(wide), use_hints(switch):  # a thread of the pool knows nothing of the caller's contexts
             part = [_take(leaf, start, block) for leaf in leaves]
             device = workers[start // block % len(workers)]
             if device is not None:
@@ -174,9 +200,9 @@ def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     starts = list(range(0, size, block))
     whole = None
     with ThreadPoolExecutor(len(workers)) as pool:
-        if key not in ready:  # compile once, not once per thread
+        if not ready.get(key):  # compile once, not once per thread
             done = [run(starts.pop(0))]
-            ready.add(key)
+            ready[key] = True
         else:
             done = []
         for start, out in itertools.chain(done, pool.map(run, starts)):

@@ -10,17 +10,19 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import alone, few_lanes, one_function
+from cnclik.hints import alone, few_lanes, keeps_history, one_function
 from cnclik.integrate.method import EE, METHODS, Method
 from cnclik.integrate.stage import picard
-from cnclik.integrate.status import flags
+from cnclik.integrate.status import flags, growing
 from cnclik.integrate.trajectory import Trajectory, assemble
-from cnclik.law import reference as ref
 from cnclik.law.law import Law, evaluate
-from cnclik.record import placed, record
+from cnclik.law.reference import Reference, check
+from cnclik.record import placed, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
 
@@ -65,7 +67,10 @@ def march(field, q, Ts, method: Method, stage) -> Moved:
             continue
         h = sp.mul(row[i], Ts)
         ahead = _combine(tuple(w / row[i] for w in row[:i]), slopes) if any(row[:i]) else (0.0,) * len(q)
-        g = lambda k, c=c, base=base, h=h: field(c, _move(base, h, (1.0,), (k,)))  # noqa: E731
+
+        def g(k, c=c, base=base, h=h):
+            return field(c, _move(base, h, (1.0,), (k,)))
+
         solved = stage(g, first, h, ahead)
         slopes.append(solved.slope)
         residual = jnp.maximum(residual, solved.residual)
@@ -82,7 +87,7 @@ def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
         return evaluate(law, reference, t + c * Ts if c else t, q)
 
     made = march(field, q, Ts, method, stage)
-    status = flags(law.chain, law, made.q, made.first.e, made.residual, stage.tolerance, made.first)
+    status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     return Step(
         q=made.q,
         e=made.first.e,
@@ -115,8 +120,21 @@ def evaluations_per_step(method: Method, stage, n: int) -> object:
 # --- public -------------------------------------------------------------------------------------------
 
 
-def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0=0.0) -> Trajectory:
+def solve(
+    law: Law,
+    reference: Reference,
+    q0: ArrayLike,
+    Ts: ArrayLike,
+    N: int,
+    method: Method | str = EE,
+    stage=picard(5),
+    *,
+    t0: ArrayLike = 0.0,
+) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
+
+    It runs in the dtype of q0. The first call of a kind compiles its program, for seconds; other numbers, of any
+    Python or NumPy type, use the same one.
 
     Args:
       law: the right-hand side f(q, t), see `Law`.
@@ -126,58 +144,100 @@ def solve(law: Law, reference, q0, Ts, N: int, method=EE, stage=picard(5), *, t0
       N: number of steps, a Python integer.
       method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4, or a `Method` of your own; also by name.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
-      t0: time at q0 [s].
+      t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
 
     Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    q0, method = _arguments(law, reference, q0, Ts, method, stage)
+    q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0)
     errors.number("t0", t0)
+    check_time("t0", t0, Ts, q0.dtype, N)
     # Called with numbers, no vmap is around this loop: it may become one native function.
     known = placed(law), placed(reference), placed(stage)
     if None in known or not all(map(errors.concrete, (q0, Ts, t0))):
+        Ts, t0 = _number(Ts, q0.dtype), _number(t0, q0.dtype)
         return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
     law, reference, stage = known
     with few_lanes(1):
-        return _solve(law, reference, q0, _scalar(Ts), _scalar(t0), stage, N=N, method=method)
+        return _solve(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
 
 
-def _scalar(value):
-    """A Python number as an array that is made once."""
-    return (
-        _scalar_in(value, jax.config.jax_enable_x64, jax.config.jax_default_device) if type(value) is float else value
-    )
-
-
-@functools.lru_cache(maxsize=64)
-def _scalar_in(value, *_):
-    with jax.ensure_compile_time_eval():
-        return jnp.asarray(value)
-
-
-def step(law: Law, reference, q, t, Ts, method=EE, stage=picard(5)) -> Step:
+def step(
+    law: Law,
+    reference: Reference,
+    q: ArrayLike,
+    t: ArrayLike,
+    Ts: ArrayLike,
+    method: Method | str = EE,
+    stage=picard(5),
+) -> Step:
     """One step, for use inside a control loop of one's own: from q(t) to q(t + Ts).
+
+    Call it once before the loop begins: the first call compiles, for seconds.
 
     Args and raises: as `solve`, with q (n,) and t [s] in place of q0 and t0.
     Returns: `Step` with q (n,) after the step, qdot (n,) to send to the robot, e (m,) before the step.
     """
-    q, method = _arguments(law, reference, q, Ts, method, stage, name="q")
+    q, method = check_arguments(law, reference, q, Ts, method, stage, name="q")
     errors.number("t", t)
-    return _step(law, reference, q, t, Ts, stage, method=method)
+    check_time("t", t, Ts, q.dtype)
+    return _step(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
 
 
-def _arguments(law, reference, q, Ts, method, stage, name="q0"):
+def _number(value, dtype):
+    """A known number in the run's dtype, whatever type it came in: one type, one compiled program."""
+    return dtype.type(value) if errors.concrete(value) else value
+
+
+def _scalar(value, dtype):
+    """The same as an array on JAX's device that is made once."""
+    return _scalar_in(float(value), dtype, jax.config.jax_enable_x64, jax.config.jax_default_device)
+
+
+@functools.lru_cache(maxsize=64)
+def _scalar_in(value, dtype, *_):
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(dtype.type(value))
+
+
+def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
+    """Raise ArgumentError where the arguments of a loop don't fit; q as an array (n,) and the method as a `Method`."""
     if not isinstance(law, Law):
         raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
     if not isinstance(method, Method):
         method = METHODS[errors.one_of("method", method, METHODS)]
-    if not isinstance(reference, ref.Reference):
+    if not isinstance(reference, Reference):
         raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)
     return as_joint_values(law.chain, q, name, finite=True), method
+
+
+def check_time(name, t, Ts, dtype, N: int = 1) -> None:
+    """Raise ArgumentError where the dtype of a run has no two instants a step apart at its times t … t + N·Ts.
+
+    With t such as time.time() in float32, spaced by 128 s there, every step would see the same target.
+    """
+    if not (errors.concrete(t) and errors.concrete(Ts)):
+        return
+    t, Ts = float(t), float(Ts)
+    last, eps = abs(t) + N * Ts, _eps(dtype)
+    if last * eps <= Ts:  # float spacing is at most this
+        return
+    gap, run = float(np.spacing(dtype.type(abs(t)))), float(np.spacing(dtype.type(last)))
+    if gap > Ts:
+        must = "be counted from the start of the motion, or the loop run in float64 (enable x64)"
+        raise errors.fail(name, must, f"is {t:.12g} s: {dtype} times are {gap:.3g} s apart there, and Ts is {Ts:g} s")
+    if run > Ts:
+        must = "be smaller, or the loop run in float64 (enable x64)"
+        raise errors.fail("N", must, f"is {N}: {dtype} times are {run:.3g} s apart at the end, and Ts is {Ts:g} s")
+
+
+@functools.cache
+def _eps(dtype):
+    return float(jnp.finfo(dtype).eps)
 
 
 def cast(tree, dtype):
@@ -192,7 +252,7 @@ def cast(tree, dtype):
 
 @functools.partial(jax.jit, static_argnames=("N", "method"))
 def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
-    ref.check(reference, law.task)  # shapes only: once, while tracing
+    check(reference, law.task)  # shapes only: once, while tracing
     # Alone, the trajectory is put together in the loop's own function; else what nobody asks for shall vanish.
     short = alone() and 0 < N <= SHORT
 
@@ -211,7 +271,10 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
         run = loop if short or N == 0 else one_function(loop)
         q, e, steps = run(law, reference, q0, Ts, t0, stage, k)
         evaluations = N * evaluations_per_step(method, stage, law.chain.n)
-        return assemble(law, t0 + k * Ts, steps, q, e, evaluations)
+        run = assemble(law, t0 + k * Ts, steps, q, e, evaluations)
+        if not keeps_history():
+            return run
+        return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
 
     run = one_function(whole) if short else whole
     return run(law, reference, q0, Ts, t0, stage)
@@ -219,7 +282,7 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
 
 @functools.partial(jax.jit, static_argnames=("method",))
 def _step(law, reference, q, t, Ts, stage, *, method):
-    ref.check(reference, law.task)
+    check(reference, law.task)
     law, reference = cast((law, reference), q.dtype)
     made = advance(law, reference, tuple(q), jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
     return Step(

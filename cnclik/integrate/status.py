@@ -5,6 +5,9 @@ import enum
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.law.reference import motion
+from cnclik.robot import spatial as sp
+
 
 class Status(enum.IntFlag):
     """Bits of a step's status; OK is 0."""
@@ -14,13 +17,19 @@ class Status(enum.IntFlag):
     NEAR_SINGULAR = 2  # least singular value of the task Jacobian below the law's `near_singular`
     AT_LIMIT = 4  # a joint at or beyond a limit after the step, or held back by one
     NON_FINITE = 8  # a joint value or error that is NaN or infinite
+    OVER_VELOCITY = 16  # a joint faster than its velocity limit
+    GROWING = 32  # the error grew by more than its target moved, see `growing`; `step` can't tell
+    TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
 
 
 _REMEDY = {
     Status.NON_FINITE: "reduce alpha·Ts or use damped(...)",
+    Status.TASK_TOO_LARGE: "control fewer coordinates, such as position()",
+    Status.GROWING: "reduce alpha·Ts, or use damped(...) near a singularity",
     Status.NOT_CONVERGED: "reduce alpha·Ts, raise M, or use a method that needs no implicit stage",
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",
+    Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or saturation()",
 }
 
 
@@ -59,8 +68,9 @@ def require_ok(trajectory, *, allow=Status.OK):
     raise StepError(f"Step {k}{where} (t = {t:.6g} s) is {names(bad)}: {_REMEDY[worst]}.")
 
 
-def flags(chain, law, q, e, residual, tolerance, first):
+def flags(law, q, qdot, e, residual, tolerance, first):
     """Status bits of one step in component form; `first` is the law's evaluation at its start."""
+    chain = law.chain
     finite = jnp.isfinite(sum(q[1:], q[0]) + sum(e[1:], e[0]))
     status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
     status |= jnp.where(first.least < law.near_singular, int(Status.NEAR_SINGULAR), 0)
@@ -73,4 +83,30 @@ def flags(chain, law, q, e, residual, tolerance, first):
         outside.append(first.held)
     for one in outside:
         status |= jnp.where(one, int(Status.AT_LIMIT), 0)
+    rounding = 64 * jnp.finfo(q[0].dtype).eps
+    for value, most in zip(qdot, chain.velocity_limit, strict=True):
+        if np.isfinite(most):
+            status |= jnp.where(jnp.abs(value) > most * (1 + rounding), int(Status.OVER_VELOCITY), 0)
+    if law.task.m > chain.n:
+        status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
+
+
+GROWTH = 1.01  # an error that is larger than this times the one before has grown
+REVERSAL = 0.999  # and so has one that swung to the other side and is larger than this times the one before
+
+
+def growing(task, reference, t, e):
+    """GROWING or 0 for each step, (N,), from the errors e (N + 1, m) at the instants t (N + 1,).
+
+    A step has grown where ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s; s is
+    what the target's own motion in the step explains, and rounding, 64 eps (1 + ‖e[k]‖). Where |R(z)| < 1 the loop
+    stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes.
+    """
+    columns = [e[:, i] for i in range(task.m)]
+    size = sp.safe_norm(columns)
+    along = sp.total(v[1:] * v[:-1] for v in columns)
+    rounding = 64 * jnp.finfo(e.dtype).eps * (1 + size[:-1])
+    factor = jnp.where(along < 0, REVERSAL, GROWTH)
+    grown = size[1:] > factor * size[:-1] + motion(reference, task, t) + rounding
+    return jnp.where(grown, int(Status.GROWING), 0)

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik import errors
+from cnclik.integrate.status import count
 from cnclik.law.law import task_coordinates
 from cnclik.record import record, replace
 
@@ -38,6 +40,25 @@ class Trajectory:
     contraction: jax.Array
     status: jax.Array
     evaluations: jax.Array
+
+    def __repr__(self):
+        *lanes, N = np.shape(self.status)
+        of = f"{' × '.join(map(str, lanes))} lanes, each of " if lanes else ""
+        lines = [f"Trajectory: {of}{N} steps, {np.shape(self.q)[-1]} joints, {np.shape(self.e)[-1]} task coordinates"]
+        if not all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self)):
+            return lines[0]
+        t, e, qdot = (np.asarray(v) for v in (self.t, self.e, self.qdot))
+        size = np.linalg.norm(e, axis=-1)
+        lines[0] += f", {e.dtype}"
+        if t.size:
+            lines.append(f"  t       {t.min():.6g} to {t.max():.6g} s")
+        if size.size:
+            first, last = size[..., 0].max(), size[..., -1].max()
+            lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
+        if qdot.size:
+            lines.append(f"  q̇       at most {np.abs(qdot).max():.4g} [rad/s, m/s]")
+        lines.append("  status  " + ", ".join(f"{k} {v}" for k, v in count(self.status).items() if v))
+        return "\n".join(lines)
 
 
 def assemble(law, t, steps, q, e, evaluations) -> Trajectory:

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import opaque
 from cnclik.law import dense
-from cnclik.record import record
+from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 
 
@@ -145,16 +145,16 @@ def pseudoinverse() -> Pseudoinverse:
     return Pseudoinverse()
 
 
-def damped(damping) -> Damped:
+def damped(damping: ArrayLike) -> Damped:
     """Damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
     Args:
       damping: λ (not λ²), in the unit of J's singular values; positive.
     """
-    return Damped(damping=_leaf("damping", damping))
+    return Damped(damping=_positive("damping", damping))
 
 
-def manipulability_damped(damping, threshold) -> ManipulabilityDamped:
+def manipulability_damped(damping: ArrayLike, threshold: ArrayLike) -> ManipulabilityDamped:
     """Singularity-robust inverse: damped only where the manipulability w = √det(J Jᵀ) is low.
 
     λ = λ₀ (1 − w/w₀) for w < w₀, else 0, in Jᵀ (J Jᵀ + λ² I)⁻¹ (Nakamura & Hanafusa 1986, eq. 18, who write
@@ -164,10 +164,10 @@ def manipulability_damped(damping, threshold) -> ManipulabilityDamped:
       damping: λ₀ (not λ₀²), reached at the singularity; in the unit of J's singular values; positive.
       threshold: w₀, in the unit of w: for a task of r rotations and p positions m^p.
     """
-    return ManipulabilityDamped(damping=_leaf("damping", damping), threshold=_leaf("threshold", threshold))
+    return ManipulabilityDamped(damping=_positive("damping", damping), threshold=_positive("threshold", threshold))
 
 
-def singular_damped(damping, threshold) -> SingularDamped:
+def singular_damped(damping: ArrayLike, threshold: ArrayLike) -> SingularDamped:
     """Damped only where the least singular value σ_m of J is below a threshold.
 
     λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m
@@ -178,12 +178,11 @@ def singular_damped(damping, threshold) -> SingularDamped:
       damping: λ_max (not λ_max²), reached at the singularity; in the unit of J's singular values; positive.
       threshold: ε, in the same unit; positive.
     """
-    return SingularDamped(damping=_leaf("damping", damping), threshold=_leaf("threshold", threshold))
+    return SingularDamped(damping=_positive("damping", damping), threshold=_positive("threshold", threshold))
 
 
-def _leaf(name, value):
-    errors.number(name, value, positive=True)
-    return np.asarray(value, float) if sp.is_number(value) else value
+def _positive(name, value):
+    return leaf(errors.number(name, value, positive=True))
 
 
 def transpose() -> Transpose:

@@ -19,7 +19,7 @@ from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse, damped_apply
 from cnclik.law.task import Task, coordinates, error_and_rows
-from cnclik.record import record
+from cnclik.record import brief, leaf, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.kinematics import frames
@@ -61,11 +61,13 @@ class Law:
     def __post_init__(self):
         m = _checked("task", self.task, Task).m
         n = _checked("chain", self.chain, Chain).n
+        if m > n and isinstance(self.inverse, Pseudoinverse):
+            must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
+            raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")
         alpha = errors.array("alpha", self.alpha, (), (m,), (m, m))
-        object.__setattr__(self, "alpha", alpha)
+        object.__setattr__(self, "alpha", _not_negative(alpha))
         for name in ("feedforward", "near_singular"):
-            value = errors.number(name, getattr(self, name))
-            object.__setattr__(self, name, np.asarray(value, float) if sp.is_number(value) else value)
+            object.__setattr__(self, name, leaf(errors.number(name, getattr(self, name))))
         if self.error_clamp is not None:
             pair = errors.array("error_clamp", self.error_clamp, (2,))
             if errors.concrete(pair) and not np.all(np.asarray(pair) > 0):
@@ -79,6 +81,26 @@ class Law:
             )
         if self.null_velocity is not None and not callable(self.null_velocity):
             object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
+
+    def __repr__(self):
+        lines = [f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"]
+        lines += [f"  {brief(self.task)}", f"  {brief(self.chain)}", f"  alpha {brief(self.alpha)} 1/s"]
+        lines += [f"  inverse {brief(self.inverse)}", f"  limits {brief(self.limits)}"]
+        for name in ("null_velocity", "error_clamp"):
+            if getattr(self, name) is not None:
+                lines.append(f"  {name} {brief(getattr(self, name))}")
+        return "\n".join(lines)
+
+
+def _not_negative(alpha):
+    """The gain, if it draws the error towards 0: entries, or real parts of a matrix's eigenvalues, of at least 0."""
+    if errors.concrete(alpha):
+        rates = np.linalg.eigvals(np.asarray(alpha)).real if alpha.ndim == 2 else np.asarray(alpha)
+        rounding = 0.0 if alpha.ndim < 2 else 100 * np.finfo(rates.dtype).eps * np.abs(alpha).max()
+        if rates.min() < -rounding:
+            what = "have no eigenvalue of negative real part" if alpha.ndim == 2 else "not be negative"
+            raise errors.fail("alpha", what, f"{'has' if alpha.ndim == 2 else 'is'} {rates.min():g}")
+    return alpha
 
 
 def _checked(name, value, kind):

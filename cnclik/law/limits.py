@@ -11,14 +11,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law.inverse import Factored, tiny_shift
-from cnclik.record import record
+from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 
 
@@ -115,7 +115,7 @@ def _weigh_joint(q, qdot, low, high, rate):
     return jnp.where(qdot * skew > 0, root, 1.0), back
 
 
-def weighted_least_norm(rate=10.0) -> Weighted:
+def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
     """Weighted least norm for joint limits, W⁻¹ Jᵀ (J W⁻¹ Jᵀ)⁻¹ (Chan & Dubey 1995, eqs. 11-17).
 
     wᵢ = 1 + |∂H/∂qᵢ| for a joint that would move towards its nearer limit, else 1, with
@@ -171,6 +171,8 @@ class Saturated:
             qdot = _through(plain.apply, rows, velocity, wanted)
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, held=False)
         low, high = zip(*(bounds[i] for i in limited), strict=True)
+        # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
+        # all of them false for NaN, so that no lane that is not finite passes for one at rest.
         zero = sp.total((*q, *velocity)) * 0.0
         asked = sp.safe_norm(velocity)
         reached = _beyond_reach(rows, velocity)
@@ -190,14 +192,14 @@ class Saturated:
             # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
             # inverse holds back next to a singularity is no reason to stand still.
             lost = _beyond_reach(left, velocity) > reached + 0.01 * asked
-            pick = lambda v: tuple(v[i] + zero for i in limited)  # noqa: E731
-            s, worst, at_bound, over = _share(pick(along), pick(rest), low, high, at.locked)
+            of_limited = [tuple(v[i] + zero for i in limited) for v in (along, rest)]
+            s, worst, at_bound, over = _share(*of_limited, low, high, at.locked)
             s = jnp.where(lost, -1.0, s)
             fits = ~over & ~lost
             better = ~at.done & (fits | (s > at.best) | (at.best < 0))
             share = jnp.where(fits | (s < 0), 1.0, s)
             made = sp.vadd(sp.scale(share, along), rest)
-            choose = lambda new, old: tuple(jnp.where(better, a, b) for a, b in zip(new, old, strict=True))  # noqa: E731
+            choose = functools.partial(_choose, better)
             fixed = list(at.fixed)
             for k, i in enumerate(limited):
                 fixed[i] = jnp.where(worst[k] > 0, at_bound[k], fixed[i])
@@ -229,6 +231,10 @@ class Saturated:
         for k, i in enumerate(limited):
             qdot[i] = jnp.clip(qdot[i], low[k], high[k])
         return Limited(qdot=tuple(qdot), apply=factored.apply, least=plain.least, held=found.held)
+
+
+def _choose(better, new, old):
+    return tuple(jnp.where(better, a, b) for a, b in zip(new, old, strict=True))
 
 
 def _beyond_reach(rows, velocity):
@@ -289,7 +295,7 @@ def _share(along, rest, low, high, locked):
     return s, tuple(worst), tuple(ends), over
 
 
-def saturation(rate=10.0) -> Saturated:
+def saturation(rate: ArrayLike = 10.0) -> Saturated:
     """Saturation in the null space, SNS (Flacco, De Luca & Khatib 2015, Algorithm 1), for position and velocity.
 
     While some joint would exceed its bounds, the one that bounds the task most moves at its bound and the others
@@ -304,5 +310,4 @@ def saturation(rate=10.0) -> Saturated:
 
 
 def _positive(name, value):
-    errors.number(name, value, positive=True)
-    return np.asarray(value, float) if sp.is_number(value) else value
+    return leaf(errors.number(name, value, positive=True))

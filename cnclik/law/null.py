@@ -6,12 +6,12 @@ A term is a record that maps q (a tuple of n scalars) to a joint velocity q̇₀
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.task import Task
-from cnclik.record import record
+from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.kinematics import frames, jacobian_rows
@@ -54,24 +54,22 @@ class MaximizeManipulability:
         return jnp.sqrt(product)
 
 
-def posture(rest, rate=1.0) -> Posture:
+def posture(rest: ArrayLike, rate: ArrayLike = 1.0) -> Posture:
     """Draw the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q).
 
     Args:
       rest: (n,) joint values [rad, m], such as the middle of the limits.
       rate: [1/s].
     """
-    errors.number("rate", rate, positive=True)
-    rate = np.asarray(rate, float) if sp.is_number(rate) else rate
+    rate = leaf(errors.number("rate", rate, positive=True))
     return Posture(rest=errors.array("rest", rest, (None,)), rate=rate)
 
 
-def maximize_manipulability(chain: Chain, task: Task, gain=1.0) -> MaximizeManipulability:
+def maximize_manipulability(chain: Chain, task: Task, gain: ArrayLike = 1.0) -> MaximizeManipulability:
     """Move away from singularities in the null space: q̇₀ = gain · ∂w/∂q, w = √det(J Jᵀ) (Yoshikawa 1985).
 
     Args:
       chain, task: those of the law.
       gain: [1/s per unit of w].
     """
-    errors.number("gain", gain, positive=True)
-    return MaximizeManipulability(chain=chain, task=task, gain=np.asarray(gain, float) if sp.is_number(gain) else gain)
+    return MaximizeManipulability(chain=chain, task=task, gain=leaf(errors.number("gain", gain, positive=True)))

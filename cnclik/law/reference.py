@@ -5,17 +5,22 @@ both. Its velocity comes from `jax.jvp`, so path and feed-forward can't disagree
 feed-forward overrides it.
 """
 
-import math
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, cubic, rows, vector
 from cnclik.law.task import Task
-from cnclik.record import record
+from cnclik.record import brief, leaf, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
+
+Target = ArrayLike | Pose | Any | None  # a position, or a whole pose; see `hold`
 
 
 @record
@@ -24,7 +29,10 @@ class Reference:
 
     curve: object  # t -> (position tuple or None, rotation rows or None)
     feedforward: object = None  # None: the curve's own velocity; else (m,), held constant
-    period: object = None  # [s] after which the path repeats or ends, None if it has no end
+
+    def __repr__(self):
+        told = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
+        return f"Reference: {brief(self.curve)}{told}"
 
 
 # --- sampling -----------------------------------------------------------------------------------------
@@ -57,6 +65,25 @@ def _pick(task, position):
     return tuple(position[i] for i in task.linear)
 
 
+def motion(reference: Reference, task: Task, t):
+    """How far the target moves, or is said to move, from each instant of t (N + 1,) to the next, from above: (N,).
+
+    Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it.
+    """
+
+    def cells(t):
+        position, rotation = reference.curve(t)
+        turned = sp.scale(1.111, sum(rotation, ())) if task.orientation else ()
+        return tuple(jnp.asarray(v, t.dtype) for v in (*_pick(task, position), *turned))
+
+    # A user's own function may do what can't be done to many instants at once.
+    found = jax.lax.map(cells, t) if isinstance(reference.curve, Path) else jax.vmap(cells)(t)
+    moved = sp.safe_norm(tuple(v[1:] - v[:-1] for v in found))
+    if reference.feedforward is None:
+        return moved
+    return moved + (t[1:] - t[:-1]) * sp.safe_norm(tuple(reference.feedforward[i] for i in range(task.m)))
+
+
 def check(reference: Reference, task: Task) -> None:
     """Raise ArgumentError where the reference's target does not fit the task."""
     position, rotation = jax.eval_shape(reference.curve, 0.0)
@@ -72,180 +99,76 @@ def check(reference: Reference, task: Task) -> None:
         errors.array("feedforward", reference.feedforward, (task.m,))
 
 
-def with_feedforward(reference: Reference, velocity) -> Reference:
+def with_feedforward(reference: Reference, velocity: ArrayLike) -> Reference:
     """The same path with an explicit task velocity (m,) in place of its own, constant in time.
 
     For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
     """
     velocity = errors.array("velocity", velocity, (None,))
-    return Reference(curve=reference.curve, feedforward=velocity, period=reference.period)
-
-
-# --- curves -------------------------------------------------------------------------------------------
-
-
-@record
-class _Hold:
-    position: object
-    rotation: object
-
-    def __call__(self, t):
-        # Through `t`, so that target and velocity have the loop's dtype.
-        return _vector(self.position), _rows(self.rotation)
-
-
-@record
-class _Line:
-    start: object
-    end: object
-    rotation: object
-    turn: object  # rotation vector from the first to the last orientation, in the base frame
-    duration: object
-
-    def __call__(self, t):
-        s = _progress(t, self.duration)
-        position = None
-        if self.start is not None:
-            position = tuple(a + s * (b - a) for a, b in zip(_vector(self.start), _vector(self.end), strict=True))
-        rotation = _rows(self.rotation)
-        if self.turn is not None:
-            rotation = sp.matmul(sp.exp_so3(tuple(s * w for w in _vector(self.turn))), rotation)
-        return position, rotation
-
-
-@record
-class _Lissajous:
-    center: object
-    amplitude: object
-    frequency: object
-    phase: object
-    rotation: object
-    period: object
-
-    def __call__(self, t):
-        omega = 2 * math.pi / self.period
-        parts = zip(*(_vector(v) for v in (self.center, self.amplitude, self.frequency, self.phase)), strict=True)
-        return tuple(c + a * jnp.sin(f * omega * t + p) for c, a, f, p in parts), _rows(self.rotation)
-
-
-@record
-class _Circle:
-    center: object
-    first: object  # radius vector at t = 0
-    second: object  # and a quarter period later
-    rotation: object
-    period: object
-
-    def __call__(self, t):
-        angle = 2 * math.pi / self.period * t
-        c, s = jnp.cos(angle), jnp.sin(angle)
-        parts = zip(*(_vector(v) for v in (self.center, self.first, self.second)), strict=True)
-        return tuple(o + c * u + s * v for o, u, v in parts), _rows(self.rotation)
-
-
-@record
-class _Spline:
-    times: object  # (K,)
-    position: object  # (4, K−1, d) coefficients of the powers of t − t_k, or None
-    quaternion: object  # (4, K−1, 4) of unnormalised quaternions, or None
-    rotation: object  # constant rotation, or None
-    closed: bool
-
-    def __call__(self, t):
-        if self.closed:
-            t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
-        k = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, self.times.shape[0] - 2)
-        inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
-        # Held at both ends; the jvp of a clip would halve the velocity exactly at an end.
-        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
-
-        def at(c):
-            return tuple(
-                c[0, k, i] + dt * (c[1, k, i] + dt * (c[2, k, i] + dt * c[3, k, i])) for i in range(c.shape[-1])
-            )
-
-        rotation = _rows(self.rotation)
-        if self.quaternion is not None:
-            q = at(self.quaternion)
-            length = jnp.sqrt(sp.dot(q, q))
-            rotation = sp.rotation_from_quaternion(tuple(x / length for x in q))
-        return (None if self.position is None else at(self.position)), rotation
-
-
-@record
-class _Path:
-    fn: object
-
-    def __call__(self, t):
-        target, dtype = self.fn(t), jnp.result_type(t)
-        if isinstance(target, Pose):
-            return _vector(jnp.asarray(target.position, dtype)), _rows(jnp.asarray(target.rotation, dtype))
-        if isinstance(target, (tuple, list)):
-            return tuple(jnp.asarray(v, dtype) for v in target), None
-        return _vector(jnp.asarray(target, dtype)), None
-
-
-def _vector(array):
-    """An array (d,) as a tuple of scalars."""
-    return None if array is None else tuple(array[i] for i in range(array.shape[0]))
-
-
-def _rows(rotation):
-    return None if rotation is None else tuple(_vector(rotation[i]) for i in range(3))
-
-
-def _progress(t, duration):
-    """t/duration up to 1, then held: still moving at t = duration itself, up to rounding of k·Ts."""
-    return jnp.where(t > duration * (1 + 1e-6), 1.0, t / duration)
+    return Reference(curve=reference.curve, feedforward=velocity)
 
 
 # --- builders -----------------------------------------------------------------------------------------
 
 
-def hold(target, rotation=None) -> Reference:
+def hold(target: Target, rotation: ArrayLike | None = None) -> Reference:
     """Stay at one target: x_d(t) = target, velocity 0 (Case I of Drexler 2016).
 
     Args:
-      target: (d,) position [m], or a `Pose`, or None for an orientation alone.
+      target: (d,) position [m], d ≤ 3; or a whole pose: a `Pose`, a (4, 4) homogeneous matrix, or an object with
+        `translation` and `rotation` such as Pinocchio's SE3; or None for an orientation alone.
       rotation: (3, 3) rotation, or a (4,) unit quaternion w, x, y, z.
     """
-    if isinstance(target, Pose):
-        target, rotation = target.position, target.rotation
+    target, rotation = _split("target", target, rotation)
     if target is None and rotation is None:
         raise errors.fail("target", "be a position or come with a `rotation`", "is None")
-    return Reference(curve=_Hold(position=_position("target", target), rotation=_rotation("rotation", rotation)))
+    return Reference(curve=Hold(position=_position("target", target), rotation=rotation_matrix("rotation", rotation)))
 
 
-def line(start, end, *, duration, rotation=None, rotation_end=None) -> Reference:
+def line(
+    start: Target,
+    end: Target,
+    *,
+    duration: ArrayLike,
+    rotation: ArrayLike | None = None,
+    rotation_end: ArrayLike | None = None,
+) -> Reference:
     """Straight line at constant velocity, then hold (Case II of Drexler 2016, eqs. 15 and 18).
 
     x_d(t) = start + (t/duration)(end − start) for t ≤ duration. With two rotations, the tip turns at
     constant angular velocity about a fixed axis on the shorter way.
 
     Args:
-      start, end: (d,) positions [m] (or `Pose`s).
+      start, end: (d,) positions [m], or whole poses as for `hold`.
       duration: [s], positive.
       rotation, rotation_end: (3, 3) rotations or (4,) unit quaternions at start and end.
     """
-    if isinstance(start, Pose) and isinstance(end, Pose):
-        rotation, rotation_end = start.rotation, end.rotation
-        start, end = start.position, end.position
+    start, rotation = _split("start", start, rotation)
+    end, rotation_end = _split("end", end, rotation_end)
     errors.number("duration", duration, positive=True)
     start, end = _position("start", start), _position("end", end)
     if (start is None) != (end is None) or (start is not None and start.shape != end.shape):
         raise errors.fail("end", "have the shape of `start`", f"has shape {np.shape(end)}")
-    rotation, rotation_end = _rotation("rotation", rotation), _rotation("rotation_end", rotation_end)
+    rotation, rotation_end = rotation_matrix("rotation", rotation), rotation_matrix("rotation_end", rotation_end)
     turn = None
     if rotation_end is not None:
         if rotation is None:
             raise errors.fail("rotation", "be given with `rotation_end`", "is None")
         turn = _turn(rotation, rotation_end)
-    duration = _leaf(duration)
-    curve = _Line(start=start, end=end, rotation=rotation, turn=turn, duration=duration)
-    return Reference(curve=curve, period=duration)
+    duration = leaf(duration)
+    curve = Line(start=start, end=end, rotation=rotation, turn=turn, duration=duration)
+    return Reference(curve=curve)
 
 
-def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> Reference:
+def circle(
+    center: ArrayLike,
+    radius: ArrayLike,
+    *,
+    period: ArrayLike,
+    normal: ArrayLike | None = None,
+    phase: ArrayLike = 0.0,
+    rotation: ArrayLike | None = None,
+) -> Reference:
     """Circle at constant speed 2π·radius/period.
 
     Args:
@@ -273,17 +196,25 @@ def circle(center, radius, *, period, normal=None, phase=0.0, rotation=None) -> 
         u = u / np.linalg.norm(u)
         v = np.cross(w, u)
     c, s = jnp.cos(phase), jnp.sin(phase)
-    curve = _Circle(
+    curve = Circle(
         center=center,
         first=radius * (c * u + s * v),
         second=radius * (c * v - s * u),
-        rotation=_rotation("rotation", rotation),
-        period=_leaf(period),
+        rotation=rotation_matrix("rotation", rotation),
+        period=leaf(period),
     )
-    return Reference(curve=curve, period=_leaf(period))
+    return Reference(curve=curve)
 
 
-def lissajous(center, amplitude, *, period, frequency=None, phase=None, rotation=None) -> Reference:
+def lissajous(
+    center: ArrayLike,
+    amplitude: ArrayLike,
+    *,
+    period: ArrayLike,
+    frequency: ArrayLike | None = None,
+    phase: ArrayLike | None = None,
+    rotation: ArrayLike | None = None,
+) -> Reference:
     """Lissajous figure x_d(t) = center + amplitude · sin(2π frequency t/period + phase), per axis.
 
     Args:
@@ -299,18 +230,20 @@ def lissajous(center, amplitude, *, period, frequency=None, phase=None, rotation
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
     _nonzero("period", period)
-    curve = _Lissajous(
+    curve = Lissajous(
         center=center,
         amplitude=amplitude,
         frequency=frequency,
         phase=phase,
-        rotation=_rotation("rotation", rotation),
-        period=_leaf(period),
+        rotation=rotation_matrix("rotation", rotation),
+        period=leaf(period),
     )
-    return Reference(curve=curve, period=_leaf(period))
+    return Reference(curve=curve)
 
 
-def waypoints(times, positions=None, rotations=None, *, closed=False) -> Reference:
+def waypoints(
+    times: ArrayLike, positions: ArrayLike | None = None, rotations: ArrayLike | None = None, *, closed: bool = False
+) -> Reference:
     """C² path through waypoints: velocity and acceleration are continuous.
 
     Positions follow the cubic spline through the points. Orientations follow the cubic spline of their
@@ -335,63 +268,23 @@ def waypoints(times, positions=None, rotations=None, *, closed=False) -> Referen
     position = quaternion = None
     if positions is not None:
         positions = errors.array("positions", positions, (count, None))
-        position = _cubic(times, positions, closed, "positions")
+        position = cubic(times, positions, closed, "positions")
     if rotations is not None:
         rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
-        quaternion = _cubic(times, _quaternions(rotations), closed, "rotations")
+        quaternion = cubic(times, _quaternions(rotations), closed, "rotations")
     times = jnp.asarray(times)
-    curve = _Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=bool(closed))
-    return Reference(curve=curve, period=times[-1])
+    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=bool(closed))
+    return Reference(curve=curve)
 
 
-def path(fn) -> Reference:
+def path(fn: Callable) -> Reference:
     """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference."""
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")
-    return Reference(curve=_Path(fn=fn))
-
-
-def _cubic(times, values, closed, name):
-    """Coefficients (4, K−1, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
-    known = errors.concrete(times) and errors.concrete(values)
-    xp = np if known else jnp  # NumPy compiles nothing
-    times, values = xp.asarray(times), xp.asarray(values)
-    h = xp.diff(times)
-    slope = xp.diff(values, axis=0) / h[:, None]
-    zero, one = xp.zeros(1), xp.ones(1)
-    # Unknown: the velocities v at the knots. Rows: continuity of acceleration, and the two end conditions.
-    a = (
-        xp.diag(xp.concatenate([one, 2 * (h[:-1] + h[1:]), one]))
-        + xp.diag(xp.concatenate([h[1:], zero]), -1)
-        + xp.diag(xp.concatenate([zero, h[:-1]]), 1)
-    )
-    b = 3 * (h[1:, None] * slope[:-1] + h[:-1, None] * slope[1:])
-    rest = xp.zeros_like(values[:1])
-    last = rest
-    if closed:
-        # A full turn comes back with the quaternion's other sign, which is the same rotation.
-        sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
-        if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
-            raise errors.fail(name, "end where it starts for a closed path", "does not")
-        inner = a[1:-1]
-        eye = xp.eye(times.shape[0])
-        same_velocity = eye[-1] - sign * eye[0]
-        same_acceleration = sign * h[-1] * (2 * eye[0] + eye[1]) + h[0] * (eye[-2] + 2 * eye[-1])
-        a = xp.concatenate([same_velocity[None], inner, same_acceleration[None]])
-        last = 3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:])
-    v = xp.linalg.solve(a, xp.concatenate([rest, b, last]))
-    hh = h[:, None]
-    second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
-    third = (v[:-1] + v[1:] - 2 * slope) / hh**2
-    return jnp.asarray(xp.stack([values[:-1], v[:-1], second, third]))
+    return Reference(curve=Path(fn=fn))
 
 
 # --- reading arguments --------------------------------------------------------------------------------
-
-
-def _leaf(value):
-    """A number as an array, so that another value needs no new compilation."""
-    return np.asarray(value, float) if sp.is_number(value) else value
 
 
 def _nonzero(name, value):
@@ -400,13 +293,34 @@ def _nonzero(name, value):
         raise errors.fail(name, "not be 0", "is 0")
 
 
+def _split(name, target, rotation):
+    """A target's position and rotation: those of a whole pose, or what is given as they are."""
+    if isinstance(target, Pose):
+        return target.position, target.rotation
+    if isinstance(target, (list, tuple)) and len(target) == 4 and all(np.ndim(row) == 1 for row in target):
+        target = errors.array(name, target)
+    if getattr(target, "shape", None) == (4, 4):
+        return target[:3, 3], target[:3, :3]
+    if hasattr(target, "translation") and hasattr(target, "rotation"):
+        if callable(target.rotation):
+            raise errors.fail(name, "be a position or a 4×4 matrix", f"is {type(target).__name__}")
+        return np.asarray(target.translation), np.asarray(target.rotation)
+    return target, rotation
+
+
 def _position(name, value):
     if value is None:
         return None
-    return errors.array(name, value, (None,))
+    value = errors.array(name, value, (None,))
+    if value.shape[0] == 7:
+        must = "have at most 3 coordinates, with the orientation apart: rotation=[w, x, y, z]"
+        raise errors.fail(name, must, "has 7")
+    if not 1 <= value.shape[0] <= 3:
+        raise errors.fail(name, "have 1 to 3 coordinates", f"has {value.shape[0]}")
+    return value
 
 
-def _rotation(name, value):
+def rotation_matrix(name, value):
     """A (3, 3) rotation from a rotation or a (4,) unit quaternion."""
     if value is None:
         return None
@@ -425,14 +339,14 @@ def _rotation(name, value):
 
 @jax.jit
 def _from_quaternion(q):
-    rows = sp.rotation_from_quaternion(_vector(q / jnp.linalg.norm(q)))
+    rows = sp.rotation_from_quaternion(vector(q / jnp.linalg.norm(q)))
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
 @jax.jit
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
-    return jnp.stack(sp.log_so3(_rows(last @ first.T)))
+    return jnp.stack(sp.log_so3(rows(last @ first.T)))
 
 
 @jax.jit
@@ -441,6 +355,6 @@ def _quaternions(rotations):
     if rotations.shape[1:] == (4,):
         q = rotations / jnp.linalg.norm(rotations, axis=1, keepdims=True)
     else:
-        q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(_rows(r))))(rotations)
+        q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(rows(r))))(rotations)
     flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]

@@ -5,10 +5,11 @@ vector [rad] that turns the tip into the desired orientation, in the base frame.
 """
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import opaque
-from cnclik.record import record
+from cnclik.record import brief, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Frames, jacobian_rows
 
@@ -45,8 +46,13 @@ class Task:
     def units(self) -> tuple:
         return ("m",) * len(self.position) + ("rad",) * len(self.orientation)
 
+    def __repr__(self):
+        parts = [f"{', '.join(self.position)} [m]"] if self.position else []
+        parts += [f"{', '.join('r' + a for a in self.orientation)} [rad]"] if self.orientation else []
+        return f"Task: {', '.join(parts)}" + ("" if self.weights is None else f", weights {brief(self.weights)}")
 
-def position(axes: str = "xyz", *, weights=None) -> Task:
+
+def position(axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
     """Position of the tip along some of the base axes [m].
 
     Args:
@@ -56,7 +62,7 @@ def position(axes: str = "xyz", *, weights=None) -> Task:
     return _task(_letters("axes", axes), "", weights)
 
 
-def orientation(axes: str = "xyz", *, weights=None) -> Task:
+def orientation(axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
     """Orientation of the tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
 
     Args:
@@ -66,7 +72,7 @@ def orientation(axes: str = "xyz", *, weights=None) -> Task:
     return _task("", _letters("axes", axes), weights)
 
 
-def pose(axes: str = "xyz", rotation_axes: str = "xyz", *, weights=None) -> Task:
+def pose(axes: str = "xyz", rotation_axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
     """Position [m] and orientation [rad] of the tip; `pose("xy", "z")` is the whole pose in a plane."""
     return _task(_letters("axes", axes), _letters("rotation_axes", rotation_axes), weights)
 

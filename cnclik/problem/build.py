@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import hints
+from cnclik.hints import use_hints
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import METHODS, Method
 from cnclik.law import inverse as inverses
@@ -203,7 +203,7 @@ def _least(chain, task, postures):
         at = frames(chain, tuple(q))
         return stack(jacobian_rows(chain, at, task.linear, task.angular), q)
 
-    with hints(False):  # run as written: compiling the chain for one look at it would take seconds
+    with use_hints(False):  # run as written: compiling the chain for one look at it would take seconds
         j = np.array(jax.vmap(one)(postures))
     j[:, : len(task.linear)] /= length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
@@ -417,7 +417,7 @@ def _needs_position(name, task):
 
 
 def _tip(chain, q):
-    with hints(False):
+    with use_hints(False):
         at = frames(chain, tuple(_known(q)))
     return _stacked(at.position), _stacked([_stacked(row) for row in at.rotation])
 
@@ -461,7 +461,7 @@ def _point(name, given, task, default):
         norm = (np if errors.concrete(quaternion) else jnp).linalg.norm(quaternion)
         if errors.concrete(norm) and abs(norm - 1) > 1e-2:
             raise errors.fail(name, "end with a unit quaternion w x y z", f"has one of norm {norm:.6g}")
-        rotation = _known(references._rotation(name, quaternion / norm))
+        rotation = _known(references.rotation_matrix(name, quaternion / norm))
     return (values if task.position else None), rotation
 
 

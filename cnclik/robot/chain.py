@@ -56,6 +56,17 @@ class Chain:
         kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
         return f"Chain({kinds}, joint_names={list(self.joint_names)})"
 
+    def __str__(self):
+        """A line per joint: its kind and limits."""
+        turning = {j.coordinate: j.kind == REVOLUTE for j in self.joints}
+        lines = [f"Chain of {self.n} joints"]
+        for i, name in enumerate(self.joint_names):
+            unit = "rad" if turning.get(i, True) else "m"
+            low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
+            kind = REVOLUTE if unit == "rad" else PRISMATIC
+            lines.append(f"  {name}: {kind}, {low:.5g} to {high:.5g} {unit}, up to {speed:.5g} {unit}/s")
+        return "\n".join(lines)
+
 
 def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
     """Planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).

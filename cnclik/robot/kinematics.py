@@ -4,10 +4,9 @@
 public functions on ordinary arrays.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import opaque
@@ -112,7 +111,7 @@ def _jacobian(chain, q):
     return stack(jacobian_rows(chain, frames(chain, tuple(q)), (0, 1, 2), (0, 1, 2)), q)
 
 
-def pose(chain: Chain, q) -> Pose:
+def pose(chain: Chain, q: ArrayLike) -> Pose:
     """Pose of the tip in the base frame, g(q) of Drexler (2016), Section II.
 
     Args:
@@ -123,7 +122,7 @@ def pose(chain: Chain, q) -> Pose:
     return _pose(chain, as_joint_values(chain, q))
 
 
-def jacobian(chain: Chain, q):
+def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
     """Geometric Jacobian J(q), (6, n): tip velocity (v, ω) = J q̇ in the base frame, linear rows first.
 
     Column i is (aᵢ × (p − pᵢ), aᵢ) for a revolute joint and (aᵢ, 0) for a prismatic one (Siciliano et al.
@@ -136,7 +135,7 @@ def jacobian(chain: Chain, q):
     return _jacobian(chain, as_joint_values(chain, q))
 
 
-def manipulability(chain: Chain, q, task=None):
+def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
     """Yoshikawa's measure w = √det(J Jᵀ), 0 at a singularity (Yoshikawa 1985, eq. 9).
 
     Args:
@@ -147,12 +146,10 @@ def manipulability(chain: Chain, q, task=None):
     return _manipulability(chain, task, q)
 
 
-@functools.partial(jax.jit, static_argnums=())
+@jax.jit
 def _manipulability(chain, task, q):
     at = frames(chain, tuple(q))
     axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
     j = stack(jacobian_rows(chain, at, *axes), q)
     rows = j if j.shape[0] <= j.shape[1] else j.T
-    det = jnp.linalg.det(rows @ rows.T)
-    positive = det > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, det, 1.0)), 0.0)
+    return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))

@@ -483,7 +483,7 @@ def _check_loop(spec, values):
     from cnclik.integrate import solve as solving
 
     errors.integer("N", N, at_least=1)
-    solving._arguments(law, reference, q0, Ts, method, stage)
+    solving.check_arguments(law, reference, q0, Ts, method, stage)
     metrics.check(spec.metrics, law)
 
 

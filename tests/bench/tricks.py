@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
+from cnclik import hints
 from cnclik.bench import timing as bench
 from cnclik.robot import kinematics
-
-hints = sys.modules["cnclik.hints"]  # the package's attribute of this name is the function
 
 
 def all_on():

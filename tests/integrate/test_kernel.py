@@ -110,6 +110,6 @@ def test_lanes_falls_back_to_xla(monkeypatch, caplog):
         ordered = _kernel_or(over[1], jnp.sort, 4)
         np.testing.assert_array_equal(ordered(x), np.sort(x, axis=1))
         assert "no sort" in caplog.text
-        with ck.hints(False):
+        with ck.use_hints(False):
             doubled(x + 1)
     assert used == ["kernel", "kernel"]

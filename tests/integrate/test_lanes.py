@@ -35,11 +35,11 @@ def reference():
 
 @pytest.fixture(scope="module", params=[True, False], ids=["hints", "plain"])
 def tiled(request):
-    with ck.hints(request.param):
+    with ck.use_hints(request.param):
         yield lanes(_final, tile=8, block=32, cores=2)
 
 
-@pytest.mark.parametrize("size", [1, 3, 8, 9, 33, 100])
+@pytest.mark.parametrize("size", [1, 9, 33])
 def test_same_as_vmap(reference, tiled, size):
     found, wanted = tiled(_cases(size)), reference(_cases(size))
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
@@ -89,9 +89,19 @@ def test_one_program_for_all_blocks():
     assert len(traces) == before
 
 
-@pytest.mark.parametrize("args", [(), (jnp.ones(3), jnp.ones(4)), (1.0,), (jnp.ones((0, 2)),)])
-def test_batches_that_do_not_fit(args):
-    with pytest.raises(ck.ArgumentError, match="Argument `args` must"):
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        ((), "have no arrays"),
+        ((jnp.ones(3), jnp.ones(4)), "have 3, 4"),
+        ((jnp.ones(()),), "have none"),
+        ((1.0,), r"be arrays, such as jnp.asarray\(...\) of a list, but hold 1.0"),
+        (([[1.0, 2.0], [3.0, 4.0]],), "be arrays, such as jnp.asarray"),
+        ((jnp.ones((0, 2)),), "hold 0"),
+    ],
+)
+def test_batches_that_do_not_fit(args, message):
+    with pytest.raises(ck.ArgumentError, match=f"Argument `args` must .*{message}"):
         lanes(lambda *a: a)(*args)
 
 
@@ -103,7 +113,7 @@ def test_every_block_runs_in_the_callers_contexts():
         return x * 1.000000001
 
     x = np.linspace(0.0, 1.0, 40)
-    with jax.enable_x64(True), ck.hints(False):
+    with jax.enable_x64(True), ck.use_hints(False):
         found = lanes(noted, tile=4, block=8, cores=2)(x)
     np.testing.assert_array_equal(found, x * 1.000000001)
     assert set(seen) == {(np.dtype("float64"), False)}
@@ -124,12 +134,3 @@ assert np.array_equal(found, 2 * x) and seen == {0, 1, 2}, seen
 """
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_PLATFORMS": "cpu"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
-
-
-def test_elementwise_functions_are_right_at_any_vector_width():
-    """XLA:CPU gives 0 for arctangents in 512-bit vectors."""
-    x = np.linspace(-0.99, 0.99, 999)  # not 0
-    for name in ("arctan", "arctan2", "arcsin", "arccos", "sin", "tan", "exp", "sinh", "arctanh", "cbrt"):
-        args = (x, x[::-1] + 0.3) if name == "arctan2" else (x,)
-        found = lanes(lambda *args, name=name: getattr(jnp, name)(*args))(*args)
-        np.testing.assert_allclose(found, getattr(np, name)(*args), rtol=1e-12, atol=1e-15, err_msg=name)

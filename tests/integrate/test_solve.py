@@ -157,14 +157,14 @@ def test_no_new_compilation_for_new_numbers():
 def test_hints_change_nothing_but_speed():
     plain = {}
     for method in ("CN", "RK4"):
-        with ck.hints(False):
+        with ck.use_hints(False):
             plain[method] = run(method=method)
         fenced = run(method=method)
         for field in ("q", "x", "e", "qdot", "residual"):
             close(getattr(plain[method], field), getattr(fenced, field), atol=1e-13)
         np.testing.assert_array_equal(plain[method].status, fenced.status)
     slope = jax.grad(lambda a: jnp.sum(run(alpha=a).q[-1]))
-    with ck.hints(False):
+    with ck.use_hints(False):
         without = slope(4.0)
     close(slope(4.0), without, rtol=1e-11)
 
@@ -178,7 +178,7 @@ def test_hints_are_part_of_the_cache_key():
 
     marks = []
     for on in (True, False, True):
-        with ck.hints(on):
+        with ck.use_hints(on):
             marks.append("inlineable" in fn.lower(Q).as_text())
     assert marks == [True, False, True]
 
@@ -221,7 +221,7 @@ BAD = [
     (lambda: solve(Q, 0.1, 3, t0=np.nan), "`t0` must be finite, but is nan"),
     (lambda: ck.solve(ARM, HOLD, Q, 0.1, 3), "`law` must be a Law, but is Chain"),
     (lambda: ck.solve(LAW, [1, 2], Q, 0.1, 3), r"`reference` must be a Reference such as hold\(...\), but is list"),
-    (lambda: ck.solve(LAW, ck.hold([1, 2, 3, 4]), Q, 0.1, 3), "`reference` must give positions of 2 coordinates"),
+    (lambda: ck.solve(LAW, ck.hold([1]), Q, 0.1, 3), "`reference` must give positions of 2 coordinates"),
     (lambda: ck.step(LAW, HOLD, Q[:1], 0, 0.1), r"`q` must have shape \(3,\), but has shape \(1,\)"),
     (lambda: ck.step(LAW, HOLD, Q, None, 0.1), "`t` must be a number, but is None"),
     (lambda: jax.jit(lambda q: solve(q, 0.1, 3).q)(Q[:2]), r"`q0` must have shape \(3,\), but has shape \(2,\)\."),

@@ -49,7 +49,7 @@ def test_feedforward_factor():
 
 
 def test_weights():
-    """Weights scale rows and errors: they matter where not everything can be had (damping, m > n)."""
+    """Weights scale rows and errors: they matter where not everything can be had."""
     w = np.array([1.0, 3.0])
     weighted = ck.position("xy", weights=w)
     j = np.diag(w) @ planar_jacobian(LENGTHS, Q)
@@ -57,11 +57,12 @@ def test_weights():
     law = ck.Law(ARM, weighted, alpha=5.0, inverse=ck.damped(0.3))
     close(qdot(law), damped_inverse(0.3)(j) @ v, atol=1e-13)
     close(qdot(ck.Law(ARM, weighted, alpha=5.0)), oracle(), atol=1e-13)  # full rank: no effect
-    one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0)  # one joint, two coordinates: weighted least squares
+    # One joint, two coordinates: weighted least squares, as the transpose has it.
+    one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0, inverse=ck.transpose())
     q = np.array([0.4])
-    j = planar_jacobian(LENGTHS[:1], q)
+    j = np.diag(w) @ planar_jacobian(LENGTHS[:1], q)
     v = VELOCITY + 5 * (TARGET - planar_position(LENGTHS[:1], q))
-    close(qdot(one, q), np.linalg.lstsq(np.diag(w) @ j, w * v)[0], atol=1e-13)
+    close(qdot(one, q), j.T @ (w * v), atol=1e-13)
 
 
 @pytest.mark.parametrize("form", ["array", "function", "tuple"])
@@ -140,6 +141,13 @@ def test_single_precision_loop_in_a_double_precision_session():
     assert {v.dtype for v in (made.q, made.e, made.qdot, made.residual)} == {jnp.dtype(jnp.float32)}
 
 
+def test_gains_at_the_edge_and_traced_ones_pass():
+    for alpha in (0, [0.0, 1.0], [[0.0, 1.0], [-1.0, 0.0]], np.ones((2, 2), np.float32)):
+        ck.Law(ARM, ck.position("xy"), alpha=alpha)
+    jax.jit(lambda a: ck.Law(ARM, ck.position("xy"), alpha=a).alpha)(-1.0)
+    ck.Law(ARM, ck.pose_task(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
+
+
 # --- what is refused ----------------------------------------------------------------------------------
 
 XY = ck.position("xy")
@@ -154,6 +162,14 @@ XY = ck.position("xy")
         (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
         (lambda: ck.Law(ARM, XY, alpha="5"), "`alpha` must"),
         (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
+        (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
+        (lambda: ck.Law(ARM, XY, alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
+        (lambda: ck.Law(ARM, XY, alpha=[[1.0, 3.0], [3.0, 1.0]]), "`alpha` must have no eigenvalue of negative real"),
+        (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=-1.0), "`alpha` must not be negative"),
+        (
+            lambda: ck.Law(ARM, ck.pose_task("xyz", "z"), alpha=1),
+            r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
+        ),
         (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),
         (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=[1, 2]), r"`null_velocity` must have shape \(3,\), but has"),
         (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),

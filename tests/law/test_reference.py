@@ -1,6 +1,7 @@
 """References: where they are, how fast they move, and that the two agree."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
-from cnclik.law.reference import sample
+from cnclik.law.reference import motion, sample
 from tests.oracles import close
 
 POSE = ck.pose_task()
@@ -110,6 +111,35 @@ def test_hold():
     close(at(ck.hold([0.0, 0, 0], 1.0001 * q), 1.0, "pose")[1], R2.as_matrix(), atol=1e-15)
     arm = ck.planar_arm([1.0, 1.0])
     close(at(ck.hold(ck.pose(arm, [0.1, 0.2])), 0.0, "pose")[1], ck.pose(arm, [0.1, 0.2]).rotation)
+
+
+def test_hold_takes_a_whole_pose_in_any_form():
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R1.as_matrix(), [1.0, 2, 3]
+    pin = pytest.importorskip("pinocchio")
+    for target in (matrix, matrix.tolist(), jnp.asarray(matrix), pin.SE3(matrix)):
+        position, rotation, _ = at(ck.hold(target), 0.0, "pose")
+        close(position, [1, 2, 3])
+        close(rotation, R1.as_matrix())
+    way = ck.line(matrix, ck.Pose(position=jnp.ones(3), rotation=jnp.eye(3)), duration=1.0)
+    close(at(way, 0.0, "pose")[1], R1.as_matrix(), atol=1e-15)
+    close(at(way, 2.0, "pose")[0], 1.0, atol=1e-15)
+
+
+def test_motion_bounds_what_the_target_moves():
+    """From above, by less than 12 %: positions exactly, turns by their chord."""
+    t = jnp.linspace(0.0, 4.0, 9)
+    for name in ("line-turning", "circle-3d", "hold-pose", "path-pose"):
+        reference, task = REFERENCES[name]
+        places = [at(reference, one, task) for one in t]
+        wanted = []
+        for one, two in itertools.pairwise(places):
+            turned = 0.0 if one[1] is None else np.linalg.norm(rotvec(one[1], two[1]))
+            wanted.append(np.hypot(np.linalg.norm(two[0] - one[0]), turned))
+        found = np.asarray(motion(reference, TASKS[task], t))
+        assert np.all(found >= np.array(wanted) - 1e-12) and np.all(found <= 1.12 * np.array(wanted) + 1e-12)
+    told = ck.with_feedforward(ck.hold([1.0, 2.0]), [3.0, 4.0])
+    close(motion(told, TASKS["xy"], t), 2.5, atol=1e-14)
 
 
 def test_line():
@@ -264,6 +294,10 @@ TURN = np.eye(3)
 BAD = [
     (lambda: ck.hold(None), "`target` must be a position or come with a `rotation`"),
     (lambda: ck.hold(1.0), r"`target` must have shape \(n,\), but has shape \(\)\."),
+    (lambda: ck.hold([1, 2, 3, 1, 0, 0, 0]), r"`target` must have at most 3 coordinates, .* rotation=\[w, x, y, z\]"),
+    (lambda: ck.hold([1, 2, 3, 4]), "`target` must have 1 to 3 coordinates, but has 4"),
+    (lambda: ck.hold(np.eye(3)), r"`target` must have shape \(n,\), but has shape \(3, 3\)"),
+    (lambda: ck.hold(2 * np.eye(4)), "`rotation` must be a rotation matrix"),
     (lambda: ck.hold([np.nan, 0]), r"`target` must be finite, but is nan at index \(0,\)\."),
     (lambda: ck.hold([0.0, 0, 0], 2 * TURN), "`rotation` must be a rotation matrix"),
     (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must be a rotation matrix"),

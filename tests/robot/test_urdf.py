@@ -99,7 +99,7 @@ def compare(arm, tree, path, model, tip):
         return stack(at.position, q), stack(at.rotation, q), stack(rows, q)
 
     # Run as written, one operation after the other: compiling each of 577 chains would take minutes.
-    with ck.hints(False):
+    with ck.use_hints(False):
         found = jax.vmap(one)(jnp.asarray(q))
     return max(np.abs(a - np.stack(b)).max() for a, b in zip(found, zip(*expected, strict=True), strict=True))
 

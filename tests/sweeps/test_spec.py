@@ -61,7 +61,7 @@ def test_values_follow_from_expressions():
     assert float(law.alpha) == pytest.approx(3.0, rel=1e-15) and (Ts, N, method) == (0.1, 4, ck.CN)
     np.testing.assert_allclose(q0, [0, -np.pi / 2], rtol=1e-15)
     np.testing.assert_allclose(reference.curve.end, [0, 1.1], rtol=1e-15)
-    assert float(reference.period) == pytest.approx(0.4)  # the run's length, when nothing is said
+    assert float(reference.curve.duration) == pytest.approx(0.4)  # the run's length, when nothing is said
     assert stage.M == 2 and stage.maximum == 2
 
 

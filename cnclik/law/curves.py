@@ -1,0 +1,165 @@
+"""Curves: functions of time that return a target, a position (tuple of scalars) and a rotation (rows), or None for one.
+
+They are records, so that points, periods and durations are parameters; `cnclik.law.reference` builds and samples them.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import record
+from cnclik.robot import spatial as sp
+from cnclik.robot.kinematics import Pose
+
+
+@record
+class Hold:
+    position: object
+    rotation: object
+
+    def __call__(self, t):
+        # Through `t`, so that target and velocity have the loop's dtype.
+        return vector(self.position), rows(self.rotation)
+
+
+@record
+class Line:
+    start: object
+    end: object
+    rotation: object
+    turn: object  # rotation vector from the first to the last orientation, in the base frame
+    duration: object
+
+    def __call__(self, t):
+        s = _progress(t, self.duration)
+        position = None
+        if self.start is not None:
+            position = tuple(a + s * (b - a) for a, b in zip(vector(self.start), vector(self.end), strict=True))
+        rotation = rows(self.rotation)
+        if self.turn is not None:
+            rotation = sp.matmul(sp.exp_so3(tuple(s * w for w in vector(self.turn))), rotation)
+        return position, rotation
+
+
+@record
+class Lissajous:
+    center: object
+    amplitude: object
+    frequency: object
+    phase: object
+    rotation: object
+    period: object
+
+    def __call__(self, t):
+        omega = 2 * math.pi / self.period
+        parts = zip(*(vector(v) for v in (self.center, self.amplitude, self.frequency, self.phase)), strict=True)
+        return tuple(c + a * jnp.sin(f * omega * t + p) for c, a, f, p in parts), rows(self.rotation)
+
+
+@record
+class Circle:
+    center: object
+    first: object  # radius vector at t = 0
+    second: object  # and a quarter period later
+    rotation: object
+    period: object
+
+    def __call__(self, t):
+        angle = 2 * math.pi / self.period * t
+        c, s = jnp.cos(angle), jnp.sin(angle)
+        parts = zip(*(vector(v) for v in (self.center, self.first, self.second)), strict=True)
+        return tuple(o + c * u + s * v for o, u, v in parts), rows(self.rotation)
+
+
+@record
+class Spline:
+    times: object  # (K,)
+    position: object  # (4, K−1, d) coefficients of the powers of t − t_k, or None
+    quaternion: object  # (4, K−1, 4) of unnormalised quaternions, or None
+    rotation: object  # constant rotation, or None
+    closed: bool
+
+    def __call__(self, t):
+        if self.closed:
+            t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
+        k = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, self.times.shape[0] - 2)
+        inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
+        # Held at both ends; the jvp of a clip would halve the velocity exactly at an end.
+        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
+
+        def at(c):
+            return tuple(
+                c[0, k, i] + dt * (c[1, k, i] + dt * (c[2, k, i] + dt * c[3, k, i])) for i in range(c.shape[-1])
+            )
+
+        rotation = rows(self.rotation)
+        if self.quaternion is not None:
+            q = at(self.quaternion)
+            length = jnp.sqrt(sp.dot(q, q))
+            rotation = sp.rotation_from_quaternion(tuple(x / length for x in q))
+        return (None if self.position is None else at(self.position)), rotation
+
+
+@record
+class Path:
+    fn: object
+
+    def __call__(self, t):
+        target, dtype = self.fn(t), jnp.result_type(t)
+        if isinstance(target, Pose):
+            return vector(jnp.asarray(target.position, dtype)), rows(jnp.asarray(target.rotation, dtype))
+        if isinstance(target, (tuple, list)):
+            return tuple(jnp.asarray(v, dtype) for v in target), None
+        return vector(jnp.asarray(target, dtype)), None
+
+
+def vector(array):
+    """An array (d,) as a tuple of scalars."""
+    return None if array is None else tuple(array[i] for i in range(array.shape[0]))
+
+
+def rows(rotation):
+    return None if rotation is None else tuple(vector(rotation[i]) for i in range(3))
+
+
+def _progress(t, duration):
+    """t/duration up to 1, then held: still moving at t = duration itself, up to rounding of k·Ts."""
+    return jnp.where(t > duration * (1 + 1e-6), 1.0, t / duration)
+
+
+def cubic(times, values, closed, name):
+    """Coefficients (4, K−1, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
+    known = errors.concrete(times) and errors.concrete(values)
+    xp = np if known else jnp  # NumPy compiles nothing
+    times, values = xp.asarray(times), xp.asarray(values)
+    h = xp.diff(times)
+    slope = xp.diff(values, axis=0) / h[:, None]
+    zero, one = xp.zeros(1), xp.ones(1)
+    # Unknown: the velocities v at the knots. Rows: continuity of acceleration, and the two end conditions.
+    a = (
+        xp.diag(xp.concatenate([one, 2 * (h[:-1] + h[1:]), one]))
+        + xp.diag(xp.concatenate([h[1:], zero]), -1)
+        + xp.diag(xp.concatenate([zero, h[:-1]]), 1)
+    )
+    b = 3 * (h[1:, None] * slope[:-1] + h[:-1, None] * slope[1:])
+    rest = xp.zeros_like(values[:1])
+    last = rest
+    if closed:
+        # A full turn comes back with the quaternion's other sign, which is the same rotation.
+        sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
+        if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+            raise errors.fail(name, "end where it starts for a closed path", "does not")
+        inner = a[1:-1]
+        eye = xp.eye(times.shape[0])
+        same_velocity = eye[-1] - sign * eye[0]
+        same_acceleration = sign * h[-1] * (2 * eye[0] + eye[1]) + h[0] * (eye[-2] + 2 * eye[-1])
+        a = xp.concatenate([same_velocity[None], inner, same_acceleration[None]])
+        last = 3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:])
+    v = xp.linalg.solve(a, xp.concatenate([rest, b, last]))
+    hh = h[:, None]
+    second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
+    third = (v[:-1] + v[1:] - 2 * slope) / hh**2
+    return jnp.asarray(xp.stack([values[:-1], v[:-1], second, third]))

@@ -1,0 +1,90 @@
+"""Time: refused where a run's dtype has no such instants, and one compiled program whatever type a number comes in."""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.integrate import solve as solving
+from tests.oracles import close
+
+SLIDER = ck.from_screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
+LAW = ck.Law(SLIDER, ck.position("x"), alpha=2.0)
+WAVE = ck.lissajous([0.0], [1.0], period=4.0)
+Q32 = np.zeros(1, np.float32)
+
+NUMBERS = {
+    "float": float,
+    "int": int,
+    "float64": np.float64,
+    "float32": np.float32,
+    "int64": np.int64,
+    "int32": np.int32,
+    "0-d": np.array,
+    "0-d float32": lambda v: np.asarray(v, np.float32),
+    "jax": jnp.asarray,
+    "jax float": lambda v: jnp.asarray(v, float),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_one_program_for_all_types_of_numbers(dtype):
+    q = np.zeros(1, dtype)
+    counts, found = [], []
+    for make in NUMBERS.values():
+        run = ck.solve(LAW, WAVE, q, make(1), 3, t0=make(2))
+        one = ck.step(LAW, WAVE, q, make(2), make(1))
+        counts.append((solving._solve._cache_size(), solving._step._cache_size()))
+        found.append(np.concatenate([run.q[-1], one.q]))
+    assert len(set(counts)) == 1
+    assert len({tuple(v) for v in found}) == 1
+
+
+def test_a_control_loop_of_mixed_types_compiles_once():
+    ck.step(LAW, WAVE, Q32, 0, 0.1)
+    before = solving._step._cache_size()
+    for t in [*np.arange(0, 1, 0.1), *range(3), 0.25]:
+        ck.step(LAW, WAVE, Q32, t, 0.1)
+    assert solving._step._cache_size() == before
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ck.step(LAW, WAVE, Q32, time.time(), 0.01), r"`t` must be counted from the start of the motion.*x64"),
+        (lambda: ck.step(LAW, WAVE, Q32, -1e6, 0.01), r"`t` must be .* float32 times are 0.0625 s apart there, and Ts"),
+        (lambda: ck.step(LAW, WAVE, Q32, np.int64(10**9), 0.01), "`t` must be counted"),
+        (lambda: ck.solve(LAW, WAVE, Q32, 0.01, 5, t0=1.75e9), "`t0` must be counted from the start of the motion"),
+        (lambda: ck.solve(LAW, WAVE, Q32, 0.01, 10**8), "`N` must be smaller, .* but is 100000000: float32 times"),
+        (lambda: ck.solve(LAW, WAVE, np.zeros(1), 0.01, 5, t0=1e18), "`t0` must be counted"),
+    ],
+)
+def test_times_that_would_stand_still_are_refused(call, message):
+    with pytest.raises(ck.ArgumentError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_times_just_fine_enough_advance():
+    """Up to the bound every instant differs from the one before; and float64 knows the time of day."""
+    t0 = float(2**16 - 1)  # spaced by 2**-8 s there
+    assert np.all(np.diff(ck.solve(LAW, WAVE, Q32, 2.0**-8, 3, t0=t0).t) > 0)
+    with pytest.raises(ck.ArgumentError, match="`t0`"):
+        ck.solve(LAW, WAVE, Q32, 2.0**-9, 3, t0=t0)
+    run = ck.solve(LAW, WAVE, np.zeros(1), 2.0**-9, 3, t0=1.75e9)
+    close(np.diff(run.t), 2.0**-9, atol=1e-6)
+
+
+def test_traced_times_pass():
+    end = jax.jit(lambda t: ck.step(LAW, WAVE, Q32, t, 0.1).q)(1e9)
+    assert np.isfinite(end).all()
+
+
+def test_a_late_start_samples_the_late_reference():
+    early = ck.solve(LAW, WAVE, Q32, 0.125, 8, t0=0.0)
+    late = ck.solve(LAW, WAVE, Q32, 0.125, 8, t0=400.0)  # a hundred periods later
+    close(late.q, early.q, atol=2e-4)
+    close(late.t, 400 + early.t)

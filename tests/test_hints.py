@@ -1,0 +1,122 @@
+"""Compiler hints and options: under one switch, known to the compiler, and in caches of bounded size."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import hints
+from cnclik.integrate import lanes as tiles
+from cnclik.integrate.lanes import lanes
+
+
+def test_an_option_the_compiler_does_not_know_is_dropped():
+    unknown = {"xla_no_such_option": 7}
+    assert hints.known_options(unknown) == {}
+    assert hints.known_options(hints.QUICK_COMPILE | unknown) == hints.known_options(hints.QUICK_COMPILE)
+    before = hints._is_known.cache_info().misses
+    hints.known_options(unknown)
+    assert hints._is_known.cache_info().misses == before  # tried once
+
+
+def test_the_switch_turns_options_off():
+    with ck.use_hints(False):
+        assert hints.known_options(hints.QUICK_COMPILE) == {}
+        assert tiles.options(jax.jit(jnp.sin).trace(1.0)) == {}
+
+
+def test_programs_run_with_options_nobody_knows(monkeypatch):
+    monkeypatch.setattr(hints, "QUICK_COMPILE", {"xla_gone": 1})
+    monkeypatch.setattr(tiles, "OPTIONS", {"xla_gone": 1})
+    assert hints.quick_jit(lambda x: 2 * x)(3.0) == 6
+    np.testing.assert_array_equal(lanes(lambda x: 2 * x)(np.arange(3.0)), [0, 2, 4])
+
+
+def test_quick_jit_asks_nothing_when_it_is_made(monkeypatch):
+    asked = []
+    monkeypatch.setattr(hints, "known_options", lambda options: asked.append(options) or {})
+
+    @hints.quick_jit(static_argnames="n")
+    def power(x, *, n):
+        """A docstring."""
+        return x**n
+
+    assert not asked and power.__doc__ == "A docstring."
+    assert power(3.0, n=2) == 9 and power(2.0, n=2) == 4 and len(asked) == 1
+
+
+# Every elementwise function that may be compiled with wide vectors: XLA:CPU gave 0 for most arctangents.
+WIDE = {
+    "acos": jnp.arccos,
+    "acosh": lambda x: jnp.arccosh(1.1 + x * x),
+    "asin": jnp.arcsin,
+    "asinh": jnp.arcsinh,
+    "atan2": lambda x: jnp.arctan2(x, x[::-1] + 0.3),
+    "atanh": jnp.arctanh,
+    "cbrt": jnp.cbrt,
+    "cos": jnp.cos,
+    "cosh": jnp.cosh,
+    "erf": jax.scipy.special.erf,
+    "exp": jnp.exp,
+    "exp2": jnp.exp2,
+    "expm1": jnp.expm1,
+    "floor": lambda x: jnp.floor(9 * x),
+    "log": lambda x: jnp.log(1.1 + x),
+    "log1p": jnp.log1p,
+    "logistic": jax.nn.sigmoid,
+    "pow": lambda x: (1.1 + x) ** x,
+    "rem": lambda x: jnp.fmod(x, 0.3),
+    "round": lambda x: jnp.round(9 * x),
+    "rsqrt": lambda x: jax.lax.rsqrt(1.1 + x),
+    "sign": jnp.sign,
+    "sin": jnp.sin,
+    "sinh": jnp.sinh,
+    "sqrt": lambda x: jnp.sqrt(1.1 + x),
+    "tan": jnp.tan,
+    "tanh": jnp.tanh,
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_what_may_have_wide_vectors_is_right_with_them(dtype):
+    """Against the same functions one number at a time; and the arctangent goes without."""
+    x = np.linspace(-0.99, 0.99, 199).astype(dtype)  # not 0
+
+    def all_of(x):
+        return {name: fn(x) for name, fn in WIDE.items()}
+
+    traced = jax.jit(all_of).trace(x)
+    assert hints.is_wide(traced.jaxpr)
+    found = traced.lower().compile(hints.known_options(tiles.OPTIONS))(x)
+    with jax.disable_jit():
+        plain = {name: fn(x) for name, fn in WIDE.items()}
+    for name, values in found.items():
+        np.testing.assert_allclose(values, plain[name], rtol=20 * np.finfo(dtype).eps, atol=1e-30, err_msg=name)
+    for other in (jnp.arctan, jnp.sort, jnp.linalg.inv):
+        assert not hints.is_wide(jax.jit(other).trace(jnp.eye(3)).jaxpr)
+
+
+# --- caches -------------------------------------------------------------------------------------------
+
+
+def test_many_literal_geometries_do_not_pile_up():
+    """A stage keeps the programs of the last KEPT_PROGRAMS sets of literals, however many there were."""
+
+    @hints.opaque
+    def stage(length, x):
+        return length * x
+
+    for i in range(hints.KEPT_PROGRAMS + 40):
+        jax.eval_shape(lambda x, i=i: stage(float(i), x), 1.0)
+    assert stage.cache_info().currsize == stage.cache_info().maxsize == hints.KEPT_PROGRAMS
+
+
+def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
+    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 3)
+    recent = hints.Recent()
+    for i in range(5):
+        recent[i] = str(i)
+        recent.get(0)  # in use all the time: it stays
+    assert list(recent) == [3, 4, 0] and recent.get(2) is None
+    assert recent.get(3) == "3" and list(recent) == [4, 0, 3]
