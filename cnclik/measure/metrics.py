@@ -58,8 +58,8 @@ class Metrics:
         return "Metrics(\n" + "\n".join(lines) + "\n)"
 
 
-class Loop(NamedTuple):
-    """What a metric may look at."""
+class Measured(NamedTuple):
+    """The run that is measured: what a metric may look at."""
 
     run: object  # Trajectory, one lane
     law: Law
@@ -68,7 +68,7 @@ class Loop(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """A metric: its function of a `Loop`, its unit, what it is, and the dimensions of its value."""
+    """A metric: its function of a `Measured` run, its unit, what it is, and the dimensions of its value."""
 
     fn: Callable
     unit: str  # "e": that of the error; "q": that of the joints; each may be followed by more
@@ -89,14 +89,8 @@ def _squares(rows):
     return _finite(jnp.sum(rows * rows, axis=-1))
 
 
-def _sqrt(value):
-    """√ with derivative 0 at 0."""
-    zero = value == 0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, value)))
-
-
 def _norms(rows):
-    return _sqrt(_squares(rows))
+    return sp.safe_sqrt(_squares(rows))
 
 
 def _max(values):
@@ -110,39 +104,39 @@ def _first(hit):
     return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
 
-def _all(loop):
-    return loop.run.e
+def _all(seen):
+    return seen.run.e
 
 
-def _position(loop):
-    return loop.run.e[..., : len(loop.law.task.position)]
+def _position(seen):
+    return seen.run.e[..., : len(seen.law.task.position)]
 
 
-def _rotation(loop):
-    return loop.run.e[..., len(loop.law.task.position) :]
+def _rotation(seen):
+    return seen.run.e[..., len(seen.law.task.position) :]
 
 
-def _final(part, loop):
-    return _norms(part(loop)[-1])
+def _final(part, seen):
+    return _norms(part(seen)[-1])
 
 
-def _mean(part, loop):
-    return jnp.mean(_norms(part(loop)))
+def _mean(part, seen):
+    return jnp.mean(_norms(part(seen)))
 
 
-def _rms(part, loop):
-    return _sqrt(jnp.mean(_squares(part(loop))))
+def _rms(part, seen):
+    return sp.safe_sqrt(jnp.mean(_squares(part(seen))))
 
 
-def _largest(part, loop):
-    return _max(_norms(part(loop)))
+def _largest(part, seen):
+    return _max(_norms(part(seen)))
 
 
-def _split(loop):
+def _split(seen):
     """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
-    path = ref.Reference(curve=loop.reference.curve)  # its own direction, whatever is fed forward
-    velocity = jax.vmap(lambda t: jnp.stack(ref.sample(path, loop.law.task, t)[2]))(loop.run.t)
-    e = _position(loop)
+    path = ref.Reference(curve=seen.reference.curve)  # its own direction, whatever is fed forward
+    velocity = jax.vmap(lambda t: jnp.stack(ref.sample(path, seen.law.task, t)[2]))(seen.run.t)
+    e = _position(seen)
     velocity = velocity[:, : e.shape[-1]]
     speed = _norms(velocity)[:, None]
     tangent = jnp.where(speed > 0, velocity / jnp.where(speed > 0, speed, 1.0), 0.0)
@@ -150,37 +144,37 @@ def _split(loop):
     return along, e - along * tangent
 
 
-def _along(loop):
-    return _split(loop)[0]
+def _along(seen):
+    return _split(seen)[0]
 
 
-def _across(loop):
-    return _split(loop)[1]
+def _across(seen):
+    return _split(seen)[1]
 
 
 # --- convergence --------------------------------------------------------------------------------------
 
 
-def _steps_to_tolerance(loop):
-    inside = _norms(loop.run.e) <= loop.tolerance
+def _steps_to_tolerance(seen):
+    inside = _norms(seen.run.e) <= seen.tolerance
     k = _first(inside)
-    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(loop.run.e.dtype)
+    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(seen.run.e.dtype)
 
 
-def _settling_time(loop):
-    outside = _norms(loop.run.e) > loop.tolerance
+def _settling_time(seen):
+    outside = _norms(seen.run.e) > seen.tolerance
     count = outside.shape[0]
     k = count - _first(outside[::-1])  # the instant after the last one outside
-    t = loop.run.t
+    t = seen.run.t
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
-def _converged(loop):
-    return (_norms(loop.run.e[-1]) <= loop.tolerance).astype(loop.run.e.dtype)
+def _converged(seen):
+    return (_norms(seen.run.e[-1]) <= seen.tolerance).astype(seen.run.e.dtype)
 
 
-def _overshoot(loop):
-    e, first = loop.run.e, loop.run.e[0]
+def _overshoot(seen):
+    e, first = seen.run.e, seen.run.e[0]
     squared = _squares(first)
     beyond = _max(jnp.maximum(_finite(-_products(e, first)), 0.0)) / jnp.where(squared > 0, squared, 1.0)
     return jnp.where(squared > 0, beyond, 0.0)
@@ -190,9 +184,9 @@ def _products(rows, vector):
     return jnp.sum(rows * vector, axis=-1)
 
 
-def _rate(loop):
-    norms = _norms(loop.run.e)
-    inside = norms <= loop.tolerance
+def _rate(seen):
+    norms = _norms(seen.run.e)
+    inside = norms <= seen.tolerance
     count = norms.shape[0]
     last = jnp.minimum(_first(inside), count - 1)
     ratio = norms[last] / jnp.where(inside[0], 1.0, norms[0])
@@ -203,45 +197,69 @@ def _rate(loop):
 # --- joints -------------------------------------------------------------------------------------------
 
 
-def _max_qdot(loop):
-    return _max(_finite(jnp.abs(loop.run.qdot)))
+def _max_qdot(seen):
+    return _max(_finite(jnp.abs(seen.run.qdot)))
 
 
-def _rms_qdot(loop):
-    return _sqrt(jnp.mean(_squares(loop.run.qdot))) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
+def _rms_qdot(seen):
+    return sp.safe_sqrt(jnp.mean(_squares(seen.run.qdot))) if seen.run.qdot.size else jnp.zeros((), seen.run.q.dtype)
 
 
-def _rms_qddot(loop):
-    steps = loop.run.qdot.shape[0]
+def _rms_qddot(seen):
+    steps = seen.run.qdot.shape[0]
     if steps < 2:
-        return jnp.zeros((), loop.run.q.dtype)
-    step = (loop.run.t[-1] - loop.run.t[0]) / steps
-    return _sqrt(jnp.mean(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
+        return jnp.zeros((), seen.run.q.dtype)
+    step = (seen.run.t[-1] - seen.run.t[0]) / steps
+    return sp.safe_sqrt(jnp.mean(_squares(jnp.diff(seen.run.qdot, axis=0) / step)))
 
 
-def _path_length(loop):
-    return jnp.sum(_norms(jnp.diff(loop.run.q, axis=0)))
+def _path_length(seen):
+    return jnp.sum(_norms(jnp.diff(seen.run.q, axis=0)))
 
 
-def _velocity_ratio(loop):
-    limits = np.asarray(loop.law.chain.velocity_limit)
-    return _max(_finite(jnp.abs(loop.run.qdot) / limits))
+def _velocity_ratio(seen):
+    limits = np.asarray(seen.law.chain.velocity_limit)
+    return _max(_finite(jnp.abs(seen.run.qdot) / limits))
 
 
-def _limit_distance(loop):
-    q = loop.run.q
-    below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
+def _limit_distance(seen):
+    q = seen.run.q
+    below, above = q - np.asarray(seen.law.chain.lower), np.asarray(seen.law.chain.upper) - q
     return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
-def _task_jacobian(loop, t, q):
-    return evaluate(loop.law, loop.reference, t, q).rows
+def _past_limit(seen):
+    return jnp.maximum(-_limit_distance(seen), 0.0)
 
 
-def _least_singular_value(loop):
+def chatter(qdot, *, settled=0.5):
+    """RMS speed that is taken back in the next step, over the last part of a run [rad/s, m/s].
+
+    A joint that moves at a in one step and at −b in the next takes back min(a, b); one that slows down, however
+    hard, takes back nothing. Alternation at ±a measures a·√n' for n' such joints, smooth motion 0.
+
+    Args:
+      qdot: (N, n) joint velocities of the steps.
+      settled: the part of the run that is looked at, counted from its end.
+    """
+    qdot = jnp.asarray(qdot)
+    late = qdot[int(len(qdot) * (1 - settled)) :]
+    if len(late) < 2:
+        return jnp.zeros((), qdot.dtype)
+    before, after = late[:-1], late[1:]
+    back = jnp.where(before * after < 0, jnp.minimum(jnp.abs(before), jnp.abs(after)), 0.0)
+    everything_finite = jnp.all(jnp.isfinite(late))
+    return jnp.where(everything_finite, sp.safe_sqrt(jnp.mean(_squares(back))), jnp.inf)
+
+
+def _task_jacobian(seen, t, q):
+    return evaluate(seen.law, seen.reference, t, q).rows
+
+
+def _least_singular_value(seen):
     """σ_min = ‖uᵀJ‖ with u its left singular vector held fixed: so dσ = uᵀ dJ v, without a decomposition's."""
-    columns = tuple(loop.run.q[:, i] for i in range(loop.law.chain.n))
-    rows = jax.vmap(lambda t, q: _task_jacobian(loop, t, q))(loop.run.t, columns)
+    columns = tuple(seen.run.q[:, i] for i in range(seen.law.chain.n))
+    rows = jax.vmap(lambda t, q: _task_jacobian(seen, t, q))(seen.run.t, columns)
     if len(rows) > len(rows[0]):
         rows = sp.transpose(rows)
     u, w = lax.stop_gradient(dense.orthogonal_rows(rows))
@@ -255,22 +273,25 @@ def _least_singular_value(loop):
 # --- the iteration and its status ---------------------------------------------------------------------
 
 
-def _residual(loop):
-    return _max(_finite(loop.run.residual))
+def _residual(seen):
+    return _max(_finite(seen.run.residual))
 
 
-def _contraction(loop):
-    return _max(_finite(loop.run.contraction))
+def _contraction(seen):
+    return _max(_finite(seen.run.contraction))
 
 
-def _evaluations(loop):
-    return jnp.asarray(loop.run.evaluations).astype(loop.run.q.dtype)
+def _evaluations(seen):
+    return jnp.asarray(seen.run.evaluations).astype(seen.run.q.dtype)
 
 
-def _count(bit, loop):
-    status = loop.run.status
+def _count(bit, seen):
+    status = seen.run.status
     hit = (status == 0) if bit == 0 else (status & bit) != 0
     return jnp.sum(hit.astype(jnp.int32))
+
+
+_BITS = {bit.name.lower(): bit for bit in Status if bit}
 
 
 def _errors(prefix, part, unit, label, needs=""):
@@ -298,30 +319,34 @@ METRICS = {
     "path_length": Metric(_path_length, "q", "length of the joint path, Σ‖Δq‖"),
     "velocity_ratio": Metric(_velocity_ratio, "1", "largest |q̇ᵢ| over its limit"),
     "limit_distance": Metric(_limit_distance, "q", "least distance to a joint limit, negative beyond it"),
+    "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
+    "chatter": Metric(lambda seen: chatter(seen.run.qdot), "q/s", "RMS speed taken back in the next step, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
     "residual": Metric(_residual, "q", "largest last change of an implicit stage"),
     "contraction": Metric(_contraction, "1", "largest ratio of an implicit stage's last two changes"),
     "evaluations": Metric(_evaluations, "1", "evaluations of f(q, t)"),
     "ok": Metric(functools.partial(_count, 0), "1", "steps with status OK"),
-    **{s.name.lower(): Metric(functools.partial(_count, s.value), "1", f"steps marked {s.name}") for s in Status if s},
+    **{name: Metric(functools.partial(_count, bit), "1", f"steps marked {bit.name}") for name, bit in _BITS.items()},
     # On request, whole histories: what convergence curves are drawn from.
-    "error": Metric(lambda loop: _norms(loop.run.e), "e", "error ‖e[k]‖", ("time",)),
-    "t": Metric(lambda loop: loop.run.t, "s", "time", ("time",)),
-    "q": Metric(lambda loop: loop.run.q, "q", "joint values", ("time", "joint")),
-    "x": Metric(lambda loop: loop.run.x, "e", "task coordinates", ("time", "axis")),
-    "e": Metric(lambda loop: loop.run.e, "e", "error", ("time", "axis")),
-    "qdot": Metric(lambda loop: loop.run.qdot, "q/s", "joint velocity", ("step", "joint")),
-    "status": Metric(lambda loop: loop.run.status, "1", "status bits", ("step",)),
+    "error": Metric(lambda seen: _norms(seen.run.e), "e", "error ‖e[k]‖", ("time",)),
+    "t": Metric(lambda seen: seen.run.t, "s", "time", ("time",)),
+    "q": Metric(lambda seen: seen.run.q, "q", "joint values", ("time", "joint")),
+    "x": Metric(lambda seen: seen.run.x, "e", "task coordinates", ("time", "axis")),
+    "e": Metric(lambda seen: seen.run.e, "e", "error", ("time", "axis")),
+    "qdot": Metric(lambda seen: seen.run.qdot, "q/s", "joint velocity", ("step", "joint")),
+    "status": Metric(lambda seen: seen.run.status, "1", "status bits", ("step",)),
 }
 
 DEFAULT = (
     *("final_error", "mean_error", "rms_error", "max_error", "steps_to_tolerance", "converged", "max_qdot"),
-    *("residual", "evaluations", "ok", "not_converged", "near_singular", "at_limit", "non_finite"),
+    *("residual", "evaluations", "ok", *_BITS),
 )
 
 
-def measure(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> Metrics:
-    """Metrics of one trajectory; pure, for use under jit, vmap and grad.
+def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> Metrics:
+    """Metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
+
+    In float32 errors are those of float64 to some 10 roundings of the arm's length, velocities to that over Ts.
 
     Args:
       run: `Trajectory` of solve(law, reference, ...), one lane.
@@ -333,8 +358,8 @@ def measure(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> Metri
     """
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
-    loop = Loop(run, law, reference, tolerance)
-    values = [METRICS[name].fn(loop) for name in names]
+    seen = Measured(run, law, reference, tolerance)
+    values = [METRICS[name].fn(seen) for name in names]
     return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
 
 
