@@ -40,7 +40,8 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     out["limit_distance"] = np.minimum(q - lower, upper - q).min()
     out["past_limit"] = max(0.0, *(q - upper).ravel(), *(lower - q).ravel())
     late = qdot[steps // 2 :]
-    back = [[min(abs(a), abs(b)) if a * b < 0 else 0.0 for a, b in zip(u, v)] for u, v in zip(late, late[1:])]
+    pairs = zip(late[:-1].T, late[1:].T, strict=True)
+    back = [[min(abs(a), abs(b)) * (a * b < 0) for a, b in zip(u, v, strict=True)] for u, v in pairs]
     out["chatter"] = np.sqrt(np.mean(np.sum(np.square(back), axis=0)))
     rows = [*law.task.linear, *(3 + i for i in law.task.angular)]
     jacobians = np.stack([np.asarray(ck.jacobian(law.chain, one))[rows] for one in q])

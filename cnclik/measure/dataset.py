@@ -82,7 +82,7 @@ def as_json(config) -> str:
 
 
 def provenance(dtype) -> dict:
-    """What, beside the configuration, the numbers may depend on: versions, commit, device; `dtype` is that of the data."""
+    """What, beside the configuration, the numbers may depend on: versions, commit, device; `dtype`: the data's own."""
     return {
         "cnclik": __version__,
         "commit": _commit(),
