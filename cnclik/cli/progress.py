@@ -34,10 +34,10 @@ def bar(unit: str, total=None, quiet=False):
             progress.TimeRemainingColumn(elapsed_when_finished=True),
         )
         with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-            task, begun = shown.add_task(f"compiling, {unit}", total=total), time.perf_counter()
+            task, clock = shown.add_task(f"compiling, {unit}", total=total), _Clock()
 
             def report(done, total, note=""):
-                text = words(unit, done, total, time.perf_counter() - begun, note)
+                text = words(unit, done, total, clock(total), note)
                 shown.update(task, completed=done, total=total or None, description=text)
 
             yield report
@@ -51,17 +51,30 @@ def words(unit, done, total, seconds, note="") -> str:
     return ", ".join(part for part in (*parts, note) if part)
 
 
+class _Clock:
+    """Seconds since something was first counted toward this total: another total is another phase."""
+
+    def __init__(self):
+        self.total, self.begun = None, time.perf_counter()
+
+    def __call__(self, total):
+        now = time.perf_counter()
+        if self.total not in (None, total):
+            self.begun = now
+        self.total = total
+        return now - self.begun
+
+
 class _Lines:
     """A line every ten seconds."""
 
     def __init__(self, unit):
-        self.unit, self.begun, self.last = unit, time.perf_counter(), time.perf_counter()
+        self.unit, self.clock, self.last = unit, _Clock(), time.perf_counter()
 
     def __call__(self, done, total, note=""):
-        now = time.perf_counter()
+        now, seconds = time.perf_counter(), self.clock(total)
         if now - self.last < _BETWEEN_LINES:
             return
         self.last = now
-        seconds = now - self.begun
-        left = f", {(total - done) * seconds / done:,.0f} s left" if done else ""
+        left = f", {(total - done) * seconds / done:,.0f} s left" if done and seconds else ""
         print(words(self.unit, done, total, seconds, note) + left, file=sys.stderr, flush=True)

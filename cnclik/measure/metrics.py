@@ -104,39 +104,39 @@ def _first(hit):
     return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
 
-def _all(seen):
-    return seen.run.e
+def _all(loop):
+    return loop.run.e
 
 
-def _position(seen):
-    return seen.run.e[..., : len(seen.law.task.position)]
+def _position(loop):
+    return loop.run.e[..., : len(loop.law.task.position)]
 
 
-def _rotation(seen):
-    return seen.run.e[..., len(seen.law.task.position) :]
+def _rotation(loop):
+    return loop.run.e[..., len(loop.law.task.position) :]
 
 
-def _final(part, seen):
-    return _norms(part(seen)[-1])
+def _final(part, loop):
+    return _norms(part(loop)[-1])
 
 
-def _mean(part, seen):
-    return jnp.mean(_norms(part(seen)))
+def _mean(part, loop):
+    return jnp.mean(_norms(part(loop)))
 
 
-def _rms(part, seen):
-    return sp.safe_sqrt(jnp.mean(_squares(part(seen))))
+def _rms(part, loop):
+    return sp.safe_sqrt(jnp.mean(_squares(part(loop))))
 
 
-def _largest(part, seen):
-    return _max(_norms(part(seen)))
+def _largest(part, loop):
+    return _max(_norms(part(loop)))
 
 
-def _split(seen):
+def _split(loop):
     """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
-    path = ref.Reference(curve=seen.reference.curve)  # its own direction, whatever is fed forward
-    velocity = jax.vmap(lambda t: jnp.stack(ref.sample(path, seen.law.task, t)[2]))(seen.run.t)
-    e = _position(seen)
+    path = ref.Reference(curve=loop.reference.curve)  # its own direction, whatever is fed forward
+    velocity = jax.vmap(lambda t: jnp.stack(ref.sample(path, loop.law.task, t)[2]))(loop.run.t)
+    e = _position(loop)
     velocity = velocity[:, : e.shape[-1]]
     speed = _norms(velocity)[:, None]
     tangent = jnp.where(speed > 0, velocity / jnp.where(speed > 0, speed, 1.0), 0.0)
@@ -144,37 +144,37 @@ def _split(seen):
     return along, e - along * tangent
 
 
-def _along(seen):
-    return _split(seen)[0]
+def _along(loop):
+    return _split(loop)[0]
 
 
-def _across(seen):
-    return _split(seen)[1]
+def _across(loop):
+    return _split(loop)[1]
 
 
 # --- convergence --------------------------------------------------------------------------------------
 
 
-def _steps_to_tolerance(seen):
-    inside = _norms(seen.run.e) <= seen.tolerance
+def _steps_to_tolerance(loop):
+    inside = _norms(loop.run.e) <= loop.tolerance
     k = _first(inside)
-    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(seen.run.e.dtype)
+    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(loop.run.e.dtype)
 
 
-def _settling_time(seen):
-    outside = _norms(seen.run.e) > seen.tolerance
+def _settling_time(loop):
+    outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
     k = count - _first(outside[::-1])  # the instant after the last one outside
-    t = seen.run.t
+    t = loop.run.t
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
-def _converged(seen):
-    return (_norms(seen.run.e[-1]) <= seen.tolerance).astype(seen.run.e.dtype)
+def _converged(loop):
+    return (_norms(loop.run.e[-1]) <= loop.tolerance).astype(loop.run.e.dtype)
 
 
-def _overshoot(seen):
-    e, first = seen.run.e, seen.run.e[0]
+def _overshoot(loop):
+    e, first = loop.run.e, loop.run.e[0]
     squared = _squares(first)
     beyond = _max(jnp.maximum(_finite(-_products(e, first)), 0.0)) / jnp.where(squared > 0, squared, 1.0)
     return jnp.where(squared > 0, beyond, 0.0)
@@ -184,9 +184,9 @@ def _products(rows, vector):
     return jnp.sum(rows * vector, axis=-1)
 
 
-def _rate(seen):
-    norms = _norms(seen.run.e)
-    inside = norms <= seen.tolerance
+def _rate(loop):
+    norms = _norms(loop.run.e)
+    inside = norms <= loop.tolerance
     count = norms.shape[0]
     last = jnp.minimum(_first(inside), count - 1)
     ratio = norms[last] / jnp.where(inside[0], 1.0, norms[0])
@@ -197,39 +197,39 @@ def _rate(seen):
 # --- joints -------------------------------------------------------------------------------------------
 
 
-def _max_qdot(seen):
-    return _max(_finite(jnp.abs(seen.run.qdot)))
+def _max_qdot(loop):
+    return _max(_finite(jnp.abs(loop.run.qdot)))
 
 
-def _rms_qdot(seen):
-    return sp.safe_sqrt(jnp.mean(_squares(seen.run.qdot))) if seen.run.qdot.size else jnp.zeros((), seen.run.q.dtype)
+def _rms_qdot(loop):
+    return sp.safe_sqrt(jnp.mean(_squares(loop.run.qdot))) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
 
 
-def _rms_qddot(seen):
-    steps = seen.run.qdot.shape[0]
+def _rms_qddot(loop):
+    steps = loop.run.qdot.shape[0]
     if steps < 2:
-        return jnp.zeros((), seen.run.q.dtype)
-    step = (seen.run.t[-1] - seen.run.t[0]) / steps
-    return sp.safe_sqrt(jnp.mean(_squares(jnp.diff(seen.run.qdot, axis=0) / step)))
+        return jnp.zeros((), loop.run.q.dtype)
+    step = (loop.run.t[-1] - loop.run.t[0]) / steps
+    return sp.safe_sqrt(jnp.mean(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
 
 
-def _path_length(seen):
-    return jnp.sum(_norms(jnp.diff(seen.run.q, axis=0)))
+def _path_length(loop):
+    return jnp.sum(_norms(jnp.diff(loop.run.q, axis=0)))
 
 
-def _velocity_ratio(seen):
-    limits = np.asarray(seen.law.chain.velocity_limit)
-    return _max(_finite(jnp.abs(seen.run.qdot) / limits))
+def _velocity_ratio(loop):
+    limits = np.asarray(loop.law.chain.velocity_limit)
+    return _max(_finite(jnp.abs(loop.run.qdot) / limits))
 
 
-def _limit_distance(seen):
-    q = seen.run.q
-    below, above = q - np.asarray(seen.law.chain.lower), np.asarray(seen.law.chain.upper) - q
+def _limit_distance(loop):
+    q = loop.run.q
+    below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
     return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
-def _past_limit(seen):
-    return jnp.maximum(-_limit_distance(seen), 0.0)
+def _past_limit(loop):
+    return jnp.maximum(-_limit_distance(loop), 0.0)
 
 
 def chatter(qdot, *, settled=0.5):
@@ -252,14 +252,14 @@ def chatter(qdot, *, settled=0.5):
     return jnp.where(everything_finite, sp.safe_sqrt(jnp.mean(_squares(back))), jnp.inf)
 
 
-def _task_jacobian(seen, t, q):
-    return evaluate(seen.law, seen.reference, t, q).rows
+def _task_jacobian(loop, t, q):
+    return evaluate(loop.law, loop.reference, t, q).rows
 
 
-def _least_singular_value(seen):
+def _least_singular_value(loop):
     """σ_min = ‖uᵀJ‖ with u its left singular vector held fixed: so dσ = uᵀ dJ v, without a decomposition's."""
-    columns = tuple(seen.run.q[:, i] for i in range(seen.law.chain.n))
-    rows = jax.vmap(lambda t, q: _task_jacobian(seen, t, q))(seen.run.t, columns)
+    columns = tuple(loop.run.q[:, i] for i in range(loop.law.chain.n))
+    rows = jax.vmap(lambda t, q: _task_jacobian(loop, t, q))(loop.run.t, columns)
     if len(rows) > len(rows[0]):
         rows = sp.transpose(rows)
     u, w = lax.stop_gradient(dense.orthogonal_rows(rows))
@@ -273,20 +273,20 @@ def _least_singular_value(seen):
 # --- the iteration and its status ---------------------------------------------------------------------
 
 
-def _residual(seen):
-    return _max(_finite(seen.run.residual))
+def _residual(loop):
+    return _max(_finite(loop.run.residual))
 
 
-def _contraction(seen):
-    return _max(_finite(seen.run.contraction))
+def _contraction(loop):
+    return _max(_finite(loop.run.contraction))
 
 
-def _evaluations(seen):
-    return jnp.asarray(seen.run.evaluations).astype(seen.run.q.dtype)
+def _evaluations(loop):
+    return jnp.asarray(loop.run.evaluations).astype(loop.run.q.dtype)
 
 
-def _count(bit, seen):
-    status = seen.run.status
+def _count(bit, loop):
+    status = loop.run.status
     hit = (status == 0) if bit == 0 else (status & bit) != 0
     return jnp.sum(hit.astype(jnp.int32))
 
@@ -320,7 +320,7 @@ METRICS = {
     "velocity_ratio": Metric(_velocity_ratio, "1", "largest |q̇ᵢ| over its limit"),
     "limit_distance": Metric(_limit_distance, "q", "least distance to a joint limit, negative beyond it"),
     "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
-    "chatter": Metric(lambda seen: chatter(seen.run.qdot), "q/s", "RMS speed taken back in the next step, second half"),
+    "chatter": Metric(lambda loop: chatter(loop.run.qdot), "q/s", "RMS speed taken back in the next step, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
     "residual": Metric(_residual, "q", "largest last change of an implicit stage"),
     "contraction": Metric(_contraction, "1", "largest ratio of an implicit stage's last two changes"),
@@ -328,13 +328,13 @@ METRICS = {
     "ok": Metric(functools.partial(_count, 0), "1", "steps with status OK"),
     **{name: Metric(functools.partial(_count, bit), "1", f"steps marked {bit.name}") for name, bit in _BITS.items()},
     # On request, whole histories: what convergence curves are drawn from.
-    "error": Metric(lambda seen: _norms(seen.run.e), "e", "error ‖e[k]‖", ("time",)),
-    "t": Metric(lambda seen: seen.run.t, "s", "time", ("time",)),
-    "q": Metric(lambda seen: seen.run.q, "q", "joint values", ("time", "joint")),
-    "x": Metric(lambda seen: seen.run.x, "e", "task coordinates", ("time", "axis")),
-    "e": Metric(lambda seen: seen.run.e, "e", "error", ("time", "axis")),
-    "qdot": Metric(lambda seen: seen.run.qdot, "q/s", "joint velocity", ("step", "joint")),
-    "status": Metric(lambda seen: seen.run.status, "1", "status bits", ("step",)),
+    "error": Metric(lambda loop: _norms(loop.run.e), "e", "error ‖e[k]‖", ("time",)),
+    "t": Metric(lambda loop: loop.run.t, "s", "time", ("time",)),
+    "q": Metric(lambda loop: loop.run.q, "q", "joint values", ("time", "joint")),
+    "x": Metric(lambda loop: loop.run.x, "e", "task coordinates", ("time", "axis")),
+    "e": Metric(lambda loop: loop.run.e, "e", "error", ("time", "axis")),
+    "qdot": Metric(lambda loop: loop.run.qdot, "q/s", "joint velocity", ("step", "joint")),
+    "status": Metric(lambda loop: loop.run.status, "1", "status bits", ("step",)),
 }
 
 DEFAULT = (
@@ -358,8 +358,8 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
     """
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
-    seen = Measured(run, law, reference, tolerance)
-    values = [METRICS[name].fn(seen) for name in names]
+    loop = Measured(run, law, reference, tolerance)
+    values = [METRICS[name].fn(loop) for name in names]
     return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
 
 
