@@ -32,13 +32,14 @@ from cnclik.version import __version__
 if TYPE_CHECKING:
     from cnclik.measure.metrics import Metrics, measure
     from cnclik.sweeps.sweep import sweep
-    from cnclik.tuning.tune import calibrate, tune
+    from cnclik.tuning.calibrate import calibrate
+    from cnclik.tuning.tune import tune
 
 
 # Public names of rooms that a newcomer's first loop doesn't need: loaded when they are first asked for.
 _ON_USE = {
     "Metrics": "cnclik.measure.metrics",
-    "calibrate": "cnclik.tuning.tune",
+    "calibrate": "cnclik.tuning.calibrate",
     "measure": "cnclik.measure.metrics",
     "sweep": "cnclik.sweeps.sweep",
     "tune": "cnclik.tuning.tune",
