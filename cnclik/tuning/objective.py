@@ -60,7 +60,7 @@ class LoopObjective:
     moments: object  # (B·K,) of the horizon, for a gain schedule
     losses: tuple  # (function, weight) pairs
     margin: object
-    largest_correction: object  # largest share of an error that a step may take back, or None
+    largest_correction: object  # largest share of an error that a step may take back; inf: any
     limits: object  # (j,) joint velocity limits, and which joints have them
     joints: tuple
     horizon: object
@@ -108,10 +108,8 @@ class LoopObjective:
         runs = self._runs(loop)
         maps, across = self._maps(loop, self.postures)
         radius = jax.vmap(lambda a: linear.radius_bound(linear.delayed(a, self.delay)))(maps)
-        constraints = [radius / self.margin - 1.0]
-        if self.largest_correction is not None:
-            correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
-            constraints.append(correction / self.largest_correction - 1.0)
+        correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
+        constraints = [radius / self.margin - 1.0, correction / self.largest_correction - 1.0]
         if _acts_in_null_space(loop):
             constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
         if self.joints:
@@ -141,7 +139,7 @@ class LoopObjective:
         unset = jnp.full_like(radius, -jnp.inf)
         excess = (
             radius / self.margin - 1.0,
-            unset if self.largest_correction is None else correction / self.largest_correction - 1.0,
+            jnp.where(jnp.isinf(self.largest_correction), -jnp.inf, correction / self.largest_correction - 1.0),
             null_radius - 1.0 if _acts_in_null_space(loop) else unset,
             speed - 1.0 if self.joints else unset,
         )
@@ -222,7 +220,7 @@ def loop_objective(
         moments=jnp.asarray(np.tile(np.linspace(0, 1, INTERVALS + 1), lanes)),
         losses=tuple((fn, jnp.asarray(w)) for fn, w in terms(loss)),
         margin=jnp.asarray(float(margin)),
-        largest_correction=None if ringing else jnp.asarray(linear.monotone_limit(conditions.delay)),
+        largest_correction=jnp.asarray(np.inf if ringing else linear.monotone_limit(conditions.delay)),
         limits=limits,
         joints=joints,
         horizon=jnp.asarray(horizon),

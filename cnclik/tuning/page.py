@@ -24,8 +24,10 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     rows = [
         (p.name, f"{in_words(tuned.values[p.name])}{with_unit(p)} (from {in_words(p.start)})") for p in tuned.parameters
     ]
+    allowed = before.violation <= 0
+    beyond = "" if allowed else f" (with {before.worst} {100 * before.violation:.3g} % beyond its bound)"
     rows += [
-        ("loss", f"{tuned.loss}: {_finite(before.loss)} before, {_finite(after.loss)} after"),
+        ("loss", f"{tuned.loss}: {_finite(before.loss)} before{beyond}, {_finite(after.loss)} after"),
         ("z = alpha·Ts", f"{after.z:.5g} (before {before.z:.5g})"),
         ("spectral radius", f"{_finite(after.radius)} (margin {tuned.margin:g}; before {_finite(before.radius)})"),
         ("a step takes back", f"{_finite(after.correction)} of a small error (before {_finite(before.correction)})"),
