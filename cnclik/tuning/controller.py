@@ -6,6 +6,10 @@ from cnclik.integrate.method import EE
 from cnclik.law import inverse as inverses
 from cnclik.stability.linear import amplification
 
+DAMPED_EXCESS = (
+    1e-3  # by as much z may exceed 1 and be printed as 1: with damping a step at z = 1 falls short of the error
+)
+
 
 def controller_lines(tuned) -> dict:
     """Ready-to-use lines of a `Tuned`: {"rate": for one's own loop, "pink_mink": a gain per step}.
@@ -41,8 +45,9 @@ def _pink_mink_line(tuned) -> str:
         return "no line: pink and mink have one gain for all axes of a task"
     if damping is None:
         return f"no line: pink and mink have no {formula.split(' (')[0]}"
-    if round(z, 6) > 1:
+    if z > 1 + DAMPED_EXCESS:
         return f"no line: z = {z:.4g}, and the gain of pink and mink is meant to be at most 1"
+    z = min(z, 1.0)
     line = f"task = FrameTask(..., gain={z:.6g})"
     line += f"; solve_ik(..., dt={tuned.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
     if tuned.method.name != EE.name:

@@ -145,7 +145,7 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     with jax.enable_x64(False):
         found = one()
     np.testing.assert_allclose(found.after.z, wide.after.z, rtol=1e-9)
-    assert 0.9 < found.after.z <= 1 + 1e-9 and found.satisfied
+    assert 0.8 < found.after.z <= 1 + 1e-9 and found.satisfied  # ten steps
     assert abs(found.after.null_radius - 0.9) < 1e-2  # 1 − rate·Ts
 
 
@@ -227,7 +227,7 @@ def test_noise_delay_and_wrong_lengths_run_as_in_plain_numpy():
 
 @pytest.mark.slow
 def test_late_loops_are_tuned_by_their_own_roots():
-    """With one sample of delay the roots of λ² − λ + z count: no ringing up to 1/4, and a margin of 0.6 from 0.24 up."""
+    """With one sample of delay the roots of λ² − λ + z count: no ringing up to 1/4, a margin of 0.6 from 0.24 up."""
     found = tune(LAW, PATHS, STARTS, **LOOP, margin=0.6, conditions=LATE, descent=Descent(steps=60, starts=2))
     assert found.satisfied and finite(found) and found.starts.shape == (2,)
     assert found.before.radius > 0.6 and 0.24 - 1e-9 <= found.after.z <= 0.25 + 1e-9
