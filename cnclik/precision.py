@@ -29,7 +29,10 @@ def in_float64(fn):
 
 
 def _widened(leaf):
-    """A floating array in float64 (as NumPy's: it belongs to no setting); anything else as it is."""
+    """A floating array in float64 (as NumPy's: it belongs to no setting); anything else as it is.
+
+    Always a copy: JAX remembers some constants by identity, whatever the setting, and the caller's shall stay theirs.
+    """
     if hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating):
-        return np.asarray(leaf, np.float64)
+        return np.array(leaf, np.float64)
     return leaf

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-import math
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -14,13 +14,6 @@ from cnclik import errors
 from cnclik.cli.problem import Number, ProblemOptions, problem, table
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
-_CAPTIONS = {
-    "history": "Loss and worst constraint over the evaluations.",
-    "error": "Error before and after.",
-    "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
-    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path; axes that "
-    "answer alike lie on each other.",
-}
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -36,7 +29,9 @@ class Args(ProblemOptions):
     loss: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[=WEIGHT] ...")] = ("tracking",)
     """tracking (RMS), worst, settling, effort, jerk, noise, delay; several with weights: tracking=1 jerk=1e-4."""
     margin: float = 0.9
-    """Bound of the spectral radius along the path."""
+    """Bound of the spectral radius along the path: a small error shrinks by it per step."""
+    ringing: bool = False
+    """Allow gains with which a step takes back more of an error than there is (z > 1 for EE): it then changes sign."""
     alpha_bounds: tuple[float, float] | None = None
     """Bounds of the gain [1/s]; z = alpha·Ts from 0.001 to 10 by default."""
     Ts_bounds: tuple[float, float] | None = None
@@ -66,27 +61,15 @@ class Args(ProblemOptions):
 
 
 def run(args: Args) -> None:
-    made = _problem(args)
-    loss = _loss(args.loss)
-    from rich.console import Console
-
+    made, asked = _problem(args), _asked(args)
+    from cnclik import tuning
+    from cnclik.cli import progress
     from cnclik.show.output import output_folder
-    from cnclik.tuning.tune import tune
 
-    console = Console(stderr=True)
-    bounds = {name: b for name, b in (("alpha", args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
-    if args.alpha_bounds is not None and "alpha" not in args.over and "schedule" in args.over:
-        bounds["schedule"] = bounds.pop("alpha")
-    limit = {None: "chain", 0.0: None}.get(args.velocity_limit, args.velocity_limit)
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
-        with console.status("Compiling") as status:
-
-            def tell(done, size, violation):
-                kept = "kept" if violation <= 0 else f"exceeded by {100 * violation:.2g} %"
-                status.update(f"{done} of {args.steps} evaluations: loss {size:.5g}, constraints {kept}")
-
-            found = tune(
+        with progress.bar("evaluations") as report:
+            found = tuning.tune(
                 made.law,
                 made.reference,
                 made.q0,
@@ -94,34 +77,46 @@ def run(args: Args) -> None:
                 N=made.N,
                 method=made.method,
                 stage=made.stage,
-                over=args.over,
-                bounds=bounds,
-                loss=loss,
-                margin=args.margin,
-                velocity_limit=limit,
-                noise=args.noise,
-                delay=args.delay,
-                model_error=args.model_error,
-                draws=args.draws,
-                tolerance=args.tolerance,
-                steps=args.steps,
-                starts=args.starts,
-                seed=args.seed,
-                progress=tell,
+                progress=report,
+                **asked,
             )
         seconds = time.perf_counter() - begin
-        lines = controller_lines(found, made)
-        drawn = {}
-        if args.figures:
-            with console.status("Drawing"):
-                drawn = _draw(folder, found, made, args)
-        made_by = _json(found, lines, _config(args))
-        (folder / "tuned.json").write_text(json.dumps(made_by, indent=1, allow_nan=False) + "\n")
-        text = _summary(found, made, lines, drawn, seconds)
-        (folder / "summary.md").write_text(text, encoding="utf-8")
-        written = sorted(p.name for p in folder.iterdir())
+        data = tuning.to_json(found, config=_config(args))
+        (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+        (folder / "summary.md").write_text(tuning.page(found, made.name, seconds=seconds), encoding="utf-8")
+    drawn = _draw(found, made.name, args) if args.figures else ()
+    text = tuning.page(found, made.name, seconds=seconds, figures=drawn)
+    (args.out / "summary.md").write_text(text, encoding="utf-8")
     print(text.split("\n## Figures")[0])
-    print(f"\nWrote {', '.join(written)} to {args.out}/.")
+    written = ["tuned.json", "summary.md", *(f"{name}.png" for name in drawn)]
+    print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
+
+
+def _asked(args) -> dict:
+    """What is asked of the loop, as `tune` takes it."""
+    from cnclik.tuning import Conditions, Descent
+
+    bounds = {name: b for name, b in (("alpha", args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
+    if args.alpha_bounds is not None and "alpha" not in args.over and "schedule" in args.over:
+        bounds["schedule"] = bounds.pop("alpha")
+    limit = args.velocity_limit
+    return dict(
+        over=args.over,
+        bounds=bounds,
+        loss=_loss(args.loss),
+        margin=args.margin,
+        ringing=args.ringing,
+        velocity_limit="chain" if limit is None else None if limit == 0 else limit,
+        conditions=Conditions(
+            noise=args.noise,
+            delay=args.delay,
+            model_error=args.model_error,
+            draws=args.draws,
+            tolerance=args.tolerance,
+            seed=args.seed,
+        ),
+        descent=Descent(steps=args.steps, starts=args.starts),
+    )
 
 
 def _problem(args):
@@ -155,177 +150,30 @@ def _loss(words):
     return made if len(made) > 1 or next(iter(made.values())) != 1.0 else next(iter(made))
 
 
-# --- what a controller needs --------------------------------------------------------------------------
-
-
-def controller_lines(found, made) -> dict:
-    """Ready-to-use lines: a gain per step for pink and mink, a rate for one's own loop.
-
-    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], and add damping (λ²) to JᵀJ.
-    """
-    from cnclik.stability.linear import amplification
-
-    alpha = np.asarray(found.law.alpha)
-    z = float(found.z)
-    name, inverse, damping = _inverse(found.law.inverse)
-    product = f"{_show(alpha)} {'*' if alpha.ndim < 2 else '@'} e"
-    when = f"alpha [1/s], every Ts = {found.Ts:.6g} s"
-    if found.schedule is not None:
-        when += f"; alpha scaled to {_show(found.schedule)} 1/s at {len(found.schedule)} even instants"
-    if made.method.name == "EE":
-        null = "" if found.law.null_velocity is None else f" + (I - {name} @ J) @ qdot_0"
-        lines = {"rate": f"qdot = {name} @ ({_feedforward(found)}{product}){null}  # {when}; {inverse}"}
-    else:  # the gain is that of a step which is no explicit Euler step: take its rate
-        stage = f", ck.{type(made.stage).__name__.lower()}({made.stage.M})" if made.method.implicit else ""
-        lines = {"rate": f'qdot = ck.step(law, path, q, t, {found.Ts:.6g}, "{made.method.name}"{stage}).qdot'}
-        lines["rate"] += f"  # law: J# (xdot_d + {product}), {when}; {inverse}"
-    if found.schedule is not None:
-        return lines | {"pink_mink": "no line: pink and mink have one constant gain"}
-    if alpha.ndim:
-        return lines | {"pink_mink": "no line: pink and mink have one gain for all axes of a task"}
-    if damping is None:
-        return lines | {"pink_mink": f"no line: pink and mink have no {inverse.split(' (')[0]}"}
-    line = f"task = FrameTask(..., gain={min(z, 1.0):.6g})"
-    line += f"; solve_ik(..., dt={found.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
-    line += "" if z <= 1 else f"; z = {z:.4g} is beyond the 1 they accept"
-    if made.method.name != "EE":
-        euler = abs(float(amplification("EE", None, min(z, 1.0))))
-        line += f"; they step by explicit Euler: the error shrinks by {euler:.4g} per step there"
-    if float(found.law.feedforward):
-        line += "; no feed-forward there"
-    return lines | {"pink_mink": line}
-
-
-def _show(v):
-    return np.array2string(np.asarray(v), precision=6, separator=", ").replace("\n", "")
-
-
-def _inverse(inverse):
-    """Name and formula of J# for a line of code, and its λ² where it is one number, else None."""
-    from cnclik.law import inverse as kinds
-
-    if isinstance(inverse, kinds.Pseudoinverse):
-        return "J_pinv", "J_pinv = pinv(J)", 0.0
-    if isinstance(inverse, kinds.Damped):
-        size = float(inverse.damping)
-        return "J_damped", f"J_damped = J.T @ inv(J @ J.T + {size:.6g}**2 * I)", size**2
-    if isinstance(inverse, kinds.Transpose):
-        return "J.T", "transpose (J.T)", None
-    return "J_inverse", f"{type(inverse).__name__} (its J#)", None
-
-
-def _feedforward(found):
-    factor = float(found.law.feedforward)
-    if factor == 0:
-        return ""
-    return "xdot_d + " if factor == 1 else f"{factor:.6g} * xdot_d + "
-
-
-# --- files --------------------------------------------------------------------------------------------
-
-
-def _plain(value):
-    """For JSON: lists and numbers; what is infinite is null."""
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray) or hasattr(value, "tolist"):
-        return _plain(np.asarray(value).tolist())
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
-
-
-def _json(found, lines, config):
-    return _plain(
-        {
-            "alpha": found.law.alpha,
-            "Ts": found.Ts,
-            "z": found.z,
-            "values": found.values,
-            "start": found.start,
-            "bounds": found.bounds,
-            "units": found.units,
-            "spectral_radius": found.radius,
-            "spectral_radius_before": found.radius_before,
-            "margin": found.margin,
-            "velocity_ratio": found.speed,
-            "satisfied": found.satisfied,
-            "violation": found.violation,
-            "loss": found.loss,
-            "loss_before": found.loss_before,
-            "loss_after": found.loss_after,
-            "status": found.status,
-            "why": found.why,
-            "gradient": found.gradient,
-            "evaluations": found.evaluations,
-            "starts": found.starts,
-            "lines": lines,
-            "history": {k: np.asarray(v).astype(float) for k, v in found.history.items()},
-            "config": config,
-        }
-    )
-
-
 def _config(args) -> dict:
     """Every option that has a part in the numbers, as it was set."""
     own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
     given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures")}
-    return _plain(table(args) | {name.rstrip("_"): v for name, v in given.items()})
+    return table(args) | {name.rstrip("_"): v for name, v in given.items()}
 
 
-def _draw(folder, found, made, args) -> dict:
-    from cnclik.show import style, tuning
-    from cnclik.stability.responses import responses
-    from cnclik.tuning.tune import radius_field
+def _draw(found, name, args) -> list:
+    """Names of the figures drawn. What was found is saved by now: a figure that fails is told, and ends the command."""
+    from cnclik import tuning
+    from cnclik.show import style
+    from cnclik.show import tuning as pictures
+    from cnclik.show.output import output_folder
 
-    ends = np.asarray(found.after.q)[-1]
-    usable = found.status != "non-finite" and np.isfinite(ends).all()
-    field = radius_field(found, made, ends) if usable else None
-    data = responses(found.law, ends, found.Ts, made.method, made.stage) if usable else None
-    with style.style():
-        drawn = tuning.pictures(found, made.law.task, field, data)
-        for name, figure in drawn.items():
-            about = {"Title": f"{made.name}: {name}", "Comment": json.dumps(_config(args))}
-            style.save(figure, folder / f"{name}.png", about)
-    return {name: _CAPTIONS[name] for name in drawn}
-
-
-def _summary(found, made, lines, drawn, seconds) -> str:
-    show = lambda v: np.array2string(np.asarray(v), precision=5, separator=", ")  # noqa: E731
-    finite = lambda v: f"{v:.4g}" if math.isfinite(v) else "not finite"  # noqa: E731
-    rows = [
-        ("loss", f"{found.loss}: {finite(found.loss_before)} before, {finite(found.loss_after)} after"),
-        ("z = alpha·Ts", f"{found.z:.5g} (before {found.z_before:.5g})"),
-        ("spectral radius", f"{finite(found.radius)} (margin {found.margin:g}; before {finite(found.radius_before)})"),
-    ]
-    if found.speed:
-        rows.append(("joint velocity", f"{100 * found.speed:.4g} % of the limit at most"))
-    kept = "all kept" if found.satisfied else f"NOT kept, exceeded by {100 * found.violation:.3g} %"
-    rows += [
-        ("constraints", kept),
-        ("gradients", f"{found.gradient}; {found.evaluations} evaluations"),
-        ("time", f"{seconds:.1f} s, compilation included"),
-    ]
-    values = [
-        (
-            name,
-            f"{show(v)}{'' if found.units[name] == '1' else ' ' + found.units[name]} (from {show(found.start[name])})",
-        )
-        for name, v in found.values.items()
-    ]
-    text = [f"# Tuned: {made.name}", "", found.why, "", f"{made.method}, task {' '.join(made.law.task.names)}, ", ""]
-    text[-2] += f"N = {made.N} steps of Ts = {made.Ts:g} s."
-    text += ["| | |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in values + rows), ""]
-    text += ["## For a controller", ""]
-    text += ["```python", lines["rate"], "```", ""]
-    if lines["pink_mink"].startswith("task"):
-        text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
-    else:
-        text += [f"pink and mink: {lines['pink_mink']}."]
-    if drawn:
-        text += ["", "## Figures", "", *(f"![{caption}]({name}.png)\n\n{caption}\n" for name, caption in drawn.items())]
-    return "\n".join(text).rstrip() + "\n"
+    about = json.dumps(tuning.plain(_config(args)))
+    try:
+        usable = found.status != "non-finite" and np.isfinite(found.after.run.q[-1]).all()
+        field, data = (tuning.radius_field(found), tuning.end_responses(found)) if usable else (None, None)
+        with output_folder(args.out) as folder, style.style():
+            drawn = pictures.pictures(found, field, data)
+            for part, figure in drawn.items():
+                style.save(figure, folder / f"{part}.png", {"Title": f"{name}: {part}", "Comment": about})
+    except Exception as error:
+        told = f"{type(error).__name__}: {error}".splitlines()[0]
+        print(f"cnclik: Figures could not be drawn ({told}); tuned.json and summary.md are kept.", file=sys.stderr)
+        sys.exit(1)
+    return list(drawn)

@@ -2,7 +2,6 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from cnclik.show import style
 
@@ -21,19 +20,20 @@ def history(tuned):
     upper.semilogy(count, np.where(loss > _LEAST, loss, np.nan), color=style.BLUE)
     upper.set_ylabel("loss")
     upper.set_title(tuned.loss, loc="left")
-    lower.plot(count, tuned.margin * (1 + np.clip(violation, -1, 1)), color=style.VERMILION)
-    lower.axhline(tuned.margin, **style.GUIDE)
+    lower.plot(count, 100 * np.clip(violation, -1, 1), color=style.VERMILION)
+    lower.axhline(0.0, **style.GUIDE)
     lower.annotate(
-        "bound", (1, tuned.margin), xytext=(0, 2), textcoords="offset points", ha="right",
+        "bound", (1, 0.0), xytext=(0, 2), textcoords="offset points", ha="right",
         xycoords=("axes fraction", "data"), fontsize=6.5, color="0.35",
     )  # fmt: skip
-    lower.set_ylabel("worst constraint,\nas a radius")
+    lower.set_ylabel("worst constraint,\nbeyond its bound [%]")
     lower.set_xlabel("evaluations with gradient")
     return figure
 
 
-def error(tuned, task):
+def error(tuned):
     """Norm of position and orientation error before and after."""
+    task = tuned.law.task
     count = len(task.position)
     parts = [
         (name, part)
@@ -47,7 +47,7 @@ def error(tuned, task):
         len(parts), 1, figsize=(style.COLUMN, 0.6 + 1.5 * len(parts)), sharex=True, squeeze=False
     )
     for axis, (name, part) in zip(axes[:, 0], parts, strict=True):
-        for run, look in ((tuned.before, _BEFORE), (tuned.after, _AFTER)):
+        for run, look in ((tuned.before.run, _BEFORE), (tuned.after.run, _AFTER)):
             norm = np.linalg.norm(np.asarray(run.e)[:, part], axis=1)
             shown = np.where(np.isfinite(norm) & (norm > _LEAST), norm, np.nan)
             axis.semilogy(np.asarray(run.t), shown, **look)
@@ -61,7 +61,7 @@ def operating(field, tuned):
     """Spectral radius of the linear loop over gain and sampling time, with the operating points.
 
     Args:
-      field: Dataset over (Ts, alpha) with `radius`.
+      field: Dataset over (Ts, alpha) with `radius`, see `tuning.radius_field`.
     """
     figure, axis = plt.subplots(figsize=(style.COLUMN, 2.8))
     levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
@@ -82,13 +82,17 @@ def operating(field, tuned):
     low, high = float(field.alpha[0]), float(field.alpha[-1])
     point = {"linestyle": "none", "markersize": 6, "markeredgecolor": "white", "zorder": 5, "clip_on": False}
     for x, y, marker, color, label in (
-        (tuned.z_before / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", "0.35", "before"),
-        (tuned.z / tuned.Ts, tuned.Ts, "D", style.VERMILION, "after"),
+        (tuned.before.z / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", "0.35", "before"),
+        (tuned.after.z / tuned.Ts, tuned.Ts, "D", style.VERMILION, "after"),
     ):
         if low <= x <= high:
             axis.plot(x, y, marker=marker, color=color, label=label, **point)
-    axis.plot([], [], color="black", linewidth=1.0, label="stable to here")
-    axis.plot([], [], color=style.VERMILION, linestyle="--", linewidth=1.0, label=f"margin {tuned.margin:g}")
+    for level, look, label in (
+        (1.0, {"color": "black"}, "stable to here"),
+        (tuned.margin, {"color": style.VERMILION, "linestyle": "--"}, f"margin {tuned.margin:g}"),
+    ):
+        if float(field.radius.min()) < level < float(field.radius.max()):
+            axis.plot([], [], linewidth=1.0, label=label, **look)
     axis.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
     axis.set_xlabel(f"{field.attrs['gain']} [1/s]")
     axis.set_ylabel("sampling time [s]")
@@ -118,55 +122,13 @@ def _lines(panel, one, values, marker):
         panel.plot(one.time, values.sel(axis=name), label=name, **look)
 
 
-_WAYS = {
-    "hand": ("0.45", "s"),
-    "grid": (style.ORANGE, "^"),
-    "Nelder": (style.GREEN, "v"),
-    "gradient": (style.BLUE, "D"),
-}
+def pictures(tuned, field, data) -> dict:
+    """All figures by name.
 
-
-def rivals(rows):
-    """What each way to find a gain reached, and how long it took.
-
-    Args:
-      rows: `study.rivals.Row`s. Hollow where a constraint is broken.
+    Args: tuned: `Tuned`. field: of `radius_field`, or None. data: of `end_responses`, or None.
     """
-    places = list(dict.fromkeys((r.case, r.gain) for r in rows))
-    figure, panels = plt.subplots(1, 2, figsize=(style.PAGE, 0.9 + 0.3 * len(places)), sharey=True)
-    for panel, value, label in (
-        (panels[0], lambda r: r.loss, "RMS error [m, rad]"),
-        (panels[1], lambda r: r.seconds if r.evaluations > 1 else 0.0, "CPU time, compilation included [s]"),
-    ):
-        for name, (color, marker) in _WAYS.items():
-            for r in (r for r in rows if r.way.startswith(name) and value(r) > 0 and np.isfinite(value(r))):
-                y = places.index((r.case, r.gain)) + 0.16 * (list(_WAYS).index(name) - 1.5)
-                face = color if r.satisfied else "white"
-                panel.plot(value(r), y, marker, color=color, markerfacecolor=face, markersize=4.5)
-        panel.set_xscale("log")
-        panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.xaxis.set_minor_formatter(NullFormatter())
-        panel.set_xlabel(label)
-        for y in range(1, len(places)):
-            panel.axhline(y - 0.5, color="0.9", linewidth=0.5, zorder=0)
-        panel.grid(False, axis="y")
-    panels[0].set_yticks(range(len(places)), [f"{case}, {gain}" for case, gain in places])
-    panels[0].set_ylim(len(places) - 0.5, -0.5)
-    named = {name: next((r.way for r in rows if r.way.startswith(name)), None) for name in _WAYS}
-    for name, (color, marker) in _WAYS.items():
-        if named[name]:
-            panels[0].plot([], [], marker, color=color, markersize=4.5, label=named[name])
-    if not all(r.satisfied for r in rows):
-        panels[0].plot([], [], "o", color="0.3", markerfacecolor="white", markersize=4.5, label="constraint broken")
-    figure.legend(*panels[0].get_legend_handles_labels(), ncols=5, loc="outside upper center")
-    return figure
-
-
-def pictures(tuned, task, field, data) -> dict:
-    """All figures by name."""
     drawn = {"history": history(tuned)} if len(tuned.history["loss"]) else {}
-    drawn["error"] = error(tuned, task)
+    drawn["error"] = error(tuned)
     if field is not None:
         drawn["operating"] = operating(field, tuned)
     if data is not None:

@@ -13,15 +13,53 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from cnclik import errors
 from cnclik.hints import quick_jit
+from cnclik.record import record
 from cnclik.tuning.parameters import values_of
 
 FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a reverse one a few runs and their memory
 REACH = 2.0  # largest change of a free number in one step: a factor e² of a gain far below its upper bound
-SHORTEN, GIVE_UP = 0.3, 12
+SHORTER = 0.3  # what is left of a step after a rejection
+REJECTIONS = 12  # in a row after which a descent no longer moves; half as many start the optimizer anew
+ROUNDING = 512  # by how many eps of its size a merit may grow
 
 
-def gradient_mode(count: int, mode: str = "auto") -> str:
+@record
+class Descent:
+    """How to descend.
+
+    Attributes:
+      optimizer: an optax transformation; None: `default_optimizer()`.
+      steps: evaluations with gradient per start. rounds: how often the multipliers are updated in that time.
+      starts: descents side by side: from the law's own values, and from random ones within the bounds.
+      gradient: "forward", "reverse", or "auto" by the number of parameters.
+
+    Raises: ArgumentError for values that do not fit.
+    """
+
+    optimizer: object = None
+    steps: int = 100
+    rounds: int = 5
+    starts: int = 1
+    gradient: str = "auto"
+
+    def __post_init__(self):
+        errors.integer("steps", self.steps, at_least=2)
+        errors.integer("rounds", self.rounds, at_least=1)
+        errors.integer("starts", self.starts, at_least=1)
+        errors.one_of("gradient", self.gradient, ("auto", "forward", "reverse"))
+
+
+@functools.cache
+def default_optimizer():
+    """L-BFGS directions (Liu & Nocedal 1989), ten pairs remembered; the line search is that of `descend`."""
+    import optax
+
+    return optax.lbfgs(memory_size=10, linesearch=None)
+
+
+def gradient_mode(count: int, mode="auto") -> str:
     """How gradients of `count` free numbers are taken: "forward" up to 8, else "reverse"."""
     if mode != "auto":
         return mode
@@ -71,9 +109,7 @@ def begin(optimizer, u, constraints: int) -> Carry:
     )
 
 
-@quick_jit(
-    static_argnames=("steps", "optimizer", "mode"),
-)
+@quick_jit(static_argnames=("steps", "optimizer", "mode"))
 def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
     """`steps` evaluations from each of S starts, with fixed multipliers.
 
@@ -97,6 +133,7 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
         value = scale * loss + held
         return value, (value, loss, constraints)
 
+    limits = jnp.finfo(carry.u.dtype)
     derivative = jax.jacfwd(merit, has_aux=True) if mode == "forward" else jax.grad(merit, has_aux=True)
 
     def one(c: Carry, _):
@@ -104,7 +141,7 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
         grad, (value, loss, constraints) = derivative(trial)
         finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(grad))
         slope = jnp.vdot(c.grad, c.direction)
-        enough = c.merit + 1e-4 * c.size * slope + 1e-13 * jnp.abs(c.merit)
+        enough = c.merit + 1e-4 * c.size * slope + ROUNDING * limits.eps * jnp.abs(c.merit)
         accepted = finite & ((value <= enough) | jnp.isinf(c.merit))
         grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
 
@@ -116,9 +153,9 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
 
         # After some rejections the optimizer's memory is at fault: start it again along the gradient.
         failures = jnp.where(accepted, 0, c.failures + 1)
-        again = failures == GIVE_UP // 2
-        size = jnp.where(finite, SHORTEN, 0.1) * c.size
-        fallback = -0.1 * c.grad / jnp.maximum(jnp.linalg.norm(c.grad), 1e-300)
+        again = failures == REJECTIONS // 2
+        size = jnp.where(finite, SHORTER, 0.1) * c.size
+        fallback = -0.1 * c.grad / jnp.maximum(jnp.linalg.norm(c.grad), limits.tiny)
         kept_direction = jnp.where(again, fallback, c.direction)
         kept_state = _where(again, optimizer.init(c.u), c.state)
 
@@ -130,7 +167,7 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
             grad=jnp.where(accepted, grad, c.grad),
             loss=jnp.where(accepted, loss, c.loss),
             constraints=jnp.where(accepted, constraints, c.constraints),
-            direction=jnp.where(accepted, direction, jnp.where(failures < GIVE_UP, kept_direction, 0.0)),
+            direction=jnp.where(accepted, direction, jnp.where(failures < REJECTIONS, kept_direction, 0.0)),
             size=jnp.where(accepted | again, 1.0, size),
             failures=failures,
             state=_where(accepted, state, kept_state),
@@ -161,26 +198,32 @@ class Descended(NamedTuple):
     why: str  # "converged", "steps" or "stuck"
 
 
-def descend(objective, starts, scale, *, constraints, optimizer, mode, steps, rounds, tolerance, progress=None):
-    """Descend from S starts (S, p) in `rounds` rounds that share `steps` evaluations; see the module.
+def descend(objective, starts, scale, *, constraints, descent=Descent(), tolerance=1e-6, progress=None) -> Descended:
+    """Descend from S starts (S, p) in rounds that share the evaluations; see the module.
 
     Args:
+      objective: a record with `parameters`, called with their values for (loss, constraints (c,)).
       scale: (S,) factors of the loss, so that it is about 1.
       constraints: how many there are.
+      descent: how; its `starts` don't count here.
       tolerance: relative change of the loss over a round under which, with constraints kept, it has converged.
-      progress: called after each round with (evaluations done, loss, violation) of the best start, or None.
+      progress: called after each round with (evaluations done, all, loss and violation of the best start), or None.
     """
     starts = jnp.asarray(starts)
-    count, dtype = len(starts), starts.dtype
+    (count, size), dtype = starts.shape, starts.dtype
+    optimizer = default_optimizer() if descent.optimizer is None else descent.optimizer
+    mode = gradient_mode(size, descent.gradient)
     carry = jax.vmap(lambda u: begin(optimizer, u, constraints))(starts)
     scale = jnp.asarray(scale, dtype)
     multipliers = jnp.zeros((count, constraints), dtype)
     weight = jnp.full((count,), 10.0, dtype)
-    per_round = max(2, steps // rounds)
+    per_round = max(2, descent.steps // descent.rounds)
+    rounds = max(1, descent.steps // per_round)
+    nothing = float(jnp.finfo(dtype).eps) ** 1.5  # a scaled loss below is 0
     pieces, why = [], "steps"
     before = np.full(count, np.inf)
     violation_before = np.full(count, np.inf)
-    for i in range(max(1, steps // per_round)):
+    for i in range(rounds):
         carry, history = round_of_steps(
             objective, carry, multipliers, weight, scale, steps=per_round, optimizer=optimizer, mode=mode
         )
@@ -189,10 +232,11 @@ def descend(objective, starts, scale, *, constraints, optimizer, mode, steps, ro
         violation = np.max(np.asarray(carry.constraints), axis=1, initial=-np.inf)
         if progress is not None:
             at = int(np.argmin(np.where(violation <= 1e-3, loss, np.inf)))
-            progress((i + 1) * per_round, float(loss[at]), float(violation[at]))
+            kept = "kept" if violation[at] <= 0 else f"exceeded by {100 * violation[at]:.2g} %"
+            progress((i + 1) * per_round, rounds * per_round, f"loss {loss[at]:.5g}, constraints {kept}")
         settled = np.abs(before - loss) <= tolerance * np.abs(loss)
-        exact = loss * np.asarray(scale) < 1e-24
-        stuck = np.asarray(carry.failures) >= GIVE_UP
+        exact = loss * np.asarray(scale) < nothing
+        stuck = np.asarray(carry.failures) >= REJECTIONS
         done = (violation <= 1e-4) & (settled | exact | stuck)
         if np.all(done | (stuck & settled)):
             why = "stuck" if np.all(stuck) and not np.any(done) else "converged"

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik import errors
+from cnclik.robot.spatial import safe_sqrt
+from cnclik.tuning.linear import delayed
 
 
 class View(NamedTuple):
@@ -37,15 +39,22 @@ def _squares(rows):
     return jnp.sum(rows * rows, axis=-1)
 
 
-def _root(value):
-    """√ with derivative 0 at 0."""
-    zero = value == 0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, value)))
+def _root_mean(view, rows, skip=0):
+    """√ of the weighted mean of ‖row‖², the first `skip` weights left out."""
+    return safe_sqrt(jnp.sum(view.weight[skip:] * _squares(rows)))
+
+
+def _sum_of_powers(a, q):
+    """Σ AᵏQAᵏᵀ over k = 0 … 4095, doubled each time."""
+    for _ in range(12):
+        q = q + a @ q @ jnp.swapaxes(a, -1, -2)
+        a = a @ a
+    return q
 
 
 def tracking(view: View):
     """RMS of ‖e‖ [m, rad]."""
-    return _root(jnp.sum(view.weight * _squares(view.run.e[1:])))
+    return _root_mean(view, view.run.e[1:])
 
 
 def worst(view: View, power=16):
@@ -55,7 +64,7 @@ def worst(view: View, power=16):
     top = lax.stop_gradient(jnp.max(jnp.where(counts, squares, 0.0)))
     top = jnp.where(top > 0, top, 1.0)
     share = view.weight / lax.stop_gradient(jnp.max(view.weight))
-    return _root(top) * jnp.sum(share * (squares / top) ** power) ** (0.5 / power)
+    return safe_sqrt(top) * jnp.sum(share * (squares / top) ** power) ** (0.5 / power)
 
 
 def settling(view: View):
@@ -66,13 +75,13 @@ def settling(view: View):
 
 def effort(view: View):
     """RMS of ‖q̇‖ [rad/s, m/s]."""
-    return _root(jnp.sum(view.weight * _squares(view.run.qdot)))
+    return _root_mean(view, view.run.qdot)
 
 
 def jerk(view: View):
     """RMS of ‖Δ²q̇‖/Ts² [rad/s³, m/s³]."""
     second = jnp.diff(view.run.qdot, n=2, axis=0) / view.Ts**2
-    return _root(jnp.sum(view.weight[2:] * _squares(second)))
+    return _root_mean(view, second, skip=2)
 
 
 def noise(view: View):
@@ -81,13 +90,9 @@ def noise(view: View):
     A step does e ← A e + (A − I) w, so P = A P Aᵀ + (A − I)(A − I)ᵀ: √(z/(2 − z)) for explicit Euler.
     """
     m = view.maps.shape[-1]
-    a = view.maps
-    change = a - jnp.eye(m, dtype=a.dtype)
-    p = change @ jnp.swapaxes(change, -1, -2)
-    for _ in range(12):  # P = Σ AᵏQAᵏᵀ, doubled each time
-        p = p + a @ p @ jnp.swapaxes(a, -1, -2)
-        a = a @ a
-    return _root(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
+    change = view.maps - jnp.eye(m, dtype=view.maps.dtype)
+    p = _sum_of_powers(view.maps, change @ jnp.swapaxes(change, -1, -2))
+    return safe_sqrt(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
 
 
 def delay(view: View):
@@ -97,17 +102,9 @@ def delay(view: View):
     where the late loop is unstable.
     """
     m = view.maps.shape[-1]
-    eye, zero = jnp.eye(m, dtype=view.maps.dtype), jnp.zeros((m, m), view.maps.dtype)
-
-    def one(a):
-        late = jnp.block([[eye, a - eye], [eye, zero]])
-        p = jnp.block([[eye, zero], [zero, zero]])
-        for _ in range(12):  # P = Σ AᵏQAᵏᵀ, doubled each time
-            p = p + late @ p @ late.T
-            late = late @ late
-        return jnp.trace(p[:m, :m])
-
-    return _root(jnp.mean(jax.vmap(one)(view.maps)) / m)
+    start = jnp.zeros((2 * m, 2 * m), view.maps.dtype).at[:m, :m].set(jnp.eye(m, dtype=view.maps.dtype))
+    p = jax.vmap(lambda a: _sum_of_powers(delayed(a, 1), start)[:m, :m])(view.maps)
+    return safe_sqrt(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
 
 
 LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise, delay)}
@@ -126,3 +123,12 @@ def terms(loss):
     if not any(weight > 0 for weight in loss.values()):
         raise errors.fail("loss", "give a weight above 0", "gives none")
     return tuple((LOSSES[errors.one_of("loss", name, LOSSES)], float(weight)) for name, weight in loss.items())
+
+
+def in_words(loss) -> str:
+    """A loss as a user named it, in words."""
+    if isinstance(loss, str):
+        return loss
+    if isinstance(loss, dict):
+        return " + ".join(f"{w:g} {name}" for name, w in loss.items())
+    return getattr(loss, "__name__", "own function")

@@ -18,7 +18,7 @@ from cnclik.robot.chain import Offset
 from cnclik.stability.spectrum import largest_rate
 
 BOX, SPD = "box", "spd"
-_EDGE = 1e-6  # a start on a bound is moved inside by this fraction of the range, where derivatives still tell
+INSIDE = 1e-6  # a start on a bound is moved inside by this fraction of the range, where derivatives still tell
 
 
 @record
@@ -86,10 +86,10 @@ def free(p: Parameter, value):
     """Free numbers of a value, moved inside the bounds where it is on or beyond them; the inverse of `bounded`."""
     value = np.nan_to_num(np.asarray(value, float), nan=1.0)
     if p.kind == BOX:
-        share = np.clip((value - p.lower) / (p.upper - p.lower), _EDGE, 1 - _EDGE)
+        share = np.clip((value - p.lower) / (p.upper - p.lower), INSIDE, 1 - INSIDE)
         return np.log(share / (1 - share)).ravel()
     eigenvalues, vectors = np.linalg.eigh(0.5 * (value + value.T))
-    share = np.clip((eigenvalues - p.lower) / (p.upper - p.lower), _EDGE, 1 - _EDGE)
+    share = np.clip((eigenvalues - p.lower) / (p.upper - p.lower), INSIDE, 1 - INSIDE)
     factor = np.linalg.cholesky((vectors * (share / (1 - share))) @ vectors.T)
     m = len(share)
     u = np.where(np.eye(m, dtype=bool), 2 * np.log(np.where(np.eye(m, dtype=bool), factor, 1.0)), factor)
@@ -119,8 +119,8 @@ def free_of(parameters, values):
 
 
 @record
-class Loop:
-    """What parameters are put into.
+class Adjustable:
+    """The part of a loop that parameters are put into.
 
     Attributes:
       law: the right-hand side.
@@ -134,15 +134,32 @@ class Loop:
     schedule: object = None
 
 
-def put(loop: Loop, parameters, values) -> Loop:
+def put(loop: Adjustable, parameters, values) -> Adjustable:
     """The loop with all values in it."""
     for p, value in zip(parameters, values, strict=True):
         loop = p.put(loop, value)
     return loop
 
 
+def gain_per_step(loop: Adjustable) -> float:
+    """z = alpha·Ts of the loop: of the largest |eigenvalue| of a gain matrix, of the largest gain of a schedule."""
+    rate = largest_rate(loop.law.alpha) if loop.schedule is None else float(np.max(loop.schedule))
+    return rate * float(loop.Ts)
+
+
+def scheduled(loop: Adjustable, share):
+    """The law at a share 0 … 1 of the horizon: its alpha as the schedule has it there."""
+    if loop.schedule is None:
+        return loop.law
+    schedule = jnp.asarray(loop.schedule)
+    rate = jnp.interp(share, jnp.linspace(0.0, 1.0, len(schedule), dtype=schedule.dtype), schedule)
+    alpha = jnp.asarray(loop.law.alpha)
+    size = jnp.max(jnp.abs(jnp.linalg.eigvalsh(alpha) if alpha.ndim == 2 else alpha))
+    return replace(loop.law, alpha=alpha * (rate / size))
+
+
 @record
-class Scaled:
+class ScaledNullVelocity:
     """A null-space velocity times a gain, in component form."""
 
     base: object
@@ -159,32 +176,6 @@ class Scaled:
         return sp.scale(self.gain, wanted)
 
 
-def _put_alpha(loop, value):
-    return replace(loop, law=replace(loop.law, alpha=value))
-
-
-def _put_schedule(loop, value):
-    return replace(loop, schedule=value)
-
-
-def _put_damping(loop, value):
-    return replace(loop, law=replace(loop.law, inverse=inverses.Damped(damping=value)))
-
-
-def _put_null_gain(loop, value):
-    return replace(loop, law=replace(loop.law, null_velocity=Scaled(base=loop.law.null_velocity, gain=value)))
-
-
-def _put_feedforward(loop, value):
-    return replace(loop, law=replace(loop.law, feedforward=value))
-
-
-def _put_tool(loop, value):
-    chain = loop.law.chain
-    offset = Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation)
-    return replace(loop, law=replace(loop.law, chain=replace(chain, tip=offset)))
-
-
 def scaled_links(chain, factors):
     """The chain with its links' offsets longer by factors (n + 1,): those before each joint, then the tip's."""
 
@@ -195,19 +186,85 @@ def scaled_links(chain, factors):
     return replace(chain, joints=joints, tip=stretch(chain.tip, factors[len(joints)]))
 
 
-def _put_links(loop, value):
-    return replace(loop, law=replace(loop.law, chain=scaled_links(loop.law.chain, value)))
+def _in_law(**made):
+    """A `put` that changes fields of the law: functions of (law, value)."""
+
+    def change(loop, value):
+        return replace(loop, law=replace(loop.law, **{name: of(loop.law, value) for name, of in made.items()}))
+
+    return change
 
 
-def _put_ts(loop, value):
-    return replace(loop, Ts=value)
+def _with_tool(law, value):
+    offset = Offset(position=tuple(value[i] for i in range(3)), rotation=law.chain.tip.rotation)
+    return replace(law.chain, tip=offset)
 
 
 KNOTS = 5  # of a gain schedule
-NAMES = ("alpha", "schedule", "damping", "null_gain", "feedforward", "links", "tool", "Ts")
+
+# What each name starts from, its default bounds, where it is put, its unit. Functions of (law, Ts).
 
 
-def named(name: str, loop: Loop, bounds=None) -> Parameter:
+def _alpha(law, Ts):
+    alpha = np.asarray(law.alpha, float)
+    if alpha.ndim == 2 and not np.allclose(alpha, alpha.T):
+        raise errors.fail("alpha", "be a symmetric matrix to be tuned", "is not symmetric")
+    return alpha, 1e-3 / Ts, 10.0 / Ts
+
+
+def _schedule(law, Ts):
+    return np.full(KNOTS, largest_rate(law.alpha)), 1e-3 / Ts, 10.0 / Ts
+
+
+def _damping(law, Ts):
+    if not isinstance(law.inverse, inverses.Damped):
+        raise errors.fail("over", "name damping for a law that has damped(...) alone", "names it for another inverse")
+    start = float(law.inverse.damping)
+    return start, start / 1e3, start * 1e3
+
+
+def _null_gain(law, Ts):
+    if law.null_velocity is None:
+        raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
+    return 1.0, 0.0, 10.0
+
+
+def _feedforward(law, Ts):
+    return float(law.feedforward), 0.0, 2.0
+
+
+def _links(law, Ts):
+    return np.ones(len(law.chain.joints) + 1), 0.5, 2.0
+
+
+def _tool(law, Ts):
+    start = np.array([float(v) for v in law.chain.tip.position])
+    return start, start - 0.5, start + 0.5
+
+
+def _sampling_time(law, Ts):
+    return Ts, Ts / 4, Ts * 4
+
+
+_KNOWN = {
+    "alpha": (_alpha, _in_law(alpha=lambda law, v: v), "1/s"),
+    "schedule": (_schedule, lambda loop, v: replace(loop, schedule=v), "1/s"),
+    "damping": (_damping, _in_law(inverse=lambda law, v: inverses.Damped(damping=v)), "m or 1"),
+    "null_gain": (
+        _null_gain,
+        _in_law(null_velocity=lambda law, v: ScaledNullVelocity(base=law.null_velocity, gain=v)),
+        "1",
+    ),
+    "feedforward": (_feedforward, _in_law(feedforward=lambda law, v: v), "1"),
+    "links": (_links, _in_law(chain=lambda law, v: scaled_links(law.chain, v)), "1"),
+    "tool": (_tool, _in_law(chain=_with_tool), "m"),
+    "Ts": (_sampling_time, lambda loop, v: replace(loop, Ts=v), "s"),
+}
+NAMES = tuple(_KNOWN)
+_POSITIVE = ("alpha", "schedule", "damping", "Ts")
+
+
+def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     """A parameter by name, starting at the loop's own value.
 
     alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
@@ -220,38 +277,26 @@ def named(name: str, loop: Loop, bounds=None) -> Parameter:
         their start, factors from 0 to 2 (null_gain 10, links 0.5 to 2), the tool within 0.5 m.
     """
     errors.one_of("over", name, NAMES)
-    law, Ts = loop.law, float(loop.Ts)
-    if name == "alpha":
-        matrix = np.ndim(law.alpha) == 2
-        alpha = np.asarray(law.alpha, float)
-        if matrix and not np.allclose(alpha, alpha.T):
-            raise errors.fail("alpha", "be a symmetric matrix to be tuned", "is not symmetric")
-        made = alpha, 1e-3 / Ts, 10.0 / Ts, _put_alpha, SPD if matrix else BOX, "1/s"
-    elif name == "schedule":
-        made = np.full(KNOTS, largest_rate(law.alpha)), 1e-3 / Ts, 10.0 / Ts, _put_schedule, BOX, "1/s"
-    elif name == "damping":
-        if not isinstance(law.inverse, inverses.Damped):
-            raise errors.fail(
-                "over", "name damping for a law that has damped(...) alone", "names it for another inverse"
-            )
-        start = float(law.inverse.damping)
-        made = start, start / 1e3, start * 1e3, _put_damping, BOX, "m or 1"
-    elif name == "null_gain":
-        if law.null_velocity is None:
-            raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
-        made = 1.0, 0.0, 10.0, _put_null_gain, BOX, "1"
-    elif name == "feedforward":
-        made = float(law.feedforward), 0.0, 2.0, _put_feedforward, BOX, "1"
-    elif name == "links":
-        made = np.ones(len(law.chain.joints) + 1), 0.5, 2.0, _put_links, BOX, "1"
-    elif name == "tool":
-        start = np.array([float(v) for v in law.chain.tip.position])
-        made = start, start - 0.5, start + 0.5, _put_tool, BOX, "m"
-    else:
-        made = Ts, Ts / 4, Ts * 4, _put_ts, BOX, "s"
-    start, lower, upper, put, kind, unit = made
-    if bounds is not None:
-        lower, upper = bounds
-    if name in ("alpha", "schedule", "damping", "Ts") and not np.all(np.asarray(lower, float) > 0):
+    of, put, unit = _KNOWN[name]
+    start, lower, upper = of(loop.law, float(loop.Ts))
+    lower, upper = (lower, upper) if bounds is None else bounds
+    if name in _POSITIVE and not np.all(np.asarray(lower, float) > 0):
         raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
+    kind = SPD if name == "alpha" and np.ndim(start) == 2 else BOX
     return parameter(name, start, lower, upper, put, kind=kind, unit=unit)
+
+
+def chosen(over, loop: Adjustable, bounds) -> tuple:
+    """What is tuned, as a user names it: names and `Parameter`s, with bounds {name: (lower, upper)}."""
+    over = (over,) if isinstance(over, (str, Parameter)) else tuple(over)
+    if not over:
+        raise errors.fail("over", "name something to tune", "is empty")
+    made = tuple(p if isinstance(p, Parameter) else named(p, loop, bounds.get(p)) for p in over)
+    names = [p.name for p in made]
+    if len(set(names)) != len(names):
+        raise errors.fail("over", "name each parameter once", f"is {names}")
+    if {"links", "tool"} <= set(names):
+        raise errors.fail("over", "name links (the tip's offset among them) or tool", "names both")
+    for name in bounds:
+        errors.one_of("bounds", name, names)
+    return made

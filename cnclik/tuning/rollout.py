@@ -5,7 +5,6 @@ model at q[k] would say. A step holds w[k], as a controller does that measures o
 """
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
@@ -14,9 +13,8 @@ from cnclik.law import reference as ref
 from cnclik.law.task import error_and_rows
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
-from cnclik.robot.chain import Offset
 from cnclik.robot.kinematics import frames
-from cnclik.tuning.parameters import Loop
+from cnclik.tuning.parameters import Adjustable, scheduled
 
 
 @record
@@ -35,7 +33,7 @@ class Scenario:
     plant: object = None
 
 
-def rollout(loop: Loop, scenario: Scenario, N: int, method, stage, *, delay: int = 0, horizon=None) -> Trajectory:
+def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, delay: int = 0, horizon=None) -> Trajectory:
     """Run the loop for N steps; `e` is the true error, measured ones are only fed back. Pure, for jit, vmap and grad.
 
     Args:
@@ -76,17 +74,6 @@ def rollout(loop: Loop, scenario: Scenario, N: int, method, stage, *, delay: int
     return assemble(true_law, k * Ts, steps, q, e, evaluations)
 
 
-def scheduled(loop: Loop, share):
-    """The law at a share 0 … 1 of the horizon: its alpha as the schedule has it there."""
-    if loop.schedule is None:
-        return loop.law
-    count = loop.schedule.shape[0]
-    rate = jnp.interp(share, jnp.linspace(0.0, 1.0, count, dtype=loop.schedule.dtype), loop.schedule)
-    alpha = loop.law.alpha
-    size = jnp.max(jnp.abs(jnp.linalg.eigvalsh(alpha) if alpha.ndim == 2 else alpha))
-    return replace(loop.law, alpha=alpha * (rate / size))
-
-
 def _error(law, reference, t, q):
     position, rotation, _ = ref.sample(reference, law.task, t)
     return error_and_rows(law.task, law.chain, frames(law.chain, q), position, rotation)[0]
@@ -116,19 +103,3 @@ class _Shifted:
 def _shifted(reference, task, w):
     """The reference whose error is w more than the reference's own; to first order for rotations."""
     return ref.Reference(curve=_Shifted(base=reference.curve, task=task, w=w), feedforward=reference.feedforward)
-
-
-def perturbed(chain, relative, rng):
-    """The chain with every link's offset longer or shorter by a normal error of the given relative size."""
-
-    def stretch(offset):
-        factor = 1.0 + relative * rng.standard_normal()
-        return Offset(position=tuple(float(v) * factor for v in offset.position), rotation=offset.rotation)
-
-    joints = tuple(replace(j, origin=stretch(j.origin)) for j in chain.joints)
-    return replace(chain, joints=joints, tip=stretch(chain.tip))
-
-
-def noise_of(sigma, N, m, rng):
-    """Normal measurement noise (N, m) of standard deviation sigma, a number or (m,) [m, rad]."""
-    return np.broadcast_to(np.asarray(sigma, float), (m,)) * rng.standard_normal((N, m))

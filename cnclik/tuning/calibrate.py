@@ -1,0 +1,72 @@
+"""Calibration: geometry from measured positions, by the descent that `tune` uses."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.precision import in_float64
+from cnclik.record import record
+from cnclik.robot.kinematics import frames, stack
+from cnclik.tuning import parameters as pm
+from cnclik.tuning.descent import Descent, descend
+
+
+@record
+class PositionObjective:
+    """Mean squared distance between measured positions and those of a chain built from the parameters' values."""
+
+    parameters: tuple
+    build: object  # (*values) -> Chain
+    q: object  # (K, n)
+    measured: object  # (K, 3)
+
+    def __call__(self, values):
+        chain = self.build(*values)
+        found = jax.vmap(lambda q: stack(frames(chain, tuple(q)).position, q))(self.q)
+        return jnp.mean(jnp.sum((found - self.measured) ** 2, axis=-1)), jnp.zeros((0,), found.dtype)
+
+
+class Calibrated(NamedTuple):
+    """Values of a calibration, and RMS distances to what was measured before and after [m]."""
+
+    values: tuple
+    rms_before: float
+    rms_after: float
+    status: str
+    history: np.ndarray
+
+
+@in_float64
+def calibrate(
+    build, start, q, measured, *, lower=None, upper=None, descent=Descent(steps=200, rounds=4), progress=None
+) -> Calibrated:
+    """Geometry from measured positions of the tip; computed in float64 whatever JAX's setting is.
+
+    Args:
+      build: function (value) -> Chain, such as `planar_arm` of link lengths; must take traced arrays.
+      start: nominal value, an array, such as link lengths [m].
+      q: (K, n) joint values [rad, m]. measured: (K, 3) positions of the tip there [m].
+      lower, upper: bounds, by default 0.5 below and above the start.
+      descent, progress: as for `tune`; one start.
+    Returns: `Calibrated`.
+    Raises: ArgumentError for shapes that do not fit.
+    """
+    start = np.asarray(errors.array("start", start), float)
+    q = jnp.asarray(errors.array("q", q, (None, None)))
+    measured = jnp.asarray(errors.array("measured", measured, (q.shape[0], 3)))
+    lower, upper = (start + d if b is None else b for b, d in ((lower, -0.5), (upper, 0.5)))
+    p = pm.parameter("geometry", start, lower, upper, build)
+    objective = PositionObjective(parameters=(p,), build=build, q=q, measured=measured)
+    before = float(jax.jit(objective)((jnp.asarray(start),))[0])
+    if not np.isfinite(before):
+        raise errors.fail("start", "give finite positions", "does not")
+    scale = np.array([1.0 / before if before > 0 else 1.0])
+    done = descend(
+        objective, pm.free(p, start)[None], scale, constraints=0, descent=descent, tolerance=1e-9, progress=progress
+    )
+    values = tuple(np.asarray(v) for v in pm.values_of((p,), jnp.asarray(done.best[0])))
+    rms = (before**0.5, float(done.best_loss[0]) ** 0.5)
+    return Calibrated(values, *rms, done.why, np.sqrt(done.history.loss[0]))

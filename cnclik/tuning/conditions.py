@@ -1,0 +1,82 @@
+"""Conditions: under what a loop is judged: noise, delay, a wrong model, and how many draws of them."""
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.law import reference as ref
+from cnclik.record import record, stack
+from cnclik.robot.kinematics import as_joint_values
+from cnclik.tuning.parameters import scaled_links
+from cnclik.tuning.rollout import Scenario
+
+
+@record
+class Conditions:
+    """What a robot adds to a loop. As they are, none: the measured error is the true one, at once.
+
+    Attributes:
+      noise: standard deviation of the measured error, a number or (m,) [m, rad].
+      delay: samples by which the measured error is late. It counts in the loss and in the constraints.
+      model_error: relative error of the link lengths the law believes in.
+      draws: scenarios drawn of noise and model error for each path.
+      tolerance: what counts as arrived, for the loss "settling" [m, rad].
+      seed: of everything drawn.
+
+    Raises: ArgumentError for values that do not fit.
+    """
+
+    noise: object = 0.0
+    delay: int = 0
+    model_error: float = 0.0
+    draws: int = 1
+    tolerance: float = 1e-3
+    seed: int = 0
+
+    def __post_init__(self):
+        if np.any(np.asarray(errors.array("noise", self.noise, (), (None,)), float) < 0):
+            raise errors.fail("noise", "be at least 0", f"is {np.asarray(self.noise).tolist()}")
+        errors.integer("delay", self.delay, at_least=0)
+        errors.number("model_error", self.model_error, at_least=0)
+        errors.integer("draws", self.draws, at_least=1)
+        errors.number("tolerance", self.tolerance, positive=True)
+        errors.integer("seed", self.seed, at_least=0)
+
+
+def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
+    """All runs that a loss is the mean of, stacked: each path with its start, drawn `draws` times.
+
+    Args:
+      reference: a path, or a list of B paths. q0: (n,) or (B, n) [rad, m].
+      N: steps of each run.
+    """
+    references = list(reference) if isinstance(reference, (list, tuple)) else [reference]
+    for one in references:
+        if not isinstance(one, ref.Reference):
+            raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(one).__name__}")
+        ref.check(one, law.task)
+    q0 = np.asarray(errors.array("q0", q0, (law.chain.n,), (None, law.chain.n)), float)
+    q0 = np.atleast_2d(q0)
+    count = max(len(references), len(q0))
+    if len(references) not in (1, count) or len(q0) not in (1, count):
+        raise errors.fail("q0", f"hold one start, or one for each of {len(references)} paths", f"holds {len(q0)}")
+    m = law.task.m
+    sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
+    rng = np.random.default_rng(conditions.seed)
+    made = []
+    for i in range(count):
+        for _ in range(conditions.draws):
+            made.append(
+                Scenario(
+                    reference=references[i % len(references)],
+                    q0=as_joint_values(law.chain, q0[i % len(q0)]),
+                    noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
+                    plant=_perturbed(law.chain, conditions.model_error, rng) if conditions.model_error > 0 else None,
+                )
+            )
+    return stack(made)
+
+
+def _perturbed(chain, relative, rng):
+    """The chain with every link's offset longer or shorter by a normal error of the given relative size."""
+    factors = 1.0 + relative * rng.standard_normal(len(chain.joints) + 1)
+    return scaled_links(chain, [float(f) for f in factors])

@@ -1,0 +1,81 @@
+"""What a controller needs of a tuned loop: lines to copy, for pink and mink and for a loop of one's own."""
+
+import numpy as np
+
+from cnclik.integrate.method import EE
+from cnclik.law import inverse as inverses
+from cnclik.stability.linear import amplification
+
+DAMPED_EXCESS = (
+    1e-3  # by as much z may exceed 1 and be printed as 1: with damping a step at z = 1 falls short of the error
+)
+
+
+def controller_lines(tuned) -> dict:
+    """Ready-to-use lines of a `Tuned`: {"rate": for one's own loop, "pink_mink": a gain per step}.
+
+    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], and add damping (λ²) to JᵀJ. Where they can't
+    run the loop that was tuned, the second one says "no line" and why.
+    """
+    return {"rate": _rate_line(tuned), "pink_mink": _pink_mink_line(tuned)}
+
+
+def _rate_line(tuned) -> str:
+    law, alpha = tuned.law, np.asarray(tuned.law.alpha)
+    name, formula, _ = _inverse(law.inverse)
+    product = f"{_digits(alpha)} {'*' if alpha.ndim < 2 else '@'} e"
+    when = f"alpha [1/s], every Ts = {tuned.Ts:.6g} s"
+    if tuned.schedule is not None:
+        when += f"; alpha scaled to {_digits(tuned.schedule)} 1/s at {len(tuned.schedule)} even instants"
+    if tuned.method.name == EE.name:
+        null = "" if law.null_velocity is None else f" + (I - {name} @ J) @ qdot_0"
+        return f"qdot = {name} @ ({_feedforward(law)}{product}){null}  # {when}; {formula}"
+    # The gain is that of a step which is no explicit Euler step: take its rate.
+    stage = f", ck.{tuned.stage}" if tuned.method.implicit else ""
+    step = f'ck.step(law, path, q, t, {tuned.Ts:.6g}, "{tuned.method.name}"{stage}).qdot'
+    return f"qdot = {step}  # law: J# (xdot_d + {product}), {when}; {formula}"
+
+
+def _pink_mink_line(tuned) -> str:
+    alpha, z = np.asarray(tuned.law.alpha), tuned.after.z
+    _, formula, damping = _inverse(tuned.law.inverse)
+    if tuned.schedule is not None:
+        return "no line: pink and mink have one constant gain"
+    if alpha.ndim:
+        return "no line: pink and mink have one gain for all axes of a task"
+    if damping is None:
+        return f"no line: pink and mink have no {formula.split(' (')[0]}"
+    if z > 1 + DAMPED_EXCESS:
+        return f"no line: z = {z:.4g}, and the gain of pink and mink is meant to be at most 1"
+    z = min(z, 1.0)
+    line = f"task = FrameTask(..., gain={z:.6g})"
+    line += f"; solve_ik(..., dt={tuned.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
+    if tuned.method.name != EE.name:
+        euler = abs(float(amplification("EE", None, z)))
+        line += f"; they step by explicit Euler: the error shrinks by {euler:.4g} per step there"
+    if float(tuned.law.feedforward):
+        line += "; no feed-forward there"
+    return line
+
+
+def _digits(values):
+    return np.array2string(np.asarray(values), precision=6, separator=", ").replace("\n", "")
+
+
+def _inverse(inverse):
+    """Name and formula of J# for a line of code, and its λ² where it is one number, else None."""
+    if isinstance(inverse, inverses.Pseudoinverse):
+        return "J_pinv", "J_pinv = pinv(J)", 0.0
+    if isinstance(inverse, inverses.Damped):
+        size = float(inverse.damping)
+        return "J_damped", f"J_damped = J.T @ inv(J @ J.T + {size:.6g}**2 * I)", size**2
+    if isinstance(inverse, inverses.Transpose):
+        return "J.T", "transpose (J.T)", None
+    return "J_inverse", f"{type(inverse).__name__} (its J#)", None
+
+
+def _feedforward(law):
+    factor = float(law.feedforward)
+    if factor == 0:
+        return ""
+    return "xdot_d + " if factor == 1 else f"{factor:.6g} * xdot_d + "

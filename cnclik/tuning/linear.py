@@ -1,0 +1,139 @@
+"""The loop at rest as matrices: what one step does to a small error, late or not, and how large that is, smoothly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik.record import replace
+from cnclik.robot.kinematics import as_joint_values
+from cnclik.robot.spatial import safe_sqrt
+from cnclik.stability import spectrum
+from cnclik.stability.spectrum import largest_rate
+
+SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
+
+
+# What this room needs of the stability room's one-step maps.
+
+
+def step_at_rest(law, q, Ts, method, stage):
+    """∂q[k+1]/∂q[k] of a loop that rests at q, (n, n), and the rows of its weighted task Jacobian (m, n). Pure."""
+    return spectrum._one_step(law, spectrum.at_rest(law, None, q), q, Ts, method, stage)
+
+
+def _steps_at_rest(law, q, factors, Ts, method, stage):
+    """The same for many gains factor·alpha and sampling times (k,), as NumPy arrays: (k, n, n) and (m, n)."""
+    return spectrum._maps(law, spectrum.at_rest(law, None, q), q, factors, Ts, method, stage)
+
+
+def responses_at_rest(law, q, Ts, method, stage):
+    """Step and sine responses of a prompt loop around rest at q, as `stability.responses` gives them."""
+    from cnclik.stability.responses import responses
+
+    return responses(law, q, Ts, method, stage)
+
+
+# --- maps ---------------------------------------------------------------------------------------------
+
+
+def maps_at_rest(law, q, Ts, method, stage):
+    """How one step multiplies a small error (m, m), and a small motion in the null space of J (n, n). Pure.
+
+    With S = ∂q[k+1]/∂q[k]: I + J (S − I) J#, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
+    """
+    moved, rows = step_at_rest(law, q, Ts, method, stage)
+    m, n = rows.shape
+    eye = jnp.eye(n, dtype=q.dtype)
+    inverse = jnp.linalg.pinv(rows)
+    across = eye - inverse @ rows
+    return jnp.eye(m, dtype=q.dtype) + rows @ (moved - eye) @ inverse, across @ moved @ across
+
+
+def delayed(a, delay: int):
+    """The step of a loop that acts on the error `delay` samples ago: e[k+1] = e[k] + (A − I) e[k−d], as one matrix."""
+    if delay == 0:
+        return a
+    m = a.shape[0]
+    eye = jnp.eye(m, dtype=a.dtype)
+    top = [eye, *[jnp.zeros_like(a)] * (delay - 1), a - eye]
+    rows = [jnp.concatenate(top, axis=1)]
+    for i in range(delay):
+        rows.append(jnp.concatenate([eye if j == i else jnp.zeros_like(a) for j in range(delay + 1)], axis=1))
+    return jnp.concatenate(rows)
+
+
+def monotone_limit(delay: int) -> float:
+    """Largest share of an error that a step may take back without the error ever changing its sign: d^d/(d+1)^(d+1).
+
+    e[k+1] = e[k] − z e[k−d] has a solution that never changes sign up to this z, and beyond it none (Ladas, Philos &
+    Sficas 1989): 1, 1/4, 4/27, … for d = 0, 1, 2, …
+    """
+    return float(delay) ** delay / float(delay + 1) ** (delay + 1)
+
+
+# --- size ---------------------------------------------------------------------------------------------
+
+
+def radius_bound(matrix, squarings: int = SQUARINGS):
+    """A smooth upper bound of the spectral radius, ‖A^p‖^(1/p) with p = 2^squarings (Gelfand 1941).
+
+    In the Frobenius norm: at most a factor m^(1/2p) above it for normal matrices (0.09 % for m = 6). Eigenvalues
+    themselves have no derivative where they coincide, as all do for exact J# and one gain.
+    """
+
+    def one(carry, share):
+        a, log, dead = carry
+        s = safe_sqrt(jnp.sum(a * a))
+        dead = dead | (s == 0)
+        s = jnp.where(s == 0, 1.0, s)
+        a = a / s
+        return (a @ a, log + share * jnp.log(s), dead), None
+
+    shares = 0.5 ** jnp.arange(squarings, dtype=matrix.dtype)
+    start = (matrix, jnp.zeros((), matrix.dtype), jnp.zeros((), bool))
+    (a, log, dead), _ = jax.lax.scan(one, start, shares)
+    s = safe_sqrt(jnp.sum(a * a))
+    dead = dead | (s == 0)
+    return jnp.where(dead, 0.0, jnp.exp(log + jnp.log(jnp.where(s == 0, 1.0, s)) * 0.5**squarings))
+
+
+def radius_estimate(matrix):
+    """`radius_bound` divided by what it is for the identity, m^(1/2p).
+
+    Right where all eigenvalues are equal in size, and at most that factor too small elsewhere: for bounds that are
+    to be reached, such as 1 for a direction that nothing acts on.
+    """
+    return radius_bound(matrix) / matrix.shape[0] ** (0.5 ** (SQUARINGS + 1))
+
+
+def measured_radius(matrix):
+    """Spectral radius by eigenvalues; inf where the matrix is not finite. No derivative."""
+    finite = jnp.all(jnp.isfinite(matrix))
+    values = jnp.linalg.eigvals(jnp.where(finite, matrix, 0.0))
+    return jnp.where(finite, jnp.max(jnp.abs(values)), jnp.inf)
+
+
+def radius_over(law, q, alpha, Ts, method, stage, *, delay=0):
+    """Spectral radius of the loop at rest at q for many gains and sampling times.
+
+    Args:
+      law: its alpha, of any shape, is scaled. q: (n,).
+      alpha, Ts: (k,) largest |eigenvalue| of the gain [1/s], sampling time [s].
+      method, stage: as for `solve`. delay: samples by which the error is late.
+    Returns: (k,).
+    """
+    q = as_joint_values(law.chain, q)
+    law = replace(law, alpha=jnp.asarray(law.alpha))
+    moved, rows = _steps_at_rest(law, q, np.asarray(alpha) / largest_rate(law.alpha), Ts, method, stage)
+    m, n = rows.shape
+    maps = np.eye(m) + rows @ (moved - np.eye(n)) @ np.linalg.pinv(rows)
+    finite = np.isfinite(maps).all((-2, -1))
+    factors = np.linalg.eigvals(np.where(finite[:, None, None], maps, 0.0))
+    if delay:  # a factor λ of a prompt loop becomes the roots of μ^(d+1) − μ^d + 1 − λ
+        companion = np.zeros((*factors.shape, delay + 1, delay + 1), factors.dtype)
+        companion[..., 0, 0] += 1
+        companion[..., 0, -1] += factors - 1
+        companion[..., np.arange(1, delay + 1), np.arange(delay)] = 1
+        factors = np.linalg.eigvals(companion)
+    size = np.abs(factors).reshape(len(maps), -1).max(-1)
+    return np.where(finite, size, np.inf)

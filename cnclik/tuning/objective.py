@@ -1,0 +1,258 @@
+"""Objective: loss and constraints of a loop over its scenarios, as a function of what is tuned."""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.hints import quick_jit
+from cnclik.integrate.method import EE
+from cnclik.integrate.stage import picard
+from cnclik.law.law import Law
+from cnclik.record import record, replace
+from cnclik.stability.linear import named
+from cnclik.tuning import linear
+from cnclik.tuning import parameters as pm
+from cnclik.tuning.conditions import Conditions, scenarios
+from cnclik.tuning.losses import View, terms
+from cnclik.tuning.rollout import rollout
+
+INTERVALS = 8  # along each path: at their ends the spectral radius is asked for
+TOGETHER = 16  # values judged in one go: one shape, one program
+CONSTRAINT_TOLERANCE = 2**22 * np.finfo(float).eps  # exceeded by less, relatively, a constraint is kept: rounding
+CONSTRAINTS = ("spectral radius", "ringing", "null space", "joint velocity")
+
+
+class Judged(NamedTuple):
+    """What values lead to: largest numbers along the runs; inf for what is not finite."""
+
+    loss: object
+    radius: object  # spectral radius of the task's directions, delay included
+    null_radius: object  # spectral radius of null-space directions; 1 where nothing acts there, 0 where there are none
+    correction: object  # |1 − λ|, λ an eigenvalue of the prompt loop: the share of an error that a step takes back
+    speed: object  # |q̇| over its limit
+    excess: object  # (4,) by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
+    postures: object  # (B·K, n) where these were measured
+    run: object  # `Trajectory` of the first scenario
+
+    @property
+    def violation(self):
+        """By how much the worst constraint is exceeded; at most 0 where all are kept."""
+        return float(np.max(self.excess))
+
+    @property
+    def kept(self):
+        """Whether all constraints are kept, but for rounding."""
+        return self.violation <= CONSTRAINT_TOLERANCE
+
+
+@record
+class LoopObjective:
+    """Loss and constraints of a loop over B scenarios, as a function of its parameters' values."""
+
+    loop: object  # `Adjustable`
+    parameters: tuple
+    scenarios: object  # `Scenario` with a leading axis B
+    postures: object  # (B·K, n) where the spectral radius is asked for
+    moments: object  # (B·K,) of the horizon, for a gain schedule
+    losses: tuple  # (function, weight) pairs
+    margin: object
+    largest_correction: object  # largest share of an error that a step may take back; inf: any
+    limits: object  # (j,) joint velocity limits, and which joints have them
+    joints: tuple
+    horizon: object
+    tolerance: object
+    N: int
+    delay: int
+    method: object
+    stage: object
+
+    def _runs(self, loop):
+        run = functools.partial(
+            rollout, N=self.N, method=self.method, stage=self.stage, delay=self.delay, horizon=self.horizon
+        )
+        return jax.vmap(lambda scenario: run(loop, scenario))(self.scenarios)
+
+    def _maps(self, loop, postures):
+        """One-step maps at rest, of the error (B·K, m, m) and of the null space (B·K, n, n)."""
+
+        def one(q, moment):
+            return linear.maps_at_rest(pm.scheduled(loop, moment), q, loop.Ts, self.method, self.stage)
+
+        return jax.vmap(one)(postures, self.moments)
+
+    def _loss(self, loop, runs, maps):
+        steps = jnp.arange(self.N, dtype=runs.q.dtype)
+        weight = jnp.clip((self.horizon - steps * loop.Ts) / loop.Ts, 0.0, 1.0)
+        weight = weight / jnp.sum(weight)
+        lanes = runs.q.shape[0]
+        maps = maps.reshape(lanes, -1, *maps.shape[1:])
+
+        def one(run, maps):
+            view = View(run, weight, loop.Ts, self.horizon, self.tolerance, maps)
+            return sum(w * fn(view) for fn, w in self.losses)
+
+        return jnp.mean(jax.vmap(one)(runs, maps))
+
+    def _speed(self, runs):
+        """Largest |q̇| over its limit, per joint that has one (j,)."""
+        largest = jnp.max(jnp.abs(runs.qdot[..., jnp.array(self.joints, int)]), axis=(0, 1))
+        return largest / self.limits
+
+    def __call__(self, values):
+        """(loss, constraints (c,)), smooth: relative excess of each constraint at each posture, or for each joint."""
+        loop = pm.put(self.loop, self.parameters, values)
+        runs = self._runs(loop)
+        maps, across = self._maps(loop, self.postures)
+        radius = jax.vmap(lambda a: linear.radius_bound(linear.delayed(a, self.delay)))(maps)
+        correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
+        constraints = [radius / self.margin - 1.0, correction / self.largest_correction - 1.0]
+        if _acts_in_null_space(loop):
+            constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
+        if self.joints:
+            constraints.append(self._speed(runs) - 1.0)
+        return self._loss(loop, runs, maps), jnp.concatenate(constraints)
+
+    def judge(self, values) -> Judged:
+        """What the values lead to, eigenvalues measured along the runs themselves."""
+        loop = pm.put(self.loop, self.parameters, values)
+        runs = self._runs(loop)
+        moments = jnp.linspace(0, 1, INTERVALS + 1)
+        k = jnp.clip(jnp.round(moments * self.horizon / loop.Ts).astype(int), 0, self.N)
+        postures = runs.q[:, k].reshape(-1, runs.q.shape[-1])
+        maps, across = self._maps(loop, postures)
+        loss = self._loss(loop, runs, maps)
+        finite = jnp.isfinite(loss) & jnp.all(jnp.isfinite(runs.q))
+
+        def told(value):
+            return jnp.where(finite & jnp.isfinite(value), value, jnp.inf)
+
+        def largest(matrices):
+            return told(jnp.max(jax.vmap(linear.measured_radius)(matrices)))
+
+        radius = largest(jax.vmap(lambda a: linear.delayed(a, self.delay))(maps))
+        null_radius, correction = largest(across), largest(_corrections(maps))
+        speed = told(jnp.max(self._speed(runs))) if self.joints else jnp.zeros_like(radius)
+        unset = jnp.full_like(radius, -jnp.inf)
+        excess = (
+            radius / self.margin - 1.0,
+            jnp.where(jnp.isinf(self.largest_correction), -jnp.inf, correction / self.largest_correction - 1.0),
+            null_radius - 1.0 if _acts_in_null_space(loop) else unset,
+            speed - 1.0 if self.joints else unset,
+        )
+        run = jax.tree.map(lambda x: x[0], runs)
+        return Judged(told(loss), radius, null_radius, correction, speed, jnp.stack(excess), postures, run)
+
+
+def _corrections(maps):
+    """I − A: what a step takes back of an error."""
+    return jnp.eye(maps.shape[-1], dtype=maps.dtype) - maps
+
+
+def _acts_in_null_space(loop):
+    return callable(loop.law.null_velocity)
+
+
+@quick_jit
+def _judge(objective, values):
+    return jax.vmap(objective.judge)(values)
+
+
+def judge(objective, many, *, together: int = TOGETHER) -> list:
+    """`Judged` of each of many values (tuples, one entry per parameter), NumPy arrays in them.
+
+    Args: together: how many are judged in one go; fewer are filled up to it, so that there is one program.
+    """
+    found = []
+    for i in range(0, len(many), together):
+        part = many[i : i + together]
+        padded = [*part, *[part[-1]] * (together - len(part))]
+        lanes = tuple(jnp.stack([jnp.asarray(v[j]) for v in padded]) for j in range(len(objective.parameters)))
+        made = jax.tree.map(np.asarray, _judge(objective, lanes))
+        found += [jax.tree.map(lambda x, j=j: x[j], made) for j in range(len(part))]
+    return found
+
+
+def loop_objective(
+    law,
+    reference,
+    q0,
+    *,
+    Ts,
+    N,
+    method=EE,
+    stage=picard(5),
+    over=("alpha",),
+    bounds=None,
+    loss="tracking",
+    margin=0.9,
+    ringing=False,
+    velocity_limit="chain",
+    conditions=Conditions(),
+) -> LoopObjective:
+    """The objective that `tune` descends, for judging values found in other ways. Args: as for `tune`."""
+    if not isinstance(law, Law):
+        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    method, stage = named(method, stage)
+    errors.number("Ts", Ts, positive=True)
+    N = errors.integer("N", N, at_least=2)
+    errors.number("margin", margin, positive=True)
+    if errors.concrete(margin) and margin > 1:
+        raise errors.fail("margin", "be at most 1", f"is {margin:g}")
+    if not isinstance(conditions, Conditions):
+        raise errors.fail("conditions", "be Conditions(...)", f"is {type(conditions).__name__}")
+    loop = pm.Adjustable(law=law, Ts=jnp.asarray(float(Ts)))
+    parameters = pm.chosen(over, loop, bounds or {})
+    shortest = next((float(p.lower) for p in parameters if p.name == "Ts"), float(Ts))
+    horizon = N * float(Ts)
+    longest = steps_to(horizon, shortest)
+    runs = scenarios(law, reference, q0, longest, conditions)
+    lanes = runs.q0.shape[0]
+    joints, limits = _limits(law.chain, velocity_limit)
+    return LoopObjective(
+        loop=loop,
+        parameters=parameters,
+        scenarios=runs,
+        postures=jnp.repeat(runs.q0, INTERVALS + 1, axis=0),
+        moments=jnp.asarray(np.tile(np.linspace(0, 1, INTERVALS + 1), lanes)),
+        losses=tuple((fn, jnp.asarray(w)) for fn, w in terms(loss)),
+        margin=jnp.asarray(float(margin)),
+        largest_correction=jnp.asarray(np.inf if ringing else linear.monotone_limit(conditions.delay)),
+        limits=limits,
+        joints=joints,
+        horizon=jnp.asarray(horizon),
+        tolerance=jnp.asarray(float(conditions.tolerance)),
+        N=longest,
+        delay=conditions.delay,
+        method=method,
+        stage=stage,
+    )
+
+
+def along(objective: LoopObjective, judged: Judged) -> LoopObjective:
+    """The objective whose constraints are asked for along a run that was judged."""
+    return replace(objective, postures=jnp.asarray(judged.postures))
+
+
+def steps_to(horizon, Ts) -> int:
+    """Steps of Ts up to the horizon, the last one perhaps beyond it."""
+    return int(np.ceil(float(horizon) / float(Ts) - 1e-9))
+
+
+def _limits(chain, velocity_limit):
+    """Which joints have a velocity limit, and how large it is."""
+    if velocity_limit is None:
+        return (), None
+    if isinstance(velocity_limit, str):
+        errors.one_of("velocity_limit", velocity_limit, ("chain",))
+        limits = np.array(chain.velocity_limit)
+    else:
+        limits = errors.array("velocity_limit", velocity_limit, (), (chain.n,), finite=False)
+        limits = np.broadcast_to(np.asarray(limits, float), (chain.n,))
+        if not np.all(limits > 0):
+            raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
+    joints = tuple(int(i) for i in np.flatnonzero(np.isfinite(limits)))
+    return joints, (jnp.asarray(limits[list(joints)]) if joints else None)

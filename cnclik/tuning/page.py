@@ -1,0 +1,62 @@
+"""One page on a tuning, in Markdown: what was found, what a controller needs of it, its figures."""
+
+import math
+
+from cnclik.measure.files import in_words, markdown
+from cnclik.tuning.controller import controller_lines
+from cnclik.tuning.result import kept_in_words, with_unit
+
+CAPTIONS = {
+    "history": "Loss and worst constraint over the evaluations.",
+    "error": "Error before and after.",
+    "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
+    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path; axes that "
+    "answer alike lie on each other.",
+}
+
+
+def page(tuned, name: str, *, seconds=None, figures=()) -> str:
+    """A `Tuned` on one page.
+
+    Args: name: of the loop. seconds: what it took, or None. figures: names of figures beside the page, of CAPTIONS.
+    """
+    before, after = tuned.before, tuned.after
+    rows = [
+        (p.name, f"{in_words(tuned.values[p.name])}{with_unit(p)} (from {in_words(p.start)})") for p in tuned.parameters
+    ]
+    allowed = before.violation <= 0
+    beyond = "" if allowed else f" (with {before.worst} {100 * before.violation:.3g} % beyond its bound)"
+    rows += [
+        ("loss", f"{tuned.loss}: {_finite(before.loss)} before{beyond}, {_finite(after.loss)} after"),
+        ("z = alpha·Ts", f"{after.z:.5g} (before {before.z:.5g})"),
+        ("spectral radius", f"{_finite(after.radius)} (margin {tuned.margin:g}; before {_finite(before.radius)})"),
+        ("a step takes back", f"{_finite(after.correction)} of a small error (before {_finite(before.correction)})"),
+    ]
+    if tuned.conditions.delay:
+        rows.append(("delay", f"{tuned.conditions.delay} samples"))
+    if after.speed:
+        rows.append(("joint velocity", f"{100 * after.speed:.4g} % of the limit at most"))
+    rows += [
+        ("constraints", kept_in_words(tuned)),
+        ("gradients", f"{tuned.gradient}; {tuned.evaluations} evaluations"),
+    ]
+    if seconds is not None:
+        rows.append(("time", f"{seconds:.1f} s, compilation included"))
+    method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
+    loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {tuned.Ts:g} s."
+    text = [f"# Tuned: {name}", "", tuned.why, "", loop, "", markdown(("", ""), rows, left=2)]
+    lines = controller_lines(tuned)
+    text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
+    if lines["pink_mink"].startswith("task"):
+        text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
+    else:
+        text += [f"pink and mink: {lines['pink_mink']}."]
+    if figures:
+        text += ["", "## Figures", "", *(f"![{CAPTIONS[f]}]({f}.png)\n\n{CAPTIONS[f]}\n" for f in figures)]
+        if tuned.conditions.delay:
+            text += ["Responses are not drawn: they are of loops whose error is not late."]
+    return "\n".join(text).rstrip() + "\n"
+
+
+def _finite(value):
+    return f"{value:.4g}" if math.isfinite(value) else "not finite"

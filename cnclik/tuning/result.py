@@ -1,0 +1,259 @@
+"""Result: what a tuning found, as a record, as plain numbers for a file, and in words."""
+
+import math
+import os
+
+import jax
+import numpy as np
+
+from cnclik.integrate.trajectory import Trajectory, truncate
+from cnclik.measure.files import in_words
+from cnclik.record import record
+from cnclik.tuning import parameters as pm
+from cnclik.tuning.conditions import Conditions
+from cnclik.tuning.controller import controller_lines
+from cnclik.tuning.descent import gradient_mode
+from cnclik.tuning.losses import in_words as loss_in_words
+from cnclik.tuning.objective import CONSTRAINT_TOLERANCE, CONSTRAINTS, steps_to
+
+_WHY = {
+    "converged": "Converged: the loss no longer changes and every constraint is kept.",
+    "steps": "Stopped after the given number of steps; every constraint is kept.",
+    "stuck": "Stopped where no step descends; every constraint is kept.",
+    "infeasible": "No values were found that keep every constraint; these exceed them least.",
+    "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
+}
+
+
+@record
+class Performance:
+    """How a loop does: largest numbers along its runs. What could not be computed is inf; the run is as it was.
+
+    Attributes:
+      loss: what was made small.
+      radius: spectral radius in the task's directions at rest, delay included: a small error shrinks by it per step.
+      null_radius: spectral radius in the null space of J; 1 where nothing acts there, 0 where there is none.
+      correction: share of a small error that one step takes back, |1 − λ|: z for explicit Euler and exact J#.
+      speed: |q̇| over its limit; 0 where there are no limits.
+      violation: by how much the worst constraint is exceeded, relative to its bound; at most 0 where all are kept.
+      worst: which one that is.
+      z: alpha·Ts (largest |eigenvalue| of a gain matrix, largest gain of a schedule).
+      run: `Trajectory` of the first scenario.
+    """
+
+    loss: float
+    radius: float
+    null_radius: float
+    correction: float
+    speed: float
+    violation: float
+    worst: str
+    z: float
+    run: Trajectory
+
+
+@record
+class Tuned:
+    """What a tuning found, and the loop it belongs to: `ck.solve(*found.loop)` runs it. Arrays are NumPy's, float64.
+
+    Attributes:
+      law, Ts: with the tuned values in them. schedule: gains over the horizon [1/s] where they were tuned, else None.
+      reference, q0, N, method, stage: the rest of the loop; paths and starts as they were given. N: steps of the
+        tuned Ts to the horizon.
+      conditions: under which it was judged.
+      parameters: what was tuned: `Parameter`s with name, start, lower, upper, unit. values: {name: tuned value}.
+      loss: what was made small, in words.
+      margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
+      before, after: `Performance` as given and as tuned.
+      status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
+      history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.
+      starts: (S,) loss each start ended with, inf where it kept no constraints.
+      gradient: how derivatives were taken, in words.
+      evaluations: runs with their gradient, all starts together.
+    """
+
+    law: object
+    reference: object
+    q0: object
+    Ts: float
+    N: int
+    method: object
+    stage: object
+    schedule: object
+    conditions: Conditions
+    parameters: tuple
+    values: dict
+    loss: str
+    margin: float
+    ringing: bool
+    before: Performance
+    after: Performance
+    status: str
+    history: dict
+    starts: object
+    gradient: str
+    evaluations: int
+
+    @property
+    def loop(self) -> tuple:
+        """(law, reference, q0, Ts, N, method, stage) of the first path, as `solve` takes them; no schedule in it."""
+        reference = self.reference[0] if isinstance(self.reference, (list, tuple)) else self.reference
+        return self.law, reference, np.atleast_2d(self.q0)[0], self.Ts, self.N, self.method, self.stage
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether all constraints are kept, as measured along the tuned run."""
+        return self.after.violation <= CONSTRAINT_TOLERANCE
+
+    @property
+    def why(self) -> str:
+        """The status in a sentence."""
+        if self.status != "infeasible":
+            return _WHY[self.status]
+        worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"
+        return f"{_WHY[self.status]} Worst, the bound on {worst}."
+
+    def __str__(self):
+        values = "; ".join(f"{p.name} = {in_words(self.values[p.name])}" + with_unit(p) for p in self.parameters)
+        return (
+            f"{values}; z = {self.after.z:.4g}\n"
+            f"loss {self.before.loss:.4g} -> {self.after.loss:.4g}, spectral radius {self.after.radius:.4g} "
+            f"(margin {self.margin:g}), constraints {kept_in_words(self)}\n{self.why}"
+        )
+
+
+def with_unit(parameter) -> str:
+    """Its unit, to be written behind a value."""
+    return "" if parameter.unit == "1" else f" {parameter.unit}"
+
+
+def kept_in_words(tuned) -> str:
+    """Whether the constraints are kept."""
+    if tuned.satisfied:
+        return "kept"
+    return f"NOT kept, that on {tuned.after.worst} exceeded by {100 * tuned.after.violation:.3g} %"
+
+
+def gradient_in_words(count, mode, method, stage) -> str:
+    """Which derivative a tuning takes: its mode, how many free numbers, and how implicit stages enter it.
+
+    Args: count: free numbers. mode: "auto", "forward" or "reverse". method, stage: as for `solve`.
+    """
+    numbers = f"{count} free number{'' if count == 1 else 's'}"
+    if not method.implicit:
+        stages = "no implicit stages"
+    elif getattr(stage, "implicit", False):
+        stages = "stages by the implicit function theorem"
+    else:
+        stages = "stages unrolled, pass by pass"
+    return f"{gradient_mode(count, mode)} mode, {numbers}, {stages}"
+
+
+def result(objective, values, before, after, *, status, history, starts, evaluations, **asked) -> Tuned:
+    """`Tuned` from the values chosen and what was judged.
+
+    Args:
+      objective: `LoopObjective`. values: one per parameter. before, after: `Judged`.
+      asked: reference, q0, conditions, loss, ringing, gradient as `tune` was given them.
+    """
+    parameters = objective.parameters
+    loop, own = (
+        _copied(pm.put(objective.loop, parameters, [np.asarray(v) for v in some]))
+        for some in (values, [p.start for p in parameters])
+    )
+    return Tuned(
+        law=loop.law,
+        reference=_copied(asked["reference"]),
+        q0=np.array(asked["q0"], float),
+        Ts=float(loop.Ts),
+        N=min(objective.N, steps_to(objective.horizon, loop.Ts)),
+        method=objective.method,
+        stage=objective.stage,
+        schedule=loop.schedule,
+        conditions=asked["conditions"],
+        parameters=parameters,
+        values={p.name: v for p, v in zip(parameters, values, strict=True)},
+        loss=loss_in_words(asked["loss"]),
+        margin=float(objective.margin),
+        ringing=bool(asked["ringing"]),
+        before=_performance(objective, own, before),
+        after=_performance(objective, loop, after),
+        status=status,
+        history=history,
+        starts=starts,
+        gradient=gradient_in_words(pm.total(parameters), asked["gradient"], objective.method, objective.stage),
+        evaluations=int(evaluations),
+    )
+
+
+def _copied(tree):
+    """With arrays of its own: those that a float64 computation has seen are not for one in float32, see `precision`."""
+    return jax.tree.map(np.array, tree)
+
+
+def _performance(objective, loop, judged) -> Performance:
+    return Performance(
+        loss=float(judged.loss),
+        radius=float(judged.radius),
+        null_radius=float(judged.null_radius),
+        correction=float(judged.correction),
+        speed=float(judged.speed),
+        violation=judged.violation,
+        worst=CONSTRAINTS[int(np.argmax(judged.excess))],
+        z=pm.gain_per_step(loop),
+        # With a tuned Ts the program runs as many steps as the smallest one needs: cut at the horizon.
+        run=truncate(judged.run, min(objective.N, steps_to(objective.horizon, loop.Ts))),
+    )
+
+
+# --- files --------------------------------------------------------------------------------------------
+
+
+def to_json(tuned: Tuned, **about) -> dict:
+    """The result as nested tables of plain numbers, lists and texts, ready for `json`; what is infinite is null.
+
+    Args: about: more entries, such as config={...}.
+    """
+    names = [p.name for p in tuned.parameters]
+    performance = [f for f in Performance.__dataclass_fields__ if f != "run"]
+    made = {
+        "alpha": tuned.law.alpha,
+        "Ts": tuned.Ts,
+        "N": tuned.N,
+        "method": str(tuned.method),
+        "stage": str(tuned.stage) if tuned.method.implicit else None,
+        "values": tuned.values,
+        "start": {p.name: p.start for p in tuned.parameters},
+        "bounds": {p.name: (p.lower, p.upper) for p in tuned.parameters},
+        "units": dict(zip(names, [p.unit for p in tuned.parameters], strict=True)),
+        "loss": tuned.loss,
+        "margin": tuned.margin,
+        "ringing": tuned.ringing,
+        "conditions": {name: getattr(tuned.conditions, name) for name in Conditions.__dataclass_fields__},
+        "before": {name: getattr(tuned.before, name) for name in performance},
+        "after": {name: getattr(tuned.after, name) for name in performance},
+        "satisfied": tuned.satisfied,
+        "status": tuned.status,
+        "why": tuned.why,
+        "gradient": tuned.gradient,
+        "evaluations": tuned.evaluations,
+        "starts": tuned.starts,
+        "lines": controller_lines(tuned),
+        "history": {k: np.asarray(v).astype(float) for k, v in tuned.history.items()},
+    }
+    return plain(made | about)
+
+
+def plain(value):
+    """For JSON: lists, numbers and texts; what is not finite is null."""
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(np.asarray(value).tolist())
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
