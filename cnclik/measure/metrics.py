@@ -168,6 +168,10 @@ def _steps_to_tolerance(loop):
     return jnp.where(k < inside.shape[0], k, jnp.inf).astype(loop.run.e.dtype)
 
 
+def _evaluations_to_tolerance(of):
+    return _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1)
+
+
 def _settling_time(loop):
     outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
@@ -289,6 +293,7 @@ METRICS = {
     **_errors("along", _along, "m", "position error along the path", "position"),
     **_errors("across", _across, "m", "position error across the path", "position"),
     "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
+    "evaluations_to_tolerance": Metric(_evaluations_to_tolerance, "1", "evaluations of f until then"),
     "settling_time": Metric(_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
     "converged": Metric(_converged, "1", "1 if ‖e[N]‖ ≤ tolerance"),
     "ending": Metric(
