@@ -21,7 +21,8 @@ from cnclik.measure import metrics
 from cnclik.problem.build import inverse_from, reference_from, robot_from, stage_from, task_from
 from cnclik.robot.chain import planar_arm
 from cnclik.sweeps import expression
-from cnclik.sweeps.sweep import UNITS, Axis, Grid, axis
+from cnclik.sweeps.grid import Axis, Grid, axis
+from cnclik.sweeps.labels import UNITS
 
 # --- what may be written ------------------------------------------------------------------------------
 

@@ -12,7 +12,8 @@ import xarray
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import METRICS, measure
-from cnclik.sweeps import sweep as sweeps
+from cnclik.sweeps import grid as grids
+from cnclik.sweeps import program as programs
 from cnclik.sweeps.sweep import sweep
 from tests import plain
 
@@ -110,7 +111,7 @@ def test_only_outer_axes():
 
 def test_blocks_tile_any_grid_once_and_have_one_shape():
     for lanes in (1, 3, 4, 7, 30, 1000):
-        of = sweeps.grid({"a": np.arange(5.0), "m": [1, 2], "b": np.arange(3.0), "c": np.arange(4.0)}, lanes)
+        of = grids.grid({"a": np.arange(5.0), "m": {1: 1, 2: 2}, "b": np.arange(3.0), "c": np.arange(4.0)}, lanes)
         assert np.prod(of.block) <= max(lanes, 1)
         seen = np.zeros(of.shape, int)
         for block in of.blocks():
@@ -131,7 +132,7 @@ def test_a_block_that_needs_too_much_memory_is_cut(monkeypatch):
     def study(alpha):
         return {"long": jnp.sin(alpha + jnp.arange(1000.0))}
 
-    of, program = sweeps.fit(study, sweeps.grid({"alpha": np.arange(4096.0)}), memory=2**22)
+    of, program = programs.fit(study, grids.grid({"alpha": np.arange(4096.0)}), memory=2**22)
     assert program.memory <= 2**22 and 1 < of.lanes < 4096
 
 
