@@ -46,18 +46,25 @@ def draw(data, folder: pathlib.Path, *, tables=None, form="png") -> None:
     from cnclik.show import style, sweeps
     from cnclik.show.output import output_folder
 
-    failed = []
-    with style.style():
-        made = sweeps.figures(data, tables, failed=lambda name, error: failed.append(f"{name} ({_reason(error)})"))
-        with output_folder(folder, name="folder") as new:
-            for name, figure in made.items():
-                path = new / f"{name}.{form}"
+    failed, written = [], []
+
+    def miss(name, error):
+        failed.append(f"{name} ({_reason(error)})")
+
+    with style.style(), output_folder(folder, name="folder") as new:
+        for name, figure in sweeps.figures(data, tables, failed=miss).items():
+            path = new / f"{name}.{form}"
+            try:
                 if form == "png":
                     style.save(figure, path, {"Title": name, "Description": data.attrs.get("spec", "")})
                 else:
                     figure.savefig(path)
-    for name in made:
-        print(f"Wrote {folder / name}.{form}")
+                written.append(path.name)
+            except Exception as error:  # some mistakes, as in a title's mathematics, show only here
+                miss(name, error)
+                path.unlink(missing_ok=True)
+    for name in written:
+        print(f"Wrote {folder / name}")
     if failed:
         what = ", ".join(failed)
         print(f"cnclik: Not drawn: {what}; the data are kept, `cnclik plot {folder}` draws again.", file=sys.stderr)
