@@ -283,12 +283,13 @@ def read(folder):
     folder = pathlib.Path(folder)
     if not (folder / DATA).exists():
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
-    damaged = Store(folder, name="folder", mode="r").damaged_coordinates()
+    store = Store(folder, name="folder", mode="r")
+    damaged = store.damaged_coordinates()
     if damaged:
         words = "hold whole coordinates (the command that made the sweep repairs them)"
         raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
     with _quiet():
-        return xarray.open_zarr(folder / DATA, chunks=None)
+        return xarray.open_zarr(folder / DATA, chunks=None)[list(store.names)]  # in the spec's order
 
 
 def blocks_missing(folder) -> int:

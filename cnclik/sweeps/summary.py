@@ -62,10 +62,17 @@ def write(data, folder) -> list:
 
 
 def export(data, folder, kind: str) -> pathlib.Path:
-    """Write the whole dataset as data.nc (netCDF) or data.csv (one row per loop); returns the path."""
+    """Write the whole dataset as data.nc (netCDF) or data.csv; returns the path.
+
+    A CSV has one row per loop (per loop and instant where there are histories); vectors along an axis, such as starts,
+    are columns q0[0], q0[1], ...
+    """
     target = pathlib.Path(folder) / f"data.{errors.one_of('export', kind, ('nc', 'csv'))}"
     if kind == "nc":
         save_netcdf(data, target)
-    else:
-        data.to_dataframe().to_csv(target)
+        return target
+    for dim in [d for d in data.dims if f"{d}_value" in data.coords]:
+        columns = data[f"{dim}_value"].values.reshape(data.sizes[dim], -1).T
+        data = data.drop_vars(f"{dim}_value").assign({f"{dim}[{i}]": (dim, c) for i, c in enumerate(columns)})
+    data.to_dataframe().to_csv(target)
     return target

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib import colors
+from matplotlib.cbook import STEP_LOOKUP_MAP
 
 from cnclik.errors import ArgumentError
 from cnclik.show import style, sweeps
@@ -189,8 +190,9 @@ def test_the_boundary_is_each_panels_own_limit():
         (points,) = lines
         np.testing.assert_allclose(points[:, 0] * points[:, 1], limit, rtol=1e-12)
         assert points[:, 0].max() < 47
+    assert "limit" in figure.legends[0].get_texts()[0].get_text()
     (figure,) = drawn(data(**PLANE), {"kind": "heat", "boundary": False, "panels": "method"}).values()
-    assert dashed(figure) == [[], [], []]
+    assert dashed(figure) == [[], [], []] and not figure.legends
 
 
 @pytest.mark.parametrize(("x", "at"), [("z", 0), ("Ts", 1)])
@@ -207,12 +209,13 @@ def test_over_passes_it_is_a_step_for_each(x, at):
     found = data(M=np.array([0, 1, 2, 5]), z=np.linspace(0.1, 3, 8))
     found = found.assign_coords(limit=("M", [2.0, 1.0, 1.35, np.inf]))
     (figure,) = drawn(found, {"kind": "heat", "x": x, "y": {"z": "M", "M": "z"}[x]}).values()
-    ((points,),) = dashed(figure)
-    np.testing.assert_array_equal(points[:, at], [2.0, 1.0, 1.35, np.nan, np.nan])
-    np.testing.assert_array_equal(points[:, 1 - at], [-0.5, 0.5, 1.5, 3.5, 5.5])
     (line,) = (line for line in figure.axes[0].lines if line.get_color() == style.VERMILION)
-    # On M's own cells: between two edges the limit of the M between them.
-    assert line.get_drawstyle() == {"z": "steps-pre", "M": "steps-post"}[x]
+    corners = STEP_LOOKUP_MAP[line.get_drawstyle()](*line.get_xydata().T)
+    z, M = corners[at], corners[1 - at]
+    for m, cell, limit in ((0, (-0.5, 0.5), 2.0), (1, (0.5, 1.5), 1.0), (2, (1.5, 3.5), 1.35)):
+        along = [i for i in range(len(z) - 1) if {M[i], M[i + 1]} == set(cell)]  # the side of M's own cell
+        assert [(z[i], z[i + 1]) for i in along] == [(limit, limit)], m
+    assert not any({M[i], M[i + 1]} == {3.5, 5.5} and np.isfinite(z[i]) for i in range(len(z) - 1))  # no limit at 5
 
 
 def test_no_boundary_where_the_data_carry_none_or_one_that_is_not_of_this_plane():

@@ -104,6 +104,46 @@ def test_axes_of_vectors_objects_and_labelled_values():
     assert float(found.value.sel({"arm": "long", "target": 2, "M": 2, "gain": 1})) == 2 * 3 + 2 + 4
 
 
+def test_numbers_in_a_list_are_one_program_and_N_is_compiled_in():
+    traces = []
+
+    def study(alpha, M, N, k):
+        traces.append((type(alpha), N))
+        return {"alpha_": alpha + 0.5, "M_": M + jnp.zeros(N, int).sum(), "k_": k}
+
+    found = sweep(study, N=[2, 4], alpha=[1, 5, 10], M=[1, 3], k=range(3))
+    assert len(traces) == 2 and [n for _, n in traces] == [2, 4]
+    assert found.alpha.dtype == float and found.alpha_.dtype == float  # not 1 + 0.5 = 1
+    assert found.M_.dtype == found.k_.dtype == int and found.M.values.tolist() == [1, 3]
+    labelled = sweep(lambda M: {"power": jnp.asarray(2.0) ** M}, M={"one": 1, "three": 3})
+    assert labelled.power.values.tolist() == [2, 8] and list(labelled.M.values) == ["one", "three"]
+    with pytest.raises(ArgumentError, match="`N` must be an integer"):
+        sweep(study, N=[2.5])
+
+
+def test_the_float64_answer_whatever_the_default():
+    arm = ck.planar_arm([1.0, 0.8, 0.5])  # redundant
+    path = ck.hold([1.5, 0.5])
+
+    def study(alpha, Ts):
+        law = ck.Law(arm, ck.position("xy"), alpha=alpha)
+        run = ck.solve(law, path, np.array([0.3, 0.7, -0.4]), Ts, 12)
+        return measure(run, law, path, ["final_error", "rms_qddot"])
+
+    axes = {"alpha": [5, 10], "Ts": np.array([0.02, 0.1])}
+    wide = sweep(study, lanes=2, **axes)
+    with jax.enable_x64(False):
+        found = sweep(study, lanes=2, **axes)
+        given = sweep(lambda alpha: {"twice": 2 * alpha}, alpha=jnp.array([0.5, 1.5]))
+        narrow = jnp.asarray(0.1)
+        told = sweep(lambda alpha: {"sum": narrow + 0 * alpha.astype(narrow.dtype)}, alpha=[1.0])
+    xarray.testing.assert_identical(found, wide)
+    assert found.dtype == "float64" and found.final_error.dtype == np.float64
+    assert float(found.final_error.min()) < 1e-9  # beyond float32
+    assert given.twice.dtype == np.float64 and given.alpha.dtype == np.float64
+    assert told.attrs["dtype"] == "float32"  # an array of the caller's own keeps its precision, and the data say so
+
+
 def test_only_outer_axes():
     found = sweep(lambda method: {"order": jnp.asarray(method.order)}, method=[ck.EE, ck.RK4])
     assert found.order.values.tolist() == [1, 4]

@@ -21,6 +21,7 @@ def heat(view, layout):
     scale = norm(value.values, layout)
     counts = any(view[d].dtype.kind == "i" for d in (layout.x, layout.y))
     levels = layout.contours if layout.contours is not None else not counts
+    bounded = []
     for ax, part in grid.each(value):
         x, y, z = _plane(part, layout)
         shown = np.ma.masked_invalid(z)
@@ -29,8 +30,11 @@ def heat(view, layout):
         mesh = _mesh(ax, x, y, shown, norm=scale)
         if levels is not False:
             _contours(ax, x, y, shown, scale, levels)
-        if layout.boundary:
-            boundary(ax, part, layout)
+        lines = boundary(ax, part, layout) if layout.boundary else []
+        bounded = bounded or lines
+    if bounded:
+        words = value.coords["limit"].attrs.get("long_name", "limit")
+        grid.figure.legend(bounded, [words], loc="outside lower center")
     extend = "both" if layout.limits else "neither"
     bar = grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02)
     bar.set_label(axis_label(value))
@@ -83,7 +87,7 @@ def _contours(ax, x, y, z, scale, levels):
     z = np.ma.masked_where(rough(z), z)
     if levels and min(z.shape) > 1 and z.count() > 4:
         drawn = ax.contour(x, y, z, levels=levels, colors="white", linewidths=0.6, alpha=0.8)
-        ax.clabel(drawn, fmt="%.0e" if log else "%g", fontsize=5)
+        ax.clabel(drawn, fmt="%.0e" if log else "%g", fontsize=6)
 
 
 def _decades(scale):
@@ -110,25 +114,26 @@ def rough(z):
 # --- theory -------------------------------------------------------------------------------------------
 
 
-def boundary(ax, part, layout):
-    """The largest z = alpha·Ts at which linear theory calls the panel's loops stable, from the data's `limit`."""
+def boundary(ax, part, layout) -> list:
+    """The largest z = alpha·Ts at which linear theory calls the panel's loops stable, from the data's `limit`.
+
+    Returns: the line drawn, in a list; an empty one where the data have no limit for this plane.
+    """
     names, limit = {layout.x, layout.y}, part.coords.get("limit")
-    if limit is None:
-        return
-    if limit.ndim == 0 and np.isfinite(limit) and names == {"alpha", "Ts"}:
-        _hyperbola(ax, float(limit), **BOUNDARY)
-    elif limit.ndim == 0 and np.isfinite(limit) and "z" in names:
-        (ax.axvline if layout.x == "z" else ax.axhline)(float(limit), **BOUNDARY)
-    elif limit.dims == ("M",) and names == {"z", "M"}:
-        counts = part["M"].values
-        middles = (counts[1:] + counts[:-1]) / 2
-        ends = [counts[0] - 0.5], [counts[-1] + 0.5]
-        edges, steps = np.concatenate([ends[0], middles, ends[1]]), np.where(np.isfinite(limit), limit, np.nan)
-        values = np.append(steps, steps[-1])
+    if limit is None or not np.isfinite(limit).any():
+        return []
+    if limit.ndim == 0 and names == {"alpha", "Ts"}:
+        return _hyperbola(ax, float(limit), **BOUNDARY)
+    if limit.ndim == 0 and "z" in names:
+        return [(ax.axvline if layout.x == "z" else ax.axhline)(float(limit), **BOUNDARY)]
+    if limit.dims == ("M",) and names == {"z", "M"}:
+        counts, steps = part["M"].values, np.where(np.isfinite(limit), limit, np.nan)
+        edges = np.concatenate([[counts[0] - 0.5], (counts[1:] + counts[:-1]) / 2, [counts[-1] + 0.5]])
+        steps = np.append(steps, steps[-1])
         if layout.x == "M":
-            ax.step(edges, values, where="post", **BOUNDARY)
-        else:
-            ax.step(values, edges, where="pre", **BOUNDARY)
+            return ax.step(edges, steps, where="post", **BOUNDARY)
+        return ax.step(steps, edges, where="pre", **BOUNDARY)
+    return []
 
 
 def beyond_every_limit(part, layout):
@@ -144,20 +149,21 @@ def beyond_every_limit(part, layout):
 
 
 def _hyperbola(ax, z, **look):
-    """The line alpha·Ts = z, the axes left as they are; returns its points inside them."""
+    """The line alpha·Ts = z, the axes left as they are."""
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     x = np.geomspace(max(left, right * 1e-6), right, 400)
-    ax.plot(x, z / x, **look)
+    drawn = ax.plot(x, z / x, **look)
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
-    inside = (z / x > bottom) & (z / x < top)
-    return x[inside], (z / x)[inside]
+    return drawn
 
 
 def _isolines(ax):
     """Lines of constant z = alpha·Ts, labelled where there is room."""
     for z in ISOLINES:
-        x, y = _hyperbola(ax, z, color="black", linewidth=0.6, alpha=0.6)
-        if len(x) > 20:
-            i = int(len(x) * 0.7)
-            ax.text(x[i], y[i], f"z = {z:g}", fontsize=5, ha="center", va="center", bbox=_LABEL)
+        (line,) = _hyperbola(ax, z, color="black", linewidth=0.6, alpha=0.6)
+        (bottom, top), points = ax.get_ylim(), line.get_xydata()
+        inside = points[(points[:, 1] > bottom) & (points[:, 1] < top)]
+        if len(inside) > 20:
+            place = inside[int(len(inside) * 0.7)]
+            ax.text(*place, f"z = {z:g}", fontsize=6, ha="center", va="center", bbox=_LABEL)
