@@ -26,6 +26,7 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     inside = [k for k in range(len(size)) if size[k] <= tolerance]
     outside = [k for k in range(len(size)) if size[k] > tolerance]
     out["steps_to_tolerance"] = inside[0] if inside else np.inf
+    out["evaluations_to_tolerance"] = out["steps_to_tolerance"] * float(run.evaluations) / steps
     settled = outside[-1] + 1 if outside else 0
     out["settling_time"] = t[settled] - t[0] if settled < len(size) else np.inf
     out["converged"] = float(size[-1] <= tolerance)

@@ -17,7 +17,6 @@ VERBS = {
     "plot": "draw the figures of a finished sweep",
     "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
     "rivals": "tuning by gradient against grid search, Nelder-Mead and a gain picked by hand",
-    "trouble": "compare damping and limit methods on real robots near singularities, limits and out of reach",
     "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
 

@@ -38,8 +38,6 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
     """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""
-    spec: pathlib.Path | None = None
-    """A TOML file of a committed study (`study = "agreement"` or `"implicit"`), run in place of the above."""
     out: pathlib.Path = pathlib.Path("results/stability")
     """Folder for figures and data (netCDF)."""
 
@@ -62,9 +60,7 @@ def run(args: Args) -> None:
             errors.number(name, given[0], positive=True)
             if not given[0] < given[1]:
                 raise errors.fail(name, "increase", f"is {given[0]:g} to {given[1]:g}")
-    if args.spec is not None:
-        _study(args)
-    elif args.plane or args.map:
+    if args.plane or args.map:
         with output_folder(args.out) as out:
             if args.plane:
                 _plane(args, out)
@@ -290,31 +286,6 @@ def _map(args, out):
 
 
 # --- committed studies --------------------------------------------------------------------------------
-
-
-def _study(args):
-    import tomllib
-
-    from cnclik.measure.dataset import as_json, provenance
-    from cnclik.show import stability as show
-    from cnclik.show.output import output_folder
-    from cnclik.stability import evidence
-
-    try:
-        spec = tomllib.loads(args.spec.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise errors.fail("spec", "be a TOML file that can be read", f"{args.spec.name}: {error}") from None
-    name = errors.one_of("study", spec.pop("study", None), tuple(evidence.STUDIES))
-    begun, stem = time.perf_counter(), args.spec.stem
-    draw = {"agreement": show.agreement, "implicit": show.reaching}[name]
-    with output_folder(args.out) as out, progress.bar("loops") as report:
-        data = evidence.STUDIES[name](**spec, progress=report)
-        data = data.assign_attrs(provenance(float) | {"config": as_json({"study": name} | spec)})
-        _write(data, out / f"{stem}.nc")
-        (out / f"{stem}.md").write_text(evidence.TABLES[name](data), encoding="utf-8")
-        draw(data, out / f"{stem}.png", {"Title": stem, "Description": data.attrs["config"]})
-    print((args.out / f"{stem}.md").read_text(encoding="utf-8"))
-    print(f"{time.perf_counter() - begun:.0f} s; results in {args.out}")
 
 
 def _range(given, now, half):

@@ -18,6 +18,8 @@ _BINARY = {
     ast.Pow: operator.pow,
 }
 _CALLS = {"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round"}
+_PAIRS = {"min": np.minimum, "max": np.maximum}
+_FUNCTIONS = _CALLS | set(_PAIRS)
 _CONSTANTS = {"pi": math.pi}
 
 
@@ -28,7 +30,7 @@ def parse(name: str, text: str):
         tree = ast.parse(text, mode="eval").body
         _check(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        words = f"be a number or an expression of numbers, names, + - * / ** and {', '.join(sorted(_CALLS))}"
+        words = f"be a number or an expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
         raise errors.fail(name, words, f"is {text!r}") from None
     return tree
 
@@ -37,7 +39,7 @@ def _check(node):
     match node:
         case ast.Constant(value=value) if type(value) in (int, float):
             return
-        case ast.Name(id=found) if found not in _CALLS:
+        case ast.Name(id=found) if found not in _FUNCTIONS:
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             _check(left), _check(right)
@@ -45,6 +47,8 @@ def _check(node):
             _check(operand)
         case ast.Call(func=ast.Name(id=found), args=[only], keywords=[]) if found in _CALLS:
             _check(only)
+        case ast.Call(func=ast.Name(id=found), args=[first, second], keywords=[]) if found in _PAIRS:
+            _check(first), _check(second)
         case _:
             raise ValueError
 
@@ -81,8 +85,8 @@ def evaluate(name: str, value, known):
                 return _BINARY[type(op)](walk(left), walk(right))
             case ast.UnaryOp(op=op, operand=operand):
                 return -walk(operand) if isinstance(op, ast.USub) else walk(operand)
-            case ast.Call(func=ast.Name(id=found), args=[only]):
-                return _call(found, walk(only))
+            case ast.Call(func=ast.Name(id=found), args=arguments):
+                return _call(found, *map(walk, arguments))
 
     try:
         return walk(parse(name, value))
@@ -90,7 +94,11 @@ def evaluate(name: str, value, known):
         raise errors.fail(name, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
 
 
-def _call(name, argument):
+def _call(name, *arguments):
+    if name in _PAIRS:
+        known = all(isinstance(a, (int, float)) for a in arguments)
+        return float(_PAIRS[name](*arguments)) if known else getattr(jnp, f"{name}imum")(*arguments)
+    (argument,) = arguments
     if isinstance(argument, (int, float)):
         return round(argument) if name == "round" else getattr(math, name)(argument)
     return getattr(jnp, name)(argument)

@@ -10,7 +10,7 @@ from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import METRICS, measure
 from tests import plain
 
-SCALARS = [n for n, m in METRICS.items() if not m.dims]
+SCALARS = [n for n, m in METRICS.items() if not m.dims and n not in ("ending", "stable")]  # these: test_ending
 ARM = ck.from_dh(
     [1.0, 0.8, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], velocity_limit=[1.0, 2.0, 3.0], lower=[-3.0] * 3, upper=[2.5] * 3
 )

@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.problem import build as p
+from cnclik import problem as p
 
 
 def test_the_papers_case_in_words():
     made = p.problem_from(
-        "planar-clockwise:1,1", reference="line", **{"from": [1, 1], "to": [0, 1]}, q0=[0, np.pi / 2], Ts=0.1, N=30
+        "planar-clockwise:1,1",
+        reference="line",
+        **{"from": [1, 1], "to": [0, 1]},
+        q0=[0, np.pi / 2],
+        Ts=0.1,
+        N=30,
+        method="CN",
     )
     run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
     rms = float(np.sqrt(np.mean(np.sum(np.asarray(run.e[1:]) ** 2, 1))))
@@ -111,6 +117,10 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"target": [0, 0, 0, 1, 1, 1, 1]}, "unit quaternion"),
         ({"to": [1, 2, 3]}, "`to` must be left out"),
         ({"radius": 0.1}, "`radius` must be left out"),
+        ({"period": 2.0}, "`period` must be left out for the reference 'hold'"),
+        ({"lengths": [1, 1]}, "`lengths` must be left out for the robot 'panda'"),
+        ({"robot": "planar"}, "`lengths` must be given for the robot 'planar'"),
+        ({"robot": "planar:1,1", "lengths": [1, 1]}, "`lengths` must be left out"),
         ({"reference": "circle", "radius": 0}, "positive"),
         ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
         ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),

@@ -8,7 +8,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.stability.linear import stability_limit
-from cnclik.sweeps import run_spec, spec
+from cnclik.sweeps import check, run_spec
 from cnclik.sweeps.limits import linear_limit
 
 TEXT = """
@@ -36,7 +36,7 @@ def limit(fixed=(), axes=(), drop=()):
     written["axes"] |= dict(axes)
     for name in drop:
         written["axes"].pop(name)
-    s = spec.parse(written)
+    s = check.parse(written)
     found = linear_limit(s, s.grid())
     return found["limit"][:2] if found else {}
 
@@ -78,5 +78,5 @@ def test_where_some_laws_have_one_the_others_are_not_a_number():
 
 
 def test_it_goes_with_the_data():
-    data = run_spec(spec.parse(tomllib.loads(TEXT.replace('"EE", "IE"', '"EE"'))))
+    data = run_spec(check.parse(tomllib.loads(TEXT.replace('"EE", "IE"', '"EE"'))))
     assert float(data.limit) == 2 and "limit" not in data.data_vars

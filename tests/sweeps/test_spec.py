@@ -3,12 +3,14 @@
 import copy
 import tomllib
 
+import jax
 import numpy as np
 import pytest
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
-from cnclik.sweeps import expression, spec
+from cnclik.problem import problem_from
+from cnclik.sweeps import check, expression, spec
 
 TEXT = """
 question = "Is it so?"
@@ -55,7 +57,7 @@ def written(**changes):
 
 
 def test_values_follow_from_expressions():
-    s = spec.parse(written())
+    s = check.parse(written())
     assert s.grid().shape == (2, 3, 3, 2)
     law, reference, q0, Ts, N, method, stage = s.build(method="CN", M=np.int64(2), z=0.3, lift=0.1)
     assert float(law.alpha) == pytest.approx(3.0, rel=1e-15) and (Ts, N, method) == (0.1, 4, ck.CN)
@@ -66,10 +68,10 @@ def test_values_follow_from_expressions():
 
 
 def test_what_the_number_of_steps_depends_on_is_compiled_in():
-    s = spec.parse(written(fixed__N="round(span/Ts)", fixed__span=1.0, fixed__Ts=None, axes__Ts=[0.1, 0.25]))
+    s = check.parse(written(fixed__N="round(span/Ts)", fixed__span=1.0, fixed__Ts=None, axes__Ts=[0.1, 0.25]))
     of = s.grid()
     assert [a.name for a in of.outer] == ["method", "Ts"]
-    assert [s.values(**p, **s._first())["N"] for p in of.programs] == [10, 4, 10, 4]
+    assert [s.values(**p, **s.first())["N"] for p in of.programs] == [10, 4, 10, 4]
 
 
 def test_cases_are_an_axis_and_samples_fit_every_arm():
@@ -79,14 +81,14 @@ def test_cases_are_an_axis_and_samples_fit_every_arm():
     }
     w = written(fixed__q0=None, fixed__to=None, fixed__robot=None, axes__lift=None, cases=cases, figure=[])
     w["axes"]["q0"] = {"samples": 5, "low": "-pi", "high": "pi", "seed": 3}
-    s = spec.parse(w)
+    s = check.parse(w)
     assert s.grid().axes[0].labels == ("two", "three")
     starts = s.axes["q0"].values
     assert starts.shape == (5, 3) and np.abs(starts).max() <= np.pi and len(np.unique(starts)) == 15
-    np.testing.assert_array_equal(spec.parse(copy.deepcopy(w)).axes["q0"].values, starts)  # the seed says it all
-    assert s.build(case="two", **s._first(), method="EE")[2].shape == (2,)
+    np.testing.assert_array_equal(check.parse(copy.deepcopy(w)).axes["q0"].values, starts)  # the seed says it all
+    assert s.build(case="two", **s.first(), method="EE")[2].shape == (2,)
     w["axes"]["q0"]["seed"] = 4
-    assert not np.array_equal(spec.parse(w).axes["q0"].values, starts)
+    assert not np.array_equal(check.parse(w).axes["q0"].values, starts)
 
 
 def test_changes_on_the_command_line(tmp_path):
@@ -95,6 +97,120 @@ def test_changes_on_the_command_line(tmp_path):
     s = spec.read(path, ["z=0.25", "axes.M=[5]", "method=RK4", "lift={linspace=[0, 1, 9]}", "tolerance=0.5"])
     assert list(s.axes) == ["lift", "M"] or list(s.axes) == ["M", "lift"]
     assert s.fixed["z"] == 0.25 and s.fixed["method"] == "RK4" and s.tolerance == 0.5 and len(s.axes["lift"]) == 9
+
+
+def same(one, other):
+    """Whether two trees have the same literals and, leaf by leaf, the same numbers."""
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "saturation"}
+TABLES = [
+    {},
+    {"from": [1, 1], "to": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "near_singular": 0.1},
+    {"reference": "circle", "radius": 0.1, "phase": 0.3, "period": -2.0, "posture": [0.1, 0.2], "alpha": [2.0, 3.0]},
+    {
+        "reference": "lissajous",
+        "frequency": [1, 2],
+        "error_clamp": [0.1, 0.5],
+        "damping": 0.1,
+        "stage": "chord",
+        "M": 2,
+    },
+    {"target": [1, 0.5], "manipulability": 0.5, "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
+    {"robot": "planar-clockwise", "lengths": [1.0, 2.0], "task": "xy"},
+]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda t: t.get("reference", t.get("robot", t.get("limits", "none"))))
+def test_a_spec_and_the_command_line_build_the_same_loop(table):
+    from cnclik.cli import arguments
+    from cnclik.cli.problem import ProblemOptions, problem
+
+    table = {"robot": "planar:1,1", "task": "position"} | table
+    made = problem_from(**table)
+    words = [table["robot"]]
+    for name, value in table.items():
+        if name != "robot":
+            words += ["--" + name.replace("_", "-"), *map(str, value if isinstance(value, list) else [value])]
+    told = problem(arguments.parse(ProblemOptions, words, prog="x", description="x"))
+    w = {"question": "?", "expectation": "!", "fixed": table}
+    law, reference, q0, Ts, N, method, stage = check.parse(w).build()
+    for law_, reference_, rest in (
+        (told.law, told.reference, (told.q0, told.Ts, told.N, told.method, told.stage)),
+        (law, reference, (q0, Ts, N, method, stage)),
+    ):
+        if "lengths" not in table:  # there an array's entries are leaves, a list's are literal
+            same(law_, made.law)
+        same(reference_, made.reference)
+        same(rest, (made.q0, made.Ts, made.N, made.method, made.stage))
+
+
+def test_bundles_are_axes_beside_the_cases():
+    bundles = {"damper": {"none": {}, "damped": {"damping": 0.1}}}
+    s = check.parse(written(bundles=bundles, cases={"a": {"Ts": 0.1}, "b": {"Ts": 0.2}}, fixed__Ts=None))
+    of = s.grid()
+    assert [a.name for a in of.axes[:2]] == ["case", "damper"] and of.axes[1].labels == ("none", "damped")
+    values = {"method": "EE"} | s.first()
+    laws = {d: s.build(case="b", damper=d, **values)[0] for d in ("none", "damped")}
+    assert not hasattr(laws["none"].inverse, "damping") and float(laws["damped"].inverse.damping) == 0.1
+    assert s.build(case="b", damper="none", **values)[3] == 0.2
+    assert s.all_units()["damper"] == "1"
+
+
+def test_samples_per_joint_are_as_many_as_the_robot_has():
+    cases = {"two": {"robot": "planar:1,1", "rest": [0, 1]}, "three": {"robot": "planar:1,1,1", "rest": [0, 1, 1]}}
+    w = written(fixed__robot=None, cases=cases, fixed__q0="rest + 0.1*turn")
+    w["axes"]["turn"] = {"samples": 4, "low": -1, "high": 1, "per": "joint"}
+    s = check.parse(w)
+    turn = s.axes["turn"].values
+    assert turn.shape == (4, 3)
+    q0 = s.build(case="two", method="EE", **s.first() | {"turn": turn[2]})[2]
+    np.testing.assert_allclose(q0, [0, 1] + 0.1 * turn[2, :2], rtol=1e-15)
+
+
+def test_the_linear_limit_is_a_value():
+    s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="picard", axes__method=["EE", "IE", "CN"]))
+    gains = {m: float(s.build(method=m, M=np.int64(2), z=0.5, lift=0.0)[0].alpha) / 5 for m in ("EE", "IE")}
+    assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/stability.md
+    traced = jax.jit(lambda M: s.build(method="CN", M=M, z=0.5, lift=0.0)[0].alpha / 5)
+    assert float(traced(2)) == pytest.approx(1.4780, abs=1e-4)
+    s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="chord", axes__method=["IE"]))
+    assert float(s.build(method="IE", M=1, z=0.5, lift=0.0)[0].alpha) == pytest.approx(50.0)  # no limit
+
+
+def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_path):
+    (tmp_path / "way.csv").write_text("0,1,1\n1,0,1\n")
+    path = tmp_path / "a.toml"
+    path.write_text(
+        TEXT.replace('"line"', '"way.csv"').replace("from = [1, 1]", "").replace('to = [0, "1 + lift"]', "")
+    )
+    s = spec.read(path, ["lift=0", "alpha=z/Ts + lift"])
+    np.testing.assert_allclose(s.build(method="EE", **s.first())[1].curve(1.0)[0], [0, 1], atol=1e-12)
+    before = s.data()["files"]
+    (tmp_path / "way.csv").write_text("0,1,1\n1,0,1.1\n")
+    assert list(before) == ["way.csv"] and s.data()["files"] != before
+
+
+@pytest.mark.parametrize(
+    ("fixed", "axis", "unit"),
+    [
+        ({"task": "xy"}, {"damping": [0.1]}, "m"),
+        ({"task": "rz"}, {"damping": [0.1]}, "1"),
+        ({"task": "xy", "inverse": "manipulability-damped", "damping": 0.1}, {"threshold": [0.1]}, "m^2"),
+        ({"task": "xy"}, {"target": [[1.0, 1.0]]}, "m"),
+        ({"task": "rz"}, {"target": [[1.0, 0, 0, 0]]}, "1"),
+        ({"task": "xyrz"}, {"target": [[1.0, 1.0, 1.0, 0, 0, 0]]}, "m, 1"),
+        ({"task": "xy", "reference": "circle"}, {"period": [-1.0, 1.0]}, "s"),
+        ({"task": "xy"}, {"q0": {"samples": 2}}, "rad"),
+    ],
+)
+def test_units_follow_the_task(fixed, axis, unit):
+    s = check.parse({"question": "?", "expectation": "!", "fixed": {"robot": "planar:1,1,1"} | fixed, "axes": axis}
+                    | {"metrics": ["final_error"]})  # fmt: skip
+    assert s.all_units()[next(iter(axis))] == unit
 
 
 @pytest.mark.parametrize(
@@ -111,12 +227,12 @@ def test_changes_on_the_command_line(tmp_path):
         ({"fixed__Ts": 0}, "`Ts` must be positive"),
         ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
         ({"fixed__N": 2.5}, "`N` must be an integer"),
-        ({"fixed__N": None}, "`fixed` must give N"),
+        ({"fixed__robot": None}, "`fixed` must give robot"),
         ({"fixed__q0": [0.0]}, "`q0` must have shape (2,)"),
         ({"fixed__to": None}, "defaults"),
-        ({"fixed__radius": 1.0}, "`radius` must belong to the reference 'line'"),
+        ({"fixed__radius": 1.0}, "`radius` must be left out for the reference 'line'"),
         ({"fixed__robot": "plnar:1"}, "`robot` must"),
-        ({"fixed__lengths": [1, 1]}, "`lengths` must come with robot = 'planar'"),
+        ({"fixed__lengths": [1, 1]}, "`lengths` must be left out for the robot 'planar:1,1'"),
         ({"axes__method": ["EE", "RK5"]}, "`method` must be one of"),
         ({"axes__method": ["EE", 3]}, "`axes.method` must be a list of names"),
         ({"axes__z": {"linspase": [0, 1, 2]}}, "`axes.z` must be a list or a table with one of"),
@@ -124,6 +240,18 @@ def test_changes_on_the_command_line(tmp_path):
         ({"axes__z": {"linspace": [0, 1]}}, "[first, last, count]"),
         ({"axes__z": []}, "`axes.z` must"),
         ({"axes__M": [-1, 2]}, "at least 0"),
+        ({"fixed__period": "2*lift"}, "`period` must be positive"),
+        ({"fixed__damping": "z", "axes__damping": [0.1, -0.1]}, "`axes.damping` must not be in [fixed]"),
+        ({"axes__damping": [0.1, -0.1]}, "`axes.damping` must hold values that are positive, but holds -0.1"),
+        ({"axes__period": [1.0, 0.0]}, "`axes.period` must hold values that are other than 0, but holds 0"),
+        ({"fixed__limit": 2.0}, "`fixed.limit` must not be given"),
+        ({"bundles": {"law": {"a": {"dampin": 0.1}}}}, "`bundles.law.a` must hold known keys, but holds 'dampin'"),
+        ({"bundles": {"law": {}}}, "`bundles.law` must hold tables"),
+        ({"bundles": {"alpha": {"a": {}}}}, "`bundles.alpha` must have a name of its own"),
+        ({"bundles": {"law": {"a": {"z": 1.0}}}}, "`axes.z` must not be in [bundles.law.a] as well"),
+        ({"fixed__limits": "sns"}, "`limits` must be one of"),
+        ({"fixed__threshold": 0.1}, "`threshold` must be left out"),
+        ({"fixed": {"robot": "planar:1,1", "reference": "no.csv"}, "axes": {}, "figure": []}, "no.csv: No such file"),
         ({"axes__Ts": [0.1]}, "`axes.Ts` must not be in [fixed] as well"),
         ({"metrics": ["mean_eror"]}, "did you mean 'mean_error'"),
         ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
@@ -143,10 +271,10 @@ def test_everything_wrong_is_said_in_one_line(changes, words):
     w = written(**changes)
     if words == "defaults":  # a line without its end goes where the tip is led by default
         w["axes"].pop("lift"), w.pop("figure")
-        spec.parse(w)
+        check.parse(w)
         return
     with pytest.raises(ArgumentError) as error:
-        spec.parse(w)
+        check.parse(w)
     assert words in str(error.value) and "\n" not in str(error.value)
 
 
@@ -164,6 +292,7 @@ def test_expressions_are_arithmetic():
     known = {"a": 2.0, "n": 3}.__getitem__
     assert expression.evaluate("x", "-a**2 + 3*sqrt(4)/n - +1", known) == -4 + 2 - 1
     assert expression.evaluate("x", "round(a/0.7)", known) == 3
+    assert expression.evaluate("x", "min(a, n) + max(1, 0.5)", known) == 3
     assert expression.names("x", ["a + b", 3, "sin(c)*pi"]) == {"a", "b", "c"}
     with pytest.raises(ArgumentError, match="worked out"):
         expression.evaluate("x", "a/0", known)

@@ -1,0 +1,214 @@
+"""Names: what a user may write, and what it stands for. To add a name, add its line to a table.
+
+A `Choice` says how a name is built and which options it takes, so that nothing is left out that it needs and
+nothing is given that it would silently drop.
+"""
+
+import functools
+import pathlib
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate import stage as stages
+from cnclik.integrate.method import METHODS, Method
+from cnclik.law import inverse, limits, null, task
+from cnclik.robot import builtin
+from cnclik.robot.chain import Chain, planar_arm
+from cnclik.robot.posture import is_planar, start_posture
+from cnclik.robot.urdf import load_urdf
+
+
+class Choice(NamedTuple):
+    """What a name stands for."""
+
+    build: Callable
+    needs: tuple = ()  # options that must be given
+    takes: tuple = ()  # options that may be
+
+    @property
+    def options(self) -> tuple:
+        return (*self.needs, *self.takes)
+
+
+ROBOTS = {
+    "panda": Choice(builtin.panda),
+    "ur5": Choice(builtin.ur5),
+    "planar": Choice(planar_arm, needs=("lengths",)),
+    "planar-clockwise": Choice(functools.partial(planar_arm, clockwise=True), needs=("lengths",)),
+}
+URDF = Choice(load_urdf, takes=("tip", "base"))
+TASKS = {
+    "pose": task.pose,
+    "position": lambda where, turn: task.position(where),
+    "orientation": lambda where, turn: task.orientation(turn),
+}
+INVERSES = {
+    "pseudoinverse": Choice(inverse.pseudoinverse),
+    "damped": Choice(inverse.damped, needs=("damping",)),
+    "transpose": Choice(inverse.transpose),
+    "manipulability-damped": Choice(inverse.manipulability_damped, needs=("damping", "threshold")),
+    "singular-damped": Choice(inverse.singular_damped, needs=("damping", "threshold")),
+}
+LIMITS = {  # of the rate [1/s] at which a joint may near its limit
+    "none": lambda rate: None,
+    "velocity-scaling": lambda rate: limits.velocity_scaling(),
+    "weighted-least-norm": limits.weighted_least_norm,
+    "saturation": limits.saturation,
+}
+NULL_TERMS = {  # of chain, task and the option's value
+    "posture": lambda chain, task, rest: null.posture(errors.array("posture", rest, (chain.n,))),
+    "manipulability": null.maximize_manipulability,
+}
+STAGES = {"picard": stages.picard, "chord": stages.chord, "newton": stages.newton}
+
+
+def fitting(what: str, name: str, choice: Choice, given: dict) -> dict:
+    """The options given that a choice takes.
+
+    Raises: ArgumentError for one that it needs and has not, or has no use for: that would be dropped silently.
+    """
+    for key in choice.needs:
+        if given.get(key) is None:
+            raise errors.fail(key, f"be given for the {what} {name!r}", "is not")
+    given = {key: value for key, value in given.items() if value is not None}
+    for key, value in given.items():
+        if key not in choice.options:
+            raise errors.fail(key, f"be left out for the {what} {name!r}", f"is {value!r}")
+    return given
+
+
+# --- robot, task and start ----------------------------------------------------------------------------
+
+
+def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
+    """A URDF file, `panda`, `ur5`, or a planar arm; `planar:1,1,1` is `planar` with these link lengths [m].
+
+    `planar-clockwise` turns as the paper's arms do. `tip` and `base` name links of a file.
+    """
+    if isinstance(text, Chain):
+        return text
+    if not isinstance(text, (str, pathlib.Path)):
+        raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {text!r}")
+    name, colon, parts = str(text).partition(":")
+    given = {"tip": tip, "base": base, "lengths": lengths}
+    if colon and name in ROBOTS and "lengths" in ROBOTS[name].needs:
+        if lengths is not None:
+            raise errors.fail("lengths", f"be left out for the robot {str(text)!r}", f"is {lengths!r}")
+        try:
+            given["lengths"] = [float(part) for part in parts.split(",")]
+        except ValueError:
+            raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {str(text)!r}") from None
+    elif str(text) not in ROBOTS:
+        name = str(text)
+        if not pathlib.Path(name).exists() and not name.lower().endswith((".urdf", ".xml", ".xacro")):
+            names = ", ".join(n for n in ROBOTS if not ROBOTS[n].needs)
+            raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
+        return load_urdf(name, **fitting("robot", name, URDF, given))
+    return ROBOTS[name].build(**fitting("robot", name, ROBOTS[name], given))
+
+
+def robot_name(text, tip=None) -> str:
+    """What to call a robot in titles: its file's name without folder, and the tip."""
+    if isinstance(text, Chain):
+        return f"{text.n}-joint chain"
+    text = str(text)
+    name = text if text.partition(":")[0] in ROBOTS else pathlib.Path(text).stem
+    return f"{name} {tip}" if tip else name
+
+
+def task_from(text, chain: Chain | None = None) -> task.Task:
+    """`pose`, `position`, `orientation`, or task coordinates by name such as `xy`, `rz`, `xyzrxry`.
+
+    On a planar arm the three words mean its plane: xy with rz, xy, rz. By default `pose` where the chain has
+    the joints for it, else `position`.
+    """
+    if isinstance(text, task.Task):
+        return text
+    flat = chain is not None and is_planar(chain)
+    if text is None:
+        text = "pose" if not flat and (chain is None or chain.n >= 6) else "position"
+    if text in TASKS:
+        return TASKS[text](*(("xy", "z") if flat else ("xyz", "xyz")))
+    found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
+    if not found or not text:
+        raise errors.fail("task", f"be {', '.join(TASKS)}, or coordinates such as xy or xyrz", f"is {text!r}")
+    axes, turns = found[1], found[2].replace("r", "")
+    if not turns:
+        return task.position(axes)
+    return task.pose(axes, turns) if axes else task.orientation(turns)
+
+
+def start_from(chain: Chain, task, q0=None):
+    """q0 (n,) [rad, m], checked; by default a posture inside the limits and away from singularities."""
+    if q0 is None:
+        return start_posture(chain, task)
+    q0 = errors.array("q0", q0, (chain.n,))
+    return np.asarray(q0, float) if errors.concrete(q0) else q0
+
+
+# --- law ----------------------------------------------------------------------------------------------
+
+
+def gain_from(alpha):
+    """A gain [1/s]: a number, or one per task coordinate; a list of one is a number. A negative one is refused."""
+    alpha = errors.array("alpha", alpha)
+    if errors.concrete(alpha) and alpha.ndim < 2 and np.any(np.asarray(alpha) < 0):
+        raise errors.fail("alpha", "be at least 0", f"is {np.asarray(alpha).tolist()}")
+    return alpha[0] if alpha.shape == (1,) else alpha
+
+
+def inverse_from(name=None, damping=None, threshold=None):
+    """J# by name, one of `INVERSES`.
+
+    Args:
+      name: by default damped where `damping` is given, else pseudoinverse.
+      damping: λ of the damped ones (never λ²).
+      threshold: manipulability or least singular value below which the last two are damped.
+    """
+    if name is None:
+        name = "pseudoinverse" if damping is None else "damped"
+    choice = INVERSES[errors.one_of("inverse", name, INVERSES)]
+    return choice.build(**fitting("inverse", name, choice, {"damping": damping, "threshold": threshold}))
+
+
+def limits_from(name="none", Ts=None):
+    """How limits are respected, one of `LIMITS`.
+
+    Where the sampling time is known, a joint nears its limit at most as fast as one step can stop: 1/Ts, and
+    10 per second at most.
+    """
+    build = LIMITS[errors.one_of("limits", name, LIMITS)]
+    if Ts is None:
+        return build(10.0)
+    return build(min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts))
+
+
+def null_from(chain: Chain, task, **given):
+    """The null-space term: towards a `posture` (n,) at 1/s, or up the `manipulability` with this gain, or None."""
+    given = {name: value for name, value in given.items() if value is not None}
+    if len(given) > 1:
+        first, second, *_ = given
+        raise errors.fail(second, f"be left out where `{first}` is given", f"is {given[second]!r}")
+    for name, value in given.items():
+        if name == "manipulability":
+            errors.number(name, value, positive=True)
+        return NULL_TERMS[name](chain, task, value)
+    return None
+
+
+# --- loop ---------------------------------------------------------------------------------------------
+
+
+def method_from(name) -> Method:
+    """A method by name."""
+    return name if isinstance(name, Method) else METHODS[errors.one_of("method", name, METHODS)]
+
+
+def stage_from(name="picard", M=5, **options):
+    """How implicit stages are solved: the iteration's name, its number of passes M, further options of it."""
+    return name if hasattr(name, "tolerance") else STAGES[errors.one_of("stage", name, STAGES)](M, **options)

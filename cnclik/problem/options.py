@@ -1,0 +1,115 @@
+"""Options: every name that a problem has, what it holds, and its default.
+
+The command line, sweep files and Python share this table; to add an option, add its line here and where it is
+built.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.method import METHODS
+from cnclik.law.inverse import ManipulabilityDamped
+from cnclik.problem.names import INVERSES, LIMITS, ROBOTS, STAGES, TASKS
+from cnclik.problem.reference import REFERENCES
+
+NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
+
+
+class Option(NamedTuple):
+    """One option of a problem."""
+
+    kind: str  # NAME, NUMBER, NUMBERS or INTEGER
+    help: str
+    default: object = None
+    unit: str = "1"  # "q": that of the joints; "J", "w", "x": of a singular value, threshold, point
+    must: str = ""  # what each of its numbers must be: a key of `_FITS`
+
+
+def _listed(names) -> str:
+    return ", ".join(names)
+
+
+def _of(option: str) -> str:
+    """The references that take an option: what its help begins with."""
+    return " and ".join(name for name, choice in REFERENCES.items() if option in choice.options)
+
+
+OPTIONS = {
+    "robot": Option(NAME, f"A URDF file, {_listed(n for n in ROBOTS if not ROBOTS[n].needs)}, or planar:1,1,1 (link "
+                    "lengths in m)."),
+    "tip": Option(NAME, "Last link of the chain in a URDF file; needed where it has several (`cnclik robots FILE` "
+                  "lists them)."),
+    "base": Option(NAME, "First link of the chain in a URDF file; the root by default."),
+    "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
+    "task": Option(NAME, f"{_listed(TASKS)}, or coordinates such as xy or xyrz; pose where there are joints enough "
+                   "for it."),
+    "reference": Option(NAME, f"{_listed(REFERENCES)}, or FILE.csv of waypoints: time, position, optional quaternion "
+                        "w x y z.", "hold"),
+    "target": Option(NUMBERS, f"{_of('target')}: the point, as position [m] and for a pose optionally a quaternion "
+                     "w x y z.", unit="x"),
+    "from": Option(NUMBERS, f"{_of('from')}: the first point; the tip at q0 by default.", unit="x"),
+    "to": Option(NUMBERS, f"{_of('to')}: the last point.", unit="x"),
+    "center": Option(NUMBERS, f"{_of('center')}: the centre [m].", unit="x"),
+    "radius": Option(NUMBER, f"{_of('radius')}: the radius [m].", unit="m", must="positive"),
+    "normal": Option(NUMBERS, f"{_of('normal')}: normal of its plane; z by default."),
+    "amplitude": Option(NUMBERS, f"{_of('amplitude')}: amplitude [m], one for all axes or one each.", unit="m"),
+    "frequency": Option(NUMBERS, f"{_of('frequency')}: cycles per period, one per axis."),
+    "phase": Option(NUMBERS, f"{_of('phase')}: angle at t = 0 [rad]; a lissajous figure has one per axis.",
+                    unit="rad"),
+    "period": Option(NUMBER, "Time of one turn (negative: the other sense), or of the line [s]; the length of the run "
+                     "by default.", unit="s", must="other than 0"),
+    "method": Option(NAME, f"{_listed(METHODS)}; CN is the paper's.", "EE"),
+    "stage": Option(NAME, f"How implicit stages are solved: {_listed(STAGES)}.", "picard"),
+    "M": Option(INTEGER, "Passes of that iteration.", 5, must="at least 0"),
+    "alpha": Option(NUMBERS, "Gain of the error [1/s], one or one per task coordinate; alpha·Ts is the dimensionless "
+                    "gain per step.", 5.0, "1/s", must="at least 0"),
+    "Ts": Option(NUMBER, "Sampling time [s].", 0.01, "s", must="positive"),
+    "N": Option(INTEGER, "Steps.", 1000),
+    "inverse": Option(NAME, f"{_listed(INVERSES)}; damped where a damping is given."),
+    "damping": Option(NUMBER, "λ (not λ²) of the damped inverses.", unit="J", must="positive"),
+    "threshold": Option(NUMBER, "Manipulability or least singular value below which the last two are damped.",
+                        unit="w", must="positive"),
+    "limits": Option(NAME, f"How joint limits are respected: {_listed(LIMITS)}.", "none"),
+    "error_clamp": Option(NUMBERS, "Largest position [m] and orientation [rad] error that the gain sees: what settles "
+                          "before far targets.", unit="m, rad", must="positive"),
+    "feedforward": Option(NUMBER, "Factor of the desired velocity: 1 tracks (default), 0 is pure feedback."),
+    "near_singular": Option(NUMBER, "Least singular value under which a step is marked near singular; 0.01 by "
+                            "default.", unit="J"),
+    "posture": Option(NUMBERS, "Joint values to draw towards in the null space [rad, m].", unit="q"),
+    "manipulability": Option(NUMBER, "Gain of climbing the manipulability in the null space.", must="positive"),
+    "q0": Option(NUMBERS, "Joint values at the start [rad, m]; a posture inside the limits, away from singularities, "
+                 "by default.", unit="q"),
+}  # fmt: skip
+
+DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
+PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
+
+_FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
+
+
+def check_values(where: str, name: str, values) -> None:
+    """Raise ArgumentError unless all numbers of an array are ones that the option may have."""
+    must = OPTIONS[name].must if name in OPTIONS else ""
+    wrong = ~_FITS[must](values) if must else np.zeros(1, bool)
+    if wrong.any():
+        raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
+
+
+def units(law, width=None) -> dict:
+    """{option: unit} for a law's task and joints.
+
+    Args:
+      width: numbers of a point; beyond a position they are a quaternion's, without unit.
+    """
+    joints = dict.fromkeys("rad" if j.kind == "revolute" else "m" for j in law.chain.joints)
+    point = ["m"] if law.task.position else []
+    if not point or (law.task.orientation and (width or 0) > 3):
+        point.append("1")
+    power = len(law.task.position)
+    known = {"q": ", ".join(joints), "J": "m" if power else "1", "x": ", ".join(point)}
+    known["w"] = known["J"]
+    if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
+        known["w"] = f"m^{power}"
+    return {name: known.get(option.unit, option.unit) for name, option in OPTIONS.items() if option.kind != NAME}

@@ -1,0 +1,200 @@
+"""References by name, with what is left out filled in from the tip's pose at the start."""
+
+import csv
+import pathlib
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.hints import hints
+from cnclik.law import reference as ref
+from cnclik.problem.names import Choice, fitting
+from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.kinematics import frames
+from cnclik.robot.posture import arm_length
+
+PYTHON = {"from": "start", "to": "end"}  # `from` is no name in Python
+
+
+class Scene(NamedTuple):
+    """What a path may be filled in from."""
+
+    chain: Chain
+    task: object
+    q0: object
+    here: tuple  # position and rotation of the tip at q0
+    horizon: object  # length of the run [s]
+
+
+def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> ref.Reference:
+    """A desired path by name.
+
+    A point is a position (in the task's coordinates or as x y z), then for tasks with an orientation
+    optionally a unit quaternion w x y z; without one the orientation at q0 is kept. For a task without
+    position it is the quaternion alone.
+
+    hold: `target`; by default where the tip gets when every joint moves by 0.3 rad (a tenth of the arm's
+      length for prismatic joints) towards the middle of its limits.
+    line: `start` (the tip at q0), `end` (as hold's target), in `period` seconds, then held.
+    circle: `radius` (a tenth of the arm's length), `center` (so that the circle starts at the tip), `normal`,
+      `phase` at t = 0 [rad], `period` of a turn (negative: the other sense).
+    lissajous: `amplitude` (one number or one per axis; a twentieth of the arm's length), `frequency` (1, 2, 3),
+      `center` (the tip at q0), `phase` per axis, `period` of frequency 1.
+    FILE.csv: waypoints for `cnclik.waypoints`; rows of time and point, a header and # comments are skipped.
+
+    Args:
+      horizon: length of the run [s], the default of `period`.
+      given: the options named above; `from` and `to` are `start` and `end`.
+    """
+    scene = Scene(chain, task, q0, _tip(chain, q0), horizon)
+    written = {python: name for name, python in PYTHON.items()}
+    given = {written.get(key, key): value for key, value in given.items()}
+    if str(name).lower().endswith(".csv"):
+        fitting("reference", name, Choice(_waypoints), given)
+        return _waypoints(scene, name)
+    choice = REFERENCES[errors.one_of("reference", name, (*REFERENCES, "FILE.csv"))]
+    given = fitting("reference", name, choice, given)
+    return choice.build(scene, **{PYTHON.get(key, key): value for key, value in given.items()})
+
+
+def _hold(scene, target=None):
+    there = scene.here if target is not None else _away(scene)
+    return ref.hold(*_point("target", target, scene.task, there))
+
+
+def _line(scene, start=None, end=None, period=None):
+    period = scene.horizon if period is None else period
+    errors.number("period", period, positive=True)
+    first, turned = _point("from", start, scene.task, scene.here)
+    last, turned_last = _point("to", end, scene.task, scene.here if end is not None else _away(scene))
+    turns = {} if turned is None else {"rotation": turned, "rotation_end": turned_last}
+    return ref.line(first, last, duration=period, **turns)
+
+
+def _circle(scene, center=None, radius=None, normal=None, period=None, phase=0.0):
+    _needs_position("circle", scene.task)
+    radius = arm_length(scene.chain) / 10 if radius is None else radius
+    errors.number("radius", radius, positive=True)
+    phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
+    at, rotation = _point("center", center, scene.task, scene.here)
+    if center is None:
+        first = ref.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve(0.0)[0]
+        at = at - _stacked(first)
+    period = scene.horizon if period is None else period
+    return ref.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
+
+
+def _lissajous(scene, center=None, amplitude=None, frequency=None, period=None, phase=None):
+    _needs_position("lissajous", scene.task)
+    amplitude = arm_length(scene.chain) / 20 if amplitude is None else amplitude
+    at, rotation = _point("center", center, scene.task, scene.here)
+    size = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),))) * np.ones(len(at))
+    period = scene.horizon if period is None else period
+    return ref.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
+
+
+REFERENCES = {
+    "hold": Choice(_hold, takes=("target",)),
+    "line": Choice(_line, takes=("from", "to", "period")),
+    "circle": Choice(_circle, takes=("center", "radius", "normal", "phase", "period")),
+    "lissajous": Choice(_lissajous, takes=("center", "amplitude", "frequency", "phase", "period")),
+}
+
+
+def _needs_position(name, task):
+    if not task.position:
+        raise errors.fail("reference", "be hold, line or a file for a task without position", f"is {name!r}")
+
+
+# --- points -------------------------------------------------------------------------------------------
+
+
+def _tip(chain, q):
+    with hints(False):
+        at = frames(chain, tuple(_known(q)))
+    return _stacked(at.position), _stacked([_stacked(row) for row in at.rotation])
+
+
+def _known(values):
+    """Numbers as a NumPy array; what is traced stays as it is, so that a sweep can vary it."""
+    return np.asarray(values, float) if errors.concrete(values) else values
+
+
+def _stacked(values):
+    return np.array(values, float) if all(map(errors.concrete, values)) else jnp.stack([jnp.asarray(v) for v in values])
+
+
+def _away(scene):
+    """The tip's pose after every joint moved a little towards the middle of its limits."""
+    chain, q0 = scene.chain, scene.q0
+    lower, upper = np.array(chain.lower), np.array(chain.upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = np.where(bounded, np.where(bounded, lower, 0) / 2 + np.where(bounded, upper, 0) / 2, np.inf)
+    size = [0.3] * chain.n
+    for joint in chain.joints:
+        if joint.kind != REVOLUTE:
+            size[joint.coordinate] = arm_length(chain) / 10
+    xp = np if errors.concrete(q0) and all(map(errors.concrete, size)) else jnp
+    size = xp.minimum(xp.stack([xp.asarray(s, float) for s in size]), (upper - lower) / 4)
+    return _tip(chain, q0 + xp.where(middle >= q0, size, -size))
+
+
+def _point(name, given, task, default):
+    """Position (or None) and rotation (or None) of a point as a user writes it; see `reference_from`."""
+    position, rotation = default
+    position = position[np.array(task.linear)] if task.position else None
+    rotation = rotation if task.orientation else None
+    if given is None:
+        return position, rotation
+    values = _known(errors.array(name, given, (None,)))
+    sizes = {len(task.position), 3} if task.position else {0}
+    fits = sorted(sizes | ({s + 4 for s in sizes} if task.orientation else set())) if sizes != {0} else [4]
+    if len(values) not in fits:
+        raise errors.fail(name, f"hold {' or '.join(map(str, fits))} numbers for this task", f"holds {len(values)}")
+    if task.orientation and len(values) >= 4:
+        values, quaternion = values[:-4], values[-4:]
+        norm = (np if errors.concrete(quaternion) else jnp).linalg.norm(quaternion)
+        if errors.concrete(norm) and abs(norm - 1) > 1e-2:
+            raise errors.fail(name, "end with a unit quaternion w x y z", f"has one of norm {norm:.6g}")
+        rotation = _known(ref.hold(None, quaternion / norm).curve.rotation)
+    return (values if task.position else None), rotation
+
+
+# --- waypoint files -----------------------------------------------------------------------------------
+
+
+def _waypoints(scene, file):
+    """Waypoints of a CSV file: time, position, optional quaternion w x y z."""
+    path = pathlib.Path(file)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is no text"
+        raise errors.fail("reference", "name a CSV file that can be read", f"{path.name}: {reason}") from None
+    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
+        rows = rows[1:]
+    for k, row in enumerate(rows):
+        if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
+            raise errors.fail("reference", "hold numbers, as many in every row", f"row {k + 1} of {path.name} does not")
+    if len(rows) < 2:
+        raise errors.fail("reference", "hold at least two waypoints", f"{path.name} holds {len(rows)}")
+    table = np.array(rows, float)
+    points = [_point(f"{path.name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
+    if np.any(np.diff(table[:, 0]) <= 0):
+        k = int(np.argmax(np.diff(table[:, 0]) <= 0))
+        first, second = table[k : k + 2, 0]
+        raise errors.fail("reference", "hold times that increase", f"{path.name} has {first:g} and then {second:g}")
+    positions = np.stack([p for p, _ in points]) if scene.task.position else None
+    rotations = np.stack([r for _, r in points]) if scene.task.orientation else None
+    return ref.waypoints(table[:, 0], positions, rotations)
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

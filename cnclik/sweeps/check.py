@@ -1,0 +1,263 @@
+"""Check: a spec from what a TOML file holds; everything wrong with it is said before anything runs."""
+
+import dataclasses
+import difflib
+import itertools
+import pathlib
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.law import reference as ref
+from cnclik.measure import metrics
+from cnclik.problem.options import DEFAULTS, OPTIONS
+from cnclik.sweeps import axes as axis_forms
+from cnclik.sweeps import expression
+from cnclik.sweeps.axes import NAMES, known_keys, unknown_key
+from cnclik.sweeps.grid import Axis
+from cnclik.sweeps.spec import KEYS, LIMIT, TABLES, Spec, joints_of
+
+REQUIRED = ("robot",)
+FIGURES = {
+    "heat": ("value", "x", "y", "boundary", "contours"),
+    "best": ("value", "x", "y", "among", "boundary"),
+    "slices": ("value", "x", "lines"),
+    "convergence": ("value", "lines"),
+    "distribution": ("value", "over", "lines"),
+    "work": ("value", "lines", "over"),
+}
+_EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", "log", "limits")
+_ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")  # keys of a figure that name an axis
+
+
+def _are_numbers(value, count=None):
+    return (
+        isinstance(value, list) and len(value) == (count or len(value)) and all(type(v) in (int, float) for v in value)
+    )
+
+
+_FIGURE_TYPES = {  # of a figure's keys that aren't names
+    "select": (lambda v: isinstance(v, dict), "be a table of an axis' name and value"),
+    "limits": (lambda v: _are_numbers(v, 2), "be [least, greatest]"),
+    "contours": (lambda v: isinstance(v, bool) or _are_numbers(v), "be true, false or a list of levels"),
+    "log": (lambda v: isinstance(v, bool), "be true or false"),
+    "boundary": (lambda v: isinstance(v, bool), "be true or false"),
+    "reduce": (lambda v: v in ("median", "mean", "min", "max"), "be median, mean, min or max"),
+}
+
+
+def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
+    """A spec from what a TOML file holds; see `cnclik.sweeps.spec.read`.
+
+    Args:
+      folder: where files that it names are looked for first.
+    """
+    known_keys("SPEC", written, (*KEYS, *TABLES))
+    for key in ("question", "expectation"):
+        if not isinstance(written.get(key), str) or not written[key].strip():
+            raise errors.fail(key, "be a sentence", "is missing" if key not in written else f"is {written[key]!r}")
+    fixed, axes, bundles = _table(written, "fixed"), _table(written, "axes"), _bundles(written)
+    _check_names(fixed, axes, bundles)
+    wide = any(axis_forms.per_joint(n, value) for n, value in axes.items())
+    joints = _widest(fixed, axes, bundles) if wide else 0
+    unit_names = _table(written, "units")
+    for named, unit in unit_names.items():
+        if not isinstance(unit, str):
+            raise errors.fail(f"units.{named}", "be a unit's name", f"is {unit!r}")
+    spec = Spec(
+        name=name,
+        question=written["question"].strip(),
+        expectation=written["expectation"].strip(),
+        tolerance=float(errors.number("tolerance", written.get("tolerance", 1e-3), positive=True)),
+        lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
+        metrics=_metrics(written.get("metrics", list(metrics.DEFAULT))),
+        fixed=fixed,
+        axes={n: axis_forms.read(n, value, joints) for n, value in axes.items()},
+        written=axes,
+        bundles=bundles,
+        units=unit_names,
+        figures=(),
+        folder=pathlib.Path(folder),
+    )
+    spec = dataclasses.replace(spec, axes=_compiled_in(spec))
+    _check_loops(spec)
+    return dataclasses.replace(spec, figures=_figures(written.get("figure", []), spec))
+
+
+def axes_named(figure) -> set:
+    """The axes that a figure refers to."""
+    return {figure.get(k) for k in _ROLES} | set(figure.get("select", ()))
+
+
+# --- tables and names ---------------------------------------------------------------------------------
+
+
+def _table(parent, key, prefix=""):
+    table = parent.get(key, {})
+    if not isinstance(table, dict):
+        raise errors.fail(prefix + key, "be a table", f"is {table!r}")
+    return dict(table)
+
+
+def _bundles(written) -> dict:
+    """{axis: {label: table}} of [cases.LABEL] and [bundles.AXIS.LABEL]."""
+    cases, others = _table(written, "cases"), _table(written, "bundles")
+    found = {"case": {label: _table(cases, label, "cases.") for label in cases}} if cases else {}
+    for name in others:
+        if name in OPTIONS or name == "case":
+            raise errors.fail(f"bundles.{name}", "have a name of its own", f"is called {name!r}")
+        labels = _table(others, name, "bundles.")
+        found[name] = {label: _table(labels, label, f"bundles.{name}.") for label in labels}
+        if not labels:
+            raise errors.fail(f"bundles.{name}", "hold tables", "is empty")
+    return found
+
+
+def _where(name, label):
+    return f"cases.{label}" if name == "case" else f"bundles.{name}.{label}"
+
+
+def _metrics(names):
+    if not isinstance(names, list) or not names:
+        raise errors.fail("metrics", "be a list of names", f"is {names!r}")
+    for name in names:
+        errors.one_of("metrics", name, metrics.METRICS)
+    return tuple(dict.fromkeys(names))
+
+
+def _check_names(fixed, axes, bundles):
+    """Every name is an option or used by an expression; every name used is defined, once, and not by itself."""
+    tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
+    for where, table in {"fixed": fixed, **tables}.items():
+        for name, value in table.items():
+            if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):
+                raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
+            if name == LIMIT:
+                raise errors.fail(f"{where}.{name}", "not be given: it follows from method and stage", f"is {value!r}")
+            if name in axes:
+                raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
+    for (one, first), (two, second) in itertools.combinations(bundles.items(), 2):
+        both = {n for table in first.values() for n in table} & {n for table in second.values() for n in table}
+        if both:
+            raise errors.fail(f"bundles.{two}", f"leave to {one} what that gives", f"holds {min(both)!r} too")
+    # What every loop has: given by each label of a bundle, or outside of them.
+    shared = {name: set.intersection(*map(set, labels.values())) for name, labels in bundles.items()}
+    everywhere = set(fixed) | set(axes) | set(DEFAULTS) | {LIMIT} | set().union(*shared.values())
+    used = set()
+    for table in (fixed, *tables.values()):
+        for name, value in table.items():
+            needs = set() if name in NAMES else expression.names(name, value)
+            used |= needs
+            for need in needs - everywhere - (set(table) if table is not fixed else set()):
+                near = difflib.get_close_matches(need, sorted(everywhere | set(table)), n=1, cutoff=0.4)
+                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                raise errors.fail(name, "use names that have a value", f"uses {need!r}{hint}")
+    for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
+        for name in table:
+            if name not in OPTIONS and name not in used:
+                raise unknown_key(where, name, (*OPTIONS, *sorted(used)))
+    for name in REQUIRED:
+        if name not in everywhere:
+            lacking = next((where for where, table in tables.items() if name not in table), "fixed")
+            raise errors.fail(lacking, f"give {name}", "does not (nor do [axes])")
+    for labels in itertools.product(*(labels.values() for labels in bundles.values())):
+        _check_cycles(fixed, labels)
+
+
+def _check_cycles(fixed, tables):
+    known = dict(fixed)
+    for table in tables:
+        known |= table
+
+    def walk(name, seen):
+        if name in seen:
+            raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
+        value = known.get(name)
+        if name not in NAMES and value is not None:
+            for need in expression.names(name, value):
+                walk(need, [*seen, name])
+
+    for name in known:
+        walk(name, [])
+
+
+def _widest(fixed, axes, bundles) -> int:
+    """Joints of the widest robot there may be: samples per joint are drawn for it, each arm takes its share."""
+    robots = axes.get("robot", [None])
+    most = 0
+    for labels in itertools.product(*(labels.values() for labels in bundles.values())):
+        for robot in robots if isinstance(robots, list) else [None]:
+            known = dict(fixed)
+            for table in labels:
+                known |= table
+            known |= {"robot": robot} if robot else {}
+            lengths = known.get("lengths", axes.get("lengths"))
+            if isinstance(lengths, list):  # their number is all that counts
+                known["lengths"] = np.ones(np.shape(lengths)[-1])
+            most = max(most, joints_of(known, known.get))
+    return most
+
+
+# --- loops --------------------------------------------------------------------------------------------
+
+
+def _compiled_in(spec: Spec) -> dict:
+    """Axes on which the number of steps depends run as one program per value."""
+    wanted, queue = set(), ["N", *NAMES]
+    tables = (spec.fixed, *(table for labels in spec.bundles.values() for table in labels.values()))
+    while queue:
+        name = queue.pop()
+        wanted.add(name)
+        queue += ["M"] if name == LIMIT and "M" not in wanted else []
+        for table in tables:
+            if name in table and name not in NAMES:
+                queue += [n for n in expression.names(name, table[name]) if n not in wanted]
+    out = {}
+    for name, one in spec.axes.items():
+        if one.inner and name in wanted:
+            if one.values.ndim != 1:
+                raise errors.fail(f"axes.{name}", "hold single numbers where N depends on it", "holds vectors")
+            values = tuple(v.item() for v in one.values)
+            one = Axis(name, values, values)
+        out[name] = one
+    return out
+
+
+def _check_loops(spec: Spec):
+    """Build the first and the last loop of every label and of every value of the outer axes."""
+    outer = {name: tuple(labels) for name, labels in spec.bundles.items()}
+    outer |= {a.name: a.values for a in spec.axes.values() if not a.inner}
+    base = {name: values[0] for name, values in outer.items()}
+    tried = [base] + [base | {name: v} for name, values in outer.items() for v in values[1:]]
+    for program in tried:
+        for last in (False, True):
+            law, reference, *_ = spec.build(**program, **spec.first(last=last))
+            ref.check(reference, law.task)
+            metrics.check(spec.metrics, law)
+
+
+# --- figures ------------------------------------------------------------------------------------------
+
+
+def _figures(figures, spec: Spec) -> tuple:
+    if not isinstance(figures, list):
+        raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {figures!r}")
+    dims = [a.name for a in spec.grid().axes]
+    for i, figure in enumerate(figures):
+        where = f"figure[{i}]"
+        if not isinstance(figure, dict):
+            raise errors.fail(where, "be a table", f"is {figure!r}")
+        for key, value in figure.items():
+            fits, words = _FIGURE_TYPES.get(key, (lambda v: isinstance(v, str), "be a name"))
+            if not fits(value):
+                raise errors.fail(f"{where}.{key}", words, f"is {value!r}")
+        kind = errors.one_of(f"{where}.kind", figure.get("kind"), FIGURES)
+        known_keys(where, figure, (*_EVERY_FIGURE, *FIGURES[kind]))
+        if "value" in figure:
+            errors.one_of(f"{where}.value", figure["value"], spec.metrics)
+        for key in _ROLES:
+            if key in figure:
+                errors.one_of(f"{where}.{key}", figure[key], dims)
+        for key in figure.get("select", {}):
+            errors.one_of(f"{where}.select", key, dims)
+    return tuple(figures)

@@ -1,0 +1,50 @@
+"""Ending: the same verdict from a stored run as from a loop judged while it runs."""
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.measure import metrics
+from cnclik.measure.ending import CONVERGED, DIVERGED, NEAR_SINGULAR, SLOW, STALLED, ending
+from cnclik.measure.outcome import outcome
+
+ARM = ck.planar_arm([1.0, 1.0])
+LAW = ck.Law(ARM, ck.position("xy"), alpha=1.0)
+REST = np.array([0.3, 1.2])
+
+
+def test_it_agrees_with_outcome_over_z_and_starts():
+    target = ck.hold(ck.pose(ARM, REST).position)
+    z, far = (v.ravel() for v in np.meshgrid(np.linspace(0.01, 2.6, 14), [0.01, 0.3, 1.5]))
+
+    def both(z, far):
+        law, q0 = ck.replace(LAW, alpha=z), REST + far * np.array([1.0, -0.7])
+        run = ck.solve(law, target, q0, 1.0, 40)
+        found = metrics.measure(run, law, target, ["ending", "stable"])
+        return found.ending, found.stable, jax.tree.leaves(outcome(law, target, q0, 1.0, 40))[0]
+
+    stored, stable, running = map(np.asarray, jax.jit(jax.vmap(both))(z, far))
+    np.testing.assert_array_equal(stored, running)
+    np.testing.assert_array_equal(stable, running <= SLOW)
+    assert {CONVERGED, SLOW, DIVERGED} <= set(stored)
+
+
+@pytest.mark.parametrize(
+    "sizes, singular, code",
+    [
+        (0.5 ** np.arange(41), [], CONVERGED),
+        (0.97 ** np.arange(41), [], SLOW),
+        (np.r_[1.0, np.full(40, 0.5)], [], STALLED),
+        (np.r_[1.0, np.full(40, 0.5)], [3], NEAR_SINGULAR),
+        (1.1 ** np.arange(41), [], DIVERGED),
+        (1.1 ** np.arange(41), [20], DIVERGED),  # it had grown before
+        (np.r_[np.ones(30), np.full(11, np.nan)], [], DIVERGED),
+        (np.zeros(41), [], np.nan),
+    ],
+)
+def test_every_ending(sizes, singular, code):
+    status = np.zeros(40, np.int32)
+    status[singular] = int(ck.Status.NEAR_SINGULAR)
+    e = np.asarray(sizes)[:, None] * np.array([0.6, 0.8])
+    np.testing.assert_equal(float(ending(e, status)), float(code))
