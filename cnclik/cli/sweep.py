@@ -1,7 +1,6 @@
 """`cnclik sweep SPEC.toml`: a study of many loops, from one file to a labelled dataset and its figures."""
 
 import dataclasses
-import math
 import pathlib
 import time
 from typing import Annotated, Literal
@@ -19,7 +18,7 @@ class Args:
     set: Annotated[list[str], tyro.conf.UseAppendAction] = dataclasses.field(default_factory=list)
     """NAME=VALUE in place of what the spec says; may be repeated. --set alpha=5, --set axes.M=[1,5]."""
     out: pathlib.Path | None = None
-    """Folder for data.zarr, figures and summary; results/NAME of the spec by default."""
+    """Folder for data.zarr, figures and summary; sweep-NAME of the spec by default."""
     fresh: bool = False
     """Start over, even where the folder holds results."""
     check: bool = False
@@ -42,16 +41,15 @@ def run(args: Args) -> None:
     """Validate, compute what is missing, draw."""
     place = _join(args)
     from cnclik.sweeps import spec as specs
+    from cnclik.sweeps import store
 
     spec = specs.read(args.spec, args.set)
-    out = args.out or pathlib.Path("results") / spec.name
+    out = args.out or pathlib.Path(f"sweep-{spec.name}")
     if args.check:
         _check(spec)
         return
-    from cnclik.sweeps import store
-
     grid = spec.grid()
-    print(f"{spec.name}: {grid.size:,} loops, {' × '.join(f'{a.name} {len(a)}' for a in grid.axes)}", flush=True)
+    print(f"{spec.name}: {grid.size:,} loops, {grid}", flush=True)
     begun = time.perf_counter()
     with progress.bar("loops", quiet=place["process"] != 0) as report:
         whole = store.run(spec, out, fresh=args.fresh, progress=report, **place)
@@ -63,21 +61,21 @@ def run(args: Args) -> None:
 
 
 def finish(out: pathlib.Path, *, figures=True, export=None) -> None:
-    """What follows from a finished store: summary, figures, exports."""
+    """What follows from a finished store: summary, exports, and last the figures, which can be had again."""
+    from cnclik.cli.plot import draw
     from cnclik.show.output import output_folder
     from cnclik.sweeps import store, summary
 
     data = store.read(out)
     with output_folder(out) as folder:
         made = summary.write(data, folder)
-        if figures:
-            from cnclik.show import sweeps
-
-            made += sweeps.draw(data, folder)
-        if export:
+    if export:
+        with output_folder(out) as folder:
             made.append(summary.export(data, folder, export))
     for path in made:
         print(f"Wrote {out / path.name}")
+    if figures:
+        draw(data, out)
 
 
 def _join(args) -> dict:
@@ -86,7 +84,7 @@ def _join(args) -> dict:
     if not args.distributed:
         if any(v is not None for v in given):
             raise errors.fail("distributed", "be set where coordinator, processes or process are", "is not")
-        return {"process": 0, "processes": 1, "barrier": None}
+        return {"process": 0, "processes": 1, "meet": None}
     import jax
 
     try:
@@ -96,50 +94,35 @@ def _join(args) -> dict:
         raise errors.fail("distributed", "find coordinator, processes and process", f"does not: {first}") from None
     place = {"process": jax.process_index(), "processes": jax.process_count()}
 
-    def barrier(last):
+    def meet(well, last):
+        import numpy as np
         from jax.experimental import multihost_utils
 
-        multihost_utils.sync_global_devices(f"cnclik {last}")
-        if last:
+        well = bool(np.all(multihost_utils.process_allgather(np.array(well))))
+        if last or not well:
             # From here on nobody needs the others: one that dies or is done must not take them along.
             jax.distributed.shutdown()
+        return well
 
-    return place | {"barrier": barrier}
+    return place | {"meet": meet}
 
 
 def _check(spec) -> None:
-    """Grid size, programs, memory and time, the last two from running one block."""
-    import jax
-    import numpy as np
+    """Grid size, programs, memory and time."""
+    from cnclik.sweeps.cost import estimate
 
-    from cnclik.sweeps import sweep
-
-    grid = spec.grid()
-    begun = time.perf_counter()
-    grid, program = sweep.fit(spec.study, grid)
-    compile_s = time.perf_counter() - begun
-    blocks = grid.blocks()
-    values = grid.lane_values(blocks[0])
-    jax.block_until_ready(program.run(values))
-    begun = time.perf_counter()
-    jax.block_until_ready(program.run(values))
-    block_s = time.perf_counter() - begun
-    # Other programs cost as many times more as they take more evaluations of f.
-    costs = np.array([spec.evaluations(p) for p in grid.programs])
-    cores = sweep.available_cores()
-    run_s = block_s * len(blocks) / len(costs) * float(np.sum(costs / costs[0])) / cores
-    block_memory = program.memory * cores  # each core has a block of its own
-    size = grid.size * sum(o.dtype.itemsize * math.prod(o.shape) for o in program.outputs)
-    programs = len(grid.programs)
+    found = estimate(spec)
+    axes = " × ".join(f"{name} {count}" for name, count in found.axes.items())
+    mebibytes = 2.0**-20
     rows = {
         "question": spec.question,
         "expectation": spec.expectation,
-        "grid": " × ".join(f"{a.name} {len(a)}" for a in grid.axes) + f" = {grid.size:,} loops",
-        "programs": f"{programs} (about {compile_s:.1f} s each to compile)",
-        "blocks": f"{len(blocks)} of {math.prod(grid.block):,} loops",
-        "memory": f"{(block_memory + 2**28) / 2**20:,.0f} MiB, {block_memory / 2**20:,.0f} of them for blocks",
-        "on disk": f"{size / 2**20:,.1f} MiB before compression",
-        "time": f"{_clock(compile_s * programs + run_s)} ({_clock(run_s)} without compiling), cores used: {cores}",
+        "grid": f"{axes} = {found.loops:,} loops",
+        "programs": f"{found.programs} (about {found.compile_time:.1f} s each to compile)",
+        "blocks": f"{found.blocks} of {found.block:,} loops",
+        "memory": f"{found.memory * mebibytes:,.0f} MiB, {found.block_memory * mebibytes:,.0f} of them for blocks",
+        "on disk": f"{found.disk * mebibytes:,.1f} MiB before compression",
+        "time": f"{_clock(found.time)} ({_clock(found.run_time)} without compiling), cores used: {found.cores}",
     }
     width = max(map(len, rows))
     for name, text in rows.items():

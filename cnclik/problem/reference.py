@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import hints
+from cnclik.hints import use_hints
 from cnclik.law import reference as ref
 from cnclik.problem.names import Choice, fitting
 from cnclik.robot.chain import REVOLUTE, Chain
@@ -112,7 +112,7 @@ def _needs_position(name, task):
 
 
 def _tip(chain, q):
-    with hints(False):
+    with use_hints(False):
         at = frames(chain, tuple(_known(q)))
     return _stacked(at.position), _stacked([_stacked(row) for row in at.rotation])
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import hints
+from cnclik.hints import use_hints
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import frames, jacobian_rows, stack
@@ -42,7 +42,7 @@ def least_singular_values(chain: Chain, task, postures):
     def one(q):
         return stack(jacobian_rows(chain, frames(chain, tuple(q)), task.linear, task.angular), q)
 
-    with hints(False):  # run as written: compiling the chain for one look at it would take seconds
+    with use_hints(False):  # run as written: compiling the chain for one look at it would take seconds
         j = np.array(jax.vmap(one)(jnp.asarray(postures)))
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]

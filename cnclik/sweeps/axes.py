@@ -7,7 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.problem.options import NAME, OPTIONS, check_values
 from cnclik.sweeps import expression
-from cnclik.sweeps.sweep import Axis, axis
+from cnclik.sweeps.grid import Axis, axis
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # never expressions
 KINDS = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed", "per")}
@@ -62,10 +62,6 @@ def _listed(where, name, values):
         if not values or not all(isinstance(v, str) for v in values):
             raise errors.fail(where, "be a list of names", f"is {values!r}")
         return axis(name, {v: v for v in values})
-    if name == "M" and values and all(type(v) is int for v in values):
-        return Axis(name, np.asarray(values), None)  # one program, passes masked
-    if name != "N" and values and all(type(v) in (int, float) for v in values):
-        return Axis(name, np.asarray(values, float), None)
     try:
         found = axis(where, values)
     except (TypeError, ValueError) as error:

@@ -14,8 +14,8 @@ from cnclik.problem.options import DEFAULTS, OPTIONS
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, unknown_key
+from cnclik.sweeps.grid import Axis
 from cnclik.sweeps.spec import KEYS, LIMIT, TABLES, Spec, joints_of
-from cnclik.sweeps.sweep import Axis
 
 REQUIRED = ("robot",)
 FIGURES = {

@@ -27,7 +27,8 @@ from cnclik.problem.options import DEFAULTS, OPTIONS, units
 from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, per_joint
-from cnclik.sweeps.sweep import UNITS, Grid, axis
+from cnclik.sweeps.grid import Grid, axis
+from cnclik.sweeps.labels import UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
@@ -124,7 +125,7 @@ class Spec:
         """One loop: its metrics. What the sweep batches."""
         law, reference, q0, Ts, N, method, stage = self.build(**values)
         run = solve(law, reference, q0, Ts, N, method, stage)
-        return metrics.measure(run, law, reference, self.metrics, tolerance=self.tolerance)
+        return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""

@@ -3,54 +3,74 @@
 `data.zarr` is made whole, with every coordinate and attribute, before the first block runs; one block of the
 grid is one chunk of each variable. A block counts as done once its checksum stands in the group `progress`,
 written last, and is believed only if the data still have it. So a killed run, a lost process or a full disk
-cost the blocks in flight, and a rerun ends with the very bytes of an undisturbed run.
+cost the blocks in flight, and a rerun ends with the very bytes of an undisturbed run. Coordinates have checksums
+too: one that is damaged is written anew by a rerun, and refused by a reader.
 """
 
 import contextlib
+import dataclasses
 import json
-import math
 import pathlib
 import shutil
+import tempfile
 import zlib
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.measure import metrics
-from cnclik.sweeps import sweep
-from cnclik.sweeps.spec import Spec, to_json
+from cnclik.sweeps import program
+from cnclik.sweeps.about import attributes, coordinates_of, fingerprint
+from cnclik.sweeps.grid import Axis, Grid
+from cnclik.sweeps.labels import environment
+from cnclik.sweeps.spec import Spec
 
 DATA = "data.zarr"
-_MISSING = -1  # checksum of a block that is not done; also what a count reads before it is
+# While a store is made, and while one is deleted: names that nothing else has, so what bears them may be removed.
+_NEW, _OLD = ".cnclik-new-data.zarr", ".cnclik-old-data.zarr"
+_NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
 
 
 class Store:
-    """An open store: the grid it was made for, and its blocks."""
+    """An open store: the grid it was made for, and its blocks. Raises ArgumentError where there is none."""
 
-    def __init__(self, folder: pathlib.Path):
+    def __init__(self, folder: pathlib.Path, *, name="out", mode="r+"):
         import zarr
 
         self.folder, self.path = folder, folder / DATA
-        self.group = zarr.open_group(self.path, mode="r+")
-        self.config = json.loads(self.group.attrs["config"])
-        self._checksums = self.group["progress/checksum"]
-        self.names = tuple(self.config["variables"])
+        try:
+            self.group = zarr.open_group(self.path, mode=mode)
+            self.config = json.loads(self.group.attrs["config"])
+            self.lanes, self.names, self._checked = (self.config[k] for k in ("lanes", "variables", "coordinates"))
+            self._checksums = self.group["progress/checksum"]
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
 
-    @property
-    def lanes(self) -> int:
-        return self.config["lanes"]
+    def blocks(self) -> list:
+        """All blocks, numbered as when they were made."""
+        axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
+        return Grid(axes, self.lanes).blocks()
 
-    def missing(self, blocks) -> list:
+    def missing(self) -> list:
         """The blocks that are not done, or whose data no longer have their checksum."""
-        known = self._checksums[:]
-        return [b for b in blocks if known[b.number] == _MISSING or known[b.number] != self._checksum(b)]
+        known = self._known()
+        return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
+
+    def _known(self):
+        with contextlib.suppress(*_UNREADABLE):
+            return self._checksums[:]
+        known = np.full(self._checksums.shape, _NOT_DONE)  # some chunk can't be read: each for itself
+        for number in range(len(known)):
+            with contextlib.suppress(*_UNREADABLE):
+                known[number] = self._checksums[number]
+        return known
 
     def _checksum(self, block, piece=None):
         total = 0
         for name in self.names:
             try:
                 values = self.group[name][block.region] if piece is None else piece[name]
-            except (OSError, ValueError, RuntimeError):  # a chunk that can't be decoded
+            except _UNREADABLE:
                 return None
             total = zlib.crc32(np.ascontiguousarray(values), total)
         return total
@@ -61,33 +81,50 @@ class Store:
             self.group[name][block.region] = piece[name]
         self._checksums[block.number] = self._checksum(block, piece)
 
+    def damaged_coordinates(self) -> list:
+        """Names of the coordinates that are not what was written."""
+        return [name for name, wanted in self._checked.items() if _stored_checksum(self.group, name) != wanted]
 
-def create(folder: pathlib.Path, spec: Spec, of: sweep.Grid, outputs) -> None:
+    def repair(self, spec: Spec) -> None:
+        """Write damaged coordinates anew: they follow from the spec."""
+        damaged = self.damaged_coordinates()
+        coords = coordinates_of(spec, spec.grid()) if damaged else {}
+        for name in damaged:
+            self.group[name][...] = _storable(coords[name][1])
+
+
+_UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chunk raises
+
+
+def _storable(values):
+    """Names as variable-length strings: zarr has no settled form for others."""
+    return values.astype(object) if values.dtype.kind == "U" else values
+
+
+def _stored_checksum(group, name):
+    try:
+        return _coordinate_checksum(group[name][...])
+    except (KeyError, *_UNREADABLE):
+        return None
+
+
+def _coordinate_checksum(values) -> int:
+    values = np.asarray(values)
+    if values.dtype.kind in "OUT":
+        return zlib.crc32("\0".join(map(str, values.ravel().tolist())).encode())
+    return zlib.crc32(np.ascontiguousarray(values))
+
+
+def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
     """Make the empty store. It appears under its name only when it is whole."""
     import xarray
     import zarr
 
-    from cnclik.measure.dataset import provenance
-
-    building, path = folder / (DATA + ".new"), folder / DATA
+    building = folder / _NEW
     shutil.rmtree(building, ignore_errors=True)
-    config = {**_fingerprint(spec), "lanes": of.lanes, "variables": [o.name for o in outputs]}
-    units = spec.all_units()
-    coords = {}
-    for one in of.axes:
-        coords |= sweep.coordinates(one, units)
-    # Names as variable-length strings: zarr has no settled form for others.
-    coords = {k: (d, v.astype(object) if v.dtype.kind == "U" else v, a) for k, (d, v, a) in coords.items()}
-    attrs = (
-        sweep.environment()
-        | {"commit": provenance(float)["commit"]}
-        | {
-            "question": spec.question,
-            "expectation": spec.expectation,
-            "spec": to_json(spec),
-            "config": json.dumps(config, ensure_ascii=False),
-        }
-    )
+    coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
+    checksums = {name: _coordinate_checksum(v) for name, (_, v, _) in coords.items()}
+    attrs = environment() | attributes(spec, of, outputs, coordinates=checksums)
     with _quiet():
         xarray.Dataset(coords=coords, attrs=attrs).to_zarr(building, zarr_format=3, consolidated=False)
         group = zarr.open_group(building, mode="r+")
@@ -98,60 +135,54 @@ def create(folder: pathlib.Path, spec: Spec, of: sweep.Grid, outputs) -> None:
                 shape=(*of.shape, *o.shape),
                 chunks=(*of.block, *(max(n, 1) for n in o.shape)),
                 dtype=o.dtype,
-                fill_value=np.nan if o.dtype.kind == "f" else _MISSING,
+                fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
                 dimension_names=dims + o.dims,
-                attributes={"units": o.unit or units.get(o.name, ""), "long_name": metrics.METRICS[o.name].label},
+                attributes={"units": o.unit, "long_name": metrics.METRICS[o.name].label},
             )
-        progress = group.create_group("progress")
-        progress.create_array(
+        group.create_group("progress").create_array(
             "checksum",
             shape=(len(of.blocks()),),
             chunks=(1,),
             dtype="int64",
-            fill_value=_MISSING,
+            fill_value=_NOT_DONE,
             dimension_names=("block",),
         )
         zarr.consolidate_metadata(building)
-    building.rename(path)
-
-
-def _fingerprint(spec: Spec) -> dict:
-    """What a block's numbers depend on: as JSON gives it back."""
-    return json.loads(json.dumps({"data": spec.data(), "environment": sweep.environment()}))
+    building.rename(folder / DATA)
 
 
 def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
-    """The folder's store if it has one that belongs to this spec. Raises ArgumentError if it belongs to another."""
+    """The folder's store if it has one that belongs to this spec, whole but for blocks that are not done.
+
+    Raises: ArgumentError where it belongs to another spec, or is no sweep's: that is left alone, by `fresh` too.
+    """
     folder = pathlib.Path(folder)
     path = folder / DATA
     with _disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.write_bytes(b"")
-        probe.unlink()
-        if fresh and path.exists():
-            trash = folder / (DATA + ".old")
-            shutil.rmtree(trash, ignore_errors=True)
-            path.rename(trash)  # at once: no reader meets half a store
-            shutil.rmtree(trash)
+        with tempfile.TemporaryFile(dir=folder):
+            pass  # it can be written
+        shutil.rmtree(folder / _OLD, ignore_errors=True)
     if not path.exists():
         return None
-    try:
-        store = Store(folder)
-    except (OSError, KeyError, ValueError) as error:
-        raise errors.fail(
-            "out", f"hold a sweep's {DATA} or none (--fresh starts over)", f"{path} is not one: {error}"
-        ) from None
-    for left in path.rglob("*.partial"):  # of a write that was cut off
-        left.unlink(missing_ok=True)
+    store = Store(folder)
+    if fresh:
+        with _disk(folder):
+            path.rename(folder / _OLD)  # at once: no reader meets half a store
+            shutil.rmtree(folder / _OLD)
+        return None
     found = {k: store.config[k] for k in ("data", "environment")}
-    where = _difference(found, _fingerprint(spec))
+    where = _difference(found, fingerprint(spec))
     if where:
         raise errors.fail(
             "out",
             "hold results of this very spec (--fresh starts over, another --out keeps both)",
             f"differs in {where}",
         )
+    with _disk(folder):
+        for left in path.rglob("*.partial"):  # of a write that was cut off
+            left.unlink(missing_ok=True)
+        store.repair(spec)
     return store
 
 
@@ -173,50 +204,61 @@ def _short(value):
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, barrier=None, progress=None) -> bool:
-    """Compute the blocks of a sweep that its store lacks.
+def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
+    """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
 
     Args:
       folder: where `data.zarr` is or will be.
       fresh: start over.
       process, processes: this process's number among all that run this together.
-      barrier: returns when all processes have called it; called with True when they need each other no more.
+      meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
+        they need each other no more.
       progress: called with (points done, points this process has to do).
 
     Returns: whether the whole sweep is now done (other processes may still be at it).
-    Raises: ArgumentError for a store of another spec, a folder that can't be written, or a full disk; what is
-      done is kept, and the same call goes on from there.
+    Raises: ArgumentError for a store of another spec, a folder that can't be written, a full disk, or another
+      process that could not begin; what is done is kept, and the same call goes on from there.
     """
-    folder, barrier = pathlib.Path(folder), barrier or (lambda last: None)
+    folder, meet = pathlib.Path(folder), meet or (lambda well, last: well)
     of, first, store = spec.grid(), None, None
-    if process == 0:
-        store = prepare(spec, folder, fresh=fresh)
+    with _together(meet):
+        if process == 0:
+            store = prepare(spec, folder, fresh=fresh)
+            if store is None:
+                of, first = program.fit(spec.study, of)
+                with _disk(folder):
+                    create(folder, spec, of, first.outputs)
+                store = Store(folder)
+    with _together(meet, last=True):
+        store = store or prepare(spec, folder)
         if store is None:
-            of, first = sweep.fit(spec.study, of)
-            with _disk(folder):
-                create(folder, spec, of, first.outputs)
-            store = Store(folder)
-    barrier(False)
-    store = store or prepare(spec, folder)
-    of = sweep.dataclasses.replace(of, lanes=store.lanes)
-    missing = store.missing(of.blocks())
-    barrier(True)
+            raise errors.fail("out", "be one folder that all processes share", f"{str(folder)!r} is empty here")
+        of = dataclasses.replace(of, lanes=store.lanes)
+        missing = store.missing()
     share = _share(spec, of, missing, process, processes)
-    todo, done = sum(map(_size, share)), 0
-    total = len(missing)
+    todo, done = sum(b.size for b in share), 0
     if progress is not None:
         progress(0, todo)
-    for count, (block, piece) in enumerate(sweep.run_blocks(spec.study, of, share, first)):
-        with _disk(folder, f" after {count} of {total} blocks; they are kept, and the same command goes on from there"):
+    for count, (block, piece) in enumerate(program.run_blocks(spec.study, of, share, first)):
+        when = f" after {count} of {len(missing)} blocks; they are kept, and the same command goes on from there"
+        with _disk(folder, when):
             store.write(block, piece)
-        done += _size(block)
+        done += block.size
         if progress is not None:
             progress(done, todo)
-    return not store.missing(of.blocks()) if processes > 1 else True
+    return processes == 1 or not store.missing()
 
 
-def _size(block):
-    return math.prod(cut.stop - cut.start for cut in block.region)
+@contextlib.contextmanager
+def _together(meet, last=False):
+    """What all processes must come through before any goes on: where one fails, none waits for it."""
+    try:
+        yield
+    except BaseException:
+        meet(False, last)
+        raise
+    if not meet(True, last):
+        raise errors.fail("distributed", "find every process ready", "another one failed, and says why")
 
 
 def _share(spec, of, missing, process, processes):
@@ -232,19 +274,27 @@ def _share(spec, of, missing, process, processes):
 
 
 def read(folder):
-    """The sweep of a folder as an `xarray.Dataset`, loaded on use."""
+    """The sweep of a folder as an `xarray.Dataset`, loaded on use.
+
+    Raises: ArgumentError where there is none, or one whose coordinates are damaged.
+    """
     import xarray
 
-    path = pathlib.Path(folder) / DATA
-    if not path.exists():
+    folder = pathlib.Path(folder)
+    if not (folder / DATA).exists():
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
+    store = Store(folder, name="folder", mode="r")
+    damaged = store.damaged_coordinates()
+    if damaged:
+        words = "hold whole coordinates (the command that made the sweep repairs them)"
+        raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
     with _quiet():
-        return xarray.open_zarr(path, chunks=None)
+        return xarray.open_zarr(folder / DATA, chunks=None)[list(store.names)]  # in the spec's order
 
 
 def blocks_missing(folder) -> int:
-    """How many blocks of a folder's sweep are not done."""
-    return int(np.sum(Store(pathlib.Path(folder))._checksums[:] == _MISSING))
+    """How many blocks of a folder's sweep are not done, or damaged."""
+    return len(Store(pathlib.Path(folder), name="folder", mode="r").missing())
 
 
 @contextlib.contextmanager

@@ -1,11 +1,14 @@
 """Summary: the scalar metrics of a sweep as one small table, and its exports to other formats."""
 
+import csv
+import io
 import json
 import pathlib
 
 import numpy as np
 
 from cnclik import errors
+from cnclik.measure.files import save_netcdf
 
 _STATISTICS = ("min", "q10", "median", "q90", "max", "mean", "finite")
 
@@ -16,7 +19,7 @@ def table(data):
     Returns: list of dicts with the names of the other axes, `metric`, `units`, min, q10, median, q90, max,
     mean (over finite values) and finite (the share of values that are).
     """
-    inner = [d for d in data.dims if (d in data.coords and data[d].dtype.kind == "f") or d in ("q0", "start")]
+    inner = [d for d in data.dims if d in data.coords and (data[d].dtype.kind == "f" or f"{d}_value" in data.coords)]
     names = [n for n in data.data_vars if not set(data[n].dims) & {"time", "step"}]
     rows = []
     for name in names:
@@ -43,12 +46,14 @@ def write(data, folder) -> list:
     """Write summary.csv and config.json; returns their paths."""
     folder = pathlib.Path(folder)
     rows = table(data)
-    head = list(rows[0]) if rows else []
-    lines = [",".join(head)] + [",".join(_cell(row[h]) for h in head) for row in rows]
+    lines = io.StringIO(newline="")
+    writer = csv.DictWriter(lines, dict.fromkeys(name for row in rows for name in row), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
     config = {**data.attrs, "spec": json.loads(data.attrs["spec"]), "config": json.loads(data.attrs["config"])}
     config = {k: v for k, v in config.items() if k not in ("question", "expectation")}
     texts = {
-        "summary.csv": "\n".join(lines) + "\n",
+        "summary.csv": lines.getvalue(),
         "config.json": json.dumps(config, indent=1, ensure_ascii=False) + "\n",
     }
     for name, text in texts.items():
@@ -56,16 +61,18 @@ def write(data, folder) -> list:
     return [folder / name for name in texts]
 
 
-def _cell(value) -> str:
-    text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return f'"{text}"' if "," in text else text
-
-
 def export(data, folder, kind: str) -> pathlib.Path:
-    """Write the whole dataset as data.nc (netCDF) or data.csv (one row per loop); returns the path."""
+    """Write the whole dataset as data.nc (netCDF) or data.csv; returns the path.
+
+    A CSV has one row per loop (per loop and instant where there are histories); vectors along an axis, such as starts,
+    are columns q0[0], q0[1], ...
+    """
     target = pathlib.Path(folder) / f"data.{errors.one_of('export', kind, ('nc', 'csv'))}"
     if kind == "nc":
-        data.to_netcdf(target, engine="h5netcdf")
-    else:
-        data.to_dataframe().to_csv(target)
+        save_netcdf(data, target)
+        return target
+    for dim in [d for d in data.dims if f"{d}_value" in data.coords]:
+        columns = data[f"{dim}_value"].values.reshape(data.sizes[dim], -1).T
+        data = data.drop_vars(f"{dim}_value").assign({f"{dim}[{i}]": (dim, c) for i, c in enumerate(columns)})
+    data.to_dataframe().to_csv(target)
     return target

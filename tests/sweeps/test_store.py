@@ -1,6 +1,7 @@
 """Stores: what is done survives kills, faults, full disks and lost processes, to the last bit."""
 
 import errno
+import json
 import os
 import random
 import shutil
@@ -9,13 +10,16 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
+import jax
 import numpy as np
 import pytest
 import xarray
+import zarr
 
 from cnclik.errors import ArgumentError
-from cnclik.sweeps import spec, store, sweep
+from cnclik.sweeps import run_spec, spec, store
 
 TEXT = """
 question = "Does it survive?"
@@ -68,16 +72,20 @@ def assert_same(folder, other):
 
 
 def test_a_store_is_the_sweep_in_memory(path, undisturbed):
-    s = spec.read(path)
-    found = store.read(undisturbed)
-    wanted = sweep.sweep(s.study, lanes=16, **{a.name: a for a in s.grid().axes})
+    with jax.enable_x64(False):  # the default in Python makes no difference
+        wanted = run_spec(path)
+    found = store.read(undisturbed).load()
     assert list(found.dims) == ["method", "alpha", "Ts", "time"]
+    # But for the checksums of the store's own coordinates.
+    assert json.loads(found.config) | {"coordinates": 0} == json.loads(wanted.config) | {"coordinates": 0}
+    wanted["method"] = wanted["method"].astype(object)
+    xarray.testing.assert_identical(found.assign_attrs(config=""), wanted.assign_attrs(config=""))
     for name in ("final_error", "ok", "error"):
-        np.testing.assert_array_equal(found[name], wanted[name])
         assert found[name].attrs["units"] in ("m", "1") and found[name].attrs["long_name"]
     with xarray.open_zarr(undisturbed / "data.zarr", chunks=None) as plain:
         assert plain.question == "Does it survive?" and plain.alpha.units == "1/s"
     assert list(found.method.values) == ["EE", "HEUN"]
+    assert found.limit.shape == () and found.limit == 2.0  # of both methods
 
 
 class Stopped(Exception):  # noqa: N818
@@ -92,13 +100,14 @@ def stop_at(count):
     return progress
 
 
-@pytest.mark.parametrize("count", [16, 200, 399])
-def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count):
+@pytest.mark.parametrize(("count", "wide"), [(16, True), (200, False), (399, True)])
+def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count, wide):
     with pytest.raises(Stopped):
         store.run(spec.read(path), tmp_path, progress=stop_at(count))
     assert np.isnan(store.read(tmp_path).final_error).any() and store.blocks_missing(tmp_path)
     seen = []
-    assert store.run(spec.read(path), tmp_path, progress=lambda done, total: seen.append(total))
+    with jax.enable_x64(wide):
+        assert store.run(spec.read(path), tmp_path, progress=lambda done, total: seen.append(total))
     assert seen[0] < 420 - count + 16  # what was done was not done again
     assert_same(tmp_path, undisturbed)
 
@@ -109,9 +118,13 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, tmp_path):
     chunks[0].write_bytes(b"")  # as a power cut leaves it
     chunks[1].write_bytes(chunks[2].read_bytes())  # decodes, but is not what was written
     chunks[3].unlink()
+    checksums = tmp_path / "copy/data.zarr/progress/checksum/c"
+    (checksums / "20").write_bytes(b"")
+    (checksums / "21").unlink()
+    assert store.blocks_missing(tmp_path / "copy") == 5
     seen = []
     assert store.run(spec.read(path), tmp_path / "copy", progress=lambda done, total: seen.append(done))
-    assert len(seen) == 1 + 3
+    assert len(seen) == 1 + 5
     assert_same(tmp_path / "copy", undisturbed)
 
 
@@ -138,6 +151,58 @@ def test_a_folder_with_something_else_is_left_alone(path, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="folder that can be written"):
         store.run(spec.read(path), tmp_path / "file")
+
+
+def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
+    names = ("data.zarr", "data.zarr.old", "data.zarr.new")
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine").write_text("precious")
+    with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
+        store.run(spec.read(path), tmp_path, fresh=True)
+    shutil.rmtree(tmp_path / "data.zarr")
+    zarr.open_group(tmp_path / "data.zarr", mode="w").attrs["config"] = "{}"  # a store, but some other program's
+    with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
+        store.run(spec.read(path), tmp_path, fresh=True)
+    shutil.rmtree(tmp_path / "data.zarr")
+    shutil.copytree(undisturbed / "data.zarr", tmp_path / "data.zarr")
+    assert store.prepare(spec.read(path), tmp_path, fresh=True) is None
+    assert [(tmp_path / name / "mine").exists() for name in names] == [False, True, True]
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
+
+
+@pytest.mark.parametrize("name", ["alpha", "method", "Ts", "limit"])
+@pytest.mark.parametrize("damage", ["empty", "gone"])
+def test_damaged_coordinates_are_named_by_a_reader_and_repaired_by_a_rerun(path, undisturbed, tmp_path, name, damage):
+    shutil.copytree(undisturbed, tmp_path / "copy")
+    files = (p for p in (tmp_path / "copy/data.zarr" / name).rglob("*") if p.is_file())
+    (chunk,) = (p for p in files if p.name != "zarr.json")
+    chunk.write_bytes(b"") if damage == "empty" else chunk.unlink()
+    with pytest.raises(ArgumentError, match=f"hold whole coordinates .* has damaged {name}"):
+        store.read(tmp_path / "copy")
+    assert store.prepare(spec.read(path), tmp_path / "copy").missing() == []
+    assert_same(tmp_path / "copy", undisturbed)
+
+
+def test_many_may_look_at_a_new_folder_at_once(path, tmp_path):
+    s = spec.read(path)
+    with ThreadPoolExecutor(8) as pool:
+        assert list(pool.map(lambda _: store.prepare(s, tmp_path), range(200))) == [None] * 200
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_process_that_cannot_begin_tells_the_others(path, tmp_path):
+    said = []
+
+    def meet(well, last):
+        said.append((well, last))
+        return False
+
+    (tmp_path / "file").write_text("")
+    for process, words in ((0, "folder that can be written"), (1, "another one failed, and says why")):
+        with pytest.raises(ArgumentError, match=words):
+            store.run(spec.read(path), tmp_path / "file", process=process, processes=2, meet=meet)
+    assert said == [(False, False), (True, False)]
 
 
 def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
@@ -255,6 +320,14 @@ def test_two_processes_make_one_store(path, undisturbed, tmp_path):
     done = finish(start_together(path, tmp_path, 2))
     assert all(code == 0 for _, code in done), done
     assert_same(tmp_path, undisturbed)
+
+
+@pytest.mark.slow
+def test_two_processes_end_where_one_cannot_begin(path, tmp_path):
+    (tmp_path / "file").write_text("")
+    done = finish(start_together(path, tmp_path / "file", 2))
+    assert [code for _, code in done] == [2, 2], done
+    assert "folder that can be written" in done[0][0] and "another one failed" in done[1][0]
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ import xarray
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import METRICS, measure_run
-from cnclik.sweeps import sweep as sweeps
+from cnclik.sweeps import grid as grids
+from cnclik.sweeps import program as programs
 from cnclik.sweeps.sweep import sweep
 from tests import plain
 
@@ -103,6 +104,46 @@ def test_axes_of_vectors_objects_and_labelled_values():
     assert float(found.value.sel({"arm": "long", "target": 2, "M": 2, "gain": 1})) == 2 * 3 + 2 + 4
 
 
+def test_numbers_in_a_list_are_one_program_and_N_is_compiled_in():
+    traces = []
+
+    def study(alpha, M, N, k):
+        traces.append((type(alpha), N))
+        return {"alpha_": alpha + 0.5, "M_": M + jnp.zeros(N, int).sum(), "k_": k}
+
+    found = sweep(study, N=[2, 4], alpha=[1, 5, 10], M=[1, 3], k=range(3))
+    assert len(traces) == 2 and [n for _, n in traces] == [2, 4]
+    assert found.alpha.dtype == float and found.alpha_.dtype == float  # not 1 + 0.5 = 1
+    assert found.M_.dtype == found.k_.dtype == int and found.M.values.tolist() == [1, 3]
+    labelled = sweep(lambda M: {"power": jnp.asarray(2.0) ** M}, M={"one": 1, "three": 3})
+    assert labelled.power.values.tolist() == [2, 8] and list(labelled.M.values) == ["one", "three"]
+    with pytest.raises(ArgumentError, match="`N` must be an integer"):
+        sweep(study, N=[2.5])
+
+
+def test_the_float64_answer_whatever_the_default():
+    arm = ck.planar_arm([1.0, 0.8, 0.5])  # redundant
+    path = ck.hold([1.5, 0.5])
+
+    def study(alpha, Ts):
+        law = ck.Law(arm, ck.position("xy"), alpha=alpha)
+        run = ck.solve(law, path, np.array([0.3, 0.7, -0.4]), Ts, 12)
+        return measure_run(run, law, path, ["final_error", "rms_qddot"])
+
+    axes = {"alpha": [5, 10], "Ts": np.array([0.02, 0.1])}
+    wide = sweep(study, lanes=2, **axes)
+    with jax.enable_x64(False):
+        found = sweep(study, lanes=2, **axes)
+        given = sweep(lambda alpha: {"twice": 2 * alpha}, alpha=jnp.array([0.5, 1.5]))
+        narrow = jnp.asarray(0.1)
+        told = sweep(lambda alpha: {"sum": narrow + 0 * alpha.astype(narrow.dtype)}, alpha=[1.0])
+    xarray.testing.assert_identical(found, wide)
+    assert found.dtype == "float64" and found.final_error.dtype == np.float64
+    assert float(found.final_error.min()) < 1e-9  # beyond float32
+    assert given.twice.dtype == np.float64 and given.alpha.dtype == np.float64
+    assert told.attrs["dtype"] == "float32"  # an array of the caller's own keeps its precision, and the data say so
+
+
 def test_only_outer_axes():
     found = sweep(lambda method: {"order": jnp.asarray(method.order)}, method=[ck.EE, ck.RK4])
     assert found.order.values.tolist() == [1, 4]
@@ -110,7 +151,7 @@ def test_only_outer_axes():
 
 def test_blocks_tile_any_grid_once_and_have_one_shape():
     for lanes in (1, 3, 4, 7, 30, 1000):
-        of = sweeps.grid({"a": np.arange(5.0), "m": [1, 2], "b": np.arange(3.0), "c": np.arange(4.0)}, lanes)
+        of = grids.grid({"a": np.arange(5.0), "m": {1: 1, 2: 2}, "b": np.arange(3.0), "c": np.arange(4.0)}, lanes)
         assert np.prod(of.block) <= max(lanes, 1)
         seen = np.zeros(of.shape, int)
         for block in of.blocks():
@@ -131,7 +172,7 @@ def test_a_block_that_needs_too_much_memory_is_cut(monkeypatch):
     def study(alpha):
         return {"long": jnp.sin(alpha + jnp.arange(1000.0))}
 
-    of, program = sweeps.fit(study, sweeps.grid({"alpha": np.arange(4096.0)}), memory=2**22)
+    of, program = programs.fit(study, grids.grid({"alpha": np.arange(4096.0)}), memory=2**22)
     assert program.memory <= 2**22 and 1 < of.lanes < 4096
 
 

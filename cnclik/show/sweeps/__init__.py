@@ -1,0 +1,54 @@
+"""Figures of a sweep: heat maps, slices, convergence curves, distributions, work diagrams, and who is best.
+
+Every kind works from the dataset alone. Dimensions that a figure doesn't name become panels, then rows, then
+figures of their own; samples of starts are summed up by their median.
+"""
+
+import json
+
+from cnclik.show.sweeps import curves, planes
+from cnclik.show.sweeps.layout import arrange, defaults, views
+
+__all__ = ["defaults", "figures"]
+
+_DRAW = {
+    "heat": planes.heat,
+    "best": planes.best,
+    "slices": curves.slices,
+    "convergence": curves.convergence,
+    "distribution": curves.distribution,
+    "work": curves.work,
+}
+
+
+def figures(data, tables=None, *, failed=None) -> dict:
+    """The figures that the data's spec asks for, or `tables`, or good ones if none are asked for.
+
+    Args:
+      data: dataset of a sweep.
+      tables: as [[figure]] in a spec.
+      failed: called with (name, error) for a figure that can't be drawn, in place of raising the error.
+
+    Returns: {name: matplotlib Figure}; draw inside `with style.style():`.
+    """
+    if tables is None:
+        tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
+    out = {}
+    for table in tables or defaults(data):
+        name = table.get("name") or "_".join([table["kind"], *filter(None, [table.get("value")])])
+        try:
+            layout = arrange(data, table)
+            name = table.get("name") or f"{layout.kind}_{layout.value}"
+            for suffix, view in views(data, layout):
+                out[_unused(name + suffix, out)] = _DRAW[layout.kind](view, layout)
+        except Exception as error:
+            if failed is None:
+                raise
+            failed(name, error)
+    return out
+
+
+def _unused(name, taken):
+    """The name, numbered where it is taken."""
+    names = (name if i == 1 else f"{name}_{i}" for i in range(1, len(taken) + 2))
+    return next(n for n in names if n not in taken)

@@ -1,0 +1,169 @@
+"""Layout: which dimension of a sweep's data goes where in a figure."""
+
+import itertools
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.show.sweeps.panels import COLORS, text
+
+HISTORY = ("time", "step")
+LONGEST = 8  # a dimension of more values gets no panels and no figures of its own
+ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")
+
+
+class Layout(NamedTuple):
+    """One figure: what it shows, the dimension in each role (None: nothing), and how it is drawn."""
+
+    kind: str
+    value: str  # the variable shown
+    x: str | None
+    y: str | None
+    lines: str | None
+    panels: str | None
+    rows: str | None
+    over: str | None  # a dimension along which a line runs without an axis of its own
+    among: str | None  # the dimension whose best is asked for
+    reduced: tuple  # dimensions summed up, by `reduce`
+    middle: tuple  # long dimensions without a role: shown at their middle
+    apart: tuple  # short ones: a figure for each of their values
+    select: dict
+    reduce: str = "median"
+    title: str | None = None
+    log: bool | None = None  # None: as the values are
+    limits: tuple | None = None
+    contours: object = None
+    boundary: bool = True
+
+
+def scalars(data) -> list:
+    """Variables with one number for each loop."""
+    return [name for name in data.data_vars if not set(data[name].dims) & set(HISTORY)]
+
+
+def numeric(data) -> list:
+    """Dimensions with numbers along them."""
+    return [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and f"{d}_value" not in data.coords]
+
+
+def samples(data) -> list:
+    """Dimensions that count vectors, such as random starts."""
+    return [d for d in data.dims if f"{d}_value" in data.coords]
+
+
+def _main_value(data):
+    names = scalars(data)
+    return next((n for n in names if n.endswith("error")), names[0] if names else None)
+
+
+def defaults(data) -> list:
+    """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
+    axes, starts, value = numeric(data), samples(data), _main_value(data)
+    out = []
+    if value and len(axes) >= 2:
+        out.append({"kind": "heat", "value": value, "x": axes[0], "y": axes[1]})
+        if "method" in data.dims and data.sizes["method"] > 1:
+            out.append({"kind": "best", "value": value, "x": axes[0], "y": axes[1]})
+    elif value and axes:
+        out.append({"kind": "slices", "value": value, "x": axes[0]})
+    if value and starts:
+        out.append({"kind": "distribution", "value": value, "over": starts[0]})
+    costs = data["evaluations"].values if "evaluations" in scalars(data) else np.zeros(1)
+    if value and "Ts" in data.dims and len(np.unique(costs)) > data.sizes.get("method", 1):
+        out.append({"kind": "work", "value": value})
+    if "error" in data.data_vars:
+        out.append({"kind": "convergence", "value": "error"})
+    return out
+
+
+def arrange(data, table: dict) -> Layout:
+    """Give every dimension of the data its place in a figure.
+
+    Args:
+      table: as [[figure]] in a spec; what it doesn't say is chosen here.
+
+    Raises: ArgumentError for a variable or dimension that the data don't have, or a figure without its axes.
+    """
+    kind, select = table["kind"], table.get("select", {})
+    value = table.get("value") or ("error" if kind == "convergence" else _main_value(data))
+    errors.one_of("figure.value", value, list(data.data_vars))
+    if kind == "work":
+        errors.one_of("figure.value", "evaluations", list(data.data_vars))
+    if kind == "convergence" and not set(data[value].dims) & set(HISTORY):
+        raise errors.fail("figure.value", "be a history, such as error, for the kind 'convergence'", f"is {value!r}")
+    for dim in select:
+        errors.one_of("figure.select", dim, list(data.dims))
+    dims = [d for d in data[value].dims if d not in HISTORY and d not in select]
+    axes, starts = [d for d in numeric(data) if d in dims], [d for d in samples(data) if d in dims]
+    roles = {role: table.get(role) for role in ROLES}
+    for role, dim in roles.items():
+        if dim is not None:
+            errors.one_of(f"figure.{role}", dim, dims)
+    _choose_axes(kind, roles, axes, starts)
+    if kind == "best":
+        errors.one_of("figure.among", roles["among"], dims)
+
+    free = [d for d in dims if d not in roles.values()]
+    summed = tuple(d for d in free if d in starts)
+    reduced = () if kind == "convergence" else summed  # a history is shown with its spread
+    # The rest in the order of what differs most in kind.
+    free = sorted((d for d in free if d not in summed), key=lambda d: (d not in ("method", "stage"), d != "M"))
+    places = [("panels", LONGEST), ("rows", LONGEST)]
+    if kind in ("slices", "convergence", "work", "distribution"):
+        places.insert(0, ("lines", len(COLORS)))
+    for role, most in places:
+        if roles[role] is None:
+            roles[role] = next((d for d in free if data.sizes[d] <= most), None)
+            free = [d for d in free if d != roles[role]]
+    long = tuple(d for d in free if data.sizes[d] > LONGEST)
+    options = {k: table[k] for k in ("reduce", "title", "log", "limits", "contours", "boundary") if k in table}
+    apart = tuple(d for d in free if d not in long)
+    return Layout(kind, value, **roles, reduced=reduced, middle=long, apart=apart, select=dict(select), **options)
+
+
+def _choose_axes(kind, roles, axes, starts):
+    """Fill in the axes that a kind of figure needs."""
+    first = next(iter(axes), None)
+    if kind in ("heat", "best"):
+        liked = [d for d in ("Ts", "alpha", *axes) if d in axes]
+        for role, other in (("x", "y"), ("y", "x")):
+            roles[role] = roles[role] or next((d for d in liked if d != roles[other]), None)
+        if None in (roles["x"], roles["y"]):
+            raise errors.fail("figure", f"have two numeric axes for the kind {kind!r}", f"has {axes}")
+    if kind == "best":
+        roles["among"] = roles["among"] or "method"
+    if kind == "slices":
+        roles["x"] = roles["x"] or first
+        if roles["x"] is None:
+            raise errors.fail("figure", "have a numeric axis for the kind 'slices'", "has none")
+    if kind == "work":
+        roles["over"] = roles["over"] or "Ts"
+    if kind == "distribution":
+        roles["over"] = roles["over"] or next(iter(starts), first)
+
+
+def views(data, layout: Layout) -> list:
+    """The parts of the data that are one figure each: [(suffix for the file's name, dataset)]."""
+    view = data[[n for n in dict.fromkeys((layout.value, "evaluations")) if n in data]]
+    for dim, wanted in layout.select.items():
+        view = _selected(view, dim, wanted)
+    if layout.reduced:
+        view = getattr(view, layout.reduce)(layout.reduced, keep_attrs=True)
+    view = view.isel({d: view.sizes[d] // 2 for d in layout.middle})
+    out = []
+    for place in itertools.product(*(range(view.sizes[d]) for d in layout.apart)):
+        part = view.isel(dict(zip(layout.apart, place, strict=True)))
+        labels = (re.sub(r"[^\w.+,-]+", "-", text(part[d].values.item())) for d in layout.apart)
+        out.append(("".join(f"_{label}" for label in labels), part))
+    return out
+
+
+def _selected(view, dim, wanted):
+    if view[dim].dtype.kind == "f":
+        return view.sel({dim: wanted}, method="nearest")
+    known = view[dim].values.tolist()
+    if wanted not in known:
+        raise errors.fail(f"figure.select.{dim}", f"be one of {', '.join(map(str, known))}", f"is {wanted!r}")
+    return view.sel({dim: wanted})

@@ -1,0 +1,193 @@
+"""Grid: the axes of a sweep, and how they are cut into blocks of one fixed shape.
+
+Each combination of the outer axes (methods, robots, whatever is compiled in) is one program, traced once; it runs
+every block of the inner, numeric axes. A block is computed alone, so its numbers don't depend on which blocks ran
+before it, here or in another process.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from cnclik import errors
+
+LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
+COMPILED_IN = ("N",)  # numbers on which the shape of a program depends
+COUNTED = ("M",)  # numbers that stay integers: passes are masked, one program does them all
+
+
+class Axis(NamedTuple):
+    """One dimension of the grid."""
+
+    name: str
+    values: object  # inner: an array, the first dimension runs along the axis; outer: a tuple of objects
+    labels: tuple | None  # of an outer axis; None marks an inner one
+
+    def __len__(self):
+        return len(self.values)
+
+    @property
+    def inner(self) -> bool:
+        return self.labels is None
+
+
+def axis(name: str, values) -> Axis:
+    """Read one axis.
+
+    Numbers, in a list or an array, run inside one program: in float64 where they are floats or stand in a list, as
+    integers where they are M, a range or an array of integers. Compiled in, one program each, are N, names, named
+    objects such as methods, and whatever a dict {label: value} holds.
+
+    Raises: ArgumentError for what is none of these, empty or not finite.
+    """
+    if isinstance(values, Axis):
+        return values
+    if isinstance(values, Mapping):
+        return _checked(Axis(name, tuple(values.values()), tuple(values)))
+    if not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
+        raise errors.fail(name, "be an axis: an array, a list, or a dict of labelled values", f"is {values!r}")
+    numbers = _numbers(name, values)
+    if numbers is None:
+        values = tuple(values)
+        labels = tuple(v if isinstance(v, (str, bool)) else getattr(v, "name", None) for v in values)
+        if any(v is None for v in labels):
+            words = "hold numbers, names or named objects, or be a dict {label: value}"
+            raise errors.fail(name, words, f"is {values!r}")
+        return _checked(Axis(name, values, labels))
+    if _quantity(name) in COMPILED_IN and len(numbers):
+        whole = tuple(errors.integer(name, v.item() if v.ndim == 0 else v, at_least=0) for v in numbers)
+        return Axis(name, whole, whole)
+    return _checked(Axis(name, numbers, None))
+
+
+def _quantity(name):
+    """What an axis is of: "N" for the "axes.N" of a file."""
+    return name.rpartition(".")[2]
+
+
+def _numbers(name, values):
+    """The numbers or vectors of an axis as one array, or None where they are something else."""
+    if isinstance(values, range) or getattr(values, "dtype", np.dtype(object)).kind in "fiub":
+        found = np.asarray(values)
+        return found.astype(float) if found.dtype.kind == "f" else found
+    values = tuple(values)
+    if any(isinstance(v, (list, tuple, np.ndarray, jax.Array)) for v in values):
+        shapes = {np.shape(v) for v in values}
+        if len(shapes) != 1:
+            raise errors.fail(name, "hold values of one shape", f"holds shapes {sorted(shapes)}")
+    elif not all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in values):
+        return None
+    found = np.asarray(values)
+    counted = _quantity(name) in COUNTED + COMPILED_IN and found.dtype.kind == "i"
+    return found if counted else found.astype(float)
+
+
+def _checked(found: Axis) -> Axis:
+    if not len(found):
+        raise errors.fail(found.name, "hold at least one value", "is empty")
+    if found.inner and not np.all(np.isfinite(found.values)):
+        raise errors.fail(found.name, "hold finite values", "does not")
+    return found
+
+
+class Block(NamedTuple):
+    """A piece of the grid that is computed at once."""
+
+    number: int
+    program: int  # which combination of the outer axes
+    region: tuple  # a slice per axis of the grid
+
+    @property
+    def size(self) -> int:
+        return math.prod(cut.stop - cut.start for cut in self.region)
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """The axes, in the order given, and how they are cut: at most `lanes` points in a block."""
+
+    axes: tuple
+    lanes: int
+
+    @property
+    def shape(self) -> tuple:
+        return tuple(len(a) for a in self.axes)
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def inner(self) -> tuple:
+        return tuple(a for a in self.axes if a.inner)
+
+    @property
+    def outer(self) -> tuple:
+        return tuple(a for a in self.axes if not a.inner)
+
+    @property
+    def block(self) -> tuple:
+        """Extent of a block along each axis: whole trailing axes, a cut of one, single values before it."""
+        left, extents = self.lanes, []
+        for one in reversed(self.axes):
+            if not one.inner:
+                extents.append(1)
+                continue
+            # The cut is as even as it can be, so that the last block is padded little.
+            pieces = -(-len(one) // max(left, 1))
+            extents.append(-(-len(one) // pieces))
+            left = left // extents[-1] if pieces == 1 else 0
+        return tuple(reversed(extents))
+
+    @property
+    def programs(self) -> list:
+        """The combinations of the outer axes, as {name: value}."""
+        names = [a.name for a in self.outer]
+        return [dict(zip(names, values, strict=True)) for values in itertools.product(*(a.values for a in self.outer))]
+
+    def blocks(self) -> list:
+        """All blocks, program by program."""
+        counts = [range(-(-n // b)) for n, b in zip(self.shape, self.block, strict=True)]
+        outer = [i for i, a in enumerate(self.axes) if not a.inner]
+        inner = [i for i, a in enumerate(self.axes) if a.inner]
+        out = []
+        for program, fixed in enumerate(itertools.product(*(counts[i] for i in outer))):
+            for moving in itertools.product(*(counts[i] for i in inner)):
+                place = dict(zip(outer + inner, fixed + moving, strict=True))
+                region = tuple(
+                    slice(place[i] * b, min((place[i] + 1) * b, n))
+                    for i, (b, n) in enumerate(zip(self.block, self.shape, strict=True))
+                )
+                out.append(Block(len(out), program, region))
+        return out
+
+    def lane_values(self, block: Block) -> dict:
+        """Values of the inner axes in every lane of a block; lanes beyond the grid repeat its last value."""
+        steps = [
+            np.minimum(np.arange(cut.start, cut.start + extent), len(a) - 1)
+            for a, cut, extent in zip(self.axes, block.region, self.block, strict=True)
+            if a.inner
+        ]
+        places = np.meshgrid(*steps, indexing="ij") if steps else []
+        return {a.name: a.values[p.ravel()] for a, p in zip(self.inner, places, strict=True)}
+
+    def cut(self, block: Block, lanes):
+        """The result of all lanes of a block as its piece of the grid."""
+        full = lanes.reshape(*self.block, *lanes.shape[1:])
+        return full[tuple(slice(0, cut.stop - cut.start) for cut in block.region)]
+
+    def __str__(self):
+        return " × ".join(f"{a.name} {len(a)}" for a in self.axes)
+
+
+def grid(axes: Mapping, lanes=None) -> Grid:
+    """The grid of some named axes."""
+    if not axes:
+        raise errors.fail("axes", "name at least one axis, such as alpha=jnp.linspace(1, 40, 200)", "is empty")
+    lanes = LANES if lanes is None else errors.integer("lanes", lanes, at_least=1)
+    return Grid(tuple(axis(name, values) for name, values in axes.items()), lanes)

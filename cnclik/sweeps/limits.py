@@ -1,0 +1,46 @@
+"""Limits: the linear theory's largest stable z = alpha·Ts for every program of a spec, kept beside its data."""
+
+import numpy as np
+
+from cnclik.law.inverse import Pseudoinverse
+from cnclik.sweeps.grid import Grid
+
+NAME = "limit"
+_ABOUT = {"units": "1", "long_name": "largest stable z of linear theory"}
+_DIGITS = 10  # as many as the search for the limit is good for, and the same on every machine
+
+
+def linear_limit(spec, of: Grid) -> dict:
+    """The largest z with |R(z)| ≤ 1 as a coordinate, over the axes on which it depends.
+
+    R(z) is what a step does to the error where J J# = I and the gain is one number: for the exact pseudoinverse.
+    NaN stands for every other law (damped, transposed, gains per axis), inf for a method without a limit.
+
+    Returns: {"limit": (dimensions, values, attributes)}; {} where no loop has one, or where the spec's own axis z
+    isn't alpha·Ts.
+    """
+    passes = [a for a in of.inner if a.name == "M"]
+    counts = [{"M": m} for m in passes[0].values] if passes else [{}]
+    values = np.array([[_limit(spec, program, m) for m in counts] for program in of.programs])
+    values = values.reshape(*(len(a) for a in (*of.outer, *passes)))
+    dims = [a.name for a in (*of.outer, *passes)]
+    for i in reversed(range(len(dims))):
+        first = np.take(values, [0], axis=i)
+        if np.array_equal(values, np.broadcast_to(first, values.shape), equal_nan=True):
+            values = np.take(values, 0, axis=i)
+            del dims[i]
+    return {} if np.all(np.isnan(values)) else {NAME: (tuple(dims), values, _ABOUT)}
+
+
+def _limit(spec, program, passes) -> float:
+    """The limit of one program, the same at the first and the last lane; NaN where linear theory has none."""
+    found = set()
+    for last in (False, True):
+        lane = program | spec.first(last=last) | passes
+        law, _, _, Ts, *_ = spec.build(**lane)
+        if not isinstance(law.inverse, Pseudoinverse) or np.ndim(law.alpha) != 0:
+            return np.nan
+        if "z" in lane and not np.isclose(float(law.alpha) * float(Ts), float(lane["z"]), rtol=1e-6):
+            return np.nan
+        found.add(float(f"{spec.lookup(**lane)[1](NAME):.{_DIGITS}g}"))
+    return found.pop() if len(found) == 1 else np.nan

@@ -1,0 +1,148 @@
+"""Program: a study compiled for one combination of the outer axes, and blocks of it run side by side.
+
+Everything here traces and runs in float64, whatever JAX's own setting is, in the threads of the pool too: a thread
+knows nothing of the contexts of the one that started it.
+"""
+
+import collections
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.hints import cores
+from cnclik.integrate.lanes import lanes, options
+from cnclik.measure.metrics import Metrics
+from cnclik.sweeps.grid import Grid
+from cnclik.sweeps.labels import UNITS
+
+MEMORY = 2**30  # bytes that one block may need while it runs
+
+
+class Output(NamedTuple):
+    """One variable that a study returns, for one lane."""
+
+    name: str
+    shape: tuple
+    dtype: np.dtype
+    dims: tuple
+    unit: str
+
+
+class Program(NamedTuple):
+    """A study compiled for one combination of the outer axes and one block shape."""
+
+    run: Callable  # {name: values per lane} -> {name: results per lane}
+    outputs: tuple
+    memory: int  # bytes it needs while it runs
+
+
+# Dimensions of what `solve` returns, for a study that returns whole trajectories.
+_DIMS = {
+    "t": ("time",),
+    "q": ("time", "joint"),
+    "x": ("time", "axis"),
+    "e": ("time", "axis"),
+    "qdot": ("step", "joint"),
+} | {name: ("step",) for name in ("residual", "contraction", "status")}
+
+
+def compile_program(study, fixed: dict, of: Grid) -> Program:
+    """Trace and compile the study once, for blocks of the grid."""
+    found = {}
+
+    def lane(values):
+        result = study(**fixed, **values)
+        named = {name: jnp.asarray(v) for name, v in _named(result).items()}
+        found["outputs"] = tuple(_output(name, v, result) for name, v in named.items())
+        return named
+
+    def alone(values):  # all axes are outer: one lane
+        return jax.tree.map(lambda v: v[None], lane(values))
+
+    with jax.enable_x64(True):
+        count = math.prod(of.block)
+        shapes = {a.name: jax.ShapeDtypeStruct((count, *a.values.shape[1:]), a.values.dtype) for a in of.inner}
+        traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
+        compiled = traced.lower().compile(options(traced))
+    analysis = compiled.memory_analysis()
+    memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
+
+    def run(values):
+        with jax.enable_x64(True):
+            return compiled({name: jnp.asarray(v) for name, v in values.items()})
+
+    return Program(run, found["outputs"], memory)
+
+
+def _named(result) -> dict:
+    """What a study may return, as {name: array}."""
+    if isinstance(result, (Metrics, Mapping)):
+        return dict(result.items())
+    if dataclasses.is_dataclass(result):
+        return {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
+    return {"value": result}
+
+
+def _output(name, v, result) -> Output:
+    unit = getattr(result, "units", {}).get(name, UNITS.get(name, ""))
+    dims = getattr(result, "dims", {}).get(name) or _DIMS.get(name, ())
+    if len(dims) != v.ndim:
+        dims = tuple(f"{name}_{i}" for i in range(v.ndim))
+    return Output(name, v.shape, np.dtype(v.dtype), tuple(dims), unit)
+
+
+def fit(study, of: Grid, memory=MEMORY):
+    """The grid with blocks cut so that one needs no more than `memory` bytes, and its first program."""
+    program = compile_program(study, of.programs[0], of)
+    while program.memory > memory and math.prod(of.block) > 1:
+        of = dataclasses.replace(of, lanes=max(1, int(of.lanes * memory / program.memory)))
+        program = compile_program(study, of.programs[0], of)
+    return of, program
+
+
+def run_blocks(study, of: Grid, blocks, first: Program | None = None):
+    """Compute blocks: yields (block, {name: piece of the grid}) in their order.
+
+    Each core runs a block of its own, and the next ones are running while one is handed out, so that writing
+    takes no time of its own.
+    """
+    workers = blocks_at_once()
+    waiting = collections.deque()
+    for number, group in itertools.groupby(blocks, key=lambda b: b.program):
+        program = first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
+        if first is not None and _layout(program.outputs) != _layout(first.outputs):
+            raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
+        with ThreadPoolExecutor(workers) as pool:
+            for block in group:
+                waiting.append((block, pool.submit(_compute, program, of, block)))
+                if len(waiting) > workers + 1:
+                    yield _done(waiting.popleft())
+            while waiting:
+                yield _done(waiting.popleft())
+
+
+def _compute(program, of, block):
+    results = program.run(of.lane_values(block))
+    return {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
+
+
+def _done(pair):
+    block, future = pair
+    return block, future.result()
+
+
+def blocks_at_once() -> int:
+    """How many blocks run side by side: one per core; a single one on an accelerator, which it keeps busy."""
+    return cores() if jax.default_backend() == "cpu" else 1
+
+
+def _layout(outputs):
+    return [(o.name, o.shape, o.dtype) for o in outputs]

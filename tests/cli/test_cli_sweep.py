@@ -1,0 +1,175 @@
+"""`cnclik sweep` and `cnclik plot`, end to end on a tiny spec."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+import xarray
+from PIL import Image
+
+from cnclik.cli import main
+from cnclik.show import sweeps
+from cnclik.sweeps import cost, estimate, open_sweep, run_spec
+
+TEXT = """
+question = "Does it end well?"
+expectation = "It does."
+metrics = ["final_error", "max_qdot", "evaluations", "error"]
+[fixed]
+task = "xy"
+robot = "planar:1,1"
+q0 = [0, "-pi/2"]
+N = 6
+reference = "hold"
+target = [1, 0]
+[axes]
+method = ["EE", "HEUN"]
+alpha = { geomspace = [1, 30, 9] }
+Ts = { geomspace = [0.01, 0.2, 7] }
+"""
+FIGURES = """
+[[figure]]
+kind = "heat"
+value = "final_error"
+panels = "method"
+[[figure]]
+kind = "slices"
+name = "at5"
+x = "Ts"
+select = { alpha = 5.0 }
+"""
+EVERY = ["heat_final_error.png", "best_final_error.png", "convergence_error.png"]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    file = tmp_path_factory.mktemp("spec") / "tiny.toml"
+    file.write_text(TEXT)
+    return file
+
+
+@pytest.fixture(scope="module")
+def folder(path, tmp_path_factory):
+    """A finished sweep, with the figures that are drawn unasked."""
+    out = tmp_path_factory.mktemp("out")
+    main(["sweep", str(path), "--out", str(out)])
+    return out
+
+
+@pytest.fixture
+def copy(folder, tmp_path):
+    """The finished sweep's store alone."""
+    shutil.copytree(folder / "data.zarr", tmp_path / "copy/data.zarr")
+    return tmp_path / "copy"
+
+
+def left(argv, capsys):
+    """Exit code, stdout and stderr of a command that leaves with a code of its own."""
+    with pytest.raises(SystemExit) as exit_:
+        main([str(a) for a in argv])
+    said = capsys.readouterr()
+    return exit_.value.code, said.out, said.err
+
+
+def test_a_sweep_leaves_data_summary_and_figures(path, folder):
+    assert sorted(p.name for p in folder.iterdir()) == sorted(["data.zarr", "summary.csv", "config.json", *EVERY])
+    found, wanted = open_sweep(folder).load(), run_spec(path)
+    for name in wanted.data_vars:
+        np.testing.assert_array_equal(found[name], wanted[name])
+    with (folder / "summary.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["method"], r["metric"]) for r in rows[:3]] == [
+        *(("EE", "final_error"), ("HEUN", "final_error"), ("EE", "max_qdot")),
+    ]
+    assert list(found.data_vars) == list(wanted.data_vars)
+    np.testing.assert_allclose(float(rows[1]["max"]), wanted.final_error.sel({"method": "HEUN"}).max(), rtol=1e-5)
+    assert json.loads((folder / "config.json").read_text())["spec"]["fixed"]["N"] == 6
+    with Image.open(folder / EVERY[0]) as image:
+        assert image.text["Title"] == "heat_final_error" and "Does it end well?" in image.text["Description"]
+
+
+def test_check_says_what_it_will_take_and_writes_nothing(path, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    made = []
+    monkeypatch.setattr(cost, "estimate", lambda spec: made.append(estimate(spec)) or made[0])
+    main(["sweep", str(path), "--check", "--set", "method=EE", "--set", "lanes=20"])
+    said = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines())
+    said = {name.strip(): text.strip() for name, text in said.items()}
+    assert said["question"] == "Does it end well?" and said["grid"] == "alpha 9 × Ts 7 = 63 loops"
+    assert said["programs"].startswith("1 (about ") and said["blocks"] == f"{made[0].blocks} of {made[0].block} loops"
+    assert set(said) == {*("question", "expectation", "grid", "programs", "blocks", "memory", "on disk", "time")}
+    assert not list(tmp_path.iterdir())
+    (found,) = made
+    assert (found.loops, found.axes, found.programs) == (63, {"alpha": 9, "Ts": 7}, 1)
+    assert found.blocks * found.block >= 63 and found.block <= 20
+    assert found.disk == 63 * 8 * (3 + 7)  # three metrics, and a history of N + 1
+    assert found.time == pytest.approx(found.compile_time + found.run_time) and found.run_time > 0
+    assert found.memory > found.block_memory > 0
+
+
+@pytest.mark.parametrize("kind", ["nc", "csv"])
+def test_exports(path, folder, copy, kind, capsys):
+    main(["sweep", str(path), "--out", str(copy), "--no-figures", "--export", kind])
+    assert f"Wrote {copy}/data.{kind}" in capsys.readouterr().out
+    wanted = open_sweep(folder).load()
+    if kind == "nc":
+        with xarray.open_dataset(copy / "data.nc", engine="h5netcdf") as found:
+            np.testing.assert_array_equal(found.final_error, wanted.final_error)
+            assert found.limit == 2 and found.attrs["spec"] == wanted.attrs["spec"]
+    else:
+        with (copy / "data.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == wanted.error.size
+        np.testing.assert_array_equal([float(r["error"]) for r in rows], wanted.error.values.ravel())
+
+
+def test_results_go_to_a_folder_of_the_specs_name(path, folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(folder / "data.zarr", tmp_path / "sweep-tiny/data.zarr")
+    main(["sweep", str(path), "--no-figures"])  # finished already
+    assert (tmp_path / "sweep-tiny/summary.csv").exists() and "sweep-tiny/data.zarr" in capsys.readouterr().out
+
+
+def test_a_figure_that_cannot_be_drawn_costs_nothing_else(path, copy, capsys, monkeypatch):
+    def broken(view, layout):
+        raise RuntimeError("no\npaint")
+
+    monkeypatch.setitem(sweeps._DRAW, "heat", broken)
+    code, out, err = left(["sweep", path, "--out", copy, "--export", "nc"], capsys)
+    assert code == 1 and err.strip().splitlines()[-1] == (
+        f"cnclik: Not drawn: heat_final_error (no paint); the data are kept, `cnclik plot {copy}` draws again."
+    )
+    names = {p.name for p in copy.iterdir()}
+    assert names == {"data.zarr", "data.nc", "summary.csv", "config.json", *EVERY[1:]}
+    assert "summary.csv" in out
+    monkeypatch.undo()
+    main(["plot", str(copy)])
+    assert (copy / EVERY[0]).exists()
+
+
+def test_a_title_that_cannot_be_set_shows_when_it_is_written(path, copy, capsys, tmp_path):
+    other = tmp_path / "other.toml"
+    other.write_text(TEXT + FIGURES.replace('name = "at5"', 'name = "at5"\ntitle = "$\\\\frac$"'))
+    code, out, err = left(["plot", copy, "--spec", other], capsys)
+    assert code == 1 and err.count("\n") == 1 and "Not drawn: at5 (" in err
+    assert out.split() == ["Wrote", str(copy / "heat_final_error.png")] and not (copy / "at5.png").exists()
+
+
+def test_plot_draws_another_specs_figures_in_another_format(copy, tmp_path, capsys):
+    other = tmp_path / "other.toml"
+    other.write_text(TEXT + FIGURES)
+    main(["plot", str(copy), "--spec", str(other), "--format", "svg"])
+    assert capsys.readouterr().out == f"Wrote {copy}/heat_final_error.svg\nWrote {copy}/at5.svg\n"
+    assert "<svg" in (copy / "at5.svg").read_text()
+
+
+def test_plot_says_what_is_missing(copy, tmp_path, capsys):
+    next(p for p in (copy / "data.zarr/final_error/c").rglob("*") if p.is_file()).unlink()
+    other = tmp_path / "other.toml"
+    other.write_text(TEXT + FIGURES.partition("[[figure]]\n")[2].partition("[[figure]]")[2].join(["[[figure]]", ""]))
+    main(["plot", str(copy), "--format", "pdf", "--spec", str(other)])
+    assert capsys.readouterr().out.startswith("1 blocks are not done yet, or damaged")
+    code, out, err = left(["plot", tmp_path], capsys)
+    assert code == 2 and out == "" and "Argument `folder` must hold a sweep's data.zarr" in err

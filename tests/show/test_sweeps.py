@@ -1,0 +1,284 @@
+"""Figures of sweeps, on synthetic data: what goes where, where the theory's boundary is, and one of each kind."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib import colors
+from matplotlib.cbook import STEP_LOOKUP_MAP
+
+from cnclik.errors import ArgumentError
+from cnclik.show import style, sweeps
+from cnclik.show.sweeps import panels, planes
+from cnclik.show.sweeps.layout import arrange, defaults, views
+
+METHODS = ["EE", "IE", "CN"]
+LIMITS = [2.0, 1.0, 1.2]
+
+
+def data(limit=True, **axes):
+    """A dataset such as a sweep makes: an error z^30-like over the axes, its cost, and a history."""
+    rng = np.random.default_rng(0)
+    about = {"alpha": ("α", "1/s"), "Ts": ("Ts", "s"), "z": ("z = α·Ts", "1")}
+    coords = {}
+    for name, values in axes.items():
+        label, unit = about.get(name, (name, "1"))
+        coords[name] = (name, values, {"units": unit, "long_name": label})
+        if name == "q0":
+            coords["q0_value"] = (("q0", "q0_0"), rng.random((len(values), 2)), {"units": "rad"})
+    if limit and "method" in axes:
+        coords["limit"] = ("method", LIMITS, {"units": "1"})
+    shape = tuple(len(v) for v in axes.values())
+    dims = tuple(axes)
+    grid = xarray.Dataset(coords=coords)
+    z = grid["z"] if "z" in axes else grid.get("alpha", 1.0) * grid.get("Ts", 1.0)
+    error = xarray.DataArray(rng.random(shape) * 1e-3 + 1e-6, dims=dims) * (1 + 0 * z) + np.abs(1 - z) ** 5
+    error = error.transpose(*dims)
+    error.values[..., -1] = np.inf  # a diverged edge
+    variables = {
+        "max_error": (dims, 2 * error.values, {"units": "m", "long_name": "error ‖e‖, largest"}),
+        "evaluations": (dims, np.broadcast_to(np.arange(1, shape[-1] + 1.0) * 10, shape), {"units": "1"}),
+        "error": ((*dims, "time"), rng.random((*shape, 6)), {"units": "m", "long_name": "error ‖e[k]‖"}),
+    }
+    return xarray.Dataset(variables, coords)
+
+
+PLANE = {"method": METHODS, "alpha": np.geomspace(1, 40, 12), "Ts": np.geomspace(0.01, 0.5, 10)}
+
+
+def drawn(found, table, **kind):
+    with style.style():
+        return sweeps.figures(found, [table | kind])
+
+
+# --- what goes where ----------------------------------------------------------------------------------
+
+
+def test_every_dimension_gets_a_place():
+    found = data(case=["reach", "track"], stage=["picard", "chord"], **PLANE)
+    layout = arrange(found, {"kind": "heat"})
+    assert (layout.value, layout.x, layout.y) == ("max_error", "Ts", "alpha")
+    assert (layout.panels, layout.rows, layout.apart) == ("stage", "method", ("case",))
+    layout = arrange(found, {"kind": "heat", "x": "alpha", "panels": "case"})
+    assert (layout.x, layout.y, layout.panels, layout.rows, layout.apart) == (
+        *("alpha", "Ts", "case", "stage"),
+        ("method",),
+    )
+    layout = arrange(found, {"kind": "slices", "lines": "method"})
+    assert (layout.x, layout.lines, layout.panels, layout.rows) == ("alpha", "method", "stage", "case")
+    assert layout.middle == ("Ts",)  # too long for a panel each
+    layout = arrange(found, {"kind": "best"})
+    assert layout.among == "method" and "method" not in (layout.panels, layout.rows, *layout.apart)
+
+
+def test_samples_are_summed_up_or_make_a_distribution():
+    found = data(method=METHODS, q0=np.arange(20), alpha=np.linspace(1, 9, 5), Ts=np.linspace(0.1, 0.3, 4))
+    layout = arrange(found, {"kind": "heat", "reduce": "max"})
+    assert layout.reduced == ("q0",)
+    ((_, view),) = views(found, layout)
+    np.testing.assert_array_equal(view.max_error, found.max_error.max("q0"))
+    assert view.max_error.attrs["units"] == "m"
+    ((_, view),) = views(found, arrange(found, {"kind": "heat"}))
+    np.testing.assert_array_equal(view.max_error, found.max_error.median("q0"))
+    assert arrange(found, {"kind": "distribution"}).over == "q0"
+    assert arrange(found, {"kind": "distribution"}).reduced == ()
+
+
+def test_selections_suffixes_and_middles():
+    found = data(
+        case=["a", "b"], robot=["arms/z1.urdf", "ur5"], stage=["picard", "chord"], M=np.arange(3), **PLANE, limit=False
+    )
+    table = {"kind": "heat", "panels": "method", "rows": "stage", "select": {"case": "b"}}
+    before = copy.deepcopy(table)
+    layout = arrange(found, table)
+    parts = dict(views(found, layout))
+    assert table == before  # the caller's
+    assert set(parts) == {f"_{m}_{robot}" for m in range(3) for robot in ("arms-z1.urdf", "ur5")}
+    assert all(str(v.case.values) == "b" for v in parts.values())
+    ((_, view),) = views(found.isel(robot=0, M=0), arrange(found.isel(robot=0, M=0), table | {"x": "alpha"}))
+    assert set(view.max_error.dims) == {"method", "stage", "alpha", "Ts"}
+    near = {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}
+    found = data(**PLANE)
+    ((_, view),) = views(found, arrange(found, near))
+    assert float(view.alpha) == found.alpha.values[np.argmin(abs(found.alpha.values - 4.9))]
+    ((_, view),) = views(found, arrange(found, {"kind": "slices", "x": "Ts"}))
+    assert float(view.alpha) == found.alpha.values[6]  # the middle of twelve
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"kind": "heat", "value": "max_eror"}, "did you mean 'max_error'"),
+        ({"kind": "heat", "x": "alhpa"}, "did you mean 'alpha'"),
+        ({"kind": "heat", "select": {"alpha": 2.0}}, "two numeric axes for the kind 'heat', but has ['Ts']"),
+        ({"kind": "slices", "panels": "method", "select": {"method": "EE"}}, "`figure.panels` must be one of"),
+        ({"kind": "slices", "select": {"method": "RK4"}}, "`figure.select.method` must be one of EE, IE, CN"),
+        ({"kind": "best", "among": "stage"}, "`figure.among` must be one of"),
+        ({"kind": "convergence", "value": "max_error"}, "be a history"),
+    ],
+)
+def test_figures_that_cannot_be(table, words):
+    with pytest.raises(ArgumentError) as error:
+        drawn(data(**PLANE), table)
+    assert words in str(error.value)
+    said = []
+    made = sweeps.figures(data(**PLANE), [table, {"kind": "work"}], failed=lambda name, why: said.append((name, why)))
+    assert list(made) == ["work_max_error"] and words in str(said[0][1]) and len(said) == 1
+
+
+def test_defaults_follow_from_the_grid():
+    kinds = [t["kind"] for t in defaults(data(**PLANE))]
+    assert kinds == ["heat", "best", "work", "convergence"]
+    line = data(alpha=np.linspace(1, 2, 4)).drop_vars(["evaluations", "error"])
+    assert [t["kind"] for t in defaults(line)] == ["slices"]
+    starts = data(q0=np.arange(5)).drop_vars(["evaluations", "error"])
+    assert defaults(starts) == [{"kind": "distribution", "value": "max_error", "over": "q0"}]
+
+
+def test_the_datas_own_figures_and_names_that_repeat():
+    found = data(**PLANE).assign_attrs(spec=json.dumps({"figures": [{"kind": "heat"}, {"kind": "heat", "log": True}]}))
+    assert list(sweeps.figures(found)) == ["heat_max_error", "heat_max_error_2"]
+    assert list(sweeps.figures(found, [{"kind": "heat", "name": "mine"}])) == ["mine"]
+    assert "best_max_error" in sweeps.figures(found.assign_attrs(spec=json.dumps({"figures": []})))
+
+
+# --- scales -------------------------------------------------------------------------------------------
+
+
+def test_scales_follow_the_values():
+    layout = arrange(data(**PLANE), {"kind": "heat"})
+    wide, narrow = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
+    found = panels.norm(np.append(wide, [np.inf, np.nan]), layout)
+    assert isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1e-9, 1.0)
+    found = panels.norm(narrow, layout)
+    assert not isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1, 2)
+    assert (panels.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin) == 0.1
+    assert not isinstance(panels.norm(wide, layout._replace(log=False)), colors.LogNorm)
+    assert panels.norm(np.full(3, np.nan), layout).vmax == 1
+    assert panels.norm(np.zeros(4), layout._replace(log=True)).vmax == 0  # nothing that a logarithm could show
+    assert panels.geometric(np.geomspace(1e-3, 2, 9)) and not panels.geometric(np.linspace(1, 2, 9))
+    assert not panels.geometric([1, 2]) and not panels.geometric(["a", "b", "c"]) and not panels.geometric([2, 2, 2])
+    assert not panels.geometric([0.0, 1.0, 2.0])
+
+
+def test_rough_is_chaos_and_not_a_steep_flank():
+    x, y = np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 30))
+    flank = 10 ** (9 * x + 2 * y)
+    assert not planes.rough(flank).any()
+    noise = 10 ** np.random.default_rng(1).uniform(0, 3, x.shape)
+    both = np.where(x > 0.5, noise, 1e-3 * 10**x)
+    found = planes.rough(both)
+    large = (noise > 10**1.6) & (x > 0.6)
+    assert not found[:, :18].any() and found[large].mean() > 0.95
+    infinite = np.where(x > 0.5, np.inf, 1.0)
+    assert not planes.rough(infinite)[:, :15].any() and not planes.rough(np.full((5, 5), np.inf)).any()
+
+
+# --- the theory's boundary ----------------------------------------------------------------------------
+
+
+def dashed(figure):
+    """The boundary's points in every panel of a figure."""
+    return [[line.get_xydata() for line in ax.lines if line.get_color() == style.VERMILION] for ax in figure.axes[:-1]]
+
+
+def test_the_boundary_is_each_panels_own_limit():
+    (figure,) = drawn(data(**PLANE), {"kind": "heat", "x": "alpha", "y": "Ts", "panels": "method"}).values()
+    for lines, limit in zip(dashed(figure), LIMITS, strict=True):
+        (points,) = lines
+        np.testing.assert_allclose(points[:, 0] * points[:, 1], limit, rtol=1e-12)
+        assert points[:, 0].max() < 47
+    assert "limit" in figure.legends[0].get_texts()[0].get_text()
+    (figure,) = drawn(data(**PLANE), {"kind": "heat", "boundary": False, "panels": "method"}).values()
+    assert dashed(figure) == [[], [], []] and not figure.legends
+
+
+@pytest.mark.parametrize(("x", "at"), [("z", 0), ("Ts", 1)])
+def test_on_a_plane_of_z_it_is_a_straight_line(x, at):
+    found = data(method=METHODS, z=np.linspace(0.1, 3, 8), Ts=np.linspace(0.1, 1, 6))
+    y = {"z": "Ts", "Ts": "z"}[x]
+    (figure,) = drawn(found, {"kind": "heat", "x": x, "y": y, "panels": "method"}).values()
+    for lines, limit in zip(dashed(figure), LIMITS, strict=True):
+        assert set(lines[0][:, at]) == {limit}
+
+
+@pytest.mark.parametrize(("x", "at"), [("z", 0), ("M", 1)])
+def test_over_passes_it_is_a_step_for_each(x, at):
+    found = data(M=np.array([0, 1, 2, 5]), z=np.linspace(0.1, 3, 8))
+    found = found.assign_coords(limit=("M", [2.0, 1.0, 1.35, np.inf]))
+    (figure,) = drawn(found, {"kind": "heat", "x": x, "y": {"z": "M", "M": "z"}[x]}).values()
+    (line,) = (line for line in figure.axes[0].lines if line.get_color() == style.VERMILION)
+    corners = STEP_LOOKUP_MAP[line.get_drawstyle()](*line.get_xydata().T)
+    z, M = corners[at], corners[1 - at]
+    for m, cell, limit in ((0, (-0.5, 0.5), 2.0), (1, (0.5, 1.5), 1.0), (2, (1.5, 3.5), 1.35)):
+        along = [i for i in range(len(z) - 1) if {M[i], M[i + 1]} == set(cell)]  # the side of M's own cell
+        assert [(z[i], z[i + 1]) for i in along] == [(limit, limit)], m
+    assert not any({M[i], M[i + 1]} == {3.5, 5.5} and np.isfinite(z[i]) for i in range(len(z) - 1))  # no limit at 5
+
+
+def test_no_boundary_where_the_data_carry_none_or_one_that_is_not_of_this_plane():
+    plane = {"kind": "heat", "x": "alpha", "y": "Ts"}
+    for found in (data(**PLANE, limit=False), data(**PLANE).assign_coords(limit=("method", [np.nan] * 3))):
+        (figure,) = drawn(found, plane).values()
+        assert dashed(figure) == [[], [], []]
+    found = data(method=METHODS, damping=np.geomspace(1e-3, 1, 6), distance=np.geomspace(1e-3, 1, 5))
+    (figure,) = drawn(found, {"kind": "heat", "x": "damping", "y": "distance"}).values()
+    assert dashed(figure) == [[], [], []]
+
+
+def test_who_is_best_beyond_every_limit_is_not_said():
+    found = data(**PLANE)
+    layout = arrange(found, {"kind": "best", "x": "alpha", "y": "Ts"})
+    beyond = planes.beyond_every_limit(found.max_error, layout)
+    np.testing.assert_array_equal(beyond, np.outer(found.Ts, found.alpha) > 2.0)
+    assert not planes.beyond_every_limit(data(**PLANE, limit=False).max_error, layout).any()
+    (figure,) = drawn(found, {"kind": "best", "x": "alpha", "y": "Ts"}).values()
+    shown = figure.axes[0].collections[0].get_array()
+    np.testing.assert_array_equal(np.ma.getmaskarray(shown), beyond | (np.arange(10) == 9)[:, None])
+
+
+# --- one of each --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("table", "x", "y"),
+    [
+        ({"kind": "heat", "x": "alpha", "y": "Ts"}, "α [1/s]", "Ts [s]"),
+        ({"kind": "best", "x": "Ts", "y": "alpha"}, "Ts [s]", "α [1/s]"),
+        ({"kind": "slices", "x": "alpha"}, "α [1/s]", "error ‖e‖, largest [m]"),
+        ({"kind": "convergence"}, "step k", "error ‖e[k]‖ [m]"),
+        ({"kind": "distribution", "over": "Ts"}, "error ‖e‖, largest [m]", "share of loops at or below"),
+        ({"kind": "work", "select": {"alpha": 5.0}}, "evaluations of f(q, t)", "error ‖e‖, largest [m]"),
+    ],
+)
+def test_each_kind_is_drawn_with_units(table, x, y, tmp_path):
+    (figure,) = drawn(data(**PLANE), table).values()
+    axes = figure.axes[0]
+    assert (axes.get_ylabel(), figure.axes[-2 if table["kind"] == "heat" else -1].get_xlabel()) == (y, x)
+    figure.savefig(tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 5000
+    words = " ".join(t.get_text() for legend in figure.legends for t in legend.get_texts())
+    if table["kind"] != "heat":
+        assert words == "EE IE CN"
+
+
+def test_curves_hold_the_datas_numbers():
+    found = data(**PLANE)
+    (figure,) = drawn(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 5.0}}).values()
+    here = found.max_error.sel(alpha=5.0, method="nearest")
+    for line, values in zip(figure.axes[0].lines, here.values, strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[:-1], values[:-1])
+        assert np.isnan(line.get_ydata()[-1])  # infinite: a gap
+    (figure,) = drawn(found, {"kind": "convergence"}).values()
+    np.testing.assert_array_equal(figure.axes[0].lines[2].get_ydata(), found.error[2, 6, 5])  # long axes: their middle
+    many = data(method=METHODS, q0=np.arange(20))
+    (figure,) = drawn(many, {"kind": "convergence"}).values()
+    np.testing.assert_allclose(figure.axes[0].lines[1].get_ydata(), np.median(many.error[1], axis=0))
+    assert len(figure.axes[0].collections) == 3  # with the band of each
+    (figure,) = drawn(found, {"kind": "distribution", "over": "Ts"}).values()
+    line = figure.axes[0].lines[0]
+    assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
+    (figure,) = drawn(found, {"kind": "work", "select": {"alpha": 5.0}}).values()
+    np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), np.arange(1, 11) * 10)

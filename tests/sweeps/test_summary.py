@@ -1,0 +1,75 @@
+"""Summaries: statistics against NumPy, and tables that any reader of CSV understands."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import xarray
+
+from cnclik.errors import ArgumentError
+from cnclik.sweeps import export, summarize, summary
+
+CASES = ["plain", "with, comma", 'with "quotes"', "two\nlines"]
+
+
+@pytest.fixture
+def data():
+    rng = np.random.default_rng(3)
+    error = rng.random((4, 2, 10, 5))
+    error[0, 0, 0, :2] = np.inf
+    error[0, 0, 1, 0] = np.nan
+    dims = ("case", "M", "alpha", "q0")
+    return xarray.Dataset(
+        {
+            "final_error": (dims, error, {"units": "m"}),
+            "error": ((*dims, "time"), np.zeros((4, 2, 10, 5, 3)), {"units": "m"}),
+        },
+        {
+            "case": CASES,
+            "M": [1, 5],
+            "alpha": np.linspace(1, 2, 10),
+            "q0": np.arange(5),
+            "q0_value": (("q0", "q0_0"), rng.random((5, 2))),
+        },
+        attrs={"spec": "{}", "config": json.dumps({"lanes": 8}), "question": "?", "expectation": "!"},
+    )
+
+
+def test_statistics_are_numpys_for_each_combination_of_names(data):
+    rows = summarize(data)
+    assert len(rows) == 4 * 2  # of histories none
+    first = rows[0]
+    values = data.final_error.values[0, 0].ravel()
+    known = values[np.isfinite(values)]
+    assert (first["case"], first["M"], first["metric"], first["units"]) == ("plain", 1, "final_error", "m")
+    assert first["finite"] == pytest.approx(47 / 50) and first["mean"] == pytest.approx(known.mean())
+    assert first["min"] == known.min() and first["max"] == np.inf
+    ranked = np.sort(values[~np.isnan(values)])  # 49 of them
+    assert first["median"] == ranked[24]
+    whole = rows[-1]
+    assert whole["median"] == np.quantile(data.final_error.values[3, 1], 0.5, method="lower") and whole["finite"] == 1
+
+
+def test_the_table_reads_back_whatever_the_names(data, tmp_path):
+    paths = summary.write(data, tmp_path)
+    assert [p.name for p in paths] == ["summary.csv", "config.json"]
+    with (tmp_path / "summary.csv").open(newline="") as file:
+        read = list(csv.DictReader(file))
+    assert list(read[0]) == ["case", "M", "metric", "units", "min", "q10", "median", "q90", "max", "mean", "finite"]
+    assert [row["case"] for row in read[::2]] == CASES
+    for row, wanted in zip(read, summarize(data), strict=True):
+        assert float(row["median"]) == pytest.approx(wanted["median"], rel=1e-5)
+    assert json.loads((tmp_path / "config.json").read_text()) == {"spec": {}, "config": {"lanes": 8}}
+
+
+def test_exports_hold_every_number(data, tmp_path):
+    with xarray.open_dataset(export(data, tmp_path, "nc"), engine="h5netcdf") as back:
+        xarray.testing.assert_identical(back.load().drop_vars("case"), data.drop_vars("case"))
+        assert back.case.values.tolist() == CASES
+    with export(data.drop_vars("error"), tmp_path, "csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    np.testing.assert_array_equal([float(r["final_error"] or "nan") for r in rows], data.final_error.values.ravel())
+    np.testing.assert_array_equal([float(r["q0[1]"]) for r in rows[:5]], data.q0_value.values[:, 1])
+    with pytest.raises(ArgumentError, match="`export` must be one of nc, csv"):
+        export(data, tmp_path, "xlsx")
