@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.problem.build import start_from
+from cnclik.robot.posture import start_posture
 
 pin = pytest.importorskip("pinocchio")
 
@@ -83,7 +83,7 @@ def test_a_loop_of_500_steps_is_pinocchios(name):
     file, tip, base = ROBOTS[name]
     arm = ck.load_urdf(folder() / file, tip, base)
     tip = tip or "link_eef"
-    q0 = start_from(arm, ck.pose_task())
+    q0 = start_posture(arm, ck.pose_task())
     direction = np.array([0.05, -0.08, 0.06])
     expected, start, rotation_d = loop(folder() / file, arm, tip, base, q0, direction)
 

@@ -21,7 +21,7 @@ def test_it_agrees_with_outcome_over_z_and_starts():
     def both(z, far):
         law, q0 = ck.replace(LAW, alpha=z), REST + far * np.array([1.0, -0.7])
         run = ck.solve(law, target, q0, 1.0, 40)
-        found = metrics.measure(run, law, target, ["ending", "stable"])
+        found = metrics.measure_run(run, law, target, ["ending", "stable"])
         return found.ending, found.stable, jax.tree.leaves(outcome(law, target, q0, 1.0, 40))[0]
 
     stored, stable, running = map(np.asarray, jax.jit(jax.vmap(both))(z, far))
