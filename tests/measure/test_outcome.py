@@ -37,10 +37,17 @@ def test_out_of_reach_is_not_taken_for_convergence():
 
 
 def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
-    """Just beyond the boundary EE wanders within its reach, always below a scale of 10 m."""
-    kind, made = kinds(TARGET, [2.01], scale=10.0)
-    assert kind[0] == Kind.NOT_CONVERGED
-    assert 1.0 < made.final[0] < 10.0 and not made.near_singular[0]
+    """Just beyond the boundary EE wanders within its reach, always below a scale of 10 m.
+
+    Where it ends is chaotic, and so differs between processors; that it neither arrives nor reaches 10 m is not.
+    """
+    rng = np.random.default_rng(3)
+    starts = START + rng.uniform(-0.3, 0.3, (64, 2))
+    made = maps.measure(LAW, TARGET, starts, alpha=2.1, Ts=1.0, N=120, scale=10.0)
+    assert not stable(made.kind).any() and np.median(made.final) > 1.0 and made.final.max() < 10.0
+    expected = np.where(made.near_singular, Kind.NEAR_SINGULAR, Kind.NOT_CONVERGED)  # never DIVERGED: below the scale
+    np.testing.assert_array_equal(made.kind, expected)
+    assert np.sum(made.kind == Kind.NOT_CONVERGED) > 5  # of 64; 20 to 30, as the processor has it
 
 
 @pytest.mark.parametrize(
