@@ -7,11 +7,9 @@ Every builder takes text and numbers as a user writes them and returns what the 
 import csv
 import dataclasses
 import inspect
-import math
 import pathlib
 import re
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -27,7 +25,8 @@ from cnclik.law import task as tasks
 from cnclik.law.law import Law
 from cnclik.robot import builtin
 from cnclik.robot.chain import REVOLUTE, Chain, planar_arm
-from cnclik.robot.kinematics import frames, jacobian_rows, stack
+from cnclik.robot.kinematics import frames
+from cnclik.robot.posture import arm_length, is_planar, start_posture
 from cnclik.robot.urdf import load_urdf
 
 ROBOTS = {"panda": builtin.panda, "ur5": builtin.ur5}
@@ -164,55 +163,11 @@ def robot_name(text, tip=None) -> str:
     return f"{name} {tip}" if tip else name
 
 
-def is_planar(chain: Chain) -> bool:
-    """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
-    flat = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    return all(
-        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == flat
-        for joint in chain.joints
-    )
-
-
 def start_from(chain: Chain, task, q0=None):
-    """q0 (n,), checked; by default a posture well inside the limits and away from singularities.
-
-    The default is the middle of the limits (0 for joints without) if the task Jacobian is well conditioned
-    there; else, of 256 fixed postures spread around it, the one with the largest least singular value.
-    """
-    if q0 is not None:
-        return np.asarray(errors.array("q0", q0, (chain.n,)), float)
-    lower, upper = np.array(chain.lower), np.array(chain.upper)
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    low, high = (np.where(np.isfinite(v), v, sign * math.pi) for v, sign in ((lower, -1), (upper, 1)))
-    middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low, high))
-    # An additive sequence fills the cube evenly, and the same way on every machine (Roberts 2018).
-    base = 2.0
-    for _ in range(50):
-        base = (1 + base) ** (1 / (chain.n + 1))
-    spread = np.outer(np.arange(256), base ** -np.arange(1.0, chain.n + 1))
-    width = np.minimum((high - low) / 4, math.pi / 2)
-    postures = middle + width * (2 * np.mod(spread + 0.5, 1.0) - 1)
-    least = _least(chain, task, postures)
-    return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
-
-
-def _least(chain, task, postures):
-    """Least singular values of the task Jacobian at (K, n) postures, lengths in units of the arm's own."""
-
-    def one(q):
-        at = frames(chain, tuple(q))
-        return stack(jacobian_rows(chain, at, task.linear, task.angular), q)
-
-    with hints(False):  # run as written: compiling the chain for one look at it would take seconds
-        j = np.array(jax.vmap(one)(postures))
-    j[:, : len(task.linear)] /= length(chain)
-    return np.linalg.svd(j, compute_uv=False)[:, -1]
-
-
-def length(chain: Chain) -> float:
-    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm."""
-    offsets = [*(joint.origin.position for joint in chain.joints[1:]), chain.tip.position]
-    return max(sum(math.hypot(*map(float, p)) for p in offsets), 1e-3)
+    """q0 (n,), checked; by default `start_posture`."""
+    if q0 is None:
+        return start_posture(chain, task)
+    return np.asarray(errors.array("q0", q0, (chain.n,)), float)
 
 
 # --- task and law -------------------------------------------------------------------------------------
@@ -376,7 +331,7 @@ def reference_from(
         return references.line(first, last, duration=period, **turns)
     if name == "circle":
         _needs_position(name, task)
-        radius = length(chain) / 10 if radius is None else radius
+        radius = arm_length(chain) / 10 if radius is None else radius
         errors.number("radius", radius, positive=True)
         at, rotation = _point("center", center, task, here)
         if center is None:
@@ -385,7 +340,7 @@ def reference_from(
         return references.circle(at, radius, period=period, normal=normal, rotation=rotation)
     if name == "lissajous":
         _needs_position(name, task)
-        amplitude = length(chain) / 20 if amplitude is None else amplitude
+        amplitude = arm_length(chain) / 20 if amplitude is None else amplitude
         at, rotation = _point("center", center, task, here)
         amplitude = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),)))
         size = amplitude * np.ones(len(at))
@@ -439,7 +394,7 @@ def _away(chain, q0):
     size = np.full(chain.n, 0.3)
     for joint in chain.joints:
         if joint.kind != REVOLUTE:
-            size[joint.coordinate] = length(chain) / 10
+            size[joint.coordinate] = arm_length(chain) / 10
     size = np.minimum(size, (upper - lower) / 4)
     return _tip(chain, q0 + (np if errors.concrete(q0) else jnp).where(middle >= q0, size, -size))
 

@@ -10,8 +10,9 @@ from cnclik import errors
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import METHODS
 from cnclik.integrate.solve import evaluations_per_step, solve
-from cnclik.problem.build import length, problem_from, reference_from
+from cnclik.problem.build import problem_from, reference_from
 from cnclik.record import replace
+from cnclik.robot.posture import arm_length as length
 from cnclik.stability import maps
 from cnclik.stability.linear import stability_limit
 from cnclik.stability.spectrum import at_rest

@@ -18,9 +18,10 @@ from cnclik.law.law import Law
 from cnclik.law.reference import waypoints
 from cnclik.law.task import pose as pose_task
 from cnclik.measure.chatter import chatter
-from cnclik.problem.build import length, start_from
+from cnclik.problem.build import start_from
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import _jacobian, _pose
+from cnclik.robot.posture import arm_length as length
 from cnclik.robot.urdf import load_urdf
 
 # name: (file in the example-robot-data wheel, tip, base)

@@ -5,7 +5,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.measure.chatter import chatter
-from cnclik.problem.build import length
+from cnclik.robot.posture import arm_length as length
 from cnclik.sweeps import trouble
 
 

@@ -1,0 +1,69 @@
+"""Posture: how long an arm is, whether it is planar, how far postures are from singular, and where to start.
+
+A task is anything with `linear` and `angular`, the components of the tip's velocity that it controls.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.hints import hints
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.kinematics import frames, jacobian_rows, stack
+
+
+def arm_length(chain: Chain):
+    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm.
+
+    A float; traced where the chain's geometry is.
+    """
+    offsets = [*(joint.origin.position for joint in chain.joints[1:]), chain.tip.position]
+    if all(errors.concrete(x) for p in offsets for x in p):
+        return max(sum(math.hypot(*map(float, p)) for p in offsets), 1e-3)
+    return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), 1e-3)
+
+
+def is_planar(chain: Chain) -> bool:
+    """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
+    flat = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    return all(
+        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == flat
+        for joint in chain.joints
+    )
+
+
+def least_singular_values(chain: Chain, task, postures):
+    """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
+
+    def one(q):
+        return stack(jacobian_rows(chain, frames(chain, tuple(q)), task.linear, task.angular), q)
+
+    with hints(False):  # run as written: compiling the chain for one look at it would take seconds
+        j = np.array(jax.vmap(one)(jnp.asarray(postures)))
+    j[:, : len(task.linear)] /= arm_length(chain)
+    return np.linalg.svd(j, compute_uv=False)[:, -1]
+
+
+def start_posture(chain: Chain, task):
+    """A posture (n,) [rad, m] well inside the limits and away from singularities of the task.
+
+    The middle of the limits (0 for joints without) if the task Jacobian is well conditioned there; else, of 256
+    fixed postures spread around it, the one with the largest least singular value.
+    """
+    lower, upper = np.array(chain.lower), np.array(chain.upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    low, high = (np.where(np.isfinite(v), v, sign * math.pi) for v, sign in ((lower, -1), (upper, 1)))
+    middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low, high))
+    # An additive sequence fills the cube evenly, and the same way on every machine (Roberts 2018).
+    base = 2.0
+    for _ in range(50):
+        base = (1 + base) ** (1 / (chain.n + 1))
+    spread = np.outer(np.arange(256), base ** -np.arange(1.0, chain.n + 1))
+    width = np.minimum((high - low) / 4, math.pi / 2)
+    postures = middle + width * (2 * np.mod(spread + 0.5, 1.0) - 1)
+    least = least_singular_values(chain, task, postures)
+    return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
