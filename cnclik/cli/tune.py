@@ -285,7 +285,7 @@ def _draw(folder, found, made, args) -> dict:
     ends = np.asarray(found.after.q)[-1]
     usable = found.status != "non-finite" and np.isfinite(ends).all()
     field = radius_field(found, made, ends) if usable else None
-    data = responses(found.law, ends, found.Ts, made.method, made.stage) if usable else None
+    data = responses(found.law, None, ends, Ts=found.Ts, method=made.method, stage=made.stage) if usable else None
     with style.style():
         drawn = tuning.pictures(found, made.law.task, field, data)
         for name, figure in drawn.items():

@@ -88,7 +88,7 @@ def agreement_study(
         for method, kind, passes in groups:
             own = slice(first, first + len(passes))
             first = own.stop
-            made = maps.measure(
+            made = maps.outcomes(
                 law,
                 target,
                 q0,
@@ -99,13 +99,13 @@ def agreement_study(
                 method=method,
                 stage=_stage(kind, passes),
                 tolerance=tolerance,
-                progress=None if progress is None else lambda ran, done=done: progress(done + ran, total),
+                progress=None if progress is None else lambda ran, _, done=done: progress(done + ran, total),
             )
             done += len(passes) * lanes
             for c in range(own.start, own.stop):
                 inside, outside = values[c] < limits[c] * (1 - band), values[c] > limits[c] * (1 + band)
                 for s in range(len(sizes)):
-                    kinds = made.kind[c - own.start, s]
+                    kinds = made.ending[c - own.start, s]
                     good = maps.stable(kinds)
                     found[0, r, c, s] = maps.agreement(kinds, values[c], limits[c], band=band)
                     found[1, r, c, s] = 1 - good[:, inside].mean()

@@ -22,7 +22,7 @@ from cnclik.law.law import Law
 from cnclik.record import record, replace, stack
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.stability.linear import named
-from cnclik.stability.spectrum import _one_step, at_rest, largest_rate
+from cnclik.stability.spectrum import at_rest, largest_rate, one_step
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import descend, gradient_mode
 from cnclik.tuning.losses import View, terms
@@ -128,7 +128,7 @@ class LoopObjective:
 
         def one(q, moment):
             law = scheduled(loop, moment)
-            moved, rows = _one_step(law, at_rest(law, None, q), q, loop.Ts, self.method, self.stage)
+            moved, rows = one_step(law, at_rest(law, None, q), q, loop.Ts, self.method, self.stage)
             m, n = rows.shape
             inverse = jnp.linalg.pinv(rows)
             task = jnp.eye(m, dtype=q.dtype) + rows @ (moved - jnp.eye(n, dtype=q.dtype)) @ inverse
@@ -807,7 +807,7 @@ def radius_field(tuned, made, q):
     """
     import xarray as xr
 
-    from cnclik.stability.spectrum import _maps, _task_radius
+    from cnclik.stability.spectrum import step_maps, task_radius
 
     rate = largest_rate(tuned.law.alpha)
     centre = tuned.z / tuned.Ts
@@ -816,8 +816,8 @@ def radius_field(tuned, made, q):
     grid_Ts, grid_alpha = (v.ravel() for v in np.meshgrid(Ts, alpha, indexing="ij"))
     q = as_joint_values(tuned.law.chain, q)
     law = replace(tuned.law, alpha=jnp.asarray(tuned.law.alpha))
-    moved, rows = _maps(law, at_rest(law, None, q), q, grid_alpha / rate, grid_Ts, made.method, made.stage)
-    radius = _task_radius(moved, rows).reshape(len(Ts), len(alpha))
+    moved, rows = step_maps(law, at_rest(law, None, q), q, grid_alpha / rate, grid_Ts, made.method, made.stage)
+    radius = task_radius(moved, rows).reshape(len(Ts), len(alpha))
     gain = "gain α" if np.ndim(tuned.law.alpha) == 0 else "largest gain of α"
     return xr.Dataset(
         {"radius": (("Ts", "alpha"), radius, {"units": "1", "long_name": "spectral radius"})},
