@@ -30,7 +30,7 @@ from cnclik.robot.urdf import load_urdf
 from cnclik.version import __version__
 
 if TYPE_CHECKING:
-    from cnclik.measure.metrics import Metrics, measure
+    from cnclik.measure.metrics import Metrics, measure_run
     from cnclik.sweeps.sweep import sweep
     from cnclik.tuning.tune import calibrate, tune
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _ON_USE = {
     "Metrics": "cnclik.measure.metrics",
     "calibrate": "cnclik.tuning.tune",
-    "measure": "cnclik.measure.metrics",
+    "measure_run": "cnclik.measure.metrics",
     "sweep": "cnclik.sweeps.sweep",
     "tune": "cnclik.tuning.tune",
 }

@@ -38,12 +38,18 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     out["path_length"] = norms(np.diff(q, axis=0)).sum()
     out["velocity_ratio"] = (np.abs(qdot) / velocity_limit).max()
     out["limit_distance"] = np.minimum(q - lower, upper - q).min()
+    out["past_limit"] = max(0.0, *(q - upper).ravel(), *(lower - q).ravel())
+    late = qdot[steps // 2 :]
+    pairs = zip(late[:-1].T, late[1:].T, strict=True)
+    back = [[min(abs(a), abs(b)) * (a * b < 0) for a, b in zip(u, v, strict=True)] for u, v in pairs]
+    out["chatter"] = np.sqrt(np.mean(np.sum(np.square(back), axis=0)))
     rows = [*law.task.linear, *(3 + i for i in law.task.angular)]
     jacobians = np.stack([np.asarray(ck.jacobian(law.chain, one))[rows] for one in q])
     out["least_singular_value"] = np.linalg.svd(jacobians, compute_uv=False).min()
     out["residual"], out["contraction"] = residual.max(), contraction.max()
     out["evaluations"] = float(run.evaluations)
     out["ok"] = int(np.sum(status == 0))
-    for bit, name in ((1, "not_converged"), (2, "near_singular"), (4, "at_limit"), (8, "non_finite")):
-        out[name] = int(np.sum((status & bit) > 0))
+    for bit in ck.Status:
+        if bit:
+            out[bit.name.lower()] = int(np.sum((status & bit.value) > 0))
     return out

@@ -8,7 +8,6 @@ to its own target, and are reduced to their final error as they go: no trajector
 import dataclasses
 import functools
 import json
-import math
 import os
 import statistics
 import subprocess
@@ -19,151 +18,17 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from cnclik import errors
-from cnclik.hints import one_function
+from cnclik.bench.lines import Line
+from cnclik.bench.loops import ALPHA, ROBOTS, STAGES, inputs, loop, tracking_loss
+from cnclik.hints import cores
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS
-from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
-from cnclik.integrate.stage import chord, newton, picard
-from cnclik.law import reference as ref
-from cnclik.law.inverse import damped, pseudoinverse
-from cnclik.law.law import Law, evaluate
-from cnclik.law.task import pose as pose_task
-from cnclik.law.task import position
-from cnclik.robot import spatial as sp
-from cnclik.robot.builtin import panda, ur5
-from cnclik.robot.chain import Chain, from_dh, planar_arm
-from cnclik.robot.kinematics import pose
+from cnclik.integrate.solve import evaluations_per_step
 
-ALPHA, TS = 5.0, 0.1  # the paper's: z = 0.5
-DAMPING = 0.1
 STEPS, STEPS_OF_GRADIENT = 50, 20
 EVALUATIONS = 10_000_000  # per run, about: a large batch takes fewer steps
 LANES_OF_GRADIENT = 4096  # at most; reverse mode keeps what every step computed
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Line:
-    """What one line of the table measures. `cores` None: all this process may use; `N` None: chosen by cost."""
-
-    robot: str
-    method: str
-    stage: str
-    M: int = 5
-    dtype: str = "float32"
-    batch: int = 4096
-    cores: int | None = None
-    N: int | None = None
-    gradient: bool = False
-
-    def __post_init__(self):
-        errors.one_of("robot", self.robot, ROBOTS)
-        errors.one_of("method", self.method, METHODS)
-        errors.one_of("stage", self.stage, STAGES)
-        errors.one_of("dtype", self.dtype, ("float32", "float64"))
-        errors.integer("M", self.M, at_least=0)
-        errors.integer("batch", self.batch, at_least=1)
-        if self.N is not None:
-            errors.integer("N", self.N, at_least=1)
-        if self.cores is not None:
-            errors.integer("cores", self.cores, at_least=1)
-            if self.cores > len(cores_here()):
-                raise errors.fail("cores", f"be at most {len(cores_here())} on this machine", f"is {self.cores}")
-
-
-# --- the loops that are timed -------------------------------------------------------------------------
-
-
-class Case(NamedTuple):
-    """A robot's law, and the posture around which loops start and targets lie."""
-
-    law: Law
-    posture: tuple
-    spread: float  # [rad] of both
-
-
-def chain_of_30() -> Chain:
-    """30 revolute joints, neighbours' axes at right angles, links of 0.1 m: a snake arm of 3 m."""
-    turns = [math.pi / 2 if i % 2 == 0 else -math.pi / 2 for i in range(30)]
-    return from_dh(a=[0.1] * 30, alpha=turns, d=[0.0] * 30)
-
-
-def _planar(n):
-    law = Law(planar_arm([1.0] * n, clockwise=True), position("xy"), alpha=ALPHA, inverse=pseudoinverse())
-    return Case(law, (0.0, math.pi / 2, *[0.0] * (n - 2)), 0.2)
-
-
-def _spatial(chain, posture):
-    return Case(Law(chain, pose_task(), alpha=ALPHA, inverse=damped(DAMPING)), posture, 0.2)
-
-
-# The paper's arms on their position with J#, the others on their whole pose with damped least squares.
-ROBOTS = {
-    "planar2": lambda: _planar(2),
-    "planar5": lambda: _planar(5),
-    "panda": lambda: _spatial(panda(), (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)),
-    "ur5": lambda: _spatial(ur5(), (0.0, -1.2, 1.8, -2.2, -math.pi / 2, 0.0)),
-    "chain30": lambda: _spatial(chain_of_30(), (0.3,) * 30),
-}
-STAGES = {"picard": picard, "chord": chord, "newton": newton}
-STAGE_OF = {"TRAPEZOID": "chord"}  # others: picard, as in the paper
-
-
-def inputs(case: Case, batch: int, dtype) -> dict:
-    """Starts q0 (batch, n) and targets, each lane its own: position (batch, 3), rotation (batch, 3, 3).
-
-    Targets are poses of nearby joint values, so that all can be reached; there are at most 4096 different ones.
-    """
-    draw = np.random.default_rng(0)
-    n, few = len(case.posture), min(batch, 4096)
-    q0 = case.posture + case.spread * draw.uniform(-1, 1, (batch, n))
-    goals = case.posture + case.spread * draw.uniform(-1, 1, (few, n))
-    with jax.enable_x64(True):
-        at = jax.jit(jax.vmap(lambda q: pose(case.law.chain, q)))(goals)
-    named = {"q0": q0, "position": np.resize(at.position, (batch, 3))}
-    if case.law.task.orientation:
-        named["rotation"] = np.resize(at.rotation, (batch, 3, 3))
-    return {name: np.asarray(value, dtype) for name, value in named.items()}
-
-
-def final(law, reference, q0, Ts, N, method, stage):
-    """The end of a loop of N steps, none of it stored: (q (n,), ‖e‖)."""
-    law, reference = cast((law, reference), q0.dtype)
-    k = jnp.arange(N + 1).astype(q0.dtype)
-
-    @one_function
-    def march(law, reference, q0, Ts, stage, k):
-        one = lambda q, k: (advance(law, reference, q, k * Ts, Ts, method, stage).q, None)  # noqa: E731
-        q, _ = lax.scan(one, tuple(q0), k[:-1])
-        return q, evaluate(law, reference, k[-1] * Ts, q).e
-
-    q, e = march(law, reference, q0, jnp.asarray(Ts, q0.dtype), stage, k)
-    return jnp.stack(q), jnp.sqrt(sp.dot(e, e))
-
-
-def loop(case: Case, N: int, method, stage):
-    """`final` as a function of one lane's start and target."""
-
-    def one(q0, position, rotation=None):
-        return final(case.law, ref.hold(position, rotation), q0, TS, N, method, stage)
-
-    return one
-
-
-def tracking_loss(case: Case, N: int, method, stage):
-    """Mean of ‖e‖² over a loop's N + 1 instants, as a function of alpha and one lane's start and target."""
-
-    def loss(alpha, q0, position, rotation=None):
-        law = dataclasses.replace(case.law, alpha=alpha)
-        e = solve(law, ref.hold(position, rotation), q0, TS, N, method, stage).e
-        return jnp.mean(jnp.sum(e * e, axis=1))
-
-    return loss
-
-
-# --- measuring ----------------------------------------------------------------------------------------
 
 
 class Timing(NamedTuple):
@@ -234,7 +99,7 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
     run_s = repeat(run, seconds)
     record = dataclasses.asdict(line) | {
         "N": N,
-        "cores": line.cores or len(cores_here()),
+        "cores": line.cores or cores(),
         "device": device(),
         "jax": jax.__version__,
         "evaluations_per_second": line.batch * N * per_step / run_s.median,
@@ -308,12 +173,13 @@ def processor() -> str:
         return platform.processor() or platform.machine()
 
 
-def cores_here() -> list:
-    """The cores that this process may use."""
-    try:
-        return sorted(os.sched_getaffinity(0))
-    except AttributeError:  # not Linux
-        return list(range(os.cpu_count() or 1))
+def hold_to(count: int) -> None:
+    """Hold this process to so many cores, the last of those it may use, where the system can.
+
+    Before JAX starts its threads, which is on first use: it makes as many as there are cores.
+    """
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-count:])
 
 
 # --- a process per line -------------------------------------------------------------------------------
@@ -351,9 +217,8 @@ def measure_apart(line: Line, seconds: float = 1.0, *, cache: str | None = None)
 def _child(task: str) -> None:
     task = json.loads(task)
     line = Line(**task["line"])
-    # Before JAX starts its threads: it makes as many as there are cores it may use.
-    if line.cores is not None and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, cores_here()[-line.cores :])
+    if line.cores is not None:
+        hold_to(line.cores)
     jax.config.update("jax_enable_x64", line.dtype == "float64")
     print(json.dumps(measure(line, task["seconds"])))
 

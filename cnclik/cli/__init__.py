@@ -4,9 +4,12 @@ A verb's module holds a dataclass `Args` (its options, read by tyro) and `run(ar
 in `VERBS`.
 """
 
+import difflib
 import importlib
 import os
 import sys
+
+from cnclik.version import __version__
 
 VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
@@ -16,41 +19,52 @@ VERBS = {
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
-    "rivals": "tuning by gradient against grid search, Nelder-Mead and a gain picked by hand",
-    "trouble": "compare damping and limit methods on real robots near singularities, limits and out of reach",
     "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
 
 
 def main(argv=None) -> None:
-    """Entry point of `cnclik`. Exit code 2, and one line on stderr, for arguments that can't be used."""
+    """Entry point of `cnclik`.
+
+    What is wrong is one line on stderr; the exit code is 2 for arguments that can't be used, 1 for figures that could
+    not be drawn, 130 after an interrupt.
+    """
     argv = list(sys.argv[1:] if argv is None else argv)
     if argv[:1] in (["-V"], ["--version"]):
-        from cnclik import __version__
-
         print(f"cnclik {__version__}")
-        return
-    if not argv or argv[0] in ("-h", "--help"):
+    elif not argv or argv[0] in ("-h", "--help"):
         print(_overview())
-        return
+    elif argv[0] not in VERBS:  # answered here: `errors` would load JAX
+        near = difflib.get_close_matches(argv[0], VERBS, n=1, cutoff=0.5)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        _leave(2, f"Argument `verb` must be one of {', '.join(VERBS)}, but is {argv[0]!r}{hint}.")
+    else:
+        _run(*argv)
+
+
+def _run(verb, *options) -> None:
+    _prepare()
     from cnclik import errors
+    from cnclik.cli import arguments
+    from cnclik.show.output import FigureError
 
     try:
-        verb = errors.one_of("verb", argv[0], VERBS)
-        _prepare()
-        from cnclik.cli import arguments
-
         module = importlib.import_module(f"cnclik.cli.{verb}")
-        module.run(arguments.parse(module.Args, argv[1:], prog=f"cnclik {verb}", description=VERBS[verb]))
+        module.run(arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb]))
     except errors.ArgumentError as error:
-        print(f"cnclik: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+        _leave(2, error)
+    except FigureError as error:
+        _leave(1, error)
     except KeyboardInterrupt:
-        print("cnclik: Interrupted; what was complete is kept.", file=sys.stderr)
-        sys.exit(130)
+        _leave(130, "Interrupted; what was complete is kept.")
     except BrokenPipeError:  # the reader of our output, such as `head`, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
+
+
+def _leave(code, message) -> None:
+    print(f"cnclik: {' '.join(str(message).split())}", file=sys.stderr)
+    sys.exit(code)
 
 
 def _prepare() -> None:

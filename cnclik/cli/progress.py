@@ -1,60 +1,80 @@
-"""A progress bar with rate and time left; plain lines where there is no terminal."""
+"""The one progress bar: what is done, how fast, how long still; plain lines where there is no terminal."""
 
 import contextlib
 import sys
 import time
 
+_BETWEEN_LINES = 10.0  # [s]
+
 
 @contextlib.contextmanager
-def bar(unit: str, *, quiet=False):
+def bar(unit: str, total=None, quiet=False):
     """Yields report(done, total, note=""), the one form of progress that every function of the library takes.
 
-    Args: unit: what is counted.
+    Until something is done it shows "compiling" with the seconds that have passed, or the note.
+
+    Args:
+      unit: what is counted.
+      total: how many there are, where that is known before the first report.
+      quiet: show nothing.
     """
     if quiet:
         yield lambda done, total, note="": None
-        return
-    if not sys.stderr.isatty():
+    elif not sys.stderr.isatty():
         yield _Lines(unit)
-        return
-    from rich import progress
-    from rich.console import Console
+    else:
+        from rich import progress
+        from rich.console import Console
 
-    columns = (
-        progress.BarColumn(bar_width=None),
-        progress.TaskProgressColumn(),
-        progress.TextColumn("{task.fields[rate]}"),
-        progress.TimeRemainingColumn(),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task("", total=None, rate=f"compiling, {unit}")
-        begun = None
+        columns = (
+            progress.SpinnerColumn(),
+            progress.BarColumn(),
+            progress.TextColumn("{task.description}", markup=False),
+            progress.TimeElapsedColumn(),
+            progress.TimeRemainingColumn(elapsed_when_finished=True),
+        )
+        with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+            task, clock = shown.add_task(f"compiling, {unit}", total=total), _Clock()
 
-        def report(done, total, note=""):
-            nonlocal begun
-            now = time.perf_counter()
-            begun = now if begun is None else begun
-            rate = f"{done / (now - begun):,.0f} {unit}/s" if done else f"compiling, {unit}"
-            shown.update(task, completed=done, total=max(total, 1), rate=f"{rate}  {note}" if note else rate)
+            def report(done, total, note=""):
+                text = words(unit, done, total, clock(total), note)
+                shown.update(task, completed=done, total=total or None, description=text)
 
-        yield report
+            yield report
+
+
+def words(unit, done, total, seconds, note="") -> str:
+    """What a report says: "120 of 4,000 loops, 60/s, EE"."""
+    parts = [f"{done:,} of {total:,} {unit}" if done else f"compiling, {unit}" if not note else ""]
+    if done and seconds > 0 and done / seconds >= 1:
+        parts.append(f"{done / seconds:,.0f}/s")
+    return ", ".join(part for part in (*parts, note) if part)
+
+
+class _Clock:
+    """Seconds since something was first counted toward this total: another total is another phase."""
+
+    def __init__(self):
+        self.total, self.begun = None, time.perf_counter()
+
+    def __call__(self, total):
+        now = time.perf_counter()
+        if self.total not in (None, total):
+            self.begun = now
+        self.total = total
+        return now - self.begun
 
 
 class _Lines:
     """A line every ten seconds."""
 
     def __init__(self, unit):
-        self.unit, self.begun, self.last = unit, time.perf_counter(), time.perf_counter()
+        self.unit, self.clock, self.last = unit, _Clock(), time.perf_counter()
 
     def __call__(self, done, total, note=""):
-        now = time.perf_counter()
-        if now - self.last < 10 or not total:
+        now, seconds = time.perf_counter(), self.clock(total)
+        if now - self.last < _BETWEEN_LINES:
             return
         self.last = now
-        rate = done / (now - self.begun)
-        left = f", {(total - done) / rate:,.0f} s left" if rate else ""
-        print(
-            f"{done:,} of {total:,} {self.unit}, {rate:,.0f}/s{left}{f', {note}' if note else ''}",
-            file=sys.stderr,
-            flush=True,
-        )
+        left = f", {(total - done) * seconds / done:,.0f} s left" if done and seconds else ""
+        print(words(self.unit, done, total, seconds, note) + left, file=sys.stderr, flush=True)

@@ -37,9 +37,8 @@ def run(args: Args) -> None:
     if not console.is_terminal:
         console.width = 400  # a pipe or file shall not cut names
     console.print(shown)
-    moving, mimic = (
-        sum(map(test, tree.edges)) for test in (lambda e: e.type != "fixed", lambda e: e.mimic is not None)
-    )
+    moving = sum(edge.type != "fixed" for edge in tree.edges)
+    mimic = sum(edge.mimic is not None for edge in tree.edges)
     links = "1 link" if len(tree.links) == 1 else f"{len(tree.links)} links"
     print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
     print(f"Tips (leaf links that a joint moves): {', '.join(tree.tips()) or 'none'}.")

@@ -127,7 +127,7 @@ def _summary(made, data, seconds):
     from rich.table import Table
 
     from cnclik.integrate.status import count
-    from cnclik.measure.chatter import chatter
+    from cnclik.measure.metrics import chatter
     from cnclik.stability.linear import stability_limit
 
     shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))

@@ -4,10 +4,10 @@ import functools
 import json
 import subprocess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
-import xarray as xr
 
 from cnclik import errors
 from cnclik.integrate.status import Status
@@ -16,8 +16,11 @@ from cnclik.law.law import Law
 from cnclik.robot.chain import REVOLUTE
 from cnclik.version import __version__
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> xr.Dataset:
+
+def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> "xr.Dataset":
     """A trajectory, or a batch of them, as an `xarray.Dataset`.
 
     Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from
@@ -32,6 +35,8 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
 
     Raises: ArgumentError where `dims` does not fit the trajectory's leading axes.
     """
+    import xarray as xr
+
     dims = tuple(dims)
     t, evaluations = np.asarray(trajectory.t), np.asarray(trajectory.evaluations)
     if np.ndim(trajectory.residual) != len(dims) + 1:
@@ -77,7 +82,7 @@ def as_json(config) -> str:
 
 
 def provenance(dtype) -> dict:
-    """What, beside the configuration, the numbers may depend on: versions, commit, dtype, device."""
+    """What, beside the configuration, the numbers may depend on: versions, commit, device; `dtype`: the data's own."""
     return {
         "cnclik": __version__,
         "commit": _commit(),

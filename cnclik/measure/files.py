@@ -5,18 +5,16 @@ import numpy as np
 
 def save_netcdf(data, path) -> None:
     """An `xarray.Dataset` as compressed netCDF."""
-    packed = {
-        v: {"zlib": True, "complevel": 6} for v in data.variables if data[v].dtype.kind in "fiub" and data[v].ndim
-    }
+    numbers = [name for name, values in data.variables.items() if values.dtype.kind in "fiub" and values.ndim]
+    packed = {name: {"zlib": True, "complevel": 6} for name in numbers}
     data.to_netcdf(path, engine="h5netcdf", encoding=packed)
 
 
 def markdown(header, rows, *, left=1) -> str:
-    """A Markdown table; the first `left` columns are set left, the others right."""
-    header = [str(cell) for cell in header]
+    """A Markdown table; the first `left` columns are set left, the others right. Cells may hold any one-line text."""
+    header, *rows = ([str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows))
     rule = ["---" if i < left else "---:" for i in range(len(header))]
-    lines = [header, rule, *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+    return "".join(f"| {' | '.join(row)} |\n" for row in (header, rule, *rows))
 
 
 def in_words(value) -> str:

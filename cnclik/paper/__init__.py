@@ -1,1 +1,60 @@
-"""Drexler (2016): its experiments under every reading, its claims, its figures."""
+"""Drexler (2016): its experiments under every reading of its text, its claims, its figures.
+
+run = paper.experiment("5dof", "track", "CN")     # one of its runs
+found = paper.reproduce("reproduced")             # all of them, with data, claims and figures in a folder
+"""
+
+from cnclik.paper import readings
+from cnclik.paper.readings import DEFAULT, READINGS, experiment, reading
+
+__all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
+
+
+def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
+    """All experiments of Section V under all eight readings of its text, in float64; a minute, mostly to compile.
+
+    Args:
+      out: folder for data, claims.json, claims.md and, after them, figures; None: nothing is written.
+      reading: what figures 1 to 12 show.
+      progress: called as progress(done, total, note).
+
+    Returns: datasets `trajectories`, `methods` and `passes`; `judge` makes claims of the first and the last.
+    Raises: ArgumentError for an unknown reading or an unusable folder; FigureError where figures could not be drawn,
+      with data and claims in place.
+    """
+    from cnclik.paper.data import everything
+
+    shown = str(readings.reading(reading))
+    if out is None:
+        return everything(progress)
+    from cnclik.paper import figures
+    from cnclik.show.output import draw, output_folder
+
+    with output_folder(out) as folder:
+        found = everything(progress)
+        _write(folder, found, shown)
+    draw(figures.figures(*found, shown), out, progress=progress)
+    return found
+
+
+def _write(folder, found, shown) -> None:
+    import json
+
+    from cnclik.measure.files import save_netcdf
+    from cnclik.paper import claims, figures, story
+
+    for name, data in found._asdict().items():
+        save_netcdf(data, folder / f"{name}.nc")
+    judged = claims.judge(found.trajectories, found.passes)
+    # allow_nan: a claim that rests on a NaN must not pass as JSON.
+    (folder / "claims.json").write_text(json.dumps(judged, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    text = story.story(judged, found.trajectories, found.methods, shown, figures.captions(*found, shown))
+    (folder / "claims.md").write_text(text, encoding="utf-8")
+
+
+def __getattr__(name):
+    if name != "judge":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from cnclik.paper.claims import judge  # loads xarray
+
+    return judge

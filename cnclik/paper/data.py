@@ -11,6 +11,7 @@ from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.paper import readings as paper
 from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, READINGS, Found, Lane
+from cnclik.precision import in_float64
 
 CONFIG = {
     "paper": "D. A. Drexler, Solution of the Closed-Loop Inverse Kinematics Algorithm Using the Crank-Nicolson Method, "
@@ -36,10 +37,13 @@ class Results(NamedTuple):
     passes: xr.Dataset
 
 
-def everything(track=iter) -> Results:
-    """All runs, as data; `track` wraps the iteration over the arms, to show progress."""
+@in_float64
+def everything(progress=None) -> Results:
+    """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
     found = Found({}, {})
-    for arm in track(list(ARMS)):
+    for done, (arm, size) in enumerate(ARMS.items()):
+        if progress is not None:
+            progress(done, len(ARMS), f"the {size} arm: compiling and running")
         one = paper.run_arm(arm)
         found.runs.update(one.runs)
         found.residuals.update(one.residuals)
@@ -68,7 +72,7 @@ def trajectories(found: Found) -> xr.Dataset:
     data["mean_error"] = data.error_norm.mean("time").assign_attrs(long_name="mean of ‖e‖ over k = 0 … N", units="m")
     data["final_error"] = data.error_norm.isel(time=-1, drop=True).assign_attrs(long_name="‖e[N]‖", units="m")
     data.spread.attrs = {"long_name": "relative change of mean_error between starts 1e-12 rad apart", "units": "1"}
-    return _labelled(data)
+    return _labelled(data, data.q.dtype)
 
 
 def key(arm: str, reading: str, case: str, method: str) -> tuple:
@@ -132,7 +136,7 @@ def methods(found: Found) -> xr.Dataset:
     }
     for name, (long_name, units) in about.items():
         data[name].attrs = {"long_name": long_name, "units": units}
-    return _labelled(data, reading=str(paper.DEFAULT), M_converged=paper.CONVERGED)
+    return _labelled(data, data.rms_error.dtype, reading=str(paper.DEFAULT), M_converged=paper.CONVERGED)
 
 
 def passes(found: Found) -> xr.Dataset:
@@ -149,15 +153,15 @@ def passes(found: Found) -> xr.Dataset:
         labels | {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)},
     )
     data.residual.attrs = {"long_name": "change of the joint increment in the last pass", "units": "rad"}
-    return _labelled(data)
+    return _labelled(data, data.residual.dtype)
 
 
-def _labelled(data, **config):
+def _labelled(data, dtype, **config):
     """With units on every variable, labels included, and the configuration in the attributes."""
     for name in data.variables:
         data[name].attrs.setdefault("long_name", name)
         data[name].attrs.setdefault("units", "1")
-    data.attrs = provenance(np.float64) | {"config": as_json(CONFIG | config)}
+    data.attrs = provenance(dtype) | {"config": as_json(CONFIG | config)}
     return data
 
 

@@ -1,7 +1,7 @@
-"""The figures of `cnclik reproduce`: what is drawn, from which data, under which name."""
+"""Which figures `reproduce` draws, from which data, under which name: the paper's twelve in its order, then ours."""
 
 import functools
-from pathlib import Path
+import hashlib
 
 import numpy as np
 import xarray as xr
@@ -9,36 +9,43 @@ import xarray as xr
 from cnclik.measure.dataset import as_json
 from cnclik.paper import claims, plots
 from cnclik.paper import readings as paper
-from cnclik.show import style
+from cnclik.show import run as single
 
 _CASES = {"reach": "Case I, reaching a point", "track": "Case II, tracking a line"}
 _KINDS = {
-    "joint paths": plots.joint_paths,
+    "joint paths": single.joint_paths,
     "error of the end effector: x, y, and norm": plots.errors,
-    "joint velocities": plots.joint_velocities,
+    "joint velocities": single.joint_velocities,
 }
 PICARD_READINGS = ("on-path/once/consistent", "on-path/twice/consistent")
 
 
 def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, reading: str) -> dict:
-    """{file name: (caption, data, function that draws it)}, the paper's twelve in its order, then ours."""
+    """{file name: (function that draws it, what the file says of itself)}, as `cnclik.show.output.draw` takes them."""
+    return {
+        name: (functools.partial(make, data), about(caption, data))
+        for name, (caption, data, make) in _drawn(trajectories, methods, passes, reading).items()
+    }
+
+
+def captions(trajectories, methods, passes, reading) -> dict:
+    """{file name: what it shows}."""
+    return {name: caption for name, (caption, *_) in _drawn(trajectories, methods, passes, reading).items()}
+
+
+def _drawn(trajectories, methods, passes, reading):
+    """{file name: (caption, data, function of the data that draws it)}."""
     found = {}
-    for arm in paper.ARMS:
+    for arm, size in paper.ARMS.items():
         for case, what in _CASES.items():
-            run = trajectories.sel(arm=arm, case=case, reading=reading).sel(joint=_joints(arm))
-            for kind, draw in _KINDS.items():
-                name = f"fig{len(found) + 1:02d}.png"
-                found[name] = (f"{arm.replace('dof', '-dof')} arm, {what}: {kind}", run, draw)
+            run = trajectories.sel(arm=arm, case=case, reading=reading).sel(joint=[f"q{i + 1}" for i in range(size.n)])
+            for kind, make in _KINDS.items():
+                found[f"fig{len(found) + 1:02d}.png"] = (f"{size} arm, {what}: {kind}", run, make)
     followed = passes[["residual"]].sel(reading=list(PICARD_READINGS)).isel({"pass": slice(0, 31)})
-    draw_passes = functools.partial(plots.passes, chosen=paper.M, settled=claims.SETTLED)
     return found | {
         "fig13.png": ("Error against evaluations, all methods", methods, plots.work),
         "fig14.png": ("Observed orders, stages converged", methods, plots.orders),
-        "fig15.png": (
-            "Convergence of the Picard iteration, Ts once and twice",
-            followed,
-            lambda data: draw_passes(data.residual),
-        ),
+        "fig15.png": ("Convergence of the Picard iteration, Ts once and twice", followed, _passes),
         "overview.png": (
             "An arm following a line, and the error of each method",
             _overview_data(trajectories, methods),
@@ -47,23 +54,25 @@ def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, r
     }
 
 
-def metadata(caption: str, data: xr.Dataset) -> dict:
+def about(caption: str, data: xr.Dataset) -> dict:
     """What a PNG says of itself: its title, the configuration, and the fingerprint of what was drawn."""
-    config = data.attrs["config"] if "config" in data.attrs else as_json({})
     labels = {n: str(v.values) for n, v in data.coords.items() if v.ndim == 0}
-    return {"Title": caption, "Config": config, "Selection": as_json(labels), "Data": plots.fingerprint(data)}
+    config = data.attrs.get("config", as_json({}))
+    return {"Title": caption, "Config": config, "Selection": as_json(labels), "Data": fingerprint(data)}
 
 
-def draw(found: dict, folder: Path, track=iter) -> None:
-    """Draw every figure into the folder; `track` wraps the iteration, to show progress."""
-    with style.style():
-        for name in track(list(found)):
-            caption, data, make = found[name]
-            style.save(make(data), Path(folder) / name, metadata(caption, data))
+def fingerprint(data) -> str:
+    """SHA-256 of a dataset's numbers and labels: what ties a figure to the data it was drawn from."""
+    digest = hashlib.sha256()
+    for name in sorted(map(str, data.variables)):
+        values = data[name].values
+        raw = values.tobytes() if values.dtype.kind in "fiub" else "\n".join(map(str, values.ravel())).encode()
+        digest.update(f"{name} {data[name].dims} {values.shape}\n".encode() + raw)
+    return digest.hexdigest()
 
 
-def _joints(arm):
-    return [f"q{i + 1}" for i in range(paper.ARMS[arm].n)]
+def _passes(data):
+    return plots.passes(data.residual, chosen=paper.M, settled=claims.SETTLED)
 
 
 def _overview_data(trajectories, methods):

@@ -39,6 +39,9 @@ class Arm(NamedTuple):
     target: tuple  # Case I: the point to reach [m]
     start: tuple  # Case II: where the path begins; it runs 1 m in −x [m]
 
+    def __str__(self):
+        return f"{self.n}-dof"
+
 
 ARMS = {"2dof": Arm(2, (1.0, 0.0), (1.0, 1.0)), "5dof": Arm(5, (3.0, 1.0), (4.0, 1.0))}
 CASES = ("reach", "track")  # Case I, Case II
@@ -92,7 +95,7 @@ def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
         begin = ARMS[arm].start
         end = (begin[0] - 1.0, begin[1])
         velocity = (-1.0 / (N * TS), 0.0) if feedforward == "consistent" else (-1.0, 0.0)
-    # Told explicitly also where it is the path's own, so that all cases have one structure and can be lanes.
+    # Explicit also where it is the path's own, so that all cases have one structure and can be lanes.
     return with_feedforward(line(begin, end, duration=N * TS), velocity)
 
 

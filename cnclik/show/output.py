@@ -1,4 +1,4 @@
-"""Writing results so that nothing half-written looks whole."""
+"""Writing results so that nothing half-written looks whole, and no figure costs the data it was drawn from."""
 
 import contextlib
 import os
@@ -9,6 +9,10 @@ from pathlib import Path
 from cnclik import errors
 
 _PARTIAL = ".partial-"
+
+
+class FigureError(RuntimeError):
+    """Figures that could not be drawn, after all else was written; the message is one line fit for a terminal."""
 
 
 @contextlib.contextmanager
@@ -45,3 +49,30 @@ def output_folder(path, *, name="out"):
         for folder in created:  # deepest first; only what is still empty goes
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+
+def draw(figures, path, *, progress=None) -> None:
+    """Draw figures in the project's style and save them in `path`, once the data lie there.
+
+    Args:
+      figures: {file name: (function of no arguments that returns a Figure, what the file shall say of itself)}.
+      path: the folder.
+      progress: called as progress(done, total, note).
+
+    Raises: FigureError at the end, naming the figures that could not be drawn; the others are there.
+    """
+    from cnclik.show import style
+
+    failed = {}
+    with output_folder(path) as folder, style.style():
+        for done, (name, (make, about)) in enumerate(figures.items()):
+            if progress is not None:
+                progress(done, len(figures), f"drawing {name}")
+            try:
+                style.save(make(), folder / name, about)
+            except Exception as error:
+                failed[name] = error
+    if failed:
+        what = "; ".join(f"{name}: {type(error).__name__}: {error}" for name, error in failed.items())
+        first = next(iter(failed.values()))
+        raise FigureError(f"The data are in {path}, but some figures could not be drawn ({what}).") from first

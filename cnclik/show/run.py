@@ -1,48 +1,74 @@
-"""One loop in pictures: joint paths, error, joint velocities, status."""
+"""One loop in pictures: joint paths, error, joint velocities, status. Each function draws one dataset.
+
+Datasets are those of `cnclik.measure.dataset.to_dataset`; where they have a dimension `method`, joint paths and
+velocities have a line for each method.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from cnclik import errors
 from cnclik.integrate.status import Status
+from cnclik.measure.dataset import to_dataset
 from cnclik.show import style
 
-_LIMIT = {"color": style.VERMILION, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
-_PART = {
+_TIME = "time $t$ [s]"
+_PARTS = {
     "m": ("position error ‖e‖ [m]", style.BLUE, "-"),
     "rad": ("orientation error ‖e‖ [rad]", style.ORANGE, (0, (5, 2))),
 }
 
 
-def joint_paths(data, chain):
-    """Joint values against time, one panel per joint, with their limits where the path comes near them."""
+def plot(run, law, kind="overview"):
+    """A picture of one run: `ck.plot(run, law)`.
+
+    Args:
+      run: `Trajectory` of solve(law, ...), one lane.
+      kind: "overview", "joints", "error", "velocities" or "status".
+
+    Returns: a matplotlib Figure.
+    Raises: ArgumentError for another kind, or a batch of runs.
+    """
+    draw = _KINDS[errors.one_of("kind", kind, _KINDS)]
+    if np.ndim(run.residual) != 1:
+        raise errors.fail("run", "be one lane", f"has {np.ndim(run.residual) - 1} leading axes")
+    with style.style():
+        return draw(to_dataset(run, law), law.chain)
+
+
+def joint_paths(data, chain=None):
+    """Joint values against time, one panel per joint, with the chain's limits where a path comes near them."""
 
     def draw(panel, i):
-        q = data.q.values[:, i]
-        panel.plot(data.time, q, color=style.BLACK)
+        q = data.q.values[..., i]
+        for look, one in _methods(data):
+            panel.plot(data.time, one.q.values[:, i], **look)
         room = max(np.ptp(q), 0.1)
-        for bound in (chain.lower[i], chain.upper[i]):
+        for bound in () if chain is None else (chain.lower[i], chain.upper[i]):
             if q.min() - room < bound < q.max() + room:
-                panel.axhline(bound, **_LIMIT)
+                panel.axhline(bound, **style.LIMIT)
 
     return _per_joint(data, draw, lambda unit: unit)
 
 
-def joint_velocities(data, chain):
-    """Joint velocities, held during each step, with their limits where the velocity comes near them."""
-
+def joint_velocities(data, chain=None):
+    """Joint velocities, held during each step, with the chain's limits on each side that comes near them."""
     fastest = np.nanmax(np.abs(data.qdot.values), initial=0.0) or 1.0
 
     def draw(panel, i):
-        v = data.qdot.values[:, i]
-        if np.nanmax(np.abs(v), initial=0.0) <= 1e-9 * fastest:  # rounding, which would fill the panel
-            v = np.where(np.isfinite(v), 0.0, v)
+        every = np.nan_to_num(data.qdot.values[..., i], nan=0.0)
+        rounding = np.max(np.abs(every), initial=0.0) <= 1e-9 * fastest  # it would fill the panel
+        if rounding:
             panel.set_ylim(-0.1 * fastest, 0.1 * fastest)
-        panel.stairs(v, data.time.values, color=style.BLACK, baseline=None, linewidth=1.0)
-        limit = chain.velocity_limit[i]
-        for bound in (-limit, limit):
-            if np.isfinite(limit) and np.nanmax(np.abs(v)) > 0.5 * limit and bound * v[np.nanargmax(np.abs(v))] > 0:
-                panel.axhline(bound, **_LIMIT)
+        for look, one in _methods(data, marker="", linewidth=1.0):
+            step = {name: look[name] for name in look if not name.startswith("mark")}
+            v = np.nan_to_num(one.qdot.values[:, i]) if rounding else one.qdot.values[:, i]
+            panel.stairs(v, data.time.values, baseline=None, **step)
+        limit = np.inf if chain is None else chain.velocity_limit[i]
+        for side in (-1, 1):
+            if np.max(side * every, initial=0.0) > 0.5 * limit:
+                panel.axhline(side * limit, **style.LIMIT)
 
     return _per_joint(data, draw, lambda unit: f"{unit}/s")
 
@@ -50,51 +76,64 @@ def joint_velocities(data, chain):
 def error(data):
     """Norms of the position and of the orientation error against time, on a logarithmic scale."""
     figure, panel = plt.subplots(figsize=(style.COLUMN, 2.2))
-    usual = []
-    for unit, (label, color, dashes) in _PART.items():
-        part = data.e.values[:, data.axis_unit.values == unit]
-        if part.size:
-            norm = np.linalg.norm(part, axis=1)
-            panel.plot(data.time, np.where(norm > 0, norm, np.nan), color=color, linestyle=dashes, label=label)
-            positive = norm[norm > 0]
-            usual += [np.quantile(positive, 0.01)] if positive.size else []
-    panel.set_yscale("log")
-    if usual:  # a start exactly on the path would stretch the axis down to rounding
-        panel.set_ylim(bottom=0.3 * min(usual))
-    panel.set_xlabel("time $t$ [s]")
-    panel.set_ylabel("error norm")
-    figure.legend(loc="outside upper center", ncols=2)
+    _draw_error(panel, data)
+    panel.set_xlabel(_TIME)
+    style.legend(figure, panel)
     return figure
 
 
 def status(data):
     """What was wrong in each step, one line per status bit; an empty line is good."""
-    bits = [s for s in Status if s]
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 1.4))
-    edges = data.time.values
-    if not data.status.values.any():
-        panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
-    for row, bit in enumerate(reversed(bits)):
-        bad = np.flatnonzero(data.status.values & bit.value)
-        spans = [(edges[k], edges[k + 1] - edges[k]) for k in bad]
-        panel.broken_barh(_merged(spans), (row - 0.35, 0.7), color=style.VERMILION, linewidth=0)
-    panel.set_yticks(range(len(bits)), [b.name.replace("_", " ").lower() for b in reversed(bits)])
-    panel.set_ylim(-0.6, len(bits) - 0.4)
-    panel.set_xlim(edges[0], edges[-1])
-    panel.set_xlabel("time $t$ [s]")
-    panel.grid(axis="y", visible=False)
+    figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_bits())))
+    _draw_status(panel, data)
+    panel.set_xlabel(_TIME)
     return figure
 
 
-def _merged(spans):
-    """Neighbouring steps as one bar."""
-    merged = []
-    for start, width in spans:
-        if merged and np.isclose(sum(merged[-1]), start, rtol=1e-9, atol=1e-12):
-            merged[-1] = (merged[-1][0], start + width - merged[-1][0])
-        else:
-            merged.append((start, width))
-    return merged
+def overview(data, chain):
+    """Joint values, error, joint velocities (over their limits where all joints have one) and status at a glance."""
+    figure, ((joints, size), (speed, flags)) = plt.subplots(
+        2, 2, sharex=True, figsize=(style.PAGE, 4.4), height_ratios=(1, 1)
+    )
+    limits = np.asarray(chain.velocity_limit)
+    limited = bool(np.all(np.isfinite(limits)))
+    for i, name in enumerate(data.joint.values):
+        look = {"color": style.COLORS[i % 8], "linestyle": style.DASHES[i // 8 % 6], "linewidth": 1.0}
+        joints.plot(data.time, data.q.values[:, i], label=str(name), **look)
+        v = data.qdot.values[:, i] / (limits[i] if limited else 1.0)
+        speed.stairs(v, data.time.values, baseline=None, **look)
+    joints.set_ylabel(f"joint value [{data.q.units}]")
+    speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
+    for side in (-1, 1) if limited else ():
+        if np.nanmax(side * data.qdot.values / limits, initial=0.0) > 0.5:
+            speed.axhline(side, **style.LIMIT)
+    _draw_error(size, data)
+    size.legend(loc="best")
+    _draw_status(flags, data)
+    for panel in (speed, flags):
+        panel.set_xlabel(_TIME)
+    style.legend(figure, joints, columns=min(data.sizes["joint"], 7))
+    return figure
+
+
+_KINDS = {
+    "overview": overview,
+    "joints": joint_paths,
+    "error": lambda data, chain: error(data),
+    "velocities": joint_velocities,
+    "status": lambda data, chain: status(data),
+}
+
+
+def _methods(data, **changes):
+    """(keywords of a line, the run that it shows) for each method, or for the one run there is."""
+    if "method" not in data.dims:
+        return [({"color": style.BLACK, "linewidth": 1.2} | changes, data)]
+    names = [str(name) for name in data.method.values]
+    # Markers staggered, so that coinciding lines stay distinguishable.
+    every = [(2 * i, 6) if len(names) <= 3 else (i, 7) for i in range(len(names))]
+    looks = [style.line(name, **({"markevery": some} | changes)) for name, some in zip(names, every, strict=True)]
+    return list(zip(looks, (data.sel({"method": name}) for name in names), strict=True))
 
 
 def _per_joint(data, draw, unit):
@@ -108,7 +147,7 @@ def _per_joint(data, draw, unit):
         if i >= n:  # an odd joint's neighbour: only its time axis, so that the rows stay even
             panel.spines["left"].set_visible(False)
             panel.set_yticks([])
-            panel.set_xlabel("time $t$ [s]")
+            panel.set_xlabel(_TIME)
             continue
         draw(panel, i)
         panel.set_title(str(data.joint.values[i]), loc="left", pad=2)
@@ -116,6 +155,52 @@ def _per_joint(data, draw, unit):
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
         panel.margins(x=0.01, y=0.12)
         if i % rows == rows - 1:
-            panel.set_xlabel("time $t$ [s]")
+            panel.set_xlabel(_TIME)
     figure.align_ylabels(grid[:, 0])
+    if "method" in data.dims:
+        style.legend(figure, panels[0])
     return figure
+
+
+def _draw_error(panel, data):
+    usual = []
+    for unit, (label, color, dashes) in _PARTS.items():
+        part = data.e.values[:, data.axis_unit.values == unit]
+        if part.size:
+            norm = np.linalg.norm(part, axis=1)
+            panel.plot(data.time, np.where(norm > 0, norm, np.nan), color=color, linestyle=dashes, label=label)
+            positive = norm[norm > 0]
+            usual += [np.quantile(positive, 0.01)] if positive.size else []
+    panel.set_yscale("log")
+    if usual:  # a start exactly on the path would stretch the axis down to rounding
+        panel.set_ylim(bottom=0.3 * min(usual))
+    panel.set_ylabel("error norm")
+
+
+def _draw_status(panel, data):
+    edges, bits = data.time.values, _bits()
+    if not data.status.values.any():
+        panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
+    for row, bit in enumerate(bits):
+        bad = np.flatnonzero(data.status.values & bit.value)
+        spans = [(edges[k], edges[k + 1] - edges[k]) for k in bad]
+        panel.broken_barh(_merged(spans), (row - 0.35, 0.7), color=style.VERMILION, linewidth=0)
+    panel.set_yticks(range(len(bits)), [bit.name.replace("_", " ").lower() for bit in bits])
+    panel.set_ylim(len(bits) - 0.4, -0.6)
+    panel.set_xlim(edges[0], edges[-1])
+    panel.grid(axis="y", visible=False)
+
+
+def _bits():
+    return [bit for bit in Status if bit]
+
+
+def _merged(spans):
+    """Neighbouring steps as one bar."""
+    merged = []
+    for start, width in spans:
+        if merged and np.isclose(sum(merged[-1]), start, rtol=1e-9, atol=1e-12):
+            merged[-1] = (merged[-1][0], start + width - merged[-1][0])
+        else:
+            merged.append((start, width))
+    return merged

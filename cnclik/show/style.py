@@ -1,6 +1,7 @@
 """One look for every figure: colour-blind safe, readable at column width, the same line for a method everywhere."""
 
 import contextlib
+import pathlib
 from typing import NamedTuple
 
 import matplotlib
@@ -20,6 +21,9 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#D55E00",
     "#CC79A7",
 )
+
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)  # lines of one panel, in this order
+DASHES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 
 
 class Line(NamedTuple):
@@ -45,6 +49,8 @@ METHODS = {
 }
 
 GUIDE = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
+LIMIT = {"color": VERMILION, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
+NOTE = {"fontsize": 6.5, "color": "0.35"}
 
 _RC = {
     "figure.dpi": 100,
@@ -101,11 +107,23 @@ def line(method: str, **changes) -> dict:
     } | changes
 
 
-def save(figure, path, metadata: dict) -> None:
-    """Write a PNG that carries what it was drawn from, and close the figure.
+def legend(figure, panel, columns=None) -> None:
+    """One legend above all panels, with what one of them shows."""
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns or max(len(labels), 1))
+
+
+def save(figure, path, about: dict) -> None:
+    """Write a PNG, PDF or SVG that carries what it was drawn from, and close the figure.
 
     The same figure gives the same bytes: no date goes into the file.
+
+    Args:
+      about: what the file says of itself; a PDF and an SVG keep its "Title" only.
     """
-    plain = {key: str(value) for key, value in metadata.items()}
-    figure.savefig(path, metadata={"Software": "cnclik"} | plain, dpi=DPI)
+    plain = {"Software": "cnclik"} | {key: str(value) for key, value in about.items()}
+    dated = {".pdf": "CreationDate", ".svg": "Date"}.get(pathlib.Path(path).suffix)
+    if dated:
+        plain = {"Title": plain.get("Title", ""), dated: None}
+    figure.savefig(path, metadata=plain, dpi=DPI)
     plt.close(figure)

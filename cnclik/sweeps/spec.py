@@ -148,7 +148,7 @@ class Spec:
         """One loop: its metrics. What the sweep batches."""
         law, reference, q0, Ts, N, method, stage = self.build(**values)
         run = solve(law, reference, q0, Ts, N, method, stage)
-        return metrics.measure(run, law, reference, self.metrics, tolerance=self.tolerance)
+        return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""

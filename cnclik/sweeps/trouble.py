@@ -17,7 +17,7 @@ from cnclik.law import inverse, limits
 from cnclik.law.law import Law
 from cnclik.law.reference import waypoints
 from cnclik.law.task import pose as pose_task
-from cnclik.measure.chatter import chatter
+from cnclik.measure.metrics import chatter
 from cnclik.problem.build import start_from
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import _jacobian, _pose
@@ -100,7 +100,7 @@ def measure(run, chain) -> dict:
         "fastest": float(np.max(np.abs(qdot))),
         "fastest_share": float(np.max(np.abs(qdot) / np.array(chain.velocity_limit))),
         "past_limit": float(max(past.max(), 0.0)),
-        "chatter": chatter(qdot),
+        "chatter": float(chatter(qdot)),
         **{s.name: int(np.sum(status & s.value != 0)) for s in Status if s},
     }
 

@@ -17,7 +17,7 @@ import tempfile
 import time
 
 from cnclik.bench import timing as bench
-from cnclik.bench.timing import Line
+from cnclik.bench.lines import Line
 from tests.bench import document, peers, tricks
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "speed"

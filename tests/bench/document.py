@@ -12,6 +12,8 @@ import re
 import statistics
 import sys
 
+from cnclik.measure.files import markdown
+
 ROOT = pathlib.Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "speed.md"
 RESULTS = ROOT / "results" / "speed"
@@ -25,10 +27,11 @@ def machine() -> dict:
     import jaxlib
 
     from cnclik.bench import timing as bench
+    from cnclik.hints import cores
 
     return {
         "processor": bench.processor(),
-        "cores": len(bench.cores_here()),
+        "cores": cores(),
         "vectors": _vectors(),
         "system": platform.system(),
         "python": platform.python_version(),
@@ -132,12 +135,6 @@ def _range(records, key):
 # --- tables in Markdown -------------------------------------------------------------------------------
 
 
-def table(head, rows) -> str:
-    """A Markdown table; columns after the first are set to the right."""
-    lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
-    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
-
-
 def _reach(found):
     rows = []
     for r in to_reach(found):
@@ -147,7 +144,7 @@ def _reach(found):
         rows.append(
             (r["what"], f"{sign} {r['wanted']:g}{r['unit']}", f"{middle}{r['unit']}", f"{low} - {high}", verdict)
         )
-    return table(("what", "to reach", "measured", "range", "reached"), rows)
+    return markdown(("what", "to reach", "measured", "range", "reached"), rows)
 
 
 def _peers(found):
@@ -157,7 +154,7 @@ def _peers(found):
         speed = f"{r['evaluations_per_second'] / 1e6:.3g}"
         size, spread = f"{r['batch']:,} × {r['N']}", f"{50 * r['spread']:.0f}"
         rows.append((r["name"], task, r["dtype"], r["flags"], size, speed, spread, f"{r['difference']:.0e}"))
-    return table(("what", "task", "type", "XLA flags", "loops × steps", "M eval/s", "± %", "differs by"), rows)
+    return markdown(("what", "task", "type", "XLA flags", "loops × steps", "M eval/s", "± %", "differs by"), rows)
 
 
 def _single(found):
@@ -165,7 +162,7 @@ def _single(found):
     for r in found["peers"]["single"]:
         low, middle, high = min(r["seconds"]), statistics.median(r["seconds"]), max(r["seconds"])
         rows.append((r["name"], r["dtype"], r["flags"], f"{middle * 1e6:.1f}", f"{low * 1e6:.1f} - {high * 1e6:.1f}"))
-    return table(("one warm solve of 50 steps", "type", "flags", "µs", "range"), rows)
+    return markdown(("one warm solve of 50 steps", "type", "flags", "µs", "range"), rows)
 
 
 def _tricks(found):
@@ -174,7 +171,7 @@ def _tricks(found):
         slower = f"{ratio(r, best)[0]:.2f}×"
         speed, compile_s = f"{r['evaluations_per_second'] / 1e6:.3g}", f"{r['compile_s']:.1f}"
         rows.append((r["name"], speed, slower, compile_s, f"{r['difference']:.0e}"))
-    return table(("with", "M eval/s", "time, times everything on", "compile [s]", "q differs by"), rows)
+    return markdown(("with", "M eval/s", "time, times everything on", "compile [s]", "q differs by"), rows)
 
 
 def _machine(found):
@@ -194,7 +191,7 @@ def _bench(records):
         ratios = ("" if ratio is None else f"{ratio:.1f}" for ratio in ratios)
         rows.append((*what, speed, spread, f"{r['compile_s']:.1f}", f"{r['peak_mib']:.0f}", *ratios))
     head = ("robot", "method", "stage", "type", "batch", "cores", "N", "M eval/s", "± %", "compile [s]", "peak [MiB]")
-    return table((*head, "∂q0 ×", "∂alpha ×"), rows)
+    return markdown((*head, "∂q0 ×", "∂alpha ×"), rows)
 
 
 def sections(results: pathlib.Path) -> dict:
@@ -218,7 +215,7 @@ def fill(text: str, made: dict) -> str:
         pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
         if not pattern.search(text):
             raise SystemExit(f"{PAGE.name} has no section marked {name}.")
-        text = pattern.sub(lambda m, table=table: f"{m[1]}\n{table}\n\n{m[2]}", text)
+        text = pattern.sub(lambda m, table=table: f"{m[1]}\n{table.strip()}\n\n{m[2]}", text)
     return text
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.solve import solve
-from cnclik.measure.metrics import measure
+from cnclik.measure.metrics import measure_run
 from cnclik.problem.build import problem_from
 from cnclik.record import replace
 from cnclik.sweeps.sweep import sweep
@@ -118,7 +118,7 @@ def _by_grid(look, p, made, law, steps):
     def study(alpha):
         mine = replace(law, alpha=alpha)
         run = solve(mine, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
-        return measure(run, mine, made.reference, ("rms_error", "velocity_ratio"))
+        return measure_run(run, mine, made.reference, ("rms_error", "velocity_ratio"))
 
     found = sweep(study, alpha=points)
     order = np.argsort(np.where(found.velocity_ratio > 1, np.inf, found.rms_error), kind="stable")

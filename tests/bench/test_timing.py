@@ -5,27 +5,28 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.bench import loops
 from cnclik.bench import timing as bench
-from cnclik.bench.timing import Line
+from cnclik.bench.lines import Line
 
 
 @pytest.mark.parametrize("robot, method, stage", [("planar2", ck.TRAPEZOID, ck.chord(2)), ("ur5", ck.EE, ck.picard(5))])
 def test_final_is_the_end_of_solve(robot, method, stage):
-    case = bench.ROBOTS[robot]()
-    q0, *target = (values[1] for values in bench.inputs(case, 2, "float64").values())
+    case = loops.ROBOTS[robot]()
+    q0, *target = (values[1] for values in loops.inputs(case, 2, "float64").values())
     reference = ck.hold(*target)
-    whole = ck.solve(case.law, reference, q0, bench.TS, 3, method, stage)
-    q, error = jax.jit(bench.loop(case, 3, method, stage))(q0, *target)
+    whole = ck.solve(case.law, reference, q0, loops.TS, 3, method, stage)
+    q, error = jax.jit(loops.loop(case, 3, method, stage))(q0, *target)
     np.testing.assert_allclose(q, whole.q[-1], rtol=0, atol=1e-13)
     np.testing.assert_allclose(error, np.linalg.norm(whole.e[-1]), rtol=0, atol=1e-13)
-    loss = bench.tracking_loss(case, 3, method, stage)(np.asarray(bench.ALPHA), q0, *target)
+    loss = loops.tracking_loss(case, 3, method, stage)(np.asarray(loops.ALPHA), q0, *target)
     np.testing.assert_allclose(loss, np.mean(np.linalg.norm(whole.e, axis=1) ** 2), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("robot", ["planar5", "ur5", "chain30"])
 def test_targets_can_be_reached_and_starts_differ(robot):
-    case = bench.ROBOTS[robot]()
-    given = bench.inputs(case, 5000, "float32")
+    case = loops.ROBOTS[robot]()
+    given = loops.inputs(case, 5000, "float32")
     assert {a.dtype for a in given.values()} == {np.dtype("float32")}
     assert len(np.unique(given["q0"], axis=0)) == 5000
     assert len(np.unique(given["position"], axis=0)) == 4096

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
+import cnclik.hints as hints
+from cnclik.bench import loops
 from cnclik.bench import timing as bench
 from cnclik.robot import kinematics
-
-hints = sys.modules["cnclik.hints"]  # the package's attribute of this name is the function
 
 
 def all_on():
@@ -78,11 +78,11 @@ def _drop_metadata(which):
 
 def work(name, dtype, batch) -> None:
     """Compile the loop with one trick off, then time a run per line on stdin."""
-    os.sched_setaffinity(0, bench.cores_here()[-1:])
+    bench.hold_to(1)
     TRICKS[name]()
-    case = bench.ROBOTS["panda"]()
-    arrays = tuple(bench.inputs(case, batch, dtype).values())
-    batched = ck.lanes(bench.loop(case, bench.STEPS, ck.EE, ck.picard(5)), cores=1)
+    case = loops.ROBOTS["panda"]()
+    arrays = tuple(loops.inputs(case, batch, dtype).values())
+    batched = ck.lanes(loops.loop(case, bench.STEPS, ck.EE, ck.picard(5)), cores=1)
     run = functools.partial(batched, *arrays)
     first = bench.clock(run)
     second = bench.clock(run)

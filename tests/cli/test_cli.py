@@ -1,6 +1,7 @@
 """The command line's frame: verbs, help, one line for what is wrong; and what importing cnclik loads."""
 
 import dataclasses
+import pathlib
 import subprocess
 import sys
 import typing
@@ -112,10 +113,29 @@ def test_import_is_light():
 
 
 def test_names_loaded_on_use_are_public_and_light():
-    unknown = "[n for n in ('Metrics', 'measure', 'sweep') if n not in dir(ck) or not getattr(ck, n)]"
+    unknown = "[n for n in ('Metrics', 'measure_run', 'sweep') if n not in dir(ck) or not getattr(ck, n)]"
     assert run(OTHERS + f"print({unknown}, others())") == "[] set()"
     assert run(OTHERS + "print(ck.sweep is __import__('cnclik.sweeps.sweep', fromlist='x').sweep)") == "True"
-    assert run(OTHERS + "from cnclik import measure; print(measure.__name__, hasattr(ck, 'sweeep'))") == "measure False"
+    assert run(OTHERS + "from cnclik import measure_run; print(hasattr(ck, 'sweeep'))") == "False"
+
+
+def test_overview_version_and_a_wrong_verb_need_no_jax():
+    """The command line's own share: the package around it is left out."""
+    package = pathlib.Path(errors.__file__).parent
+    code = f"""
+import sys, types
+package = types.ModuleType("cnclik")
+package.__path__ = [{str(package)!r}]
+sys.modules["cnclik"] = package
+from cnclik.cli import main
+for argv in ["--version"], ["--help"], [], ["solv"]:
+    try:
+        main(argv)
+    except SystemExit as left:
+        assert left.code == 2
+print([name for name in ("jax", "numpy", "tyro", "matplotlib") if name in sys.modules])
+"""
+    assert run(code).splitlines()[-1] == "[]"
 
 
 def test_one_bad_line_from_a_shell():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.bench import loops
 from cnclik.bench import timing as bench
 from cnclik.cli import bench as cli
 
@@ -36,10 +37,10 @@ def test_json_is_all_there_is_on_stdout():
     assert 0.1 < record["gradient_over_forward"] < 100
     assert "planar2" in done.stderr
     # The loops were those of solve.
-    case = bench.ROBOTS["planar2"]()
+    case = loops.ROBOTS["planar2"]()
     ends = [
-        np.linalg.norm(ck.solve(case.law, ck.hold(goal), q0, bench.TS, 4, ck.CN, ck.picard(2)).e[-1])
-        for q0, goal in zip(*bench.inputs(case, 3, "float64").values(), strict=True)
+        np.linalg.norm(ck.solve(case.law, ck.hold(goal), q0, loops.TS, 4, ck.CN, ck.picard(2)).e[-1])
+        for q0, goal in zip(*loops.inputs(case, 3, "float64").values(), strict=True)
     ]
     assert record["error"] == pytest.approx(np.mean(ends), rel=1e-12)
 
@@ -63,7 +64,7 @@ def test_a_line_that_fails_is_told_and_the_others_run(monkeypatch, capsys):
 
 
 def test_the_table_goes_through_every_value():
-    lines = cli.lines(cli.Args())
+    lines = cli.asked(cli.Args())
     assert len(lines) == len(set(lines)) < 40
     assert {line.robot for line in lines} == {"planar2", "planar5", "panda", "ur5", "chain30"}
     assert {line.dtype for line in lines} == {"float32", "float64"}
@@ -72,17 +73,17 @@ def test_the_table_goes_through_every_value():
         ("EE", "picard"), ("IE", "picard"), ("CN", "picard"), ("TRAPEZOID", "chord"),
     }  # fmt: skip
     assert any(line.gradient for line in lines) and not all(line.gradient for line in lines)
-    assert len(cli.lines(cli.Args(all=True))) == 5 * 4 * 2 * 4
+    assert len(cli.asked(cli.Args(all=True))) == 5 * 4 * 2 * 4
 
 
 def test_filters():
     one = cli.Args(
         robot=("panda",), method=("EE",), stage=("picard",), M=(5,), dtype=("float32",), batch=(65536,), cores=(1,)
     )
-    (line,) = cli.lines(one)
+    (line,) = cli.asked(one)
     assert (line.batch, line.cores, line.M, line.gradient) == (65536, 1, 5, True)
     # Axes without a filter take all values of the table.
-    lines = cli.lines(cli.Args(robot=("panda",), batch=(8,), gradient=False))
+    lines = cli.asked(cli.Args(robot=("panda",), batch=(8,), gradient=False))
     assert {(line.robot, line.batch, line.gradient) for line in lines} == {("panda", 8, False)}
     assert len(lines) == 4 * 2
 

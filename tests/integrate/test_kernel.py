@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.bench import timing as bench
+from cnclik.bench import loops
 from cnclik.integrate import kernel
 from cnclik.integrate.lanes import _kernel_or
 
 LANES = 11  # not a multiple of the tile
-PANDA = bench.ROBOTS["panda"]()
-ARM = bench.ROBOTS["planar2"]()
+PANDA = loops.ROBOTS["panda"]()
+ARM = loops.ROBOTS["planar2"]()
 
 
 def _to(case, law=None, method=ck.EE, stage=ck.picard(2), end=lambda run: run.e[-1]):
@@ -32,7 +32,7 @@ LOOPS = {
     "singular damping": _to(ARM, law=ck.replace(ARM.law, inverse=ck.singular_damped(0.1, 0.5))),
     "norm of the end": _to(ARM, end=lambda run: {"e": jnp.linalg.norm(run.e[-1]), "status": run.q[-1] > 0.5}),
     "gain matrix": _to(ARM, law=ck.replace(ARM.law, alpha=np.array([[5.0, 1.0], [1.0, 3.0]]))),
-    "not stored": (PANDA, bench.loop(PANDA, 4, ck.EE, ck.picard(2))),
+    "not stored": (PANDA, loops.loop(PANDA, 4, ck.EE, ck.picard(2))),
 }
 
 
@@ -44,7 +44,7 @@ def _types(name):
 @pytest.mark.parametrize(("name", "dtype"), [(n, d) for n in LOOPS for d in _types(n)])
 def test_means_vmap(name, dtype):
     case, fn = LOOPS[name]
-    given = tuple(bench.inputs(case, LANES, dtype).values())
+    given = tuple(loops.inputs(case, LANES, dtype).values())
     found = kernel.batched(fn, tile=8, interpret=True)(*given)
     wanted = jax.vmap(fn)(*given)
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
@@ -58,7 +58,7 @@ def test_means_vmap(name, dtype):
 def test_lowers_for_a_gpu(name, dtype):
     """To one Triton kernel and nothing in a loop around it."""
     case, fn = LOOPS[name]
-    given = tuple(bench.inputs(case, LANES, dtype).values())
+    given = tuple(loops.inputs(case, LANES, dtype).values())
     made = jax.jit(kernel.batched(fn)).trace(*given).lower(lowering_platforms=("cuda",)).as_text()
     assert made.count("triton") == 1 and "stablehlo.while" not in made
 

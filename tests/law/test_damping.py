@@ -84,7 +84,7 @@ def test_parameters_are_checked(name):
 
 
 def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():
-    from cnclik.measure.chatter import chatter
+    from cnclik.measure.metrics import chatter
 
     arm = ck.planar_arm([1.0, 1.0, 1.0])
     q0 = np.array([0.3, -0.5, -0.6])
@@ -99,7 +99,7 @@ def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():
 
 
 def test_chatter_counts_what_is_taken_back():
-    from cnclik.measure.chatter import chatter
+    from cnclik.measure.metrics import chatter
 
     alternating = np.array([[1.0], [-1.0]] * 10)
     assert chatter(alternating) == pytest.approx(1.0)

@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
-from cnclik.measure.metrics import METRICS, measure
+from cnclik.measure.metrics import METRICS, chatter, measure_run
 from tests import plain
 
 SCALARS = [n for n, m in METRICS.items() if not m.dims]
@@ -17,19 +17,19 @@ ARM = ck.from_dh(
 Q0 = np.array([0.3, 0.9, -0.6])
 
 
-def run_pose(alpha=4.0, Ts=0.1, method=ck.CN):
+def run_pose(alpha=4.0, Ts=0.1, method=ck.CN, N=12):
     law = ck.Law(ARM, ck.pose_task("xy", "z"), alpha=alpha)
     start, end = np.array([1.2, 1.5]), np.array([0.7, 1.7])
     half = np.array([np.cos(0.4), 0, 0, np.sin(0.4)])
     reference = ck.line(start, end, duration=0.8, rotation=half)
     tangent = (end - start) / np.linalg.norm(end - start)
-    return ck.solve(law, reference, Q0, Ts, 12, method), law, reference, tangent
+    return ck.solve(law, reference, Q0, Ts, N, method), law, reference, tangent
 
 
 def test_every_scalar_metric_is_what_numpy_makes_of_the_trajectory():
     run, law, reference, direction = run_pose()
     moving = np.arange(13)[:, None] <= 8  # the line ends at step 8 and is held
-    found = measure(run, law, reference, SCALARS, tolerance=0.02)
+    found = measure_run(run, law, reference, SCALARS, tolerance=0.02)
     wanted = plain.metrics(run, law, direction * moving, 0.02, [1.0, 2.0, 3.0], -3.0, 2.5)
     assert set(wanted) == set(SCALARS)
     for name, value in found.items():
@@ -42,7 +42,9 @@ def test_a_start_inside_the_tolerance():
     law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0)
     at = np.asarray(ck.pose(law.chain, [0.2, 0.9]).position)
     run = ck.solve(law, ck.hold(at[:2]), [0.2, 0.9], 0.1, 3)
-    m = measure(run, law, ck.hold(at[:2]), ["steps_to_tolerance", "settling_time", "converged", "overshoot", "rate"])
+    m = measure_run(
+        run, law, ck.hold(at[:2]), ["steps_to_tolerance", "settling_time", "converged", "overshoot", "rate"]
+    )
     assert [float(v) for _, v in m.items()][:4] == [0, 0, 1, 0]
     assert np.isnan(m.rate)
 
@@ -52,7 +54,7 @@ def test_a_loop_that_never_arrives_or_is_not_finite_is_infinite_never_small():
     run = ck.solve(law, ck.hold([0.0, 5.0]), [0.2, 0.9], 0.1, 3)
     broken = ck.replace(run, e=run.e.at[2].set(jnp.nan), q=run.q.at[2].set(jnp.nan), qdot=run.qdot.at[1].set(jnp.inf))
     names = ["mean_error", "rms_error", "max_error", "steps_to_tolerance", "settling_time", "max_qdot", "path_length"]
-    m = measure(broken, law, ck.hold([0.0, 5.0]), [*names, "converged", "limit_distance"])
+    m = measure_run(broken, law, ck.hold([0.0, 5.0]), [*names, "converged", "limit_distance"])
     assert all(np.isposinf(m[n]) for n in names), m
     assert m.converged == 0 and m.limit_distance == -np.inf
 
@@ -64,7 +66,7 @@ LOSSES += ["rms_qdot", "rms_qddot", "path_length", "limit_distance", "least_sing
 def test_derivatives_of_losses_are_those_of_finite_differences():
     def losses(alpha):
         run, law, reference, _ = run_pose(alpha, method=ck.HEUN)
-        return jnp.stack([v for _, v in measure(run, law, reference, LOSSES).items()])
+        return jnp.stack([v for _, v in measure_run(run, law, reference, LOSSES).items()])
 
     h = 1e-6
     forward = jax.jit(jax.jacfwd(losses))(4.0)
@@ -80,7 +82,7 @@ def test_derivatives_are_finite_where_the_error_is_exactly_zero():
     def losses(q0):
         reference = ck.hold([2.0])  # the stretched arm is there, singular and at rest
         run = ck.solve(law, reference, q0, 0.1, 3)
-        return jnp.stack([v for _, v in measure(run, law, reference, LOSSES).items()])
+        return jnp.stack([v for _, v in measure_run(run, law, reference, LOSSES).items()])
 
     with np.errstate(all="ignore"):
         slopes = jax.jacfwd(losses)(jnp.zeros(2))
@@ -90,7 +92,67 @@ def test_derivatives_are_finite_where_the_error_is_exactly_zero():
 def test_unknown_metrics_and_metrics_of_other_tasks_are_refused():
     run, law, reference, _ = run_pose()
     with pytest.raises(ArgumentError, match="did you mean 'mean_error'"):
-        measure(run, law, reference, ["mean_eror"])
+        measure_run(run, law, reference, ["mean_eror"])
     planar = ck.Law(ARM, ck.position("xy"), alpha=1.0)
     with pytest.raises(ArgumentError, match=r"ones of the task \(x, y\), but include 'rms_rotation_error'"):
-        measure(run, planar, reference, ["rms_rotation_error"])
+        measure_run(run, planar, reference, ["rms_rotation_error"])
+
+
+def test_chatter_counts_what_is_taken_back():
+    alternating = 0.5 * (-1.0) ** np.arange(40)[:, None]
+    assert chatter(alternating) == pytest.approx(0.5, rel=1e-12)
+    assert chatter(np.exp(-0.5 * np.arange(40))[:, None]) == 0  # slowing down, however hard
+    assert chatter(np.where(np.arange(40)[:, None] < 20, alternating, 1.0)) == 0  # over in the first half
+    assert chatter(np.ones((1, 3))) == 0
+    assert chatter(np.where(np.arange(40)[:, None] == 39, np.nan, alternating)) == np.inf
+
+
+def test_every_bit_of_the_status_is_counted():
+    bits = [bit for bit in ck.Status if bit]
+    run, law, reference, _ = run_pose(method=ck.EE)
+    marked = ck.replace(run, status=np.array([sum(bits), *[bits[0]] * 3, *[0] * 8], np.int32))
+    names = ["ok", *(bit.name.lower() for bit in bits)]
+    found = measure_run(marked, law, reference, names)
+    assert [int(found[n]) for n in names] == [8, 4, *[1] * (len(bits) - 1)]
+
+
+def test_how_far_beyond_a_limit():
+    run, law, reference, _ = run_pose(method=ck.EE)
+    inside, outside = (
+        ck.replace(run, q=np.linspace([0.0, 0.0, 0.0], [x, 0.0, 0.0], 13)) for x in (1.0, 2.75)
+    )  # joint 1 may go from -3 to 2.5
+    distance, past = (
+        [float(measure_run(r, law, reference, [name])[name]) for r in (inside, outside)]
+        for name in ("limit_distance", "past_limit")
+    )
+    np.testing.assert_allclose(distance, [1.5, -0.25], atol=1e-12)
+    np.testing.assert_allclose(past, [0, 0.25], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "links, task, target",
+    [
+        ([1.0, 0.8], ck.position("xy"), [0.9, 1.2]),
+        ([1.0, 0.8, 0.5], ck.position("xy"), [0.9, 1.2]),
+        ([1.0, 0.8, 0.5], ck.pose_task("xy", "z"), [0.9, 1.2]),
+        ([1.0, 0.8, 0.5, 0.3], ck.pose_task("xy", "z"), [0.9, 1.2]),
+    ],
+    ids=["position", "position, redundant", "pose", "pose, redundant"],
+)
+def test_a_float32_run_has_the_metrics_of_the_float64_one(links, task, target):
+    def metrics():
+        law = ck.Law(ck.planar_arm(links), task, alpha=4.0)
+        turn = {"rotation": np.array([np.cos(0.4), 0, 0, np.sin(0.4)])} if task.orientation else {}
+        reference = ck.line(target, [1.1, 0.9], duration=0.6, **turn)
+        run = ck.solve(law, reference, np.resize([0.4, 0.9, -0.5], len(links)), 0.1, 10)
+        names = [n for n in SCALARS if METRICS[n].needs != "rotation" or task.orientation]
+        return measure_run(run, law, reference, names, tolerance=0.02)
+
+    wanted = metrics()
+    with jax.enable_x64(False):
+        found = metrics()
+    for name, value in found.items():
+        assert value.dtype in (np.float32, np.int32), name
+        unit = found.units[name]
+        atol = 1e-5 / 0.1**2 if "/s²" in unit else 2e-5 if "/s" in unit else 3e-6  # roundings over Ts, Ts²
+        np.testing.assert_allclose(value, wanted[name], rtol=1e-5, atol=atol, err_msg=name)

@@ -1,41 +1,37 @@
 """`cnclik reproduce`, and the committed results: they are what the code produces."""
 
 import json
-import shutil
-from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
 
+from cnclik import paper
 from cnclik.cli import main
-from cnclik.paper import claims
+from cnclik.errors import ArgumentError
+from cnclik.paper import claims, story
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
-from cnclik.paper import story as report
-from cnclik.paper.plots import fingerprint
+from tests.paper.conftest import COMMITTED, load
 
-COMMITTED = Path(__file__).parents[2] / "results" / "paper"
 FIGURES = [*(f"fig{i:02d}.png" for i in range(1, 16)), "overview.png"]
+DATA = {"claims.json", "claims.md", "trajectories.nc", "methods.nc", "passes.nc"}
 READING = "on-path/once/consistent"
 
 
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory):
-    """A folder that the command has just written."""
+    """A folder that the command has just written: the one time that everything is run."""
     folder = tmp_path_factory.mktemp("paper")
     main(["reproduce", "--out", str(folder)])
     return folder
 
 
-def load(folder):
-    return paper_data.Results(*(xr.load_dataset(folder / f"{name}.nc") for name in paper_data.Results._fields))
-
-
 @pytest.fixture(scope="module")
-def committed():
-    return load(COMMITTED)
+def ours(fresh):
+    return load(fresh)
 
 
 def decided(trajectories):
@@ -44,16 +40,14 @@ def decided(trajectories):
 
 
 def test_writes_everything_and_nothing_else(fresh):
-    names = {*FIGURES, "claims.json", "claims.md", "trajectories.nc", "methods.nc", "passes.nc"}
-    assert {p.name for p in fresh.iterdir()} == names == {p.name for p in COMMITTED.iterdir()}
+    assert {p.name for p in fresh.iterdir()} == {*FIGURES, *DATA} == {p.name for p in COMMITTED.iterdir()}
 
 
-def test_committed_data_are_what_the_code_gives(fresh, committed):
-    ours = load(fresh)
+def test_committed_data_are_what_the_code_gives(ours, results):
     mask = decided(ours.trajectories)
-    xr.testing.assert_equal(mask, decided(committed.trajectories))
+    xr.testing.assert_equal(mask, decided(results.trajectories))
     for name, data in ours._asdict().items():
-        other = getattr(committed, name)
+        other = getattr(results, name)
         assert set(data.variables) == set(other.variables) and data.attrs["config"] == other.attrs["config"]
         for variable in set(data.data_vars) - {"spread"}:
             a, b = data[variable], other[variable]
@@ -73,31 +67,38 @@ def test_committed_verdicts_are_what_the_code_gives(fresh):
     assert [r["holds"] for r in ours["picard"]] == [r["holds"] for r in theirs["picard"]]
 
 
-def test_committed_claims_follow_from_committed_data(committed):
+def test_committed_claims_follow_from_committed_data(results):
     judged = json.loads((COMMITTED / "claims.json").read_text())
-    again = claims.judge(committed.trajectories, committed.passes)
+    again = claims.judge(results.trajectories, results.passes)
     assert [r["mean_error"] for r in judged["rows"]] == [r["mean_error"] for r in again["rows"]]
-    captions = {name: caption for name, (caption, *_) in pictures.figures(*committed, READING).items()}
-    story = report.story(judged, committed.trajectories, committed.methods, READING, captions)
-    assert story == (COMMITTED / "claims.md").read_text(encoding="utf-8")
+    text = story.story(judged, results.trajectories, results.methods, READING, pictures.captions(*results, READING))
+    assert text == (COMMITTED / "claims.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_figures_say_what_they_were_drawn_from(fresh, committed, name):
+def test_sentences_follow_from_the_data(results):
+    """Where IE and CN change places, so do verdicts and sentences."""
+    other = results.trajectories.sel(method=["EE", "CN", "IE"]).assign_coords(method=["EE", "IE", "CN"])
+    judged = claims.judge(other, results.passes)
+    text = story.story(judged, other, results.methods, READING, {})
+    assert "IE slowest: no, CN; CN fastest: no, EE" in text
+    assert "No: under no reading" in text and "and the runs do not agree" in text
+    assert "EE and IE do not stray to opposite sides" in text
+
+
+def test_figures_say_what_they_were_drawn_from(fresh, ours, results):
     """Each PNG carries the fingerprint of its data; the committed data are checked against fresh ones above."""
-    for folder, data in ((COMMITTED, committed), (fresh, load(fresh))):
-        caption, drawn, _ = pictures.figures(*data, READING)[name]
-        with Image.open(folder / name) as image:
-            assert image.text["Data"] == fingerprint(drawn)
-            assert image.text["Title"] == caption
-            assert json.loads(image.text["Config"])["alpha"] == 5.0
-            assert image.width >= 1000 and len(image.convert("L").getcolors()) > 20  # drawn, not blank
+    for folder, data in ((COMMITTED, results), (fresh, ours)):
+        for name, (_, about) in pictures.figures(*data, READING).items():
+            with Image.open(folder / name) as image:
+                assert image.text == {"Software": "cnclik"} | about
+                assert json.loads(image.text["Config"])["alpha"] == 5.0
+                assert image.width >= 1000 and len(image.convert("L").getcolors()) > 20  # drawn, not blank
 
 
-def test_fingerprint_sees_the_last_bit(committed):
-    data = committed.methods.copy(deep=True)
+def test_fingerprint_sees_the_last_bit(results):
+    data = results.methods.copy(deep=True)
     data.order[0, 0, 1] = np.nextafter(float(data.order[0, 0, 1]), 9)
-    assert fingerprint(data) != fingerprint(committed.methods)
+    assert pictures.fingerprint(data) != pictures.fingerprint(results.methods)
 
 
 def test_readme_shows_the_committed_picture():
@@ -129,7 +130,7 @@ def test_bad_input_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
 
 
 def test_unwritable_folder_is_one_line_before_any_work(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(paper_data, "everything", lambda track: pytest.fail("worked first"))
+    monkeypatch.setattr(paper_data, "everything", lambda progress: pytest.fail("worked first"))
     blocked = tmp_path / "file"
     blocked.write_text("")
     for out in (blocked, blocked / "inside"):
@@ -140,17 +141,11 @@ def test_unwritable_folder_is_one_line_before_any_work(capsys, tmp_path, monkeyp
         assert err.count("\n") == 1 and "Argument `out` must be a folder that can be written into" in err
 
 
-@pytest.mark.parametrize("when", ["running", "drawing"])
-def test_interrupted_run_leaves_nothing(capsys, tmp_path, monkeypatch, committed, when):
-    def interrupt(*_, **__):
+def test_an_interrupted_run_leaves_what_was(tmp_path, monkeypatch):
+    def interrupt(progress):
         raise KeyboardInterrupt
 
-    def half(found, folder, track):
-        shutil.copy(COMMITTED / "fig01.png", folder)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(paper_data, "everything", interrupt if when == "running" else lambda track: committed)
-    monkeypatch.setattr(pictures, "draw", half)
+    monkeypatch.setattr(paper_data, "everything", interrupt)
     old = tmp_path / "old"
     old.mkdir()
     (old / "claims.json").write_text("what was here")
@@ -160,3 +155,27 @@ def test_interrupted_run_leaves_nothing(capsys, tmp_path, monkeypatch, committed
         assert left.value.code == 130
     assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["claims.json"]
     assert (old / "claims.json").read_text() == "what was here" and not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize("error, code", [(KeyboardInterrupt, 130), (RuntimeError, 1)])
+def test_a_figure_that_fails_costs_no_data(capsys, tmp_path, monkeypatch, results, error, code):
+    def fail():
+        raise error("no ink")
+
+    monkeypatch.setattr(paper_data, "everything", lambda progress: results)
+    monkeypatch.setattr(pictures, "figures", lambda *_: {"a.png": (fail, {}), "b.png": (plt.figure, {"Title": "b"})})
+    with pytest.raises(SystemExit) as left:
+        main(["reproduce", "--out", str(tmp_path)])
+    assert left.value.code == code
+    written = {p.name for p in tmp_path.iterdir()}
+    assert written == (DATA | {"b.png"} if code == 1 else DATA)
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and (code != 1 or "a.png: RuntimeError: no ink" in err)
+
+
+def test_from_python_without_a_folder(monkeypatch, results):
+    monkeypatch.setattr(paper_data, "everything", lambda progress: results)
+    found = paper.reproduce()
+    assert found is results and paper.judge(found.trajectories, found.passes)["rows"]
+    with pytest.raises(ArgumentError, match="did you mean 'on-path/once/consistent'"):
+        paper.reproduce(reading="on-path/once/consistant")

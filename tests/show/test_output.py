@@ -2,10 +2,11 @@
 
 import os
 
+import matplotlib.pyplot as plt
 import pytest
 
 from cnclik.errors import ArgumentError
-from cnclik.show.output import output_folder
+from cnclik.show.output import FigureError, draw, output_folder
 
 
 def files(folder):
@@ -59,3 +60,15 @@ def test_a_folder_without_permission(tmp_path):
     with pytest.raises(ArgumentError, match="Permission denied"), output_folder(tmp_path / "out"):
         pass
     tmp_path.chmod(0o700)
+
+
+def test_a_figure_that_fails_costs_only_itself(tmp_path):
+    def fail():
+        raise ValueError("no\nink")
+
+    reports = []
+    figures = {"a.png": (fail, {}), "b.png": (plt.figure, {"Title": "b"}), "c.pdf": (plt.figure, {"Title": "c"})}
+    with pytest.raises(FigureError, match=r"some figures could not be drawn \(a.png: ValueError: no\nink\)"):
+        draw(figures, tmp_path, progress=lambda *report: reports.append(report))
+    assert files(tmp_path) == ["b.png", "c.pdf"]
+    assert reports == [(k, 3, f"drawing {name}") for k, name in enumerate(figures)]

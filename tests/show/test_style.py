@@ -47,3 +47,12 @@ def test_saved_figures_are_reproducible_and_carry_metadata(tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     with Image.open(tmp_path / "a.png") as image:
         assert image.text["Data"] == "abc" and image.text["Software"] == "cnclik"
+
+
+@pytest.mark.parametrize("form", ["pdf", "svg"])
+def test_other_forms_are_reproducible_too(tmp_path, form):
+    for name in ("a", "b"):
+        style.save(plt.figure(), tmp_path / f"{name}.{form}", {"Title": "t", "Data": "abc"})
+    if form == "pdf":
+        assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+    assert b"<dc:date>" not in (tmp_path / f"a.{form}").read_bytes()

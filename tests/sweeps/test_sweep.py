@@ -11,7 +11,7 @@ import xarray
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
-from cnclik.measure.metrics import METRICS, measure
+from cnclik.measure.metrics import METRICS, measure_run
 from cnclik.sweeps import sweep as sweeps
 from cnclik.sweeps.sweep import sweep
 from tests import plain
@@ -35,7 +35,7 @@ def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
     def study(alpha, Ts, M, method):
         traces.append(method)
         law, run = loop(alpha, Ts, M, method)
-        return measure(run, law, PATH, SCALARS, tolerance=0.01)
+        return measure_run(run, law, PATH, SCALARS, tolerance=0.01)
 
     axes = {"method": [ck.EE, ck.CN], "alpha": [2.0, 5.0, 12.0], "Ts": jnp.array([0.05, 0.1]), "M": np.array([0, 3])}
     # Blocks of four of the twelve points: several of them, the last of each program padded or not.
@@ -64,7 +64,7 @@ def test_long_histories_and_every_metric_of_them():
     def study(alpha):
         law = ck.Law(ARM, ck.position("xy"), alpha=alpha)
         run = ck.solve(law, PATH, Q0, 0.01, 300, ck.EE)
-        return measure(run, law, PATH, ["error", *SCALARS])
+        return measure_run(run, law, PATH, ["error", *SCALARS])
 
     found = sweep(study, alpha=np.linspace(1.0, 20.0, 100))  # two tiles of lanes, the last one filled up
     for i in (0, 70, 99):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.measure.chatter import chatter
+from cnclik.measure.metrics import chatter
 from cnclik.robot.posture import arm_length as length
 from cnclik.sweeps import trouble
 

@@ -1,0 +1,102 @@
+"""The tables of `cnclik reproduce`, for the terminal (80 columns) and for claims.md."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik.measure import files
+from cnclik.paper import readings as paper
+from cnclik.paper.readings import ARMS
+
+_SHOWN = (1e-3, 1e-4, 1e-6)  # of the tolerances in claims.json, those in the table [rad]
+
+
+class Table(NamedTuple):
+    """Rows of text; the first `left` columns are set left."""
+
+    title: str
+    header: list
+    rows: list
+    left: int = 1
+
+    def markdown(self) -> str:
+        """The table without its title."""
+        return files.markdown(self.header, self.rows, left=self.left).strip()
+
+
+def claim_table(judged, undetermined) -> Table:
+    """(a) and (b), one row per arm, case and reading."""
+    rows = []
+    for row in judged["rows"]:
+        if not own(row):
+            continue
+        where = row["arm"], row["reading"], row["case"]
+        wild = {method for *run, method in undetermined if tuple(run) == where}
+        mean = [number(v) + ("*" if m in wild else "") for m, v in row["mean_error"].items()]
+        claim = {"reach": "(a)", "track": "(b)"}[row["case"]]
+        rows.append([f"{claim} {ARMS[row['arm']]} {row['case']}", short(row), *mean, verdict(row["holds"])])
+    header = ["claim", "reading", *paper.PAPER, "holds"]
+    title = f"Mean error ‖e‖ over k = 0 … {paper.N} [m], and what becomes of the claims"
+    return Table(title, header, rows, left=2)
+
+
+def method_table(methods) -> Table:
+    """All methods at the paper's Ts, one row per arm and method."""
+    rows = []
+    for arm, method in itertools.product(methods.arm.values, methods.method.values):
+        at = methods.sel({"arm": arm, "method": method})
+        first = at.isel(Ts=0)
+        order = at.order.dropna("Ts").values
+        rows.append(
+            [
+                f"{ARMS[str(arm)]} {method}",
+                f"{int(first.evaluations.sel(case='track'))}",
+                number(first.mean_error.sel(case="reach")),
+                number(first.rms_error.sel(case="track")),
+                number(first.rms_converged),
+                f"{order[0]:.2f} … {order[-1]:.2f}",
+            ]
+        )
+    header = ["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"]
+    return Table(f"All methods at Ts = {paper.TS:g} s under {paper.DEFAULT}: errors ‖e‖ [m]", header, rows)
+
+
+def picard_table(judged) -> Table:
+    """(c): passes of the Picard iteration along CN's runs, one row per arm, case and reading."""
+    rows = []
+    for record in judged["picard"]:
+        if record["method"] != "CN" or not own(record):
+            continue
+        needed = [record["needed"][f"{t:.0e}"] for t in _SHOWN]
+        needed = [str(v) if v is not None else f"> {paper.PASSES}" for v in needed]
+        after = f"{record['residual_max'][paper.M]:.0e}"
+        where = f"{ARMS[record['arm']]} {record['case']}"
+        rows.append([where, short(record), after, *needed, verdict(record["holds"])])
+    header = ["(c)", "reading", f"after {paper.M}", *(f"{t:.0e}".replace("e-0", "e-") for t in _SHOWN), "holds"]
+    title = f"Worst last change after {paper.M} passes [rad], and passes needed to a tolerance"
+    return Table(title, header, rows, left=2)
+
+
+def own(record) -> bool:
+    """False for a repetition: Case I does not use the feed-forward."""
+    return record["case"] == "track" or record["reading"].endswith("/consistent")
+
+
+def short(record) -> str:
+    """The reading, as far as the case uses it."""
+    return record["reading"] if record["case"] == "track" else record["reading"].rsplit("/", 1)[0]
+
+
+def number(value) -> str:
+    """Three or four digits, as the paper's own tables would print them."""
+    value = float(value)
+    if not np.isfinite(value):
+        return str(value)
+    if value == 0 or 0.01 <= abs(value) < 100:
+        return f"{value:.4f}"
+    return f"{value:.2e}".replace("e-0", "e-").replace("e+0", "e+")
+
+
+def verdict(holds) -> str:
+    return "yes" if holds else "no"
