@@ -92,13 +92,14 @@ def many(one, evaluations):
 
 
 @in_float64
-def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), N=100, **options):
+def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), N=100, rest=None, **options):
     """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest. In float64.
 
     Args:
       law, reference, q0: the loop; the reference must hold still.
       alpha: (a,) gains [1/s]. Ts: (b,) sampling times [s].
       method, stage: as for `solve`.
+      rest: where the loop comes to rest, if that is known; else `settle` finds it.
       N, options: as for `outcomes`.
     Returns: an xarray.Dataset over (Ts, alpha), with `limit` (Ts,), the largest stable alpha by `recommend`.
     """
@@ -107,7 +108,7 @@ def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), 
     method, stage = named(method, stage)
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
-    rest = settle(law, reference, q0)
+    rest = settle(law, reference, q0) if rest is None else rest
     made = outcomes(law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, N=N, **options)
     limit = boundary(law, reference, rest, Ts=Ts, method=method, stage=stage)
     return xr.Dataset(
