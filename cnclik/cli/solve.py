@@ -1,13 +1,13 @@
-"""`cnclik solve`: one loop on one robot, with its data, figures and a summary."""
+"""`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
 import csv
 import dataclasses
-import math
 import time
 from pathlib import Path
 
 import numpy as np
 
+from cnclik.cli import progress
 from cnclik.cli.problem import ProblemOptions, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
@@ -15,7 +15,7 @@ PIECE = 2000  # steps between two looks at the clock
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ProblemOptions):
-    """Run one loop: trajectory.nc, figures and a summary."""
+    """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
 
     out: Path = Path("solved")
     """Folder for trajectory and figures."""
@@ -26,65 +26,57 @@ class Args(ProblemOptions):
 
 
 def run(args: Args) -> None:
-    made = problem(args)
     from rich.console import Console
 
-    from cnclik.show.output import output_folder
+    from cnclik.measure.dataset import to_dataset
+    from cnclik.measure.files import save_netcdf
+    from cnclik.show.output import draw, output_folder
+    from cnclik.stability.verdict import verdict
 
+    made = problem(args)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    progress = Console(stderr=True)
     with output_folder(args.out) as folder:
-        trajectory, seconds = _march(made, progress)
-        from cnclik.measure.dataset import to_dataset
-
+        with progress.bar("steps") as report:
+            trajectory, seconds = _march(made, report)
         data = to_dataset(trajectory, made.law, config=config)
-        data.to_netcdf(folder / "trajectory.nc", engine="h5netcdf")
+        save_netcdf(data, folder / "trajectory.nc")
         if args.csv:
             _write_csv(folder / "trajectory.csv", data)
-        if args.figures:
-            with progress.status("Drawing"):
-                _draw(folder, data, made)
-        written = sorted(p.name for p in folder.iterdir())
-    print(_title(made))
-    Console().print(_summary(made, data, seconds))
-    print(f"Wrote {', '.join(written)} to {args.out}/.")
+    told = verdict(made.law, made.reference, trajectory, Ts=made.Ts, method=made.method, stage=made.stage)
+    print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
+    Console().print(_summary(made, trajectory, seconds))
+    print(f"{told.sentence[0].upper()}{told.sentence[1:]}")
+    if args.figures:
+        with progress.bar("figures") as report:
+            draw(_figures(data, made), args.out, progress=report)
+    written = ["trajectory.nc", *["trajectory.csv"] * args.csv, *_names() * args.figures]
+    print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
 
 
-def _march(made, progress):
-    """The whole trajectory, and the time per step once compiled; a bar where it takes a while."""
+def _march(made, report):
+    """The whole trajectory, in pieces that tell of progress, and the time per step once compiled [s]."""
     import jax
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from cnclik.integrate.solve import solve
+    from cnclik.integrate.trajectory import join, truncate
 
     size = min(made.N, PIECE)
     pieces = -(-made.N // size)  # the last one may run past N; what is beyond is cut off
 
     def piece(k, q):
-        begin = time.perf_counter()
+        begun = time.perf_counter()
         t0 = k * size * made.Ts
         found = solve(made.law, made.reference, q, made.Ts, size, made.method, made.stage, t0=t0)
-        return jax.block_until_ready(found), time.perf_counter() - begin
+        return jax.block_until_ready(found), time.perf_counter() - begun
 
-    with progress.status("Compiling"):
-        first, _ = piece(0, made.q0)
-    first, seconds = piece(0, made.q0)
-    parts = [first]
-    columns = (
-        TextColumn("Solving"),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total} steps"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=progress, disable=pieces * seconds < 2, transient=True) as bar:
-        task = bar.add_task("", total=made.N, completed=size)
-        for k in range(1, pieces):
-            part, more = piece(k, parts[-1].q[-1])
-            parts.append(part)
-            seconds += more
-            bar.update(task, completed=min((k + 1) * size, made.N))
-    from cnclik.integrate.trajectory import join, truncate
-
+    report(0, made.N)
+    piece(0, made.q0)  # compiles
+    parts, seconds = [], 0.0
+    for k in range(pieces):
+        part, more = piece(k, parts[-1].q[-1] if parts else made.q0)
+        parts.append(part)
+        seconds += more
+        report(min((k + 1) * size, made.N), made.N)
     return truncate(join(parts), made.N), seconds / (pieces * size)
 
 
@@ -105,78 +97,50 @@ def _write_csv(path, data) -> None:
             )
 
 
-def _draw(folder, data, made) -> None:
+def _drawings():
     from cnclik.show import run as pictures
-    from cnclik.show import style
 
-    with style.style():
-        chain = made.law.chain
-        drawn = {
-            "joints": pictures.joint_paths(data, chain),
-            "error": pictures.error(data),
-            "velocities": pictures.joint_velocities(data, chain),
-            "status": pictures.status(data),
-        }
-        for name, figure in drawn.items():
-            style.save(
-                figure, folder / f"{name}.png", {"Title": f"{made.name}: {name}", "Comment": data.attrs["config"]}
-            )
+    return {
+        "joints": lambda data, chain: pictures.joint_paths(data, chain),
+        "error": lambda data, chain: pictures.error(data),
+        "velocities": lambda data, chain: pictures.joint_velocities(data, chain),
+        "status": lambda data, chain: pictures.status(data),
+    }
 
 
-def _summary(made, data, seconds):
+def _names():
+    return [f"{name}.png" for name in _drawings()]
+
+
+def _figures(data, made):
+    def one(name, make):
+        return lambda: make(data, made.law.chain), {"Title": f"{made.name}: {name}", "Comment": data.attrs["config"]}
+
+    return {f"{name}.png": one(name, make) for name, make in _drawings().items()}
+
+
+def _summary(made, trajectory, seconds):
     from rich.table import Table
 
     from cnclik.integrate.status import count
-    from cnclik.measure.metrics import chatter
-    from cnclik.stability.linear import stability_limit
+    from cnclik.measure.metrics import measure_run
 
+    law = made.law
+    parts = [("position", "m")] * bool(law.task.position) + [("rotation", "rad")] * bool(law.task.orientation)
+    names = [f"{kind}_{part}_error" for part, _ in parts for kind in ("rms", "max", "final")]
+    found = measure_run(trajectory, law, made.reference, [*names, "max_qdot", "velocity_ratio", "chatter"])
     shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    units = data.axis_unit.values
-    for unit, name in (("m", "position"), ("rad", "orientation")):
-        part = data.e.values[:, units == unit]
-        if part.size:
-            norm = np.linalg.norm(part, axis=1)
-            rms, largest, last = (_number(v) for v in (np.sqrt(np.mean(norm**2)), norm.max(), norm[-1]))
-            shown.add_row(f"{name} error", f"RMS {rms}, largest {largest}, last {last} {unit}")
-    shown.add_row("steps", ", ".join(f"{k} {v}" for k, v in count(data.status.values).items() if v))
-    shown.add_row("joint velocity", _fastest(made.law.chain, data))
-    late = chatter(data.qdot.values)
-    shown.add_row("chatter", f"{_number(late)} (RMS joint speed taken back in the next step, second half of the run)")
-    limit = stability_limit(made.method, made.stage)
-    alpha = np.linalg.eigvals(made.law.alpha).real if made.law.alpha.ndim == 2 else np.atleast_1d(made.law.alpha)
-    z = float(np.max(alpha)) * made.Ts
-    where = "UNSTABLE" if z >= limit or np.min(alpha) < 0 else "stable" if np.min(alpha) > 0 else "errors stay"
-    known = "any z" if math.isinf(limit) else f"z < {limit:.4g}"
-    shown.add_row("z = alpha·Ts", f"{z:.4g}; {made.method} with {_stage(made)} is linearly stable for {known}: {where}")
+    for part, unit in parts:
+        rms, largest, last = (_number(found[f"{kind}_{part}_error"]) for kind in ("rms", "max", "final"))
+        shown.add_row(f"{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}")
+    shown.add_row("steps", ", ".join(f"{k} {v}" for k, v in count(trajectory.status).items() if v))
+    unit, share = found.units["max_qdot"], float(found.velocity_ratio)
+    of = f", {100 * share:.3g} % of a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
+    shown.add_row("joint velocity", f"up to {_number(found.max_qdot)} {unit}{of}")
+    late = "RMS joint speed taken back in the next step, second half of the run"
+    shown.add_row("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})")
     shown.add_row("time per step", f"{1e6 * seconds:.0f} µs")
     return shown
-
-
-def _title(made):
-    task = " ".join(made.law.task.names)
-    return f"{made.name}: task {task}, N = {made.N} steps of Ts = {made.Ts:g} s"
-
-
-def _stage(made):
-    if not made.method.implicit:
-        return "no stage"
-    return f"{type(made.stage).__name__.lower()}({made.stage.M})"
-
-
-def _fastest(chain, data) -> str:
-    """The joint that comes nearest to (or farthest beyond) its velocity limit."""
-    peak = np.max(np.abs(data.qdot.values), axis=0)
-    limits = np.array(chain.velocity_limit)
-    i = (
-        int(np.argmax(np.where(np.isfinite(limits), peak / limits, 0.0)))
-        if np.isfinite(limits).any()
-        else int(np.argmax(peak))
-    )
-    unit = f"{data.joint_unit.values[i]}/s"
-    if not np.isfinite(limits[i]):
-        return f"{_number(peak[i])} {unit} at {chain.joint_names[i]}, which has no limit"
-    share = f"{100 * peak[i] / limits[i]:.3g} % of its limit {limits[i]:g}"
-    return f"{_number(peak[i])} {unit} at {chain.joint_names[i]}: {share}"
 
 
 def _number(value) -> str:

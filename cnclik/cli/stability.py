@@ -5,13 +5,12 @@ import pathlib
 import time
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.problem import LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
-
-_EXPLICIT, _IMPLICIT = ("EE", "HEUN", "MIDPOINT", "RK4"), ("IE", "CN", "TRAPEZOID")
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -28,7 +27,7 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
     """Regions in the complex z-plane for --methods and --passes, and the real-axis limits as a table."""
     map: bool = False
     """Measured map of whole loops over alpha and Ts, and a strip over M for implicit methods."""
-    methods: tuple[str, ...] = (*_EXPLICIT, *_IMPLICIT)
+    methods: tuple[str, ...] = ("EE", "HEUN", "MIDPOINT", "RK4", "IE", "CN", "TRAPEZOID")
     """Methods of --plane."""
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
     """Passes M of --plane; the strip over M goes up to the largest."""
@@ -38,21 +37,33 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
     """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""
-    out: pathlib.Path = pathlib.Path("results/stability")
+    out: pathlib.Path = pathlib.Path("stability-out")
     """Folder for figures and data (netCDF)."""
 
 
 def run(args: Args) -> None:
-    """Numbers on the terminal; figures and labelled data in the folder."""
-    from cnclik.show.output import output_folder
+    """Numbers on the terminal; figures and labelled data in the folder, the data first."""
+    from cnclik.show.output import draw, output_folder
 
-    if args.cells < 2:
-        raise errors.fail("cells", "be at least 2", f"is {args.cells}")
+    _check(args)
+    if not (args.plane or args.map):
+        _tell(args, _advice(args, *_loop(args)))
+        return
+    figures = {}
+    with output_folder(args.out) as out:
+        if args.plane:
+            figures |= _plane(args, out)
+        if args.map:
+            figures |= _map(args, out)
+    draw(figures, args.out)
+    print(f"Results in {args.out}")
+
+
+def _check(args):
+    errors.integer("cells", args.cells, at_least=2)
     for name in ("methods", "passes"):
         if not getattr(args, name):
             raise errors.fail(name, "name at least one", "is empty")
-    for M in args.passes:
-        errors.integer("passes", M, at_least=0)
     errors.integer("N", args.N, at_least=4)
     errors.number("tolerance", args.tolerance, positive=True)
     for name, given in (("alpha-range", args.alpha_range), ("Ts-range", args.Ts_range)):
@@ -60,15 +71,6 @@ def run(args: Args) -> None:
             errors.number(name, given[0], positive=True)
             if not given[0] < given[1]:
                 raise errors.fail(name, "increase", f"is {given[0]:g} to {given[1]:g}")
-    if args.plane or args.map:
-        with output_folder(args.out) as out:
-            if args.plane:
-                _plane(args, out)
-            if args.map:
-                _map(args, out)
-        print(f"Results in {args.out}")
-    else:
-        _advise(args, *_loop(args))
 
 
 # --- the loop at rest ---------------------------------------------------------------------------------
@@ -81,35 +83,33 @@ def _loop(args):
     return found, settle(found.law, found.reference, found.q0)
 
 
-def _advise(args, found, rest):
+def _advice(args, found, rest):
+    from cnclik.stability.recommend import advise
+
+    return found, advise(found.law, found.reference, rest, Ts=found.Ts, method=found.method, stage=found.stage)
+
+
+def _tell(args, advised):
     """What is safe, and how far the operating point is from what is not."""
-    import numpy as np
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    from cnclik.stability import spectrum
+    from cnclik.measure.files import in_words
 
-    loop = dict(method=found.method, stage=found.stage, target=found.reference)
-    gains = spectrum.recommend(found.law, rest, Ts=found.Ts, **loop)
-    times = spectrum.recommend(found.law, rest, **loop)
-    now = spectrum.margin(found.law, rest, found.Ts, **loop)
-    eigen = spectrum.spectrum(found.law, found.reference, rest, found.Ts, found.method, found.stage)
-    how = f"{found.method}" + (f", {found.stage}" if found.method.implicit else "")
-    shown = Table(title=f"{found.name}, {how}, task {' '.join(found.law.task.names)}", title_justify="left")
+    found, advice = advised
+    gains, times, now, eigen = advice.gains, advice.times, advice.margin, advice.spectrum
+    shown = Table(title=f"{_name(found)}, task {' '.join(found.law.task.names)}", title_justify="left")
     for column, justify in (("", "left"), ("value", "right"), ("z = alpha·Ts", "right"), ("error × per step", "right")):
         shown.add_column(column, justify=justify)
-    number = lambda v: np.array2string(np.asarray(v), precision=5, separator=", ")  # noqa: E731
-    edge = lambda found: "1" if np.isfinite(found.z_largest) else "–"  # noqa: E731
-    shown.add_row(f"alpha now, Ts = {found.Ts:g} s", number(found.law.alpha), f"{now.z:.4g}", f"{now.radius:.4g}")
-    shown.add_row("largest stable alpha [1/s]", number(gains.largest), f"{gains.z_largest:.4g}", edge(gains))
-    shown.add_row("fastest alpha [1/s]", number(gains.fastest), f"{gains.z_fastest:.4g}", f"{gains.radius:.3g}")
-    shown.add_row(
-        escape("largest stable Ts [s] at alpha now"), number(times.largest), f"{times.z_largest:.4g}", edge(times)
-    )
-    shown.add_row(
-        escape("fastest Ts [s] at alpha now"), number(times.fastest), f"{times.z_fastest:.4g}", f"{times.radius:.3g}"
-    )
+    shown.add_row(f"alpha now, Ts = {found.Ts:g} s", in_words(found.law.alpha), f"{now.z:.4g}", f"{now.radius:.4g}")
+    for name, some in (("{} alpha [1/s]", gains), ("{} Ts [s] at alpha now", times)):
+        bounded, slowest = np.isfinite(some.z_largest), np.isfinite(some.z_fastest)
+        edge = (in_words(some.largest), f"{some.z_largest:.4g}", "1") if bounded else ("any", "any", "–")
+        best = (in_words(some.fastest), f"{some.z_fastest:.4g}") if slowest else ("the larger", "the larger")
+        # escape: rich takes [s] for strikethrough
+        shown.add_row(escape(name.format("largest stable")), *edge)
+        shown.add_row(escape(name.format("fastest")), *best, f"{some.radius:.3g}")
     console = Console()
     console.print(shown)
     verdict = "stable" if now.margin > 1 else "UNSTABLE"
@@ -119,182 +119,91 @@ def _advise(args, found, rest):
         f"|λ| = {eigen.null_radius:.4g}. {gains.evaluations} evaluations per step.",
         highlight=False,
     )
-    return now
+
+
+def _name(found):
+    return f"{found.name}, {found.method}" + (f", {found.stage}" if found.method.implicit else "")
 
 
 # --- the plane ----------------------------------------------------------------------------------------
 
 
 def _plane(args, out):
-    import jax.numpy as jnp
-    import numpy as np
-    import xarray as xr
     from rich.console import Console
     from rich.table import Table
 
-    from cnclik.integrate import stage as stages
-    from cnclik.integrate.method import METHODS
     from cnclik.measure.dataset import as_json, provenance
+    from cnclik.measure.files import save_netcdf
     from cnclik.show import stability as show
-    from cnclik.stability import linear
+    from cnclik.stability.plane import limit_tables, plane, plane_page
 
-    methods = [METHODS[errors.one_of("methods", name, METHODS)] for name in args.methods]
-    explicit, implicit = [m for m in methods if not m.implicit], [m for m in methods if m.implicit]
-    # One compiled program per method: the number of passes is an array.
-    most = max(args.passes, default=0)
-    picard = lambda M: stages.picard(jnp.asarray(M), maximum=most)  # noqa: E731
-    regions, rows, delays = {}, [], []
-    if explicit:
-        regions["explicit"] = {m.name: linear.stability_region(m, points=201) for m in explicit}
-        rows += [(m.name, "", linear.limits(m)) for m in explicit]
     with progress.bar("limits") as report:
-        total, done = len(implicit) * (most + 2), 0
-        for m in implicit:
-            regions[m.name] = {}
-            for M in (*range(most + 1), None):
-                name, stage = ("exact", stages.chord(1)) if M is None else (f"picard({M})", picard(M))
-                if M is None or M in args.passes:
-                    regions[m.name][name] = linear.stability_region(m, stage, points=201)
-                rows.append((m.name, name, linear.limits(m, stage)))
-                done += 1
-                report(done, total)
-    for m in methods:
-        delays.append((m.name, [linear.delay_limit(d, m, stages.chord(1)) for d in range(5)]))
-    show.plane(regions, out / "plane.png", {"Title": "stability regions"})
-    shown = Table(title="Limits of z = alpha·Ts on the real axis", title_justify="left")
-    for name in ("method", "stage", "stable", "monotone", "dead-beat", "fastest", "error × per step"):
-        shown.add_column(name, justify="left" if name in ("method", "stage") else "right")
-    for method, stage, found in rows:
-        shown.add_row(method, stage, *_values(found))
-    Console().print(shown)
-    late = Table(title="Largest stable z, error measured d samples late, stages exact", title_justify="left")
-    for name in ("method", *(f"d = {d}" for d in range(5))):
-        late.add_column(name, justify="left" if name == "method" else "right")
-    for method, found in delays:
-        late.add_row(method, *_numbers(found))
-    Console().print(late)
-    (out / "plane.md").write_text(_limits_text(rows, delays), encoding="utf-8")
-    names = ("stable", "monotone", "dead_beat", "fastest", "rate")
-    shown_rows = [(group, name) for group, several in regions.items() for name in several]
-    first = next(iter(next(iter(regions.values())).values()))
-    table_ = xr.Dataset(
-        {n: ("row", np.array([getattr(f, n) for _, _, f in rows]), {"units": "1"}) for n in names}
-        | {
-            "region": (
-                ("region_row", "im", "re"),
-                np.stack([r.values.astype(np.float32) for g in regions.values() for r in g.values()]),
-                {"units": "1", "long_name": "|R(z)|"},
-            ),
-            "delay_limit": (
-                ("delayed", "delay"),
-                np.array([found for _, found in delays]),
-                {"units": "1", "long_name": "largest stable z, error measured late, stages exact"},
-            ),
-        },
-        coords={
-            "method": ("row", [r[0] for r in rows]),
-            "stage": ("row", [r[1] for r in rows]),
-            "region_row": [" ".join(pair) for pair in shown_rows],
-            "delayed": [m for m, _ in delays],
-            "delay": ("delay", np.arange(5), {"units": "1", "long_name": "samples"}),
-            "re": first.re,
-            "im": first.im,
-        },
-        attrs=provenance(float) | {"config": as_json({"methods": args.methods, "passes": args.passes})},
-    )
-    _write(table_, out / "plane.nc")
-
-
-def _values(found):
-    return _numbers((found.stable, found.monotone, found.dead_beat, found.fastest, found.rate))
-
-
-def _numbers(values):
-    return ["–" if v != v else "none" if v == float("inf") else f"{v:.4f}" for v in values]
-
-
-def _limits_text(rows, delays):
-    lines = [
-        "# Limits of z = alpha·Ts on the real axis",
-        "",
-        "`exact` is what chord(M) and newton(M) do. none: no limit.",
-        "",
-        "| method | stage | stable | monotone | dead-beat | fastest | error × per step |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-        *(f"| {method} | {stage} | " + " | ".join(_values(found)) + " |" for method, stage, found in rows),
-        "",
-        "## Error measured d samples late, stages exact: largest stable z",
-        "",
-        "| method | d = 0 | 1 | 2 | 3 | 4 |",
-        "| --- | --- | --- | --- | --- | --- |",
-        *(f"| {method} | " + " | ".join(_numbers(found)) + " |" for method, found in delays),
-    ]
-    return "\n".join(lines) + "\n"
+        data = plane(args.methods, args.passes, progress=report)
+    config = {"methods": args.methods, "passes": args.passes}
+    data = data.assign_attrs(provenance(float) | {"config": as_json(config)})
+    save_netcdf(data, out / "plane.nc")
+    (out / "plane.md").write_text(plane_page(data), encoding="utf-8")
+    for title, header, rows in limit_tables(data):
+        shown = Table(title=title, title_justify="left")
+        for name in header:
+            shown.add_column(name, justify="left" if name in ("method", "stage") else "right")
+        for row in rows:
+            shown.add_row(*row)
+        Console().print(shown)
+    return {"plane.png": (lambda: show.plane(data), {"Title": "stability regions"})}
 
 
 # --- the map ------------------------------------------------------------------------------------------
 
 
 def _map(args, out):
-    import numpy as np
-
     from cnclik.measure.dataset import as_json, provenance
+    from cnclik.measure.files import save_netcdf
     from cnclik.show import stability as show
-    from cnclik.stability import maps
+    from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
 
     begun = time.perf_counter()
     found, rest = _loop(args)
-    now = _advise(args, found, rest)
-    rate = largest_rate(found.law.alpha)
+    advised = _advice(args, found, rest)
+    _tell(args, advised)
+    now, rate = advised[1].margin, largest_rate(found.law.alpha)
     # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
     half = np.sqrt(min(now.margin, 20 / now.z))
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)
     times = np.geomspace(*_range(args.Ts_range, found.Ts, half), args.cells)
-    config = table(args) | {"tolerance": args.tolerance}
+    config = as_json(table(args) | {"tolerance": args.tolerance})
     loop = dict(method=found.method, stage=found.stage, N=args.N, tolerance=args.tolerance)
     with progress.bar("loops") as report:
-        total = args.cells**2
-        data = maps.stability_map(
-            found.law, found.reference, found.q0, alphas, times, progress=lambda done: report(done, total), **loop
+        data = stability_map(
+            found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop
         )
-    attributes = provenance(float) | {"config": as_json(config)}
+    attributes = provenance(float) | {"config": config}
     data = data.assign_attrs(attributes)
-    _write(data, out / "map.nc")
-    how = f"{found.method}" + (f", {found.stage}" if found.method.implicit else "")
-    show.stability_map(
-        data,
-        out / "map.png",
-        {"Title": f"stability map, {found.name}", "Description": as_json(config)},
-        title=f"{found.name}, {how}, N = {args.N}",
-        operating=(rate, found.Ts, now.margin),
-    )
+    save_netcdf(data, out / "map.nc")
+    title = f"{_name(found)}, N = {args.N}"
+    about = {"Title": f"stability map, {found.name}", "Description": config}
+    point = (rate, found.Ts, now.margin)
+    figures = {"map.png": (lambda: show.stability_map(data, title=title, operating=point), about)}
     if found.method.implicit:
-        z = np.linspace(0.02, 3.0, 2 * args.cells)
-        some = range(max(args.passes) + 1)
-        strip = maps.passes_map(found.law, found.reference, found.q0, z, some, Ts=found.Ts, **loop)
-        strip = strip.assign_attrs(attributes)
-        _write(strip, out / "passes.nc")
-        title = f"{found.name}, {found.method}, {strip.attrs['stage']}(M)"
-        show.passes({title: strip}, out / "passes.png", {"Title": title, "Description": as_json(config)})
-    counts = {
-        name: int(np.sum(data.kind.values == i)) for i, name in enumerate(data.kind.attrs["flag_meanings"].split())
-    }
-    print(", ".join(f"{name} {count}" for name, count in counts.items()))
-    inside = maps.agreement(data.kind.values, data.alpha.values, data.limit.values[:, None])
-    print(f"{total:,} loops in {time.perf_counter() - begun:.1f} s; agreement with the linear boundary: {inside:.2%}")
-
-
-# --- committed studies --------------------------------------------------------------------------------
+        z, some = np.linspace(0.02, 3.0, 2 * args.cells), range(max(args.passes) + 1)
+        with progress.bar("loops") as report:
+            strip = passes_map(
+                found.law, found.reference, found.q0, z=z, M=some, Ts=found.Ts, progress=report, **loop
+            ).assign_attrs(attributes)
+        save_netcdf(strip, out / "passes.nc")
+        name = f"{found.name}, {found.method}, {strip.attrs['stage']}(M)"
+        figures["passes.png"] = (lambda: show.passes({name: strip}), {"Title": name, "Description": config})
+    endings = data.ending.values
+    names = data.ending.attrs["flag_meanings"].split()
+    print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
+    inside = agreement(endings, data.alpha.values, data.limit.values[:, None])
+    print(
+        f"{endings.size:,} loops in {time.perf_counter() - begun:.1f} s; agreement with the linear boundary: {inside:.2%}"
+    )
+    return figures
 
 
 def _range(given, now, half):
     """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
     return given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
-
-
-def _write(data, path):
-    packed = {
-        v: {"zlib": True, "complevel": 6} for v in data.data_vars if data[v].dtype.kind in "fiub" and data[v].ndim
-    }
-    data.to_netcdf(path, engine="h5netcdf", encoding=packed)

@@ -1,4 +1,4 @@
-"""Outcome: what a whole nonlinear loop did over a stated horizon, and maps of it over alpha, Ts and M.
+"""Outcome: how a whole nonlinear loop ended over a stated horizon.
 
 A loop is judged by its last quarter, not by its last instant: a nonlinear map can stay bounded and wrong, and
 pass close to the target on its way.
@@ -6,6 +6,7 @@ pass close to the target on its way.
 
 import enum
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,23 +21,23 @@ from cnclik.record import record
 from cnclik.robot import spatial as sp
 
 
-class Kind(enum.IntEnum):
+class Ending(enum.IntEnum):
     """How a loop ended."""
 
     CONVERGED = 0  # throughout the last quarter the error is below tolerance·scale
     SLOW = 1  # not there yet, but all of the last quarter is below all of the one before, and clearly
-    NOT_CONVERGED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
+    STALLED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
     DIVERGED = 3  # not finite, or in the last quarter the error comes up to the scale again
     NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity while the error was below the scale
 
 
-_GROWN = 1 + 1e-3  # an error beyond this times the scale has grown
-_ON_THE_WAY = 0.98  # largest ratio of two quarters' largest errors that is not standing still short of the target
+GROWTH = 1 + 1e-3  # an error beyond this times the scale has grown
+STALL_RATIO = 0.98  # of the largest errors of two quarters: from here on the loop stands still short of the target
 
 
-def stable(kind):
-    """Whether outcomes are those of a stable loop: converged, or slowly on the way."""
-    return (kind == Kind.CONVERGED) | (kind == Kind.SLOW)
+def stable(ending):
+    """Whether endings are those of a stable loop: converged, or slowly on the way."""
+    return (ending == Ending.CONVERGED) | (ending == Ending.SLOW)
 
 
 @record
@@ -44,20 +45,34 @@ class Outcome:
     """What a loop did in N steps.
 
     Attributes:
-      kind: a `Kind`.
+      ending: an `Ending`.
       steps: number of steps after which the error stays below tolerance·scale, N + 1 where it never does.
       rate: mean factor per step down to that tolerance, tolerance^(1/steps); NaN where not converged.
       final: largest ‖e‖ in the last quarter [m, rad].
       near_singular: whether some step was marked NEAR_SINGULAR.
-      not_converged: whether some implicit stage was marked NOT_CONVERGED.
+      stage_not_converged: whether some implicit stage was marked NOT_CONVERGED.
     """
 
-    kind: jax.Array
+    ending: jax.Array
     steps: jax.Array
     rate: jax.Array
     final: jax.Array
     near_singular: jax.Array
-    not_converged: jax.Array
+    stage_not_converged: jax.Array
+
+
+class _Seen(NamedTuple):
+    """What is remembered of a loop while it runs."""
+
+    q: tuple
+    scale: jax.Array  # the error to compare with
+    last_above: jax.Array  # last step with an error above tolerance·scale
+    least_before: jax.Array  # least and largest error in the third quarter
+    largest_before: jax.Array
+    largest: jax.Array  # in the last quarter
+    status: jax.Array  # bits of all steps
+    grown: jax.Array  # an error has been beyond the scale
+    singular_first: jax.Array  # a step was near a singularity before that
 
 
 def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5), *, tolerance=1e-3, scale=None):
@@ -74,25 +89,27 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     tail, before = N - N // 4, N - 2 * (N // 4)
     given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
-    def one(own, carry, k):
+    def one(own, seen, k):
         law, reference, Ts, stage, tolerance, given = own
-        q, scale, (above, least, most, final), bits, grown, first_near = carry
-        made = advance(law, reference, q, k * Ts, Ts, method, stage)
+        made = advance(law, reference, seen.q, k * Ts, Ts, method, stage)
         size = sp.safe_norm(made.e)
-        if given is None:
-            scale = jnp.where(k == 0, size, scale)
+        scale = jnp.where(k == 0, size, seen.scale) if given is None else seen.scale
         # A loop that diverges wanders through singularities; one that meets them first is another matter.
-        grown |= ~(size <= scale * _GROWN)
+        grown = seen.grown | ~(size <= scale * GROWTH)
         size = jnp.where(jnp.isfinite(size), size, jnp.inf)
-        seen = (
-            jnp.where(size > tolerance * scale, k, above),
-            jnp.where((k >= before) & (k < tail), jnp.minimum(least, size), least),
-            jnp.where((k >= before) & (k < tail), jnp.maximum(most, size), most),
-            jnp.where(k >= tail, jnp.maximum(final, size), final),
-        )
         status = jnp.where(k < N, made.status.astype(jnp.int32), 0)
-        first_near |= ~grown & ((status & int(Status.NEAR_SINGULAR)) != 0)
-        return (made.q, scale, seen, bits | status, grown, first_near), None
+        third = (k >= before) & (k < tail)
+        return _Seen(
+            q=made.q,
+            scale=scale,
+            last_above=jnp.where(size > tolerance * scale, k, seen.last_above),
+            least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),
+            largest_before=jnp.where(third, jnp.maximum(seen.largest_before, size), seen.largest_before),
+            largest=jnp.where(k >= tail, jnp.maximum(seen.largest, size), seen.largest),
+            status=seen.status | status,
+            grown=grown,
+            singular_first=seen.singular_first | (~grown & ((status & int(Status.NEAR_SINGULAR)) != 0)),
+        ), None
 
     def loop(own, start, k):
         return lax.scan(functools.partial(one, own), start, k)[0]
@@ -100,24 +117,31 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     # The step after the last is made too, only for its error: one more way to evaluate it would cost far more to
     # compile than it costs to run.
     k = jnp.arange(N + 1).astype(q0.dtype)
-    zero = jnp.zeros((), q0.dtype)
-    nothing = (zero - 1, zero + jnp.inf, zero, zero)
-    never = jnp.zeros((), bool)
-    start = (tuple(q0), zero if given is None else given, nothing, jnp.zeros((), jnp.int32), never, never)
-    own = (law, reference, Ts, stage, tolerance, given)
-    _, scale, (above, least, most, final), bits, _, first_near = one_function(loop)(own, start, k)
-    near, stuck = (bits & int(Status.NEAR_SINGULAR)) != 0, (bits & int(Status.NOT_CONVERGED)) != 0
-    converged = final <= tolerance * scale
-    failed = jnp.where(first_near, Kind.NEAR_SINGULAR, jnp.where(final >= scale, Kind.DIVERGED, Kind.NOT_CONVERGED))
-    slow = (final < jnp.minimum(least, scale)) & (final < _ON_THE_WAY * most)
-    kind = jnp.where(converged, Kind.CONVERGED, jnp.where(slow, Kind.SLOW, failed))
-    steps = above + 1
-    rate = jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan)
+    zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
+    start = _Seen(
+        q=tuple(q0),
+        scale=zero if given is None else given,
+        last_above=zero - 1,
+        least_before=zero + jnp.inf,
+        largest_before=zero,
+        largest=zero,
+        status=jnp.zeros((), jnp.int32),
+        grown=never,
+        singular_first=never,
+    )
+    seen = one_function(loop)((law, reference, Ts, stage, tolerance, given), start, k)
+    scale, largest = seen.scale, seen.largest
+    converged = largest <= tolerance * scale
+    wrong = jnp.where(largest >= scale, Ending.DIVERGED, Ending.STALLED)
+    failed = jnp.where(seen.singular_first, Ending.NEAR_SINGULAR, wrong)
+    slow = (largest < jnp.minimum(seen.least_before, scale)) & (largest < STALL_RATIO * seen.largest_before)
+    ending = jnp.where(converged, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed))
+    steps = seen.last_above + 1
     return Outcome(
-        kind=kind.astype(jnp.int8),
+        ending=ending.astype(jnp.int8),
         steps=steps.astype(jnp.int32),
-        rate=rate,
-        final=final,
-        near_singular=near,
-        not_converged=stuck,
+        rate=jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan),
+        final=largest,
+        near_singular=(seen.status & int(Status.NEAR_SINGULAR)) != 0,
+        stage_not_converged=(seen.status & int(Status.NOT_CONVERGED)) != 0,
     )

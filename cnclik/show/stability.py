@@ -6,127 +6,126 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from cnclik.measure.outcome import Kind
+from cnclik.measure.outcome import Ending
 from cnclik.show import style as look
 
 RATES = "viridis"
 _FLAT = {
-    Kind.SLOW: ("#fbf5c8", "converging, not there in N steps"),
-    Kind.NOT_CONVERGED: ("#bdbdbd", "bounded and wrong"),
-    Kind.DIVERGED: ("#7f2704", "diverged"),
-    Kind.NEAR_SINGULAR: ("#f4a582", "failed near a singularity"),
+    Ending.SLOW: ("#fbf5c8", "converging, not there in N steps"),
+    Ending.STALLED: ("#bdbdbd", "bounded and wrong"),
+    Ending.DIVERGED: ("#7f2704", "diverged"),
+    Ending.NEAR_SINGULAR: ("#f4a582", "failed near a singularity"),
 }
 
 
-def plane(regions, path, metadata):
-    """Stability regions |R(z)| ≤ 1, a panel for each group.
+def plane(data):
+    """Stability regions |R(z)| ≤ 1, a panel for the explicit methods and one for each implicit one.
 
     Args:
-      regions: {title: {name: DataArray from `stability_region`}}.
+      data: from `cnclik.stability.plane`.
     """
-    with look.style():
-        columns = min(len(regions), 4)
-        rows = -(-len(regions) // columns)
-        figure, axes = plt.subplots(
-            rows, columns, figsize=(look.PAGE, 2.2 * rows + 0.45), sharex=True, sharey=True, squeeze=False
-        )
-        named = {}
-        for axis, (title, group) in zip(axes.flat, regions.items(), strict=False):
-            shades = plt.get_cmap(RATES)(np.linspace(0.0, 0.9, max(len(group), 2)))
-            for i, (name, region) in enumerate(group.items()):
-                color, dashes = shades[i], "-"
-                if name in look.METHODS:
-                    color, dashes = look.METHODS[name].color, look.METHODS[name].linestyle
-                if name == "exact":
-                    color, dashes = look.BLACK, (0, (4, 1.5))
-                    axis.contourf(region.re, region.im, region, levels=[0, 1], colors=["0.93"], zorder=0)
-                contour = axis.contour(region.re, region.im, region, levels=[1.0], colors=[color], linewidths=1.0)
-                contour.set_linestyle([dashes])
-                named[name] = plt.Line2D([], [], color=color, linestyle=dashes, linewidth=1.0, label=name)
-            axis.axhline(0, color="0.6", linewidth=0.5, zorder=1)
-            axis.axvline(0, color="0.6", linewidth=0.5, zorder=1)
-            axis.set(title=title, aspect="equal", xlim=(-2, 4), ylim=(-3.1, 3.1))
-        if "exact" in named:
-            named["area"] = Patch(facecolor="0.93", label="stable if exact")
-        figure.legend(handles=named.values(), loc="outside lower center", ncols=7, fontsize=6)
-        for axis in axes.flat[len(regions) :]:
-            axis.axis("off")
-        for axis in axes[-1]:
-            axis.set_xlabel("Re z,  z = α·Ts")
-        for axis in axes[:, 0]:
-            axis.set_ylabel("Im z")
-        look.save(figure, path, metadata)
+    groups = {}
+    for row in data.region_row.values:
+        method, _, stage = str(row).partition(" ")
+        groups.setdefault(method if stage else "explicit", {})[stage or method] = data.region.sel(region_row=row)
+    columns = min(len(groups), 4)
+    rows = -(-len(groups) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(look.PAGE, 2.2 * rows + 0.45), sharex=True, sharey=True, squeeze=False
+    )
+    named = {}
+    for axis, (title, group) in zip(axes.flat, groups.items(), strict=False):
+        shades = plt.get_cmap(RATES)(np.linspace(0.0, 0.9, max(len(group), 2)))
+        for shade, (name, region) in zip(shades, group.items(), strict=False):
+            color, dashes = shade, "-"
+            if name in look.METHODS:
+                color, dashes = look.METHODS[name].color, look.METHODS[name].linestyle
+            if name == "exact":
+                color, dashes = look.BLACK, (0, (4, 1.5))
+                axis.contourf(data.re, data.im, region, levels=[0, 1], colors=["0.93"], zorder=0)
+            contour = axis.contour(data.re, data.im, region, levels=[1.0], colors=[color], linewidths=1.0)
+            contour.set_linestyle([dashes])
+            named[name] = plt.Line2D([], [], color=color, linestyle=dashes, linewidth=1.0, label=name)
+        axis.axhline(0, color="0.6", linewidth=0.5, zorder=1)
+        axis.axvline(0, color="0.6", linewidth=0.5, zorder=1)
+        axis.set(title=title, aspect="equal", xlim=(-2, 4), ylim=(-3.1, 3.1))
+    if "exact" in named:
+        named["area"] = Patch(facecolor="0.93", label="stable if exact")
+    figure.legend(handles=named.values(), loc="outside lower center", ncols=7, fontsize=6)
+    for axis in axes.flat[len(groups) :]:
+        axis.axis("off")
+    for axis in axes[-1]:
+        axis.set_xlabel("Re z,  z = α·Ts")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("Im z")
+    return figure
 
 
-def stability_map(data, path, metadata, *, title="", operating=None):
+def stability_map(data, *, title="", operating=None):
     """Measured outcome over (alpha, Ts), the linear boundary, and an operating point with its margin.
 
     Args:
-      data: from `study.maps.stability_map`.
+      data: from `cnclik.stability.stability_map`.
       operating: (alpha, Ts, margin), or None.
     """
-    with look.style():
-        figure, axis = plt.subplots(figsize=(look.PAGE * 0.62, 3.1))
-        mesh = _cells(axis, data.alpha, data.Ts, data)
-        figure.colorbar(mesh, ax=axis, label="error × per step (measured)", fraction=0.05)
-        _legend(figure, [data], columns=3)
-        axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
-        if _geometric(data.alpha):
-            axis.set_xscale("log")
-            _plain_ticks(axis.xaxis)
-        if _geometric(data.Ts):
-            axis.set_yscale("log")
-            _plain_ticks(axis.yaxis)
-        _boundary(axis, data.limit, data.Ts)
-        if operating is not None:
-            alpha, Ts, margin = operating
-            axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
-            axis.annotate(
-                f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}",
-                (alpha, Ts),
-                xytext=(-7, -7),
-                ha="right",
-                va="top",
-                textcoords="offset points",
-                fontsize=6.5,
-                bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-                zorder=6,
-            )
-        axis.set_xlim(float(data.alpha[0]), float(data.alpha[-1]))
-        axis.set_ylim(float(data.Ts[0]), float(data.Ts[-1]))
-        look.save(figure, path, metadata)
+    figure, axis = plt.subplots(figsize=(look.PAGE * 0.62, 3.1))
+    mesh = _cells(axis, data.alpha, data.Ts, data)
+    figure.colorbar(mesh, ax=axis, label="error × per step (measured)", fraction=0.05)
+    _legend(figure, [data], columns=3)
+    axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
+    for values, scale, ticks in ((data.alpha, axis.set_xscale, axis.xaxis), (data.Ts, axis.set_yscale, axis.yaxis)):
+        if _widens(values.values):
+            scale("log")
+            _plain_ticks(ticks)
+    _boundary(axis, data.limit, data.Ts)
+    if operating is not None:
+        alpha, Ts, margin = operating
+        axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
+        axis.annotate(
+            f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}",
+            (alpha, Ts),
+            xytext=(-7, -7),
+            ha="right",
+            va="top",
+            textcoords="offset points",
+            fontsize=6.5,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            zorder=6,
+        )
+    axis.set_xlim(float(data.alpha[0]), float(data.alpha[-1]))
+    axis.set_ylim(float(data.Ts[0]), float(data.Ts[-1]))
+    return figure
 
 
-def passes(panels, path, metadata):
+def passes(panels):
     """Strips over M: measured outcome at each z, and the linear limit of each M: odd and even passes differ.
 
     Args:
-      panels: {title: Dataset from `study.maps.passes_map`}.
+      panels: {title: Dataset from `cnclik.stability.passes_map`}.
     """
-    with look.style():
-        figure, axes = plt.subplots(1, len(panels), figsize=(look.PAGE, 2.6), sharey=True, squeeze=False)
-        for axis, (title, data) in zip(axes[0], panels.items(), strict=True):
-            rows = np.arange(data.sizes["M"])
-            mesh = _cells(axis, data.z, rows, data)
-            for row, limit in zip(rows, data.limit.values, strict=True):
-                if np.isfinite(limit):
-                    for color, width in (("white", 2.4), ("black", 1.1)):
-                        axis.plot([limit, limit], [row - 0.5, row + 0.5], color=color, linewidth=width, zorder=4)
-            axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values)
-            axis.set_xlim(float(data.z[0]), float(data.z[-1]))
-        axes[0, 0].set_ylabel("passes M")
-        figure.colorbar(mesh, ax=axes[0, -1], label="error × per step (measured)", fraction=0.05)
-        _legend(figure, panels.values())
-        look.save(figure, path, metadata)
+    figure, axes = plt.subplots(1, len(panels), figsize=(look.PAGE, 2.6), sharey=True, squeeze=False)
+    for axis, (title, data) in zip(axes[0], panels.items(), strict=True):
+        rows = np.arange(data.sizes["M"])
+        mesh = _cells(axis, data.z, rows, data)
+        for row, limit in zip(rows, data.limit.values, strict=True):
+            if np.isfinite(limit):
+                for color, width in (("white", 2.4), ("black", 1.1)):
+                    axis.plot([limit, limit], [row - 0.5, row + 0.5], color=color, linewidth=width, zorder=4)
+        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values)
+        axis.set_xlim(float(data.z[0]), float(data.z[-1]))
+    axes[0, 0].set_ylabel("passes M")
+    figure.colorbar(mesh, ax=axes[0, -1], label="error × per step (measured)", fraction=0.05)
+    _legend(figure, panels.values())
+    return figure
 
 
 def _cells(axis, x, y, data):
     """Measured outcomes as cells: the rate where converged, a flat colour elsewhere."""
     axis.grid(False)
-    rate = np.ma.masked_where(data.kind.values != Kind.CONVERGED, data.rate.values)
+    rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
     mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
-    for kind, (color, _) in _FLAT.items():
-        where = data.kind.values == kind
+    for ending, (color, _) in _FLAT.items():
+        where = data.ending.values == ending
         if where.any():
             flat = np.ma.masked_where(~where, np.ones(where.shape))
             axis.pcolormesh(x, y, flat, cmap=ListedColormap([color]), shading="nearest", rasterized=True)
@@ -134,8 +133,8 @@ def _cells(axis, x, y, data):
 
 
 def _legend(figure, several, *, columns=4):
-    seen = set(np.concatenate([np.unique(data.kind.values) for data in several]))
-    handles = [Patch(facecolor=color, label=label) for kind, (color, label) in _FLAT.items() if kind in seen]
+    seen = set(np.concatenate([np.unique(data.ending.values) for data in several]))
+    handles = [Patch(facecolor=color, label=label) for ending, (color, label) in _FLAT.items() if ending in seen]
     handles.append(plt.Line2D([], [], color="black", linewidth=1.1, label="linear boundary"))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=6, columnspacing=1.0)
 
@@ -147,9 +146,9 @@ def _boundary(axis, x, y):
         axis.plot(x.values[finite], y.values[finite], color="black", linewidth=1.1, zorder=5)
 
 
-def _geometric(values):
-    """Whether a coordinate is spaced geometrically rather than evenly."""
-    steps = np.diff(values.values)
+def _widens(values):
+    """Whether steps grow along a coordinate, as those of a geometric one do."""
+    steps = np.diff(values)
     return len(steps) > 1 and steps[-1] > 1.5 * steps[0]
 
 

@@ -1,1 +1,82 @@
-"""Which gain is safe at which sampling time."""
+"""Which gain is safe at which sampling time.
+
+Theory (`amplification`, `stability_limit`), the loop's own spectrum and what it advises (`advise`, `recommend`,
+`margin`), measured maps (`stability_map`, `passes_map`), regions of attraction, responses, and what a run did in a
+sentence (`verdict`). What advises computes in float64 by itself, whatever JAX's setting.
+"""
+
+from cnclik.measure.outcome import Ending, Outcome, outcome
+from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound, sampled_attraction
+from cnclik.stability.linear import (
+    RealAxisLimits,
+    amplification,
+    delay_limit,
+    delayed_radius,
+    gain_per_second,
+    gain_per_step,
+    real_axis_limits,
+    stability_limit,
+    stability_region,
+)
+from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map, starts
+from cnclik.stability.plane import plane
+from cnclik.stability.recommend import Advice, Margin, Recommendation, advise, margin, recommend
+from cnclik.stability.responses import responses
+from cnclik.stability.spectrum import (
+    Spectrum,
+    at_rest,
+    largest_rate,
+    one_step,
+    settle,
+    spectral_radius,
+    spectrum,
+    step_maps,
+    task_map,
+    task_radius,
+)
+from cnclik.stability.verdict import Behaviour, Verdict, verdict
+
+__all__ = [
+    "Advice",
+    "Behaviour",
+    "Ending",
+    "Margin",
+    "Outcome",
+    "RealAxisLimits",
+    "Recommendation",
+    "Spectrum",
+    "Verdict",
+    "advise",
+    "agreement",
+    "amplification",
+    "at_rest",
+    "attraction_radius",
+    "certified_radius",
+    "curvature_bound",
+    "delay_limit",
+    "delayed_radius",
+    "gain_per_second",
+    "gain_per_step",
+    "largest_rate",
+    "margin",
+    "one_step",
+    "outcome",
+    "outcomes",
+    "passes_map",
+    "plane",
+    "real_axis_limits",
+    "recommend",
+    "responses",
+    "sampled_attraction",
+    "settle",
+    "spectral_radius",
+    "spectrum",
+    "stability_limit",
+    "stability_map",
+    "stability_region",
+    "starts",
+    "step_maps",
+    "task_map",
+    "task_radius",
+    "verdict",
+]

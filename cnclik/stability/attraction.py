@@ -16,10 +16,12 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
-from cnclik.measure.outcome import Kind, outcome
+from cnclik.measure.outcome import Ending, outcome
+from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values, frames, jacobian, stack
 from cnclik.stability.linear import named
+from cnclik.stability.maps import endings_about
 
 
 def curvature_bound(chain) -> float:
@@ -58,8 +60,9 @@ def attraction_radius(z, sigma, curvature):
     return 2 * room * np.asarray(sigma, float) ** 2 / (z**2 * curvature)
 
 
-def certified_radius(law, q0, Ts) -> float:
-    """Largest ‖x_d − x(q0)‖ for which explicit Euler from q0 is certain to converge, nothing assumed [m].
+@in_float64
+def certified_radius(law, q0, *, Ts) -> float:
+    """Largest ‖x_d − x(q0)‖ for which explicit Euler from q0 is certain to converge, nothing assumed [m]. In float64.
 
     `attraction_radius` needs σ_min along the whole way. That way is bounded too: with s the least σ_min met, steps
     are at most z‖e‖/s long and errors shrink by ρ = |1 − z| + L_H z²‖e₀‖/(2s²), so the way is at most
@@ -92,8 +95,10 @@ def certified_radius(law, q0, Ts) -> float:
     return float(np.max((sigma - s) * s * room / (bound * z + (sigma - s) * bound * z**2 / (2 * s))))
 
 
-def sampled_attraction(law, q0, Ts, radii, method=EE, stage=picard(5), *, directions=64, N=300, tolerance=1e-3, seed=0):
+@in_float64
+def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), directions=64, N=300, tolerance=1e-3, seed=0):
     """Measured counterpart of the certificate: targets at each distance in many directions, and how loops ended.
+    In float64.
 
     Args:
       law, q0, Ts, method, stage: the loop; targets lie about the tip's place at q0, orientations are kept.
@@ -101,7 +106,7 @@ def sampled_attraction(law, q0, Ts, radii, method=EE, stage=picard(5), *, direct
       directions: how many directions: evenly around in a plane, drawn at random on the sphere.
       N, tolerance: horizon and what counts as arrived, see `outcome`.
       seed: of the random directions.
-    Returns: an xarray.Dataset over (radius, direction): `kind`, and `converged`, the fraction over (radius).
+    Returns: an xarray.Dataset over (radius, direction): `ending`, and `converged`, the fraction over (radius).
     """
     import xarray as xr
 
@@ -113,12 +118,12 @@ def sampled_attraction(law, q0, Ts, radii, method=EE, stage=picard(5), *, direct
     ended = _targets(
         law, q0, jnp.asarray(moves), jnp.asarray(Ts, float), stage, N=N, method=method, tolerance=tolerance
     )
-    kind = np.asarray(ended.kind).reshape(len(radii), len(units))
+    ending = np.asarray(ended.ending).reshape(len(radii), len(units))
     return xr.Dataset(
         {
-            "kind": (("radius", "direction"), kind, {"units": "1", "meaning": _meaning()}),
-            "steps": (("radius", "direction"), np.asarray(ended.steps).reshape(kind.shape), {"units": "1"}),
-            "converged": ("radius", (kind == Kind.CONVERGED).mean(1), {"units": "1"}),
+            "ending": (("radius", "direction"), ending, endings_about()),
+            "steps": (("radius", "direction"), np.asarray(ended.steps).reshape(ending.shape), {"units": "1"}),
+            "converged": ("radius", (ending == Ending.CONVERGED).mean(1), {"units": "1"}),
         },
         coords={"radius": ("radius", radii, {"units": "m", "long_name": "initial error ‖e₀‖"})},
         attrs={"method": method.name, "stage": str(stage), "Ts": float(Ts), "N": N, "tolerance": tolerance},
@@ -148,7 +153,3 @@ def _directions(d, count, seed):
         return np.stack([np.cos(angle), np.sin(angle)], -1)
     drawn = np.random.default_rng(seed).normal(size=(count, d))
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-
-
-def _meaning():
-    return ", ".join(f"{k.value} {k.name}" for k in Kind)

@@ -2,7 +2,7 @@
 
 z = alpha·Ts throughout, real or complex; R(z) is the factor by which one step multiplies e. The library's own
 stepping runs over the linear field, so code and theory can't drift apart: `picard(5)` is the polynomial that five
-passes are, `chord` and `newton` solve a linear stage exactly.
+passes are, `chord` and `newton` solve a linear stage exactly. Everything here runs in float64 by itself.
 """
 
 import functools
@@ -16,10 +16,13 @@ from cnclik import errors
 from cnclik.integrate.method import METHODS, Method
 from cnclik.integrate.solve import march
 from cnclik.integrate.stage import picard
+from cnclik.precision import in_float64
 from cnclik.record import record
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
-_SLACK = 1e-12  # |R| above 1 by more than this is unstable: rounding of R(z) = ±1 is not
+EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
+_SLACK = 2**12 * EPS  # |R| above 1 by more than this is unstable: rounding of R(z) = ±1 is not
+_PLATEAU = 1e-3  # a function within this share of its least value, at the end of an open range, falls on
 
 
 class _Linear(NamedTuple):
@@ -53,6 +56,7 @@ def _amplification(method, stage, a, b):
     return jax.vmap(one)(a, b)
 
 
+@in_float64
 def amplification(method, stage, z):
     """R(z): the factor by which one step of the method multiplies the error of ė = −alpha e.
 
@@ -60,12 +64,12 @@ def amplification(method, stage, z):
       method: EE, IE, CN, ... or a `Method` of your own; also by name.
       stage: how implicit stages are solved, such as picard(5); None for explicit methods.
       z: alpha·Ts, a number or an array of any shape, real or complex. Numerical analysis writes −z for it.
-    Returns: an array of the shape of z, complex where z is.
+    Returns: a NumPy array of the shape of z, complex where z is; computed in float64.
     """
     method, stage = named(method, stage)
     z = np.asarray(z)
     flat = z.reshape(-1)
-    a, b = jnp.asarray(flat.real, float), jnp.asarray(flat.imag, float)
+    a, b = jnp.asarray(flat.real, np.float64), jnp.asarray(flat.imag, np.float64)
     x, y = _amplification(method, stage, a, b)
     value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
     return value.reshape(z.shape)
@@ -113,13 +117,18 @@ def first_above(fn, level, reach=REACH, points=1024):
 
 
 def least_on(fn, high, points=1024):
-    """Where fn is least on (0, high], and its value there."""
+    """Where fn is least on (0, high], and its value there.
+
+    Beyond 10 a function that falls to the end, or stays there at its least value, is least at `high`: rounding of
+    what has levelled off doesn't choose a place.
+    """
     low = 0.0
     if high > 10:  # unbounded in effect: first find the scale
         grid = np.geomspace(1e-2, high, points)
-        i = int(np.argmin(fn(grid)))
-        if i == points - 1:
-            return float(high), float(np.asarray(fn(grid))[-1])
+        values = np.asarray(fn(grid))
+        i = int(np.argmin(values))
+        if values[-1] <= values[i] * (1 + _PLATEAU) + _SLACK:
+            return float(high), float(values[-1])
         low, high = (grid[i - 1] if i else 0.0), grid[i + 1]
     for _ in range(5):
         grid = np.linspace(low, high, points + 1)[1:]
@@ -133,7 +142,7 @@ def least_on(fn, high, points=1024):
 
 
 @record
-class Limits:
+class RealAxisLimits:
     """What R(z) says on the real axis, z = alpha·Ts; inf where there is no limit.
 
     Attributes:
@@ -151,25 +160,33 @@ class Limits:
     rate: float
 
 
-def limits(method, stage=None) -> Limits:
-    """Stable, monotone, dead-beat and fastest z of a method with its stage, from `amplification`.
+def real_axis_limits(method, stage=None) -> RealAxisLimits:
+    """Stable, monotone, dead-beat and fastest z of a method with its stage, from `amplification`. In float64.
 
     Args: as for `amplification`.
     """
     method, stage = named(method, stage)
-    real = functools.partial(amplification, method, stage)
-    size = lambda z: np.abs(real(z))  # noqa: E731
+
+    def real(z):
+        return amplification(method, stage, z)
+
+    def size(z):
+        return np.abs(real(z))
+
     stable = first_above(size, 1 + _SLACK)
-    crossing = first_above(lambda z: -real(z), 1e-13)
+    crossing = first_above(lambda z: -real(z), 2**9 * EPS)
     fastest, rate = least_on(size, min(stable, REACH))
-    dead_beat = crossing if crossing < stable else np.nan
-    if fastest >= REACH:  # approached, never reached
-        fastest = np.inf
-    return Limits(stable=stable, monotone=min(stable, crossing), dead_beat=dead_beat, fastest=fastest, rate=rate)
+    return RealAxisLimits(
+        stable=stable,
+        monotone=min(stable, crossing),
+        dead_beat=crossing if crossing < stable else np.nan,
+        fastest=np.inf if fastest >= REACH else fastest,  # approached, never reached
+        rate=rate,
+    )
 
 
 def stability_limit(method, stage=None) -> float:
-    """Largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none.
+    """Largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none. In float64.
 
     EE 2, IE with picard(5) 1, IE with chord(M) inf, the paper's CN solved exactly 1 + √5, RK4 2.785.
     """

@@ -11,18 +11,21 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.solve import advance, evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
-from cnclik.measure.outcome import Kind, Outcome, outcome, stable
+from cnclik.measure.outcome import Ending, Outcome, outcome, stable
+from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values, frames, stack
 from cnclik.stability.linear import named, stability_limit
-from cnclik.stability.spectrum import largest_rate, recommend, settle
+from cnclik.stability.recommend import recommend
+from cnclik.stability.spectrum import largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-WORTH = 10_000_000  # evaluations of f: fewer don't win back what a native loop takes longer to compile, up to 20 s
+MIN_EVALUATIONS_FOR_LANES = 10_000_000  # fewer don't win back what a native loop takes longer to compile, up to 20 s
 BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
-def measure(
+@in_float64
+def outcomes(
     law,
     reference,
     q0,
@@ -38,7 +41,7 @@ def measure(
     chunk=CHUNK,
     progress=None,
 ) -> Outcome:
-    """Run a loop for every combination given and say how each ended, see `outcome`.
+    """Run a loop for every combination given and say how each ended, see `outcome`. In float64.
 
     Args:
       law, reference: the loop; a gain that is no scalar is scaled so that its largest |eigenvalue| is alpha.
@@ -46,7 +49,7 @@ def measure(
       M: passes in place of the stage's own, or None.
       N, tolerance, scale: horizon in steps and what counts as arrived.
       chunk: loops run between two calls of `progress`, on all cores.
-      progress: called with the number of loops done so far, or None.
+      progress: called as progress(loops done, of how many), or None.
     Returns: `Outcome` of NumPy arrays (...).
     """
     method, stage = named(method, stage)
@@ -79,23 +82,25 @@ def measure(
         part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]
         done.append(jax.tree.map(np.asarray, run(*part)))
         if progress is not None:
-            progress(min(i + chunk, count))
+            progress(min(i + chunk, count), count)
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
 
 
 def many(one, evaluations):
     """vmap(one), for so many evaluations of f in all: what `lanes` compiles is faster, but takes longer to compile."""
-    return lanes(one, block=BLOCK) if evaluations > WORTH else jax.jit(jax.vmap(one))
+    return lanes(one, block=BLOCK) if evaluations > MIN_EVALUATIONS_FOR_LANES else jax.jit(jax.vmap(one))
 
 
-def stability_map(law, reference, q0, alpha, Ts, *, method=EE, stage=picard(5), **options):
-    """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest.
+@in_float64
+def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), N=100, rest=None, **options):
+    """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest. In float64.
 
     Args:
       law, reference, q0: the loop; the reference must hold still.
       alpha: (a,) gains [1/s]. Ts: (b,) sampling times [s].
       method, stage: as for `solve`.
-      options: as for `measure`.
+      rest: where the loop comes to rest, if that is known; else `settle` finds it.
+      N, options: as for `outcomes`.
     Returns: an xarray.Dataset over (Ts, alpha), with `limit` (Ts,), the largest stable alpha by `recommend`.
     """
     import xarray as xr
@@ -103,29 +108,31 @@ def stability_map(law, reference, q0, alpha, Ts, *, method=EE, stage=picard(5), 
     method, stage = named(method, stage)
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
-    rest = settle(law, reference, q0)
-    made = measure(law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, **options)
-    limit = boundary(law, rest, Ts, method=method, stage=stage, target=reference)
+    rest = settle(law, reference, q0) if rest is None else rest
+    made = outcomes(law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, N=N, **options)
+    limit = boundary(law, reference, rest, Ts=Ts, method=method, stage=stage)
     return xr.Dataset(
         _variables(made, ("Ts", "alpha")) | {"limit": ("Ts", limit, {"units": "1/s", "long_name": "linear boundary"})},
         coords={
             "alpha": ("alpha", alpha, {"units": "1/s", "long_name": "gain α"}),
             "Ts": ("Ts", Ts, {"units": "s", "long_name": "sampling time"}),
         },
-        attrs=_attributes(law, q0, method, stage, options),
+        attrs=_attributes(law, q0, method, stage, N, options),
     )
 
 
-def boundary(law, rest, Ts, *, method, stage, target=None):
+@in_float64
+def boundary(law, reference, rest, *, Ts, method=EE, stage=picard(5)):
     """Largest stable alpha [1/s] by linear theory for each Ts (b,): a hyperbola, unless a null-space velocity acts."""
     Ts = np.asarray(Ts, float)
     some = Ts if callable(law.null_velocity) else Ts[:1]
-    found = [recommend(law, rest, Ts=float(T), method=method, stage=stage, target=target).z_largest for T in some]
+    found = [recommend(law, reference, rest, Ts=float(T), method=method, stage=stage).z_largest for T in some]
     return np.asarray(found) / Ts
 
 
-def passes_map(law, reference, q0, z, M, *, Ts=0.1, method=EE, stage=picard(0), **options):
-    """Measured outcomes over z = alpha·Ts and the number of passes M, and the linear limit for each M.
+@in_float64
+def passes_map(law, reference, q0, *, z, M, Ts=0.1, method=EE, stage=picard(0), N=100, **options):
+    """Measured outcomes over z = alpha·Ts and the number of passes M, and the linear limit for each M. In float64.
 
     Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts.
     Returns: an xarray.Dataset over (M, z), with `limit` (M,) in z.
@@ -134,7 +141,7 @@ def passes_map(law, reference, q0, z, M, *, Ts=0.1, method=EE, stage=picard(0), 
 
     method, stage = named(method, stage)
     z, M = np.asarray(z, float), np.asarray(M, int)
-    made = measure(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, **options)
+    made = outcomes(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, N=N, **options)
     masked = [replace(stage, M=jnp.asarray(int(m)), maximum=int(M.max())) for m in M]
     return xr.Dataset(
         _variables(made, ("M", "z")) | {"limit": ("M", [stability_limit(method, s) for s in masked], {"units": "1"})},
@@ -142,50 +149,65 @@ def passes_map(law, reference, q0, z, M, *, Ts=0.1, method=EE, stage=picard(0), 
             "z": ("z", z, {"units": "1", "long_name": "z = α·Ts"}),
             "M": ("M", M, {"units": "1", "long_name": "passes M"}),
         },
-        attrs=_attributes(law, q0, method, stage, options) | {"Ts": Ts, "stage": type(stage).__name__.lower()},
+        attrs=_attributes(law, q0, method, stage, N, options) | {"Ts": Ts, "stage": type(stage).__name__.lower()},
     )
 
 
-def _variables(made: Outcome, dims):
-    kinds = {"flag_values": [k.value for k in Kind], "flag_meanings": " ".join(k.name for k in Kind)}
+def endings_about():
+    """Attributes of a variable of endings: what its numbers mean."""
     return {
-        "kind": (dims, made.kind, {"units": "1", "long_name": "outcome"} | kinds),
+        "units": "1",
+        "long_name": "how the loop ended",
+        "flag_values": [e.value for e in Ending],
+        "flag_meanings": " ".join(e.name for e in Ending),
+    }
+
+
+def _variables(made: Outcome, dims):
+    return {
+        "ending": (dims, made.ending, endings_about()),
         "rate": (dims, made.rate, {"units": "1", "long_name": "mean factor of the error per step"}),
         "steps": (dims, made.steps, {"units": "1", "long_name": "steps to the tolerance"}),
         "final": (dims, made.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
         "near_singular": (dims, made.near_singular, {"units": "1"}),
-        "not_converged": (dims, made.not_converged, {"units": "1", "long_name": "some stage not converged"}),
+        "stage_not_converged": (
+            dims,
+            made.stage_not_converged,
+            {"units": "1", "long_name": "some stage not converged"},
+        ),
     }
 
 
-def _attributes(law, q0, method, stage, options):
-    plain = {k: v for k, v in options.items() if k in ("N", "tolerance", "scale") and v is not None}
+def _attributes(law, q0, method, stage, N, options):
     return {
         "method": method.name,
         "stage": str(stage),
         "q0": np.asarray(q0).ravel(),
         "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
-    } | ({"N": 100, "tolerance": 1e-3} | plain)
+        "N": N,
+        "tolerance": options.get("tolerance", 1e-3),
+    } | ({} if options.get("scale") is None else {"scale": options["scale"]})
 
 
 # --- agreement with linear theory ----------------------------------------------------------------------
 
 
-def agreement(kind, z, limit, *, band=0.03):
+def agreement(ending, z, limit, *, band=0.03):
     """Fraction of loops whose measured outcome is what z against the linear limit says, outside a band around it.
 
     Args:
-      kind, z, limit: outcomes, z (or alpha) and that of the boundary (inf: all stable), broadcast together.
+      ending, z, limit: `Ending`s, z (or alpha) and that of the boundary (inf: all stable), broadcast together.
     """
-    kind, z, limit = np.broadcast_arrays(kind, z, limit)
+    ending, z, limit = np.broadcast_arrays(ending, z, limit)
     finite = np.isfinite(limit)
     outside = ~finite | (np.abs(z - np.where(finite, limit, 0)) > band * np.where(finite, limit, 0))
-    told = stable(kind) == (z < limit)
-    return float(told[outside].mean())
+    agree = stable(ending) == (z < limit)
+    return float(agree[outside].mean())
 
 
+@in_float64
 def starts(law, rest, moves):
-    """Starts (k, n) from which the tip has to go by -moves (k, d) [m] to be where it is at rest (n,).
+    """Starts (k, n) from which the tip has to go by -moves (k, d) [m] to be where it is at rest (n,). In float64.
 
     Found by letting the loop go from `rest` to each displaced target, so the initial error is `moves` to rounding
     where the target is within reach. Orientations are kept.
@@ -203,7 +225,10 @@ def _starts(law, rest, moves):
 
     def one(move):
         target, zero = ref.hold(here - move, rotation), jnp.zeros_like(rest[0])
-        go = lambda q, _: (advance(law, target, q, zero, zero + 0.5, EE, picard(0)).q, None)  # noqa: E731
+
+        def go(q, _):
+            return advance(law, target, q, zero, zero + 0.5, EE, picard(0)).q, None
+
         return stack(lax.scan(go, tuple(rest), None, length=60)[0], rest)
 
     return jax.vmap(one)(moves)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.measure.outcome import Kind, stable
+from cnclik.measure.outcome import Ending, stable
 from cnclik.stability import attraction, maps
 
 TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -17,30 +17,37 @@ TARGET = ck.hold(HERE + np.array([0.05, -0.08]))
 SMALL = ck.hold(HERE + np.array([3e-7, -5e-7]))
 
 
-def kinds(reference, z, M=None, **options):
-    made = maps.measure(LAW, reference, START, alpha=np.asarray(z), Ts=1.0, M=M, N=120, **options)
-    return made.kind, made
+def endings(reference, z, M=None, **options):
+    made = maps.outcomes(LAW, reference, START, alpha=np.asarray(z), Ts=1.0, M=M, N=120, **options)
+    return made.ending, made
 
 
-def test_kinds_are_told_apart():
-    kind, made = kinds(TARGET, [0.01, 0.5, 1.0, 2.6])
-    assert list(kind) == [Kind.SLOW, Kind.CONVERGED, Kind.CONVERGED, Kind.DIVERGED]
+def test_endings_are_told_apart():
+    kind, made = endings(TARGET, [0.01, 0.5, 1.0, 2.6])
+    assert list(kind) == [Ending.SLOW, Ending.CONVERGED, Ending.CONVERGED, Ending.DIVERGED]
     assert np.isnan(made.rate[0]) and made.rate[1] == pytest.approx(0.5, abs=0.04)
     assert made.steps[2] <= 3 < made.steps[1] <= 11
 
 
 def test_out_of_reach_is_not_taken_for_convergence():
     """A target beyond the arm ends near a stretched, singular arm: bounded and wrong."""
-    kind, made = kinds(ck.hold([2.5, 0.0]), [0.5])
-    assert kind[0] in (Kind.NEAR_SINGULAR, Kind.DIVERGED, Kind.NOT_CONVERGED)
+    kind, made = endings(ck.hold([2.5, 0.0]), [0.5])
+    assert kind[0] in (Ending.NEAR_SINGULAR, Ending.DIVERGED, Ending.STALLED)
     assert not stable(kind)[0] and made.final[0] > 0.5  # the arm is half a metre short
 
 
 def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
-    """Just beyond the boundary EE wanders within its reach, always below a scale of 10 m."""
-    kind, made = kinds(TARGET, [2.01], scale=10.0)
-    assert kind[0] == Kind.NOT_CONVERGED
-    assert 1.0 < made.final[0] < 10.0 and not made.near_singular[0]
+    """Just beyond the boundary EE wanders within its reach, always below a scale of 10 m.
+
+    Where it ends is chaotic, and so differs between processors; that it neither arrives nor reaches 10 m is not.
+    """
+    rng = np.random.default_rng(3)
+    starts = START + rng.uniform(-0.3, 0.3, (64, 2))
+    made = maps.outcomes(LAW, TARGET, starts, alpha=2.1, Ts=1.0, N=120, scale=10.0)
+    assert not stable(made.ending).any() and np.median(made.final) > 1.0 and made.final.max() < 10.0
+    expected = np.where(made.near_singular, Ending.NEAR_SINGULAR, Ending.STALLED)  # never DIVERGED: below the scale
+    np.testing.assert_array_equal(made.ending, expected)
+    assert np.sum(made.ending == Ending.STALLED) > 5  # of 64; 20 to 30, as the processor has it
 
 
 @pytest.mark.parametrize(
@@ -58,12 +65,12 @@ def test_measured_boundary_is_the_linear_one(method, kind, limits):
     limit = np.array(list(limits.values()))[:, None]
     z = np.where(np.isfinite(limit), limit, 12.0) * np.linspace(0.1, 1.6, 41)
     stage = getattr(ck, kind)(int(M.max()))
-    found, _ = kinds(SMALL, z, M=np.broadcast_to(M, z.shape), method=method, stage=stage)
+    found, _ = endings(SMALL, z, M=np.broadcast_to(M, z.shape), method=method, stage=stage)
     assert maps.agreement(found, z, limit) >= 0.99
 
 
 def test_agreement_counts_what_it_should():
-    kind = np.array([Kind.CONVERGED, Kind.SLOW, Kind.DIVERGED, Kind.CONVERGED])
+    kind = np.array([Ending.CONVERGED, Ending.SLOW, Ending.DIVERGED, Ending.CONVERGED])
     z = np.array([0.5, 0.6, 2.5, 2.6])
     assert maps.agreement(kind, z, 2.0) == 0.75
     assert maps.agreement(kind, z, np.inf) == 0.75
@@ -72,16 +79,16 @@ def test_agreement_counts_what_it_should():
 
 def test_map_is_labelled_and_carries_the_boundary():
     alpha, Ts = np.geomspace(2, 60, 6), np.geomspace(0.02, 0.2, 5)
-    data = maps.stability_map(LAW, TARGET, START, alpha, Ts, N=80)
-    assert data.kind.dims == ("Ts", "alpha") and data.alpha.units == "1/s" and data.Ts.units == "s"
+    data = maps.stability_map(LAW, TARGET, START, alpha=alpha, Ts=Ts, N=80)
+    assert data.ending.dims == ("Ts", "alpha") and data.alpha.units == "1/s" and data.Ts.units == "s"
     np.testing.assert_allclose(data.limit, 2 / Ts, rtol=1e-6)
-    assert maps.agreement(data.kind.values, data.alpha.values, data.limit.values[:, None]) == 1.0
+    assert maps.agreement(data.ending.values, data.alpha.values, data.limit.values[:, None]) == 1.0
 
 
 def test_strip_over_M_shows_odd_and_even_passes():
     z = np.array([1.1])
-    strip = maps.passes_map(LAW, SMALL, START, z, range(5), method="IE", N=150)
-    assert list(stable(strip.kind.values[:, 0])) == [True, False, True, False, True]
+    strip = maps.passes_map(LAW, SMALL, START, z=z, M=range(5), method="IE", N=150)
+    assert list(stable(strip.ending.values[:, 0])) == [True, False, True, False, True]
 
 
 def test_measured_delay_limit_on_the_arm():
@@ -128,10 +135,12 @@ def test_attraction_radius_is_that_of_the_formula():
 def test_certified_errors_converge_and_the_certificate_is_only_sufficient():
     for z in (0.5, 1.0, 1.8):
         law = ck.replace(LAW, alpha=jnp.asarray(z))
-        radius = attraction.certified_radius(law, START, 1.0)
+        radius = attraction.certified_radius(law, START, Ts=1.0)
         assert 0 < radius < attraction.attraction_radius(z, 1.0, 2.618)
-        found = attraction.sampled_attraction(law, START, 1.0, [0.99 * radius, 3 * radius, 1.2], directions=16, N=200)
+        found = attraction.sampled_attraction(
+            law, START, radii=[0.99 * radius, 3 * radius, 1.2], Ts=1.0, directions=16, N=200
+        )
         assert found.converged[0] == 1
         assert found.converged[1] == 1  # still, though nothing certifies it
         assert found.converged[2] < 1
-    assert attraction.certified_radius(ck.replace(LAW, alpha=jnp.asarray(2.5)), START, 1.0) == 0
+    assert attraction.certified_radius(ck.replace(LAW, alpha=jnp.asarray(2.5)), START, Ts=1.0) == 0

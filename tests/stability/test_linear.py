@@ -105,15 +105,15 @@ def test_table_of_limits_as_published():
 
 
 def test_monotone_and_dead_beat_values():
-    euler = linear.limits("EE")
+    euler = linear.real_axis_limits("EE")
     assert (euler.monotone, euler.dead_beat, euler.fastest) == pytest.approx((1, 1, 1), abs=1e-6)
-    trapezoid = linear.limits("TRAPEZOID", ck.chord(2))
+    trapezoid = linear.real_axis_limits("TRAPEZOID", ck.chord(2))
     assert (trapezoid.monotone, trapezoid.dead_beat) == pytest.approx((2, 2), abs=1e-6)
-    paper = linear.limits("CN", ck.chord(2))
+    paper = linear.real_axis_limits("CN", ck.chord(2))
     assert paper.dead_beat == pytest.approx(np.sqrt(2), abs=1e-6)
-    heun = linear.limits("HEUN")
+    heun = linear.real_axis_limits("HEUN")
     assert np.isnan(heun.dead_beat) and heun.rate == pytest.approx(0.5) and heun.fastest == pytest.approx(1, abs=1e-4)
-    implicit = linear.limits("IE", ck.chord(2))
+    implicit = linear.real_axis_limits("IE", ck.chord(2))
     assert implicit.monotone == implicit.fastest == np.inf
 
 

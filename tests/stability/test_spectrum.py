@@ -7,7 +7,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.stability import linear
-from cnclik.stability.spectrum import margin, recommend, settle, spectral_radius, spectrum
+from cnclik.stability.recommend import advise, margin, recommend
+from cnclik.stability.spectrum import settle, spectral_radius, spectrum
 
 ARM = ck.planar_arm([1.0] * 3)
 Q = jnp.array([0.3, 0.9, -0.5])
@@ -39,12 +40,12 @@ def test_damping_slows_each_singular_direction_by_itself():
 
 
 def test_transpose_is_stable_below_two_over_sigma_max_squared():
-    found = recommend(law(inverse=ck.transpose()), Q, Ts=Ts)
+    found = recommend(law(inverse=ck.transpose()), None, Q, Ts=Ts)
     assert found.largest * Ts == pytest.approx(2 / SIGMA[0] ** 2, rel=1e-6)
 
 
 def test_recommended_gain_of_the_damped_inverse():
-    found = recommend(law(inverse=ck.damped(0.7)), Q, Ts=Ts)
+    found = recommend(law(inverse=ck.damped(0.7)), None, Q, Ts=Ts)
     factors = SIGMA**2 / (SIGMA**2 + 0.7**2)
     assert found.z_largest == pytest.approx(2 / factors[0], rel=1e-6)
     assert found.z_fastest == pytest.approx(2 / (factors[0] + factors[1]), rel=1e-3)  # both as far from 0
@@ -52,17 +53,17 @@ def test_recommended_gain_of_the_damped_inverse():
 
 
 def test_recommended_sampling_time_and_margin():
-    found = recommend(law(), Q, method=ck.IE, stage=ck.picard(5))
+    found = recommend(law(), None, Q, method=ck.IE, stage=ck.picard(5))
     assert found.name == "Ts" and found.largest == pytest.approx(1 / 6, rel=1e-6)
-    now = margin(law(), Q, Ts, ck.IE, ck.picard(5))
+    now = margin(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.picard(5))
     assert now.margin == pytest.approx(1 / 0.6, rel=1e-6)
     assert now.radius == pytest.approx(abs(linear.amplification(ck.IE, ck.picard(5), 0.6)), abs=1e-9)
-    assert recommend(law(), Q, Ts=Ts, method=ck.IE, stage=ck.chord(2)).largest == np.inf
+    assert recommend(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.chord(2)).largest == np.inf
 
 
 def test_rotating_gain_is_limited_where_its_complex_eigenvalues_leave_the_region():
     """K = a (1 ± 2i): EE is stable while |1 − Ts a (1 + 2i)| ≤ 1, that is Ts a ≤ 2/5."""
-    found = recommend(law(alpha=jnp.array([[3.0, 6.0], [-6.0, 3.0]])), Q, Ts=Ts)
+    found = recommend(law(alpha=jnp.array([[3.0, 6.0], [-6.0, 3.0]])), None, Q, Ts=Ts)
     np.testing.assert_allclose(found.largest, np.array([[4.0, 8.0], [-8.0, 4.0]]), rtol=1e-6)
     assert "turns" in found.limit
 
@@ -71,7 +72,7 @@ def test_null_space_velocity_is_a_limit_of_its_own():
     """q̇₀ = κ (q* − q) moves the null space by 1 − κ Ts, whatever the task's gain: κ Ts < 2 limits Ts."""
     own = law(alpha=6.0, null_velocity=lambda q: 15.0 * (Q - q))
     assert spectrum(own, None, Q, Ts).null == pytest.approx([1 - 15 * Ts], abs=1e-9)
-    found = recommend(own, Q)
+    found = recommend(own, None, Q)
     assert found.largest == pytest.approx(2 / 15, rel=1e-6)
     assert "null-space" in found.limit
 

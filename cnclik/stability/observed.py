@@ -1,0 +1,92 @@
+"""Observed: what a run did, in numbers: its late errors, whether they grow or shrink, how its joints move."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik.measure.outcome import STALL_RATIO
+from cnclik.robot.posture import arm_length
+
+ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
+GROWN = 1.2  # ratio of the middle errors of two quarters from which on an error grows
+VISIBLE = 1e-4  # RMS joint step, in rad or m, below which nobody sees it
+FADING = 0.7  # ratio of the joint speeds of two quarters below which motion fades
+OFTEN = 0.5  # share of the last quarter's steps with a status bit that counts
+
+
+class Observed(NamedTuple):
+    """What a run did, in numbers."""
+
+    size: np.ndarray  # ‖e‖ at every instant
+    late: np.ndarray  # those of the last quarter
+    before: np.ndarray  # and of the one before
+    floor: float  # an error no larger is rounding
+    reversing: float  # share of the late joint speed that the next step takes back
+    joint_speed: float  # largest late one
+    visible: bool  # whether the late joint steps can be seen, and don't fade
+    swings: int  # how often the error changed its sense before it was small
+    status: np.ndarray  # of the late steps
+    bad: object  # first instant that is not finite, or None
+
+    @property
+    def largest(self):
+        return float(self.late.max())
+
+    @property
+    def arrived(self):
+        return self.largest <= max(ARRIVED * self.size[0], self.floor)
+
+    @property
+    def grows(self):
+        higher = np.median(self.late) > GROWN * np.median(self.before)
+        return bool(higher and self.largest > max(self.before.max(), self.floor))
+
+    @property
+    def shrinks(self):
+        least = min(self.before.min(), self.size.max())
+        return bool(self.largest < STALL_RATIO * self.before.max() and self.largest <= least)
+
+    def often(self, bit):
+        return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)
+
+
+def observe(law, run, Ts) -> Observed:
+    """What one lane's trajectory shows, up to its first instant that is not finite."""
+    e, q, qdot = (np.asarray(v, float) for v in (run.e, run.q, run.qdot))
+    finite = np.isfinite(e).all(1) & np.isfinite(q).all(1)
+    bad = None if finite.all() else int(np.argmin(finite))
+    e, qdot = e[:bad], qdot[:bad]
+    if bad is not None and bad <= 1:
+        e, qdot = np.concatenate([e, e, np.zeros((2, e.shape[1]))])[:2], np.zeros((1, q.shape[1]))
+    size, N = np.linalg.norm(e, axis=1), len(qdot)
+    quarter = max(N // 4, min(N, 2))
+    late, before = size[-quarter:], size[:-quarter][-quarter:]
+    eps = np.finfo(np.asarray(run.e).dtype).eps
+    back, speed = _reversal(qdot[-2 * quarter :])
+    steps = np.linalg.norm(qdot, axis=1) * Ts
+    fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
+    along = e @ e[0] / max(size[0] ** 2, 1e-300)
+    along = along[np.abs(along) > max(ARRIVED, eps)] if size[0] > 0 else along[:0]
+    return Observed(
+        size=size,
+        late=late,
+        before=before if len(before) else size[:1],
+        floor=64 * eps * (1 + arm_length(law.chain)),
+        reversing=back / speed if speed > 0 else 0.0,
+        joint_speed=float(np.abs(qdot[-quarter:]).max()),
+        visible=bool(rms(steps[-quarter:]) > VISIBLE and not fades),
+        swings=int(np.sum(along[1:] * along[:-1] < 0)),
+        status=np.asarray(run.status)[:bad][-quarter:],
+        bad=bad,
+    )
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
+
+
+def _reversal(qdot):
+    """RMS speed that the next step takes back, and RMS speed."""
+    flips = qdot[1:] * qdot[:-1] < 0
+    back = np.where(flips, np.minimum(np.abs(qdot[1:]), np.abs(qdot[:-1])), 0.0)
+    return rms(np.linalg.norm(back, axis=1)), rms(np.linalg.norm(qdot, axis=1))
