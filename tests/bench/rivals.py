@@ -260,12 +260,12 @@ def main(argv=None):
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS, help="folder for rivals.md, .csv and .png")
     args = parser.parse_args(argv)
     rows = []
+    args.out.mkdir(parents=True, exist_ok=True)
     for case in args.cases:
         for gain in args.gains:
             rows += rivals(case, gain, margin=args.margin, steps=args.steps, progress=lambda row: print(*row[:3]))
-    args.out.mkdir(parents=True, exist_ok=True)
+            (args.out / "rivals.csv").write_text(as_csv(rows), encoding="utf-8")
     (args.out / "rivals.md").write_text(page(rows, args.margin, args.steps), encoding="utf-8")
-    (args.out / "rivals.csv").write_text(as_csv(rows), encoding="utf-8")
     with style.style():
         style.save(picture(rows), args.out / "rivals.png", {"Title": "Tuning against its rivals"})
     print(table(rows))
