@@ -45,7 +45,8 @@ def bar(unit: str, total=None, quiet=False):
 
 def words(unit, done, total, seconds, note="") -> str:
     """What a report says: "120 of 4,000 loops, 60/s, EE"."""
-    parts = [f"{done:,} of {total:,} {unit}" if done else f"compiling, {unit}" if not note else ""]
+    counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
+    parts = [counted if done else "" if note else f"compiling, {unit}"]
     if done and seconds > 0 and done / seconds >= 1:
         parts.append(f"{done / seconds:,.0f}/s")
     return ", ".join(part for part in (*parts, note) if part)
@@ -76,5 +77,5 @@ class _Lines:
         if now - self.last < _BETWEEN_LINES:
             return
         self.last = now
-        left = f", {(total - done) * seconds / done:,.0f} s left" if done and seconds else ""
+        left = f", {(total - done) * seconds / done:,.0f} s left" if total and done and seconds else ""
         print(words(self.unit, done, total, seconds, note) + left, file=sys.stderr, flush=True)

@@ -13,6 +13,7 @@ from cnclik.cli import progress
         ((0, 40, 3.0), "compiling, loops"),
         ((0, 40, 3.0, "compiling EE"), "compiling EE"),
         ((10, 4000, 2.0), "10 of 4,000 loops, 5/s"),
+        ((30, None, 60.0, "loss 0.1"), "30 loops, loss 0.1"),
         ((1, 2, 50.0, "the 5-dof arm"), "1 of 2 loops, the 5-dof arm"),
     ],
 )

@@ -29,7 +29,7 @@ def run_pose(alpha=4.0, Ts=0.1, method=ck.CN, N=12):
 def test_every_scalar_metric_is_what_numpy_makes_of_the_trajectory():
     run, law, reference, direction = run_pose()
     moving = np.arange(13)[:, None] <= 8  # the line ends at step 8 and is held
-    found = measure_run(run, law, reference, SCALARS, tolerance=0.02)
+    found = jax.jit(lambda run: measure_run(run, law, reference, SCALARS, tolerance=0.02))(run)
     wanted = plain.metrics(run, law, direction * moving, 0.02, [1.0, 2.0, 3.0], -3.0, 2.5)
     assert set(wanted) == set(SCALARS)
     for name, value in found.items():
@@ -85,7 +85,7 @@ def test_derivatives_are_finite_where_the_error_is_exactly_zero():
         return jnp.stack([v for _, v in measure_run(run, law, reference, LOSSES).items()])
 
     with np.errstate(all="ignore"):
-        slopes = jax.jacfwd(losses)(jnp.zeros(2))
+        slopes = jax.jit(jax.jacfwd(losses))(jnp.zeros(2))
     assert np.all(np.isfinite(np.delete(slopes, LOSSES.index("rate"), axis=0))), slopes
 
 
@@ -148,9 +148,9 @@ def test_a_float32_run_has_the_metrics_of_the_float64_one(links, task, target):
         names = [n for n in SCALARS if METRICS[n].needs != "rotation" or task.orientation]
         return measure_run(run, law, reference, names, tolerance=0.02)
 
-    wanted = metrics()
+    wanted = jax.jit(metrics)()
     with jax.enable_x64(False):
-        found = metrics()
+        found = jax.jit(metrics)()
     for name, value in found.items():
         assert value.dtype in (np.float32, np.int32), name
         unit = found.units[name]

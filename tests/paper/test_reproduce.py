@@ -77,7 +77,7 @@ def test_committed_claims_follow_from_committed_data(results):
 
 def test_sentences_follow_from_the_data(results):
     """Where IE and CN change places, so do verdicts and sentences."""
-    other = results.trajectories.sel(method=["EE", "CN", "IE"]).assign_coords(method=["EE", "IE", "CN"])
+    other = results.trajectories.sel({"method": ["EE", "CN", "IE"]}).assign_coords(method=["EE", "IE", "CN"])
     judged = claims.judge(other, results.passes)
     text = story.story(judged, other, results.methods, READING, {})
     assert "IE slowest: no, CN; CN fastest: no, EE" in text
