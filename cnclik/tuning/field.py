@@ -3,7 +3,8 @@
 import numpy as np
 
 from cnclik.precision import in_float64
-from cnclik.tuning.linear import radius_over, responses_at_rest
+from cnclik.stability.responses import responses
+from cnclik.tuning.linear import radius_over
 from cnclik.tuning.parameters import Adjustable, scheduled
 
 
@@ -44,4 +45,4 @@ def end_responses(tuned):
     if tuned.conditions.delay:
         return None
     law = scheduled(Adjustable(law=tuned.law, Ts=tuned.Ts, schedule=tuned.schedule), 1.0)
-    return responses_at_rest(law, np.asarray(tuned.after.run.q)[-1], tuned.Ts, tuned.method, tuned.stage)
+    return responses(law, None, np.asarray(tuned.after.run.q)[-1], Ts=tuned.Ts, method=tuned.method, stage=tuned.stage)

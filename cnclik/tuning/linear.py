@@ -7,30 +7,9 @@ import numpy as np
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.stability import spectrum
-from cnclik.stability.spectrum import largest_rate
+from cnclik.stability.spectrum import at_rest, largest_rate, one_step, step_maps
 
 SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
-
-
-# What this room needs of the stability room's one-step maps.
-
-
-def step_at_rest(law, q, Ts, method, stage):
-    """∂q[k+1]/∂q[k] of a loop that rests at q, (n, n), and the rows of its weighted task Jacobian (m, n). Pure."""
-    return spectrum._one_step(law, spectrum.at_rest(law, None, q), q, Ts, method, stage)
-
-
-def _steps_at_rest(law, q, factors, Ts, method, stage):
-    """The same for many gains factor·alpha and sampling times (k,), as NumPy arrays: (k, n, n) and (m, n)."""
-    return spectrum._maps(law, spectrum.at_rest(law, None, q), q, factors, Ts, method, stage)
-
-
-def responses_at_rest(law, q, Ts, method, stage):
-    """Step and sine responses of a prompt loop around rest at q, as `stability.responses` gives them."""
-    from cnclik.stability.responses import responses
-
-    return responses(law, q, Ts, method, stage)
 
 
 # --- maps ---------------------------------------------------------------------------------------------
@@ -41,7 +20,7 @@ def maps_at_rest(law, q, Ts, method, stage):
 
     With S = ∂q[k+1]/∂q[k]: I + J (S − I) J#, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
     """
-    moved, rows = step_at_rest(law, q, Ts, method, stage)
+    moved, rows = one_step(law, at_rest(law, None, q), q, Ts, method, stage)
     m, n = rows.shape
     eye = jnp.eye(n, dtype=q.dtype)
     inverse = jnp.linalg.pinv(rows)
@@ -124,7 +103,9 @@ def radius_over(law, q, alpha, Ts, method, stage, *, delay=0):
     """
     q = as_joint_values(law.chain, q)
     law = replace(law, alpha=jnp.asarray(law.alpha))
-    moved, rows = _steps_at_rest(law, q, np.asarray(alpha) / largest_rate(law.alpha), Ts, method, stage)
+    moved, rows = step_maps(
+        law, at_rest(law, None, q), q, np.asarray(alpha) / largest_rate(law.alpha), Ts, method, stage
+    )
     m, n = rows.shape
     maps = np.eye(m) + rows @ (moved - np.eye(n)) @ np.linalg.pinv(rows)
     finite = np.isfinite(maps).all((-2, -1))

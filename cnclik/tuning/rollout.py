@@ -10,6 +10,7 @@ from jax import lax
 from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
 from cnclik.integrate.trajectory import Trajectory, assemble
 from cnclik.law import reference as ref
+from cnclik.law.shifted import shifted
 from cnclik.law.task import error_and_rows
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -62,7 +63,7 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
             row = scenario.noise[k.astype(int)]
             measured = tuple(v + row[i] for i, v in enumerate(measured))
         model = e if scenario.plant is None else _error(law, reference, t, q)
-        told = _shifted(reference, law.task, sp.vsub(measured, model))
+        told = shifted(reference, law.task, sp.vsub(measured, model))
         made = advance(scheduled(loop, t / horizon), told, q, t, Ts, method, stage)
         return (made.q, late[:delay]), (q, e, made.qdot, made.residual, made.contraction, made.status)
 
@@ -77,29 +78,3 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
 def _error(law, reference, t, q):
     position, rotation, _ = ref.sample(reference, law.task, t)
     return error_and_rows(law.task, law.chain, frames(law.chain, q), position, rotation)[0]
-
-
-@record
-class _Shifted:
-    """A curve moved by w (m,) in the task's coordinates; its velocity is the curve's own."""
-
-    base: object
-    task: object
-    w: tuple
-
-    def __call__(self, t):
-        position, rotation = self.base(t)
-        linear, turn = self.w[: len(self.task.position)], self.w[len(self.task.position) :]
-        if self.task.position:
-            places = range(len(linear)) if len(position) == len(linear) else self.task.linear
-            moved = dict(zip(places, linear, strict=True))
-            position = tuple(sp.add(v, moved[i]) if i in moved else v for i, v in enumerate(position))
-        if self.task.orientation:
-            about = dict(zip(self.task.angular, turn, strict=True))
-            rotation = sp.matmul(sp.exp_so3(tuple(about.get(i, 0.0) for i in range(3))), rotation)
-        return position, rotation
-
-
-def _shifted(reference, task, w):
-    """The reference whose error is w more than the reference's own; to first order for rotations."""
-    return ref.Reference(curve=_Shifted(base=reference.curve, task=task, w=w), feedforward=reference.feedforward)
