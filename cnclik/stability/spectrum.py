@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import hints, quick_jit
+from cnclik.hints import quick_jit, use_hints
 from cnclik.integrate.method import EE, IE, Method
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
@@ -238,7 +238,7 @@ def settle(law, reference, q0, *, N=200):
     Raises: ArgumentError where the error doesn't vanish, as for a target out of reach.
     """
     q0 = as_joint_values(law.chain, q0, "q0")
-    with hints(False):  # ready sooner, and few steps
+    with use_hints(False):  # ready sooner, and few steps
         run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
     size = float(jnp.linalg.norm(run.e[-1]))
     if not size < rest_tolerance(law.chain):
