@@ -44,6 +44,7 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     out["residual"], out["contraction"] = residual.max(), contraction.max()
     out["evaluations"] = float(run.evaluations)
     out["ok"] = int(np.sum(status == 0))
-    for bit, name in ((1, "not_converged"), (2, "near_singular"), (4, "at_limit"), (8, "non_finite")):
+    names = ["not_converged", "near_singular", "at_limit", "non_finite", "over_velocity", "growing", "task_too_large"]
+    for bit, name in zip(2 ** np.arange(7), names, strict=True):
         out[name] = int(np.sum((status & bit) > 0))
     return out
