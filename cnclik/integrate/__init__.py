@@ -1,1 +1,31 @@
-"""How the loop moves in time."""
+"""How the loop moves in time.
+
+The functions `solve` and `lanes` are offered by `cnclik` itself: here these names are the modules they live in.
+"""
+
+from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
+from cnclik.integrate.solve import Step, step
+from cnclik.integrate.stage import chord, newton, picard
+from cnclik.integrate.status import Status, StepError, require_ok
+from cnclik.integrate.trajectory import Trajectory
+
+__all__ = [
+    "CN",
+    "EE",
+    "HEUN",
+    "IE",
+    "METHODS",
+    "MIDPOINT",
+    "RK4",
+    "TRAPEZOID",
+    "Method",
+    "Status",
+    "Step",
+    "StepError",
+    "Trajectory",
+    "chord",
+    "newton",
+    "picard",
+    "require_ok",
+    "step",
+]

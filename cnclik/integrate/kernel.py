@@ -22,14 +22,14 @@ class UnsupportedError(Exception):
     """The function does what a kernel can't; the message says what."""
 
 
-class _Lost:
+class _History:
     """Stands for a cell of a loop's history, which no kernel keeps."""
 
     def __repr__(self):
         return "history"
 
 
-LOST = _Lost()
+HISTORY = _History()
 
 
 def batched(fn, *, tile: int = TILE, interpret: bool = False):
@@ -45,7 +45,10 @@ def batched(fn, *, tile: int = TILE, interpret: bool = False):
         leaves, treedef = jax.tree.flatten(args)
         size = leaves[0].shape[0]
         lane = [jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype) for leaf in leaves]
-        flat = lambda *leaves: fn(*jax.tree.unflatten(treedef, leaves))  # noqa: E731
+
+        def flat(*leaves):
+            return fn(*jax.tree.unflatten(treedef, leaves))
+
         with in_kernel():
             traced, shapes = jax.make_jaxpr(flat, return_shape=True)(*lane)
         outs, out_treedef = jax.tree.flatten(shapes)
@@ -100,7 +103,7 @@ def _pallas(body, tile, programs, columns, outs, interpret):
 
 
 def _array(cells, shape):
-    """An array whose entries are the cells: numbers that are known, vectors of lanes, or LOST."""
+    """An array whose entries are the cells: numbers that are known, vectors of lanes, or HISTORY."""
     made = np.empty(len(cells), object)
     for i, cell in enumerate(cells):
         made[i] = cell
@@ -175,7 +178,7 @@ class _Reader:
 
     def lift(self, cell, dtype):
         """The cell as a vector of lanes."""
-        if cell is LOST:
+        if cell is HISTORY:
             raise UnsupportedError("it needs more of a loop than its end")
         if _is_known(cell):
             return lax.full((self.tile,), cell, dtype)
@@ -226,8 +229,8 @@ class _Reader:
         dtypes = [v.aval.dtype for v in equation.invars]
 
         def one(*cells):
-            if any(cell is LOST for cell in cells):
-                return LOST
+            if any(cell is HISTORY for cell in cells):
+                return HISTORY
             lifted = map(self.lift, cells, dtypes)
             return equation.primitive.bind(*lifted, **equation.params)
 
@@ -240,7 +243,7 @@ class _Reader:
         rows = x.transpose(*kept, *axes).reshape(int(np.prod([x.shape[a] for a in kept])), -1)
 
         def join(a, b):
-            return LOST if a is LOST or b is LOST else primitive.bind(self.lift(a, dtype), self.lift(b, dtype))
+            return HISTORY if a is HISTORY or b is HISTORY else primitive.bind(self.lift(a, dtype), self.lift(b, dtype))
 
         return _array([functools.reduce(join, row) for row in rows], [x.shape[a] for a in kept])
 
@@ -273,12 +276,12 @@ class _Reader:
         return out
 
     def scan(self, equation, inputs, *, jaxpr, length, reverse, **_):
-        """A loop in registers; what it stacks up over time is LOST."""
+        """A loop in registers; what it stacks up over time is HISTORY."""
         num_consts, num_carry = _consts_and_carry(equation, jaxpr)
         consts, start, xs = inputs[:num_consts], inputs[num_consts:][:num_carry], inputs[num_consts + num_carry :]
         counters = [_counter(x, v.aval) for x, v in zip(xs, equation.invars[num_consts + num_carry :], strict=True)]
         avals = [v.aval for v in equation.invars[num_consts:][:num_carry]]
-        live = [[cell is not LOST for cell in value.flat] for value in start]
+        live = [[cell is not HISTORY for cell in value.flat] for value in start]
 
         def flat(values):
             found = []
@@ -291,7 +294,7 @@ class _Reader:
         def whole(cells):
             cells = iter(cells)
             return [
-                _array([next(cells) if lives_on else LOST for lives_on in lives], aval.shape)
+                _array([next(cells) if lives_on else HISTORY for lives_on in lives], aval.shape)
                 for aval, lives in zip(avals, live, strict=True)
             ]
 
@@ -302,7 +305,7 @@ class _Reader:
             return flat(found[:num_carry])
 
         ended = whole(lax.fori_loop(0, length, once, flat(start)))
-        lost = [_array([LOST] * int(np.prod(v.aval.shape)), v.aval.shape) for v in equation.outvars[num_carry:]]
+        lost = [_array([HISTORY] * int(np.prod(v.aval.shape)), v.aval.shape) for v in equation.outvars[num_carry:]]
         return [*ended, *lost]
 
 

@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 import cnclik as ck
 from tests.oracles import central_differences, close
 
-N = 4
+N = 3
 ORDINARY = dict(
     alpha=4.0,
     Ts=0.1,
@@ -60,7 +60,10 @@ def final(p, method, inverse):
 def programs(method, inverse, shapes):
     """Compiled: a batch of values, and both Jacobians, as functions of the flat vector of arguments."""
     unravel = ravel_pytree({k: np.zeros(s) for k, s in shapes})[1]
-    flat = lambda v: final(unravel(v), method, inverse)  # noqa: E731
+
+    def flat(v):
+        return final(unravel(v), method, inverse)
+
     return jax.jit(jax.vmap(flat)), jax.jit(jax.jacfwd(flat)), jax.jit(jax.jacrev(flat))
 
 
@@ -69,8 +72,11 @@ def prepare(method, inverse, p):
     return x, *programs(method, inverse, tuple((k, v.shape) for k, v in sorted(p.items())))
 
 
+QUICK = ("EE", "CN", "TRAPEZOID")  # each method is three compilations: one explicit, both kinds of implicit stages
+
+
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("method", ck.METHODS)
+@pytest.mark.parametrize("method", [m if m in QUICK else pytest.param(m, marks=pytest.mark.slow) for m in ck.METHODS])
 def test_damped_loops(method, case):
     x, values, forward, reverse = prepare(method, "damped", arguments(**CASES[case]))
     wanted = central_differences(values, x)

@@ -87,9 +87,16 @@ ARMS = {
 }
 
 
+# Each pair is a compilation: the long arm with the paper's three methods, the short one with the others.
+PAPERS = ("EE", "IE", "CN")
+PAIRS = [(m, a) for m in AMPLIFICATION for a in ARMS]
+QUICK = [pair for pair in PAIRS if (pair[1] == "5dof") == (pair[0] in PAPERS)]
+
+
 @pytest.mark.parametrize("case", ["reach", "track"])
-@pytest.mark.parametrize("arm", ARMS)
-@pytest.mark.parametrize("method", AMPLIFICATION)
+@pytest.mark.parametrize(
+    ("method", "arm"), [pytest.param(*p, marks=[] if p in QUICK else pytest.mark.slow) for p in PAIRS]
+)
 def test_the_papers_loops(method, arm, case):
     """30 steps of the paper's experiments (on-path reading, Ts once, consistent feed-forward), M = 5."""
     lengths, q0, fixed, start = ARMS[arm]

@@ -127,7 +127,7 @@ def test_hold_takes_a_whole_pose_in_any_form():
 
 
 def test_motion_bounds_what_the_target_moves():
-    """From above, by less than 12 %: positions exactly, turns by their chord."""
+    """From above: positions exactly, turns by their chord, π/2 too large at most."""
     t = jnp.linspace(0.0, 4.0, 9)
     for name in ("line-turning", "circle-3d", "hold-pose", "path-pose"):
         reference, task = REFERENCES[name]
@@ -137,7 +137,7 @@ def test_motion_bounds_what_the_target_moves():
             turned = 0.0 if one[1] is None else np.linalg.norm(rotvec(one[1], two[1]))
             wanted.append(np.hypot(np.linalg.norm(two[0] - one[0]), turned))
         found = np.asarray(motion(reference, TASKS[task], t))
-        assert np.all(found >= np.array(wanted) - 1e-12) and np.all(found <= 1.12 * np.array(wanted) + 1e-12)
+        assert np.all(found >= np.array(wanted) - 1e-12) and np.all(found <= 1.571 * np.array(wanted) + 1e-12)
     told = ck.with_feedforward(ck.hold([1.0, 2.0]), [3.0, 4.0])
     close(motion(told, TASKS["xy"], t), 2.5, atol=1e-14)
 

@@ -104,8 +104,12 @@ def compare(arm, tree, path, model, tip):
     return max(np.abs(a - np.stack(b)).max() for a, b in zip(found, zip(*expected, strict=True), strict=True))
 
 
+MOST = 3  # chains of a file that are compared with every run of the tests; hands have twenty alike
+
+
+@pytest.mark.parametrize("most", [MOST, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])
 @pytest.mark.parametrize("file", FILES)
-def test_every_leaf_of_every_robot_matches_pinocchio(file):
+def test_every_leaf_of_every_robot_matches_pinocchio(file, most):
     path = ROOT / file
     model, reason = oracle(path)
     if model is None:
@@ -114,6 +118,7 @@ def test_every_leaf_of_every_robot_matches_pinocchio(file):
         pytest.skip(f"{file}: neither Pinocchio ({reason}) nor cnclik ({told.value}) reads it")
     tree = read_urdf(path)
     moved, skipped = tree.tips(), {}
+    compared = 0
     for leaf in tree.leaves:
         if leaf not in moved:
             with pytest.raises(ck.ArgumentError, match="moved by a joint"):
@@ -127,6 +132,9 @@ def test_every_leaf_of_every_robot_matches_pinocchio(file):
             assert file.endswith("alex_psyonic_hands.urdf") and "which is not in the file" in str(error)
             skipped.setdefault("follows a joint that is not in the file", []).append(leaf)
             continue
+        if compared == most:
+            continue
+        compared += 1
         # Breaks for an rpy order, axis normalisation or mimic offset that is wrong, by orders of magnitude.
         assert compare(arm, tree, path, model, leaf) < 1e-12, leaf
     for reason, leaves in skipped.items():
