@@ -285,9 +285,6 @@ def _map(args, out):
     print(f"{total:,} loops in {time.perf_counter() - begun:.1f} s; agreement with the linear boundary: {inside:.2%}")
 
 
-# --- committed studies --------------------------------------------------------------------------------
-
-
 def _range(given, now, half):
     """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
     return given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
