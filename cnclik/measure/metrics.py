@@ -314,13 +314,13 @@ METRICS = {
     **_errors("along", _along, "m", "position error along the path", "position"),
     **_errors("across", _across, "m", "position error across the path", "position"),
     "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
-    "evaluations_to_tolerance": Metric(_evaluations_to_tolerance, "1", "evaluations of f until then"),
+    "evaluations_to_tolerance": Metric(_evaluations_to_tolerance, "1", "evaluations of f to the tolerance"),
     "settling_time": Metric(_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
     "converged": Metric(_converged, "1", "1 if ‖e[N]‖ ≤ tolerance"),
     "ending": Metric(
         lambda of: ending(of.run.e, of.run.status), "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"
     ),
-    "stable": Metric(lambda of: stable(of.run.e, of.run.status), "1", "1 if it ends converged or slowly on the way"),
+    "stable": Metric(lambda of: stable(of.run.e, of.run.status), "1", "ends stable"),
     "overshoot": Metric(_overshoot, "1", "largest −e·e₀/‖e₀‖²: how far beyond the target"),
     "rate": Metric(_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
     "max_qdot": Metric(_max_qdot, "q/s", "largest |q̇ᵢ|"),

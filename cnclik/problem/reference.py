@@ -69,8 +69,8 @@ def _line(scene, start=None, end=None, period=None):
     errors.number("period", period, positive=True)
     first, turned = _point("from", start, scene.task, scene.here)
     last, turned_last = _point("to", end, scene.task, scene.here if end is not None else _away(scene))
-    turns = {} if turned is None else {"rotation": turned, "rotation_end": turned_last}
-    return ref.line(first, last, duration=period, **turns)
+    turned_last = None if turned_last is turned else turned_last  # kept: nothing to turn
+    return ref.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
 
 def _circle(scene, center=None, radius=None, normal=None, period=None, phase=0.0):

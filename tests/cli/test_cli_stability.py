@@ -20,7 +20,6 @@ def test_advice_on_the_terminal(capsys):
         (["--cells", "1"], "Argument `cells` must be at least 2, but is 1."),
         (["--N", "3"], "Argument `N` must be at least 4, but is 3."),
         (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Argument `Ts-range` must increase, but is 0.1 to 0.01."),
-        (["--spec", "missing.toml"], "Argument `spec` must be a TOML file that can be read"),
         (["planar:1,1", "--target", "9", "0"], "Argument `target` must be one the loop comes to rest on"),
     ],
 )
