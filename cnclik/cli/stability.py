@@ -198,9 +198,8 @@ def _map(args, out):
     names = data.ending.attrs["flag_meanings"].split()
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     inside = agreement(endings, data.alpha.values, data.limit.values[:, None])
-    print(
-        f"{endings.size:,} loops in {time.perf_counter() - begun:.1f} s; agreement with the linear boundary: {inside:.2%}"
-    )
+    seconds = time.perf_counter() - begun
+    print(f"{endings.size:,} loops in {seconds:.1f} s; agreement with the linear boundary: {inside:.2%}")
     return figures
 
 
