@@ -42,6 +42,10 @@ class Observed(NamedTuple):
         return bool(higher and self.largest > max(self.before.max(), self.floor))
 
     @property
+    def soars(self):
+        return self.grows and bool(np.all(np.diff(self.late) > 0))
+
+    @property
     def shrinks(self):
         least = min(self.before.min(), self.size.max())
         return bool(self.largest < STALL_RATIO * self.before.max() and self.largest <= least)

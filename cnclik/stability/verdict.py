@@ -15,6 +15,7 @@ from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
+from cnclik.law.limits import Saturated
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.chain import REVOLUTE
@@ -24,7 +25,7 @@ from cnclik.stability.local import GAINS, Instant, fastest_share, maps, stable_s
 from cnclik.stability.observed import GROWN, observe, rms
 from cnclik.stability.spectrum import at_rest, null_radius, spectrum_of
 
-REVERSING = 0.25  # share of the joint speed that the next step takes back, from which on a loop shakes
+REVERSING = 0.15  # share of the joint speed that the next step takes back, from which on a loop shakes
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
 UNSTABLE = 1.01  # spectral radius beyond which a loop that seems to rest doesn't: smaller excess is the error's own
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
@@ -139,17 +140,20 @@ class _Judge:
             return Behaviour.DIVERGING, f"not finite from t = {self.t[k]:.4g} s on (step {k})", self._lower()
         if not np.any(np.asarray(self.law.alpha)):
             return Behaviour.STALLED, f"the gain is 0, so errors stay; {self._error()}", "raise alpha"
-        if seen.reversing > REVERSING and seen.visible and not (seen.grows and not seen.arrived):
+        moving = self.speed * self.Ts > seen.floor
+        restless = not (moving or seen.arrived or seen.shrinks) and self.radius > UNSTABLE
+        if seen.visible and (seen.reversing > REVERSING or restless) and (seen.arrived or not seen.soars):
             fast = f"joint velocities up to {seen.joint_speed:.3g} {self._unit()}/s go back and forth"
             if seen.arrived and self.null_radius > 1:
                 inside = f"in the null space of the task, where the spectral radius is {self.null_radius:.3g}"
                 return Behaviour.SHAKING, f"{fast} {inside}", "reduce the gain of the null-space velocity"
             return Behaviour.SHAKING, f"{fast}, {self._error()}; {radius}", self._lower()
-        moving = self.speed * self.Ts > seen.floor
         limited = self.law.limits is not None and seen.often(Status.AT_LIMIT)
         held = limited and not seen.arrived and not seen.shrinks
         if held and not (moving and seen.largest <= self.speed * self.Ts):
-            remedy = "choose another start, posture or path, or limits saturation(), which lets other joints take over"
+            remedy = "choose another start, posture or path"
+            if not isinstance(self.law.limits, Saturated):
+                remedy += ", or limits saturation(), which lets other joints take over"
             return Behaviour.AT_LIMIT, f"{self._limit()}, and {self._error()}", remedy
         grown = seen.largest > max(GROWN * seen.size[0], seen.floor) and not seen.shrinks
         if (seen.grows and not moving) or ((seen.grows or grown) and self.radius > UNSTABLE):

@@ -32,7 +32,28 @@ def test_files_hold_the_run(solved):
 def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
     main(["solve", "planar:1,1", "--method", "EE", "--N", "2", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "planar:1,1: task x y, N = 2 steps" in shown and "linearly stable for z < 2: errors stay" in shown
+    assert "planar:1,1: task x y, N = 2 steps" in shown and "the gain is 0, so errors stay" in shown
+
+
+def test_a_loop_that_shakes_is_not_called_stable(tmp_path, capsys):
+    """It ends half a metre off, with its steps marked OK; the exit code is that of a command that did its work."""
+    arm, options = "planar-clockwise:1,1,1,1,1", ["--task", "xy", "--inverse", "transpose", "--alpha", "30"]
+    loop = ["--Ts", "0.05", "--N", "60", "--method", "EE", "--no-figures", "--out", str(tmp_path)]
+    main(["solve", arm, *options, *loop])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "Shaking: joint velocities up to" in shown and "Reduce alpha below" in shown
+
+
+def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, capsys):
+    def broken(data):
+        raise ValueError("no ink")
+
+    monkeypatch.setattr(pictures, "error", broken)
+    with pytest.raises(SystemExit) as left:
+        main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--out", str(tmp_path)])
+    said = capsys.readouterr().err.strip().splitlines()
+    assert left.value.code == 1 and "no ink" in said[-1]
+    assert {"trajectory.nc", "joints.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_a_joint_at_rest_is_drawn_at_rest(solved):

@@ -34,13 +34,29 @@ def test_user_errors_are_one_line(arguments, line, capsys):
 def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
     import xarray as xr
 
-    main(["stability", "planar:1,1", "--method", "IE", "--map", "--cells", "12", "--Ts", "0.1", "--out", str(tmp_path)])
+    main(
+        [
+            "stability",
+            "planar:1,1",
+            "--method",
+            "IE",
+            "--map",
+            "--cells",
+            "8",
+            "--Ts",
+            "0.1",
+            "--passes",
+            "2",
+            "--out",
+            str(tmp_path),
+        ]
+    )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["map.nc", "map.png", "passes.nc", "passes.png"]
     with xr.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
-        assert data.kind.dims == ("Ts", "alpha") and data.sizes == {"Ts": 12, "alpha": 12}
+        assert data.ending.dims == ("Ts", "alpha") and data.sizes == {"Ts": 8, "alpha": 8}
         np.testing.assert_allclose(data.limit, 1 / data.Ts, rtol=1e-6)  # picard(5)
         assert '"robot": "planar:1,1"' in data.attrs["config"]
-    assert "144 loops" in capsys.readouterr().out
+    assert "64 loops" in capsys.readouterr().out
 
 
 def test_plane_writes_the_limits_of_every_M_and_of_late_errors(tmp_path, capsys):

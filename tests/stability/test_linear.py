@@ -117,6 +117,17 @@ def test_monotone_and_dead_beat_values():
     assert implicit.monotone == implicit.fastest == np.inf
 
 
+def test_what_levels_off_is_fastest_without_end():
+    """Rounding on a plateau chooses no place: a least value kept to the end of an open range is least there."""
+    noise = np.random.default_rng(0)
+
+    def flat(z):
+        return 0.5 + 1e-14 * noise.standard_normal(z.shape) + 1 / (1 + z**2)
+
+    assert linear.least_on(flat, 1e6)[0] == 1e6
+    assert linear.least_on(lambda z: np.abs(1 - z / 30), 1e6)[0] == pytest.approx(30, rel=1e-6)
+
+
 def test_delay_limits():
     for d, published in enumerate((2, 1, 0.618, 0.445, 0.347)):
         assert linear.delay_limit(d) == pytest.approx(2 * np.sin(np.pi / (2 * (2 * d + 1))), abs=1e-6)

@@ -61,6 +61,20 @@ def test_recommended_sampling_time_and_margin():
     assert recommend(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.chord(2)).largest == np.inf
 
 
+def test_advice_is_what_its_parts_say():
+    advice = advise(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.picard(5))
+    assert str(advice.gains) == str(recommend(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.picard(5)))
+    assert advice.times.largest == pytest.approx(1 / 6, rel=1e-6)
+    assert advice.margin.margin == pytest.approx(1 / 0.6, rel=1e-6)
+    assert advice.spectrum.radius == advice.margin.radius and len(advice.spectrum.null) == 1
+
+
+def test_a_loop_that_rests_only_nearly_is_judged_at_rest():
+    """A few 1e-6 m of error move null-space eigenvalues by as much from 1, which is no instability."""
+    near = ck.hold(np.asarray(ck.pose(ARM, Q).position[:2]) + 4e-6)
+    assert recommend(law(), near, Q, Ts=Ts).z_largest == pytest.approx(2, rel=1e-6)
+
+
 def test_rotating_gain_is_limited_where_its_complex_eigenvalues_leave_the_region():
     """K = a (1 ± 2i): EE is stable while |1 − Ts a (1 + 2i)| ≤ 1, that is Ts a ≤ 2/5."""
     found = recommend(law(alpha=jnp.array([[3.0, 6.0], [-6.0, 3.0]])), None, Q, Ts=Ts)

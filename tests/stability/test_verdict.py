@@ -1,0 +1,180 @@
+"""What runs did, in a sentence: loops whose behaviour is known, and whether the remedy mends them."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.stability import Behaviour, verdict
+
+FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
+TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
+Q5 = np.array([0.3, 0.5, -0.4, 0.6, 0.2])
+Q2 = np.array([0.3, 1.2])
+XY = ck.position("xy")
+TIP = np.asarray(ck.pose(FIVE, Q5).position[:2])
+INWARD = -TIP / np.linalg.norm(TIP)
+NEAR = ck.hold(TIP + np.array([-0.1, 0.1]))
+Ts = 0.1
+
+
+def law(alpha, chain=FIVE, **options):
+    return ck.Law(chain, XY, alpha=alpha, **options)
+
+
+def judge(law, reference, N, q=Q5, Ts=Ts, method=ck.EE, stage=ck.picard(5)):
+    run = ck.solve(law, reference, q, Ts, N, method, stage)
+    return verdict(law, reference, run, Ts=Ts, method=method, stage=stage)
+
+
+@pytest.mark.parametrize(
+    ("z", "N", "kinds"),
+    [
+        (0.5, 60, "settled"),
+        (1.0, 1, "converging"),
+        (0.5, 3, "converging"),
+        (0.05, 60, "converging"),
+        (0.001, 50, "converging"),
+        (1.9, 60, "ringing"),
+        (2.5, 20, "diverging shaking"),
+        (2.5, 120, "shaking diverging"),
+        (0.0, 10, "no-progress"),
+    ],
+)
+def test_explicit_euler_over_z(z, N, kinds):
+    found = judge(law(z / Ts), NEAR, N)
+    assert found.kind.replace(" ", "-") in kinds.split(), found.sentence
+    if z < 2:
+        assert found.radius == pytest.approx(abs(1 - z), abs=0.06)
+    else:
+        assert float(re.search(r"below ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(2 / Ts, rel=0.02)
+    if z == 1.9:
+        assert float(re.search(r"about ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(1 / Ts, rel=0.02)
+
+
+def test_transpose_that_shakes_is_told_and_its_remedy_settles_it():
+    """The command line called it stable and its steps OK, 0.5 m off at 38 rad/s of chatter."""
+    q, target = np.array([0.5, 0.3, 0.3, 0.3, 0.3]), ck.hold([1.5, 2.5])
+    made = law(30.0, inverse=ck.transpose())
+    found = judge(made, target, 60, q, 0.05)
+    assert found.kind == Behaviour.SHAKING and found.radius > 1 and found.error > 0.1
+    gain = float(re.search(r"below ([\d.]+) 1/s", found.remedy)[1])
+    calm = judge(ck.replace(made, alpha=jnp.asarray(0.8 * gain)), target, 400, q, 0.05)
+    assert calm.kind in (Behaviour.SETTLED, Behaviour.CONVERGING), calm.sentence
+
+
+def test_damped_loop_settles_with_a_radius_of_its_own():
+    found = judge(law(5.0, inverse=ck.damped(0.5)), NEAR, 100)
+    assert found.kind == Behaviour.SETTLED and found.radius > 0.501 and found.remedy == ""
+
+
+def test_out_of_reach():
+    far = ck.hold([2.5, 0.5])
+    quiet = judge(law(5.0, TWO, inverse=ck.damped(0.3), error_clamp=(0.1, 0.1)), far, 200, Q2)
+    assert quiet.kind == Behaviour.OUT_OF_REACH and "0.55 m beyond the stretched arm" in quiet.sentence
+    loud = judge(law(5.0, TWO), far, 120, Q2)
+    assert loud.kind in (Behaviour.OUT_OF_REACH, Behaviour.SHAKING, Behaviour.STALLED, Behaviour.DIVERGING)
+    assert "beyond the stretched arm" in loud.sentence
+
+
+def test_more_coordinates_than_joints():
+    task = ck.pose_task("xy", "z")
+    made = ck.Law(TWO, task, alpha=5.0, inverse=ck.damped(0.1))
+    target = ck.hold(np.asarray(ck.pose(TWO, Q2).position[:2]) - 0.1, np.eye(3))
+    found = judge(made, target, 200, Q2)
+    assert found.kind == Behaviour.OUT_OF_REACH
+    assert "3 coordinates of an arm with 2 joints" in found.sentence and " m and " in found.sentence
+
+
+@pytest.mark.parametrize("limits", [ck.weighted_least_norm(), ck.saturation()], ids=["weighted", "saturation"])
+def test_stuck_at_a_limit(limits):
+    chain = ck.replace(TWO, lower=(-1.0, 1.0), upper=(0.5, 1.4))
+    goal = ck.hold(np.asarray(ck.pose(TWO, [1.2, 1.2]).position[:2]))
+    found = judge(ck.Law(chain, XY, alpha=3.0, inverse=ck.damped(0.1), limits=limits), goal, 120, Q2)
+    assert found.kind == Behaviour.AT_LIMIT, found.sentence
+    assert re.search(r"q\d(, q\d)? (is|are) at a limit", found.sentence)
+
+
+def test_a_path_too_fast_for_the_velocity_limits():
+    chain = ck.replace(FIVE, velocity_limit=(0.05,) * 5)
+    path = ck.line(TIP, TIP + 1.5 * INWARD, duration=1.0)
+    found = judge(ck.Law(chain, XY, alpha=5.0, limits=ck.velocity_scaling()), path, 100, Ts=0.01)
+    assert found.kind == Behaviour.AT_LIMIT and "velocity limits" in found.sentence
+
+
+def test_following_a_line():
+    """Without feed-forward the loop lags by v/alpha; with it, it follows."""
+    path = ck.line(TIP, TIP + 0.7 * INWARD, duration=2.0)
+    late = judge(law(5.0, feedforward=0.0), path, 200, Ts=0.01)
+    assert late.kind == Behaviour.LAGGING and late.error == pytest.approx(0.35 / 5, rel=0.02)
+    assert "0.2 s behind" in late.sentence and "feedforward=1" in late.remedy
+    assert judge(law(5.0), path, 200, Ts=0.01).kind == Behaviour.SETTLED
+
+
+def test_null_space_that_shakes():
+    made = law(5.0, null_velocity=lambda q: 25.0 * (Q5 + 0.05 - q))
+    found = judge(made, NEAR, 40)
+    assert found.kind in (Behaviour.SHAKING, Behaviour.DIVERGING)
+    assert found.remedy == "reduce the gain of the null-space velocity"
+
+
+def test_a_run_that_is_not_finite():
+    run = ck.solve(law(5.0), NEAR, Q5, Ts, 60)
+    broken = ck.replace(run, q=run.q.at[30:].set(jnp.nan), e=run.e.at[30:].set(jnp.nan))
+    found = verdict(law(5.0), NEAR, broken, Ts=Ts)
+    assert found.kind == Behaviour.DIVERGING and "step 30" in found.sentence and found.error == np.inf
+
+
+def test_float32_runs_are_judged_alike():
+    for z, kind in ((0.5, Behaviour.SETTLED), (1.9, Behaviour.RINGING), (0.05, Behaviour.CONVERGING)):
+        with jax.enable_x64(False):
+            assert judge(law(z / Ts), NEAR, 60).kind == kind
+
+
+URDF = """<robot name="three"><link name="base"/><link name="a"/><link name="b"/><link name="tip"/>
+  <joint name="turn" type="continuous"><parent link="base"/><child link="a"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 0 1"/></joint>
+  <joint name="lift" type="continuous"><parent link="a"/><child link="b"/>
+    <origin xyz="0.1 0 0"/><axis xyz="0 1 0"/></joint>
+  <joint name="bend" type="continuous"><parent link="b"/><child link="tip"/>
+    <origin xyz="0.4 0 0"/><axis xyz="0 1 0"/></joint>
+  <link name="tool"/><joint name="end" type="fixed"><parent link="tip"/><child link="tool"/>
+    <origin xyz="0.3 0 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(("alpha", "kinds"), [(5.0, "settled"), (19.0, "ringing"), (25.0, "diverging shaking")])
+def test_position_of_an_arm_from_a_file(alpha, kinds, tmp_path):
+    (tmp_path / "three.urdf").write_text(URDF, encoding="utf-8")
+    chain, q = ck.load_urdf(tmp_path / "three.urdf"), np.array([0.2, 0.4, 0.9])
+    made = ck.Law(chain, ck.position("xyz"), alpha=alpha)
+    target = ck.hold(np.asarray(ck.pose(chain, q).position) + np.array([0.02, 0.03, -0.02]))
+    found = judge(made, target, 40, q)
+    assert found.kind in kinds.split(), found.sentence
+
+
+def test_pose_in_the_plane():
+    at = ck.pose(FIVE, Q5)
+    target = ck.hold(TIP + np.array([-0.1, 0.1]), np.asarray(at.rotation))
+    found = judge(ck.Law(FIVE, ck.pose_task("xy", "z"), alpha=5.0), target, 60)
+    assert found.kind == Behaviour.SETTLED and " m and " in found.sentence and found.radius == pytest.approx(0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("alpha", "kinds"), [(5.0, "settled"), (25.0, "diverging shaking")])
+def test_pose_of_a_real_arm(alpha, kinds):
+    chain, q = ck.ur5(), np.array([0.1, -1.2, 1.5, -0.4, 1.2, 0.3])
+    at = ck.pose(chain, q)
+    made = ck.Law(chain, ck.pose_task(), alpha=alpha)
+    target = ck.hold(np.asarray(at.position) + np.array([0.05, 0.02, -0.05]), np.asarray(at.rotation))
+    with ck.hints(False):
+        found = judge(made, target, 40, q)
+    assert found.kind in kinds.split(), found.sentence
+
+
+def test_what_cannot_be_judged():
+    run = ck.solve(law(5.0), NEAR, Q5, Ts, 0)
+    with pytest.raises(ck.ArgumentError, match="`run` must be one run of at least one step"):
+        verdict(law(5.0), NEAR, run, Ts=Ts)
