@@ -182,7 +182,8 @@ def table(rows) -> str:
         loss = f"{r.loss:.5g}" if math.isfinite(r.loss) else "not finite"
         kept = "yes" if r.satisfied else "NO"
         cells = (r.case, r.gain, r.way, loss, kept, f"{r.radius:.3f}", r.evaluations)
-        lines.append((*cells, f"{r.seconds:.1f}", f"{r.again:.2f}"))
+        times = [f"{t:.{digits}f}" if math.isfinite(t) else "–" for t, digits in ((r.seconds, 1), (r.again, 2))]
+        lines.append((*cells, *times))
     return markdown(header, lines, left=3)
 
 

@@ -132,6 +132,7 @@ def test_float32_as_float64():
     np.testing.assert_allclose(run.q, found.after.run.q, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     arm, q0 = ck.planar_arm([1.0, 0.8, 0.6]), POSTURE
     at_q0 = ck.pose(arm, q0)
