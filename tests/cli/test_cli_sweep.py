@@ -144,7 +144,7 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
     def broken(view, layout):
         raise RuntimeError("no\npaint")
 
-    monkeypatch.setitem(sweeps._DRAW, "heat", broken)
+    monkeypatch.setitem(sweeps.KINDS, "heat", broken)
     code, out, err = left(["sweep", other, "--out", copy, "--export", "nc"], capsys)
     assert code == 1 and err.strip().splitlines()[-1] == (
         f"cnclik: Not drawn: heat_final_error (no paint); the data are kept, `cnclik plot {copy}` draws again."
