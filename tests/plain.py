@@ -26,6 +26,7 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     inside = [k for k in range(len(size)) if size[k] <= tolerance]
     outside = [k for k in range(len(size)) if size[k] > tolerance]
     out["steps_to_tolerance"] = inside[0] if inside else np.inf
+    out["evaluations_to_tolerance"] = out["steps_to_tolerance"] * float(run.evaluations) / steps
     settled = outside[-1] + 1 if outside else 0
     out["settling_time"] = t[settled] - t[0] if settled < len(size) else np.inf
     out["converged"] = float(size[-1] <= tolerance)
@@ -38,13 +39,18 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     out["path_length"] = norms(np.diff(q, axis=0)).sum()
     out["velocity_ratio"] = (np.abs(qdot) / velocity_limit).max()
     out["limit_distance"] = np.minimum(q - lower, upper - q).min()
+    out["past_limit"] = max(0.0, *(q - upper).ravel(), *(lower - q).ravel())
+    late = qdot[steps // 2 :]
+    pairs = zip(late[:-1].T, late[1:].T, strict=True)
+    back = [[min(abs(a), abs(b)) * (a * b < 0) for a, b in zip(u, v, strict=True)] for u, v in pairs]
+    out["chatter"] = np.sqrt(np.mean(np.sum(np.square(back), axis=0)))
     rows = [*law.task.linear, *(3 + i for i in law.task.angular)]
     jacobians = np.stack([np.asarray(ck.jacobian(law.chain, one))[rows] for one in q])
     out["least_singular_value"] = np.linalg.svd(jacobians, compute_uv=False).min()
     out["residual"], out["contraction"] = residual.max(), contraction.max()
     out["evaluations"] = float(run.evaluations)
     out["ok"] = int(np.sum(status == 0))
-    names = ["not_converged", "near_singular", "at_limit", "non_finite", "over_velocity", "growing", "task_too_large"]
-    for bit, name in zip(2 ** np.arange(7), names, strict=True):
-        out[name] = int(np.sum((status & bit) > 0))
+    for bit in ck.Status:
+        if bit:
+            out[bit.name.lower()] = int(np.sum((status & bit.value) > 0))
     return out

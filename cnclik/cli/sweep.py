@@ -57,11 +57,16 @@ def run(args: Args) -> None:
         print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
         return
     print(f"Done in {time.perf_counter() - begun:.1f} s: {out / store.DATA}")
-    finish(out, figures=args.figures, export=args.export)
+    finish(out, spec.figures if args.figures else None, export=args.export)
 
 
-def finish(out: pathlib.Path, *, figures=True, export=None) -> None:
-    """What follows from a finished store: summary, exports, and last the figures, which can be had again."""
+def finish(out: pathlib.Path, figures, *, export=None) -> None:
+    """What follows from a finished store: summary, exports, and last the figures, which can be had again.
+
+    Args:
+      figures: [[figure]] tables, () for good ones, None for no figures.
+      export: "nc", "csv" or None.
+    """
     from cnclik.cli.plot import draw
     from cnclik.show.output import output_folder
     from cnclik.sweeps import store, summary
@@ -74,8 +79,8 @@ def finish(out: pathlib.Path, *, figures=True, export=None) -> None:
             made.append(summary.export(data, folder, export))
     for path in made:
         print(f"Wrote {out / path.name}")
-    if figures:
-        draw(data, out)
+    if figures is not None:
+        draw(data, out, tables=figures)
 
 
 def _join(args) -> dict:

@@ -11,7 +11,7 @@ from cnclik.show.sweeps.layout import arrange, defaults, views
 
 __all__ = ["defaults", "figures"]
 
-_DRAW = {
+KINDS = {
     "heat": planes.heat,
     "best": planes.best,
     "slices": curves.slices,
@@ -40,7 +40,7 @@ def figures(data, tables=None, *, failed=None) -> dict:
             layout = arrange(data, table)
             name = table.get("name") or f"{layout.kind}_{layout.value}"
             for suffix, view in views(data, layout):
-                out[_unused(name + suffix, out)] = _DRAW[layout.kind](view, layout)
+                out[_unused(name + suffix, out)] = KINDS[layout.kind](view, layout)
         except Exception as error:
             if failed is None:
                 raise

@@ -146,7 +146,7 @@ def _choose_axes(kind, roles, axes, starts):
 
 def views(data, layout: Layout) -> list:
     """The parts of the data that are one figure each: [(suffix for the file's name, dataset)]."""
-    view = data[[n for n in dict.fromkeys((layout.value, "evaluations")) if n in data]]
+    view = data[list(dict.fromkeys((layout.value, "evaluations")))] if layout.kind == "work" else data[[layout.value]]
     for dim, wanted in layout.select.items():
         view = _selected(view, dim, wanted)
     if layout.reduced:
