@@ -1,5 +1,6 @@
 """Limits: the linear theory's largest stable z = alpha·Ts for every program of a spec, kept beside its data."""
 
+import jax
 import numpy as np
 
 from cnclik.law.inverse import Pseudoinverse
@@ -21,8 +22,9 @@ def linear_limit(spec, of: Grid) -> dict:
     """
     passes = [a for a in of.inner if a.name == "M"]
     counts = [{"M": m} for m in passes[0].values] if passes else [{}]
-    values = np.array([[_limit(spec, program, m) for m in counts] for program in of.programs])
-    values = values.reshape(*(len(a) for a in (*of.outer, *passes)))
+    with jax.enable_x64(True):
+        values = np.array([_limits(spec, program, counts) for program in of.programs])
+    values = values.reshape([len(a) for a in (*of.outer, *passes)])
     dims = [a.name for a in (*of.outer, *passes)]
     for i in reversed(range(len(dims))):
         first = np.take(values, [0], axis=i)
@@ -32,15 +34,17 @@ def linear_limit(spec, of: Grid) -> dict:
     return {} if np.all(np.isnan(values)) else {NAME: (tuple(dims), values, _ABOUT)}
 
 
-def _limit(spec, program, passes) -> float:
-    """The limit of one program, the same at the first and the last lane; NaN where linear theory has none."""
-    found = set()
-    for last in (False, True):
-        lane = program | spec.first(last=last) | passes
+def _limits(spec, program, counts) -> list:
+    """The limit of one program for each count of passes; NaN where linear theory has none, or lanes differ in it."""
+    lanes = [program | spec.first(last=last) for last in (False, True)]
+    for lane in lanes:
         law, _, _, Ts, *_ = spec.build(**lane)
         if not isinstance(law.inverse, Pseudoinverse) or np.ndim(law.alpha) != 0:
-            return np.nan
+            return [np.nan] * len(counts)
         if "z" in lane and not np.isclose(float(law.alpha) * float(Ts), float(lane["z"]), rtol=1e-6):
-            return np.nan
-        found.add(float(f"{spec.lookup(**lane)[1](NAME):.{_DIGITS}g}"))
-    return found.pop() if len(found) == 1 else np.nan
+            return [np.nan] * len(counts)
+    out = []
+    for passes in counts:
+        found = {float(f"{spec.lookup(**lane | passes)[1](NAME):.{_DIGITS}g}") for lane in lanes}
+        out.append(found.pop() if len(found) == 1 else np.nan)
+    return out

@@ -49,6 +49,7 @@ def test_it_is_over_the_axes_on_which_it_depends():
     assert dims == ("M",)
     np.testing.assert_allclose(values, [stability_limit(ck.IE, ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9)
     assert limit(axes={"method": ["EE"]})[0] == ()
+    assert limit(fixed={"method": "EE"}, drop=["method"]) == ((), 2.0)  # nothing is compiled in
     # Compiled in because N depends on it; the limit doesn't.
     assert limit(fixed={"N": "round(1/Ts)"})[0] == ("method",)
 
