@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-import sys
 from typing import Annotated, Literal
 
 import tyro
@@ -35,42 +34,19 @@ def run(args: Args) -> None:
 
 
 def draw(data, folder: pathlib.Path, *, tables=None, form="png") -> None:
-    """Draw and write the figures. One that can't be drawn costs nothing but itself: a line on stderr, exit code 1.
+    """Draw and write the figures; one that can't be drawn costs nothing but itself.
 
     Args:
       data: of a sweep.
       folder: where to put them.
       tables: as [[figure]] in a spec; by default those of the data's own spec.
       form: "png", "pdf" or "svg".
+
+    Raises: FigureError.
     """
-    from cnclik.show import style, sweeps
-    from cnclik.show.output import output_folder
+    from cnclik.show import output, sweeps
 
-    failed, written = [], []
-
-    def miss(name, error):
-        failed.append(f"{name} ({_reason(error)})")
-
-    with style.style(), output_folder(folder, name="folder") as new:
-        for name, figure in sweeps.figures(data, tables, failed=miss).items():
-            path = new / f"{name}.{form}"
-            try:
-                if form == "png":
-                    style.save(figure, path, {"Title": name, "Description": data.attrs.get("spec", "")})
-                else:
-                    figure.savefig(path)
-                written.append(path.name)
-            except Exception as error:  # some mistakes, as in a title's mathematics, show only here
-                miss(name, error)
-                path.unlink(missing_ok=True)
-    for name in written:
-        print(f"Wrote {folder / name}")
-    if failed:
-        what = ", ".join(failed)
-        print(f"cnclik: Not drawn: {what}; the data are kept, `cnclik plot {folder}` draws again.", file=sys.stderr)
-        sys.exit(1)
-
-
-def _reason(error) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 200 else text[:199] + "…"
+    about = {"Description": data.attrs.get("spec", "")}
+    made = {f"{name}.{form}": (make, {"Title": name} | about) for name, make in sweeps.drawings(data, tables).items()}
+    for file in output.draw(made, folder, name="folder", again=f"cnclik plot {folder}"):
+        print(f"Wrote {folder / file}")

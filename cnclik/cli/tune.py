@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -64,7 +63,8 @@ def run(args: Args) -> None:
     made, asked = _problem(args), _asked(args)
     from cnclik import tuning
     from cnclik.cli import progress
-    from cnclik.show.output import output_folder
+    from cnclik.show.output import draw, output_folder
+    from cnclik.show.tuning import drawings
 
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
@@ -83,12 +83,14 @@ def run(args: Args) -> None:
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-        (folder / "summary.md").write_text(tuning.page(found, made.name, seconds=seconds), encoding="utf-8")
-    drawn = _draw(found, made.name, args) if args.figures else ()
-    text = tuning.page(found, made.name, seconds=seconds, figures=drawn)
-    (args.out / "summary.md").write_text(text, encoding="utf-8")
+        drawn = drawings(found) if args.figures else {}
+        text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
+        (folder / "summary.md").write_text(text, encoding="utf-8")
     print(text.split("\n## Figures")[0])
-    written = ["tuned.json", "summary.md", *(f"{name}.png" for name in drawn)]
+    about = json.dumps(data["config"])
+    figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
+    with progress.bar("figures") as report:
+        written = ["tuned.json", "summary.md", *draw(figures, args.out, progress=report)]
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
 
 
@@ -155,25 +157,3 @@ def _config(args) -> dict:
     own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
     given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures")}
     return table(args) | {name.rstrip("_"): v for name, v in given.items()}
-
-
-def _draw(found, name, args) -> list:
-    """Names of the figures drawn. What was found is saved by now: a figure that fails is told, and ends the command."""
-    from cnclik import tuning
-    from cnclik.show import style
-    from cnclik.show import tuning as pictures
-    from cnclik.show.output import output_folder
-
-    about = json.dumps(tuning.plain(_config(args)))
-    try:
-        usable = found.status != "non-finite" and np.isfinite(found.after.run.q[-1]).all()
-        field, data = (tuning.radius_field(found), tuning.end_responses(found)) if usable else (None, None)
-        with output_folder(args.out) as folder, style.style():
-            drawn = pictures.pictures(found, field, data)
-            for part, figure in drawn.items():
-                style.save(figure, folder / f"{part}.png", {"Title": f"{name}: {part}", "Comment": about})
-    except Exception as error:
-        told = f"{type(error).__name__}: {error}".splitlines()[0]
-        print(f"cnclik: Figures could not be drawn ({told}); tuned.json and summary.md are kept.", file=sys.stderr)
-        sys.exit(1)
-    return list(drawn)

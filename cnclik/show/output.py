@@ -51,12 +51,13 @@ def output_folder(path, *, name="out"):
                 folder.rmdir()
 
 
-def draw(figures, path, *, progress=None) -> None:
-    """Draw figures in the project's style and save them in `path`, once the data lie there.
+def draw(figures, path, *, name="out", again="", progress=None) -> list:
+    """Draw figures in the project's style and save them in `path`, once the data lie there; names of those written.
 
     Args:
       figures: {file name: (function of no arguments that returns a Figure, what the file shall say of itself)}.
-      path: the folder.
+      path: the folder. name: what the user calls it.
+      again: the command that draws them again from the data, if there is one.
       progress: called as progress(done, total, note).
 
     Raises: FigureError at the end, naming the figures that could not be drawn; the others are there.
@@ -64,15 +65,22 @@ def draw(figures, path, *, progress=None) -> None:
     from cnclik.show import style
 
     failed = {}
-    with output_folder(path) as folder, style.style():
-        for done, (name, (make, about)) in enumerate(figures.items()):
+    with output_folder(path, name=name) as folder, style.style():
+        for done, (file, (make, about)) in enumerate(figures.items()):
             if progress is not None:
-                progress(done, len(figures), f"drawing {name}")
+                progress(done, len(figures), f"drawing {file}")
             try:
-                style.save(make(), folder / name, about)
-            except Exception as error:
-                failed[name] = error
+                style.save(make(), folder / file, about)
+            except Exception as error:  # some mistakes, as in a title's mathematics, show only when it is saved
+                (folder / file).unlink(missing_ok=True)
+                failed[file] = error
     if failed:
-        what = "; ".join(f"{name}: {type(error).__name__}: {error}" for name, error in failed.items())
-        first = next(iter(failed.values()))
-        raise FigureError(f"The data are in {path}, but some figures could not be drawn ({what}).") from first
+        what = ", ".join(f"{file} ({_reason(error)})" for file, error in failed.items())
+        again = f", `{again}` draws again" if again else ""
+        raise FigureError(f"Not drawn: {what}; the data are kept in {path}{again}.") from next(iter(failed.values()))
+    return list(figures)
+
+
+def _reason(error) -> str:
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return text if len(text) <= 200 else text[:199] + "…"

@@ -122,15 +122,14 @@ def _lines(panel, one, values, marker):
         panel.plot(one.time, values.sel(axis=name), label=name, **look)
 
 
-def pictures(tuned, field, data) -> dict:
-    """All figures by name.
+def drawings(tuned) -> dict:
+    """{name: function of no arguments that draws it}, for what the result allows; see `cnclik.show.output.draw`."""
+    from cnclik.tuning import end_responses, radius_field
 
-    Args: tuned: `Tuned`. field: of `radius_field`, or None. data: of `end_responses`, or None.
-    """
-    drawn = {"history": history(tuned)} if len(tuned.history["loss"]) else {}
-    drawn["error"] = error(tuned)
-    if field is not None:
-        drawn["operating"] = operating(field, tuned)
-    if data is not None:
-        drawn["responses"] = responses(data)
+    drawn = {"history": lambda: history(tuned)} if len(tuned.history["loss"]) else {}
+    drawn["error"] = lambda: error(tuned)
+    if tuned.status != "non-finite" and np.isfinite(np.asarray(tuned.after.run.q)[-1]).all():
+        drawn["operating"] = lambda: operating(radius_field(tuned), tuned)
+        if not tuned.conditions.delay:  # responses are of loops whose error is not late
+            drawn["responses"] = lambda: responses(end_responses(tuned))
     return drawn

@@ -147,7 +147,8 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
     monkeypatch.setitem(sweeps.KINDS, "heat", broken)
     code, out, err = left(["sweep", other, "--out", copy, "--export", "nc"], capsys)
     assert code == 1 and err.strip().splitlines()[-1] == (
-        f"cnclik: Not drawn: heat_final_error (no paint); the data are kept, `cnclik plot {copy}` draws again."
+        f"cnclik: Not drawn: heat_final_error.png (RuntimeError: no paint); the data are kept in {copy}, "
+        f"`cnclik plot {copy}` draws again."
     )
     assert {p.name for p in copy.iterdir()} == {"data.zarr", "data.nc", "summary.csv", "config.json", "at5.png"}
     assert "summary.csv" in out
@@ -156,7 +157,7 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
 def test_a_title_that_cannot_be_set_shows_when_it_is_written(other, copy, capsys):
     other.write_text(TEXT + FIGURES.replace('name = "at5"', 'name = "at5"\ntitle = "$\\\\frac$"'))
     code, out, err = left(["plot", copy, "--spec", other], capsys)
-    assert code == 1 and err.count("\n") == 1 and "Not drawn: at5 (" in err
+    assert code == 1 and err.count("\n") == 1 and "Not drawn: at5.png (" in err
     assert out.split() == ["Wrote", str(copy / "heat_final_error.png")] and not (copy / "at5.png").exists()
 
 

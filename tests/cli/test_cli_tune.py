@@ -51,7 +51,7 @@ def test_a_gain_that_pink_and_mink_take(tmp_path, monkeypatch, capsys):
     def broken(*_):
         raise RuntimeError("no such font")
 
-    monkeypatch.setattr(tuning, "pictures", broken)
+    monkeypatch.setattr(tuning, "drawings", lambda found: dict.fromkeys(("history", "error"), broken))
     with pytest.raises(SystemExit) as stopped:
         tuned(tmp_path, "--damping", 0.01)
     err = capsys.readouterr().err

@@ -68,7 +68,7 @@ def test_a_figure_that_fails_costs_only_itself(tmp_path):
 
     reports = []
     figures = {"a.png": (fail, {}), "b.png": (plt.figure, {"Title": "b"}), "c.pdf": (plt.figure, {"Title": "c"})}
-    with pytest.raises(FigureError, match=r"some figures could not be drawn \(a.png: ValueError: no\nink\)"):
+    with pytest.raises(FigureError, match=r"Not drawn: a.png \(ValueError: no ink\)"):
         draw(figures, tmp_path, progress=lambda *report: reports.append(report))
     assert files(tmp_path) == ["b.png", "c.pdf"]
     assert reports == [(k, 3, f"drawing {name}") for k, name in enumerate(figures)]

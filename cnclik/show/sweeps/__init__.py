@@ -4,12 +4,13 @@ Every kind works from the dataset alone. Dimensions that a figure doesn't name b
 figures of their own; samples of starts are summed up by their median.
 """
 
+import functools
 import json
 
 from cnclik.show.sweeps import curves, planes
 from cnclik.show.sweeps.layout import arrange, defaults, views
 
-__all__ = ["defaults", "figures"]
+__all__ = ["defaults", "drawings", "figures"]
 
 KINDS = {
     "heat": planes.heat,
@@ -21,15 +22,10 @@ KINDS = {
 }
 
 
-def figures(data, tables=None, *, failed=None) -> dict:
-    """The figures that the data's spec asks for, or `tables`, or good ones if none are asked for.
+def drawings(data, tables=None) -> dict:
+    """{name: function of no arguments that draws it} of the figures that `figures` makes.
 
-    Args:
-      data: dataset of a sweep.
-      tables: as [[figure]] in a spec.
-      failed: called with (name, error) for a figure that can't be drawn, in place of raising the error.
-
-    Returns: {name: matplotlib Figure}; draw inside `with style.style():`.
+    A table that can't be laid out is a function that raises: it costs the others nothing.
     """
     if tables is None:
         tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
@@ -40,12 +36,26 @@ def figures(data, tables=None, *, failed=None) -> dict:
             layout = arrange(data, table)
             name = table.get("name") or f"{layout.kind}_{layout.value}"
             for suffix, view in views(data, layout):
-                out[_unused(name + suffix, out)] = KINDS[layout.kind](view, layout)
+                out[_unused(name + suffix, out)] = functools.partial(KINDS[layout.kind], view, layout)
         except Exception as error:
-            if failed is None:
-                raise
-            failed(name, error)
+            out[_unused(name, out)] = functools.partial(_raise, error)
     return out
+
+
+def figures(data, tables=None) -> dict:
+    """The figures that the data's spec asks for, or `tables`, or good ones if none are asked for.
+
+    Args:
+      data: dataset of a sweep.
+      tables: as [[figure]] in a spec.
+
+    Returns: {name: matplotlib Figure}; draw inside `with style.style():`.
+    """
+    return {name: make() for name, make in drawings(data, tables).items()}
+
+
+def _raise(error):
+    raise error
 
 
 def _unused(name, taken):
