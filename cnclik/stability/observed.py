@@ -10,7 +10,7 @@ from cnclik.robot.posture import arm_length
 ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
 GROWN = 1.2  # ratio of the middle errors of two quarters from which on an error grows
 VISIBLE = 1e-4  # RMS joint step, in rad or m, below which nobody sees it
-FADING = 0.7  # ratio of the joint speeds of two quarters below which motion fades
+FADING = 0.3  # ratio of the joint speeds of two quarters below which motion fades
 OFTEN = 0.5  # share of the last quarter's steps with a status bit that counts
 
 
