@@ -10,7 +10,7 @@ from cnclik.robot.posture import arm_length
 ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
 GROWN = 1.2  # ratio of the middle errors of two quarters from which on an error grows
 VISIBLE = 1e-4  # RMS joint step, in rad or m, below which nobody sees it
-FADING = 0.7  # ratio of the joint speeds of two quarters below which motion fades
+FADING = 0.3  # ratio of the joint speeds of two quarters below which motion fades
 OFTEN = 0.5  # share of the last quarter's steps with a status bit that counts
 
 
@@ -23,7 +23,8 @@ class Observed(NamedTuple):
     floor: float  # an error no larger is rounding
     reversing: float  # share of the late joint speed that the next step takes back
     joint_speed: float  # largest late one
-    visible: bool  # whether the late joint steps can be seen, and don't fade
+    visible: bool  # whether the late joint steps can be seen
+    fades: bool  # whether they are much smaller than those of the quarter before
     swings: int  # how often the error changed its sense before it was small
     status: np.ndarray  # of the late steps
     bad: object  # first instant that is not finite, or None
@@ -78,7 +79,8 @@ def observe(law, run, Ts) -> Observed:
         floor=64 * eps * (1 + arm_length(law.chain)),
         reversing=back / speed if speed > 0 else 0.0,
         joint_speed=float(np.abs(qdot[-quarter:]).max()),
-        visible=bool(rms(steps[-quarter:]) > VISIBLE and not fades),
+        visible=rms(steps[-quarter:]) > VISIBLE,
+        fades=bool(fades),
         swings=int(np.sum(along[1:] * along[:-1] < 0)),
         status=np.asarray(run.status)[:bad][-quarter:],
         bad=bad,

@@ -34,23 +34,8 @@ def test_user_errors_are_one_line(arguments, line, capsys):
 def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
     import xarray as xr
 
-    main(
-        [
-            "stability",
-            "planar:1,1",
-            "--method",
-            "IE",
-            "--map",
-            "--cells",
-            "8",
-            "--Ts",
-            "0.1",
-            "--passes",
-            "2",
-            "--out",
-            str(tmp_path),
-        ]
-    )
+    small = ["--cells", "8", "--passes", "2", "--Ts", "0.1"]
+    main(["stability", "planar:1,1", "--method", "IE", "--map", *small, "--out", str(tmp_path)])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["map.nc", "map.png", "passes.nc", "passes.png"]
     with xr.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
         assert data.ending.dims == ("Ts", "alpha") and data.sizes == {"Ts": 8, "alpha": 8}

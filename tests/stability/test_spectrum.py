@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.stability import linear
-from cnclik.stability.recommend import margin, recommend
+from cnclik.stability.recommend import advise, margin, recommend
 from cnclik.stability.spectrum import settle, spectral_radius, spectrum
 
 ARM = ck.planar_arm([1.0] * 3)
