@@ -75,7 +75,7 @@ def test_a_joint_at_rest_is_drawn_at_rest(solved):
         (["solve", "panda", "--q0", "0", "nan", "0", "0", "0", "0", "0"], "must be finite"),
         (["solve", "panda", "--q0", "1"], "must have shape (7,)"),
         (["solve", "panda", "--alpha", "-1"], "at least 0"),
-        (["trouble", "--folder", "nowhere", "--out", "out"], "not there"),
+        (["solve", "panda", "--near-singular", "x"], "must be a number"),
     ],
 )
 def test_bad_input_is_one_line_and_2(argv, told, tmp_path, monkeypatch, capsys):
