@@ -40,6 +40,14 @@ def stable(ending):
     return (ending == Ending.CONVERGED) | (ending == Ending.SLOW)
 
 
+def classify(largest, least_before, largest_before, scale, tolerance, singular_first):
+    """The `Ending` of a loop from the largest error of its last quarter, and the least and largest of the one before."""
+    wrong = jnp.where(largest >= scale, Ending.DIVERGED, Ending.STALLED)
+    failed = jnp.where(singular_first, Ending.NEAR_SINGULAR, wrong)
+    slow = (largest < jnp.minimum(least_before, scale)) & (largest < STALL_RATIO * largest_before)
+    return jnp.where(largest <= tolerance * scale, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed))
+
+
 @record
 class Outcome:
     """What a loop did in N steps.
@@ -131,11 +139,8 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     )
     seen = one_function(loop)((law, reference, Ts, stage, tolerance, given), start, k)
     scale, largest = seen.scale, seen.largest
-    converged = largest <= tolerance * scale
-    wrong = jnp.where(largest >= scale, Ending.DIVERGED, Ending.STALLED)
-    failed = jnp.where(seen.singular_first, Ending.NEAR_SINGULAR, wrong)
-    slow = (largest < jnp.minimum(seen.least_before, scale)) & (largest < STALL_RATIO * seen.largest_before)
-    ending = jnp.where(converged, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed))
+    ending = classify(largest, seen.least_before, seen.largest_before, scale, tolerance, seen.singular_first)
+    converged = ending == Ending.CONVERGED
     steps = seen.last_above + 1
     return Outcome(
         ending=ending.astype(jnp.int8),

@@ -6,8 +6,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.measure import metrics
-from cnclik.measure.ending import CONVERGED, DIVERGED, NEAR_SINGULAR, SLOW, STALLED, ending
-from cnclik.measure.outcome import outcome
+from cnclik.measure.ending import ending
+from cnclik.measure.outcome import Ending, outcome
 
 ARM = ck.planar_arm([1.0, 1.0])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=1.0)
@@ -26,20 +26,20 @@ def test_it_agrees_with_outcome_over_z_and_starts():
 
     stored, stable, running = map(np.asarray, jax.jit(jax.vmap(both))(z, far))
     np.testing.assert_array_equal(stored, running)
-    np.testing.assert_array_equal(stable, running <= SLOW)
-    assert {CONVERGED, SLOW, DIVERGED} <= set(stored)
+    np.testing.assert_array_equal(stable, running <= Ending.SLOW)
+    assert {Ending.CONVERGED, Ending.SLOW, Ending.DIVERGED} <= set(stored)
 
 
 @pytest.mark.parametrize(
     "sizes, singular, code",
     [
-        (0.5 ** np.arange(41), [], CONVERGED),
-        (0.97 ** np.arange(41), [], SLOW),
-        (np.r_[1.0, np.full(40, 0.5)], [], STALLED),
-        (np.r_[1.0, np.full(40, 0.5)], [3], NEAR_SINGULAR),
-        (1.1 ** np.arange(41), [], DIVERGED),
-        (1.1 ** np.arange(41), [20], DIVERGED),  # it had grown before
-        (np.r_[np.ones(30), np.full(11, np.nan)], [], DIVERGED),
+        (0.5 ** np.arange(41), [], Ending.CONVERGED),
+        (0.97 ** np.arange(41), [], Ending.SLOW),
+        (np.r_[1.0, np.full(40, 0.5)], [], Ending.STALLED),
+        (np.r_[1.0, np.full(40, 0.5)], [3], Ending.NEAR_SINGULAR),
+        (1.1 ** np.arange(41), [], Ending.DIVERGED),
+        (1.1 ** np.arange(41), [20], Ending.DIVERGED),  # it had grown before
+        (np.r_[np.ones(30), np.full(11, np.nan)], [], Ending.DIVERGED),
         (np.zeros(41), [], np.nan),
     ],
 )
