@@ -41,7 +41,7 @@ def stable(ending):
 
 
 def classify(largest, least_before, largest_before, scale, tolerance, singular_first):
-    """The `Ending` of a loop from the largest error of its last quarter, and the least and largest of the one before."""
+    """The `Ending` of a loop from the largest error of its last quarter, and the extremes of the quarter before."""
     wrong = jnp.where(largest >= scale, Ending.DIVERGED, Ending.STALLED)
     failed = jnp.where(singular_first, Ending.NEAR_SINGULAR, wrong)
     slow = (largest < jnp.minimum(least_before, scale)) & (largest < STALL_RATIO * largest_before)
