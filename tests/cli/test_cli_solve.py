@@ -1,4 +1,4 @@
-"""`cnclik solve`, `robots` and `trouble` as a user meets them: files, figures, summary, and one line for bad input."""
+"""`cnclik solve` and `robots` as a user meets them: files, figures, summary, and one line for bad input."""
 
 import csv
 
@@ -75,7 +75,6 @@ def test_a_joint_at_rest_is_drawn_at_rest(solved):
         (["solve", "panda", "--q0", "0", "nan", "0", "0", "0", "0", "0"], "must be finite"),
         (["solve", "panda", "--q0", "1"], "must have shape (7,)"),
         (["solve", "panda", "--alpha", "-1"], "at least 0"),
-        (["trouble", "--folder", "nowhere", "--out", "out"], "not there"),
     ],
 )
 def test_bad_input_is_one_line_and_2(argv, told, tmp_path, monkeypatch, capsys):
