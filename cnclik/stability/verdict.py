@@ -142,11 +142,8 @@ class _Judge:
             return Behaviour.STALLED, f"the gain is 0, so errors stay; {self._error()}", "raise alpha"
         moving = self.speed * self.Ts > seen.floor
         restless = not (moving or seen.arrived or seen.shrinks) and self.radius > UNSTABLE
-        if (
-            seen.visible
-            and (seen.reversing > REVERSING or restless)
-            and (seen.arrived or not (seen.soars or seen.shrinks))
-        ):
+        lasting = not seen.fades if seen.arrived else not (seen.soars or seen.shrinks)
+        if seen.visible and lasting and (seen.reversing > REVERSING or restless):
             fast = f"joint velocities up to {seen.joint_speed:.3g} {self._unit()}/s go back and forth"
             if seen.arrived and self.null_radius > 1:
                 inside = f"in the null space of the task, where the spectral radius is {self.null_radius:.3g}"
