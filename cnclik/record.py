@@ -116,12 +116,18 @@ def record(cls=None, *, kw_only=True):
     return cls
 
 
+def in_words(value, digits=5) -> str:
+    """A number, vector or matrix as text, on one line."""
+    text = np.array2string(np.asarray(value), precision=digits, separator=", ", max_line_width=10**6)
+    return text.replace("\n", "")
+
+
 def brief(value) -> str:
     """A value in a few words: small arrays by their numbers, large ones and traced ones by dtype and shape."""
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         known = isinstance(value, (np.ndarray, np.generic, jax.Array)) and not isinstance(value, jax.core.Tracer)
         if known and value.size <= 9 and value.dtype.kind in "biuf":
-            return np.array2string(np.asarray(value), precision=5, separator=", ").replace("\n", "")
+            return in_words(value)
         return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
     if isinstance(value, (tuple, list)):
         shown = [brief(v) for v in value[:3]] + ([f"… {len(value)} in all"] if len(value) > 3 else [])

@@ -46,10 +46,10 @@ def run(args: Args) -> None:
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
     Console().print(_summary(made, trajectory, seconds))
     print(f"{told.sentence[0].upper()}{told.sentence[1:]}")
+    written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
     if args.figures:
         with progress.bar("figures") as report:
-            draw(_figures(data, made), args.out, progress=report)
-    written = ["trajectory.nc", *["trajectory.csv"] * args.csv, *_names() * args.figures]
+            written += draw(_figures(data, made), args.out, progress=report)
     print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
 
 
@@ -97,26 +97,18 @@ def _write_csv(path, data) -> None:
             )
 
 
-def _drawings():
+def _figures(data, made) -> dict:
     from cnclik.show import run as pictures
 
-    return {
-        "joints": lambda data, chain: pictures.joint_paths(data, chain),
-        "error": lambda data, chain: pictures.error(data),
-        "velocities": lambda data, chain: pictures.joint_velocities(data, chain),
-        "status": lambda data, chain: pictures.status(data),
+    chain = made.law.chain
+    drawn = {
+        "joints": lambda: pictures.joint_paths(data, chain),
+        "error": lambda: pictures.error(data),
+        "velocities": lambda: pictures.joint_velocities(data, chain),
+        "status": lambda: pictures.status(data),
     }
-
-
-def _names():
-    return [f"{name}.png" for name in _drawings()]
-
-
-def _figures(data, made):
-    def one(name, make):
-        return lambda: make(data, made.law.chain), {"Title": f"{made.name}: {name}", "Comment": data.attrs["config"]}
-
-    return {f"{name}.png": one(name, make) for name, make in _drawings().items()}
+    about = data.attrs["config"]
+    return {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
 
 
 def _summary(made, trajectory, seconds):

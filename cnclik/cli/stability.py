@@ -95,7 +95,7 @@ def _tell(args, advised):
     from rich.markup import escape
     from rich.table import Table
 
-    from cnclik.measure.files import in_words
+    from cnclik.record import in_words
 
     found, advice = advised
     gains, times, now, eigen = advice.gains, advice.times, advice.margin, advice.spectrum

@@ -1,6 +1,4 @@
-"""Files of results: one way to write a dataset, one way to write a Markdown table, one way to write a number."""
-
-import numpy as np
+"""Files of results: one way to write a dataset, one way to write a Markdown table."""
 
 
 def save_netcdf(data, path) -> None:
@@ -15,8 +13,3 @@ def markdown(header, rows, *, left=1) -> str:
     header, *rows = ([str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows))
     rule = ["---" if i < left else "---:" for i in range(len(header))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (header, rule, *rows))
-
-
-def in_words(value) -> str:
-    """A number, vector or matrix as text, five digits, on one line."""
-    return np.array2string(np.asarray(value), precision=5, separator=", ", max_line_width=10**6).replace("\n", "")

@@ -8,9 +8,8 @@ from cnclik import errors
 from cnclik.integrate.method import EE, Method
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
-from cnclik.measure.files import in_words
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.stability.linear import EPS, first_above, least_on, named
 from cnclik.stability.spectrum import (

@@ -4,6 +4,7 @@ import numpy as np
 
 from cnclik.integrate.method import EE
 from cnclik.law import inverse as inverses
+from cnclik.record import in_words
 from cnclik.stability.linear import amplification
 
 DAMPED_EXCESS = (
@@ -23,10 +24,10 @@ def controller_lines(tuned) -> dict:
 def _rate_line(tuned) -> str:
     law, alpha = tuned.law, np.asarray(tuned.law.alpha)
     name, formula, _ = _inverse(law.inverse)
-    product = f"{_digits(alpha)} {'*' if alpha.ndim < 2 else '@'} e"
+    product = f"{in_words(alpha, 6)} {'*' if alpha.ndim < 2 else '@'} e"
     when = f"alpha [1/s], every Ts = {tuned.Ts:.6g} s"
     if tuned.schedule is not None:
-        when += f"; alpha scaled to {_digits(tuned.schedule)} 1/s at {len(tuned.schedule)} even instants"
+        when += f"; alpha scaled to {in_words(tuned.schedule, 6)} 1/s at {len(tuned.schedule)} even instants"
     if tuned.method.name == EE.name:
         null = "" if law.null_velocity is None else f" + (I - {name} @ J) @ qdot_0"
         return f"qdot = {name} @ ({_feedforward(law)}{product}){null}  # {when}; {formula}"
@@ -56,10 +57,6 @@ def _pink_mink_line(tuned) -> str:
     if float(tuned.law.feedforward):
         line += "; no feed-forward there"
     return line
-
-
-def _digits(values):
-    return np.array2string(np.asarray(values), precision=6, separator=", ").replace("\n", "")
 
 
 def _inverse(inverse):

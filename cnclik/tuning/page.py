@@ -2,7 +2,8 @@
 
 import math
 
-from cnclik.measure.files import in_words, markdown
+from cnclik.measure.files import markdown
+from cnclik.record import in_words
 from cnclik.tuning.controller import controller_lines
 from cnclik.tuning.result import kept_in_words, with_unit
 

@@ -7,8 +7,7 @@ import jax
 import numpy as np
 
 from cnclik.integrate.trajectory import Trajectory, truncate
-from cnclik.measure.files import in_words
-from cnclik.record import record
+from cnclik.record import in_words, record
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions
 from cnclik.tuning.controller import controller_lines

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cnclik.measure import in_words, markdown, save_netcdf
+from cnclik.measure import markdown, save_netcdf
+from cnclik.record import in_words
 
 
 def test_markdown_escapes_what_would_end_a_cell():
