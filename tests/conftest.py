@@ -4,14 +4,20 @@ Programs are compiled once for all workers, and for the next run: in JAX's persi
 content, compiler and flags.
 """
 
+import importlib.metadata
 import os
+import pathlib
 import tempfile
 
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# One thread per xdist worker, as several share few cores; and programs that run once are ready sooner less optimised.
-# CI runs a part of the suite without the second.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0")
+# One thread per xdist worker, as several share few cores; and programs that run once are ready sooner less optimised,
+# with XLA's older emitters where it still has them. CI runs a part of the suite with the defaults.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0"
+    + " --xla_cpu_use_fusion_emitters=false" * importlib.metadata.version("jaxlib").startswith("0.10."),
+)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
@@ -21,11 +27,21 @@ import jax
 import pytest
 
 jax.config.update("jax_enable_x64", True)
+MOST_MEMORY = 2 << 30
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _forget_programs():
-    """A module's programs are of no use to the next: without this a worker keeps gigabytes of them."""
+    """A module's big programs are of no use to the next: without this a worker keeps gigabytes of them."""
     yield
-    jax.clear_caches()
-    gc.collect()
+    if _memory() > MOST_MEMORY:
+        jax.clear_caches()
+        gc.collect()
+
+
+def _memory():
+    """Bytes that this process holds; infinite where the system doesn't tell."""
+    try:
+        return int(pathlib.Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError):
+        return float("inf")

@@ -8,7 +8,6 @@ import pathlib
 import re
 import shlex
 import shutil
-import tomllib
 
 import jax
 import pytest
@@ -26,9 +25,28 @@ FEWER = {
     "tune": ["--N", "10", "--steps", "6"],
     "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
 }
-SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints
+SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 NEEDS_OTHER_MACHINES = ("srun", "ssh", "--distributed")
+# In the place of every spec: what the pages read from sweeps/plane.toml is in it.
+SPEC = """
+question = "Which?"
+expectation = "That one."
+metrics = ["mean_error", "max_error"]
+[fixed]
+task = "xy"
+N = 8
+[axes]
+method = ["EE", "CN"]
+alpha = [2.0, 5.0]
+Ts = [0.05, 0.1]
+[cases.track2]
+robot = "planar-clockwise:1,1"
+q0 = [0, "pi/2"]
+reference = "line"
+from = [1, 1]
+to = [0, 1]
+"""
 
 
 def parts(page):
@@ -56,47 +74,43 @@ def commands(text):
 def fewer(argv):
     """The same command with less to do."""
     verb, *rest = argv
-    if verb in ("stability", "tune") and "--q0" not in rest:
+    if verb == "bench":
+        return [verb, *FEWER[verb], *(["--json"] if "--json" in rest else [])]
+    if verb in ("solve", "stability", "tune") and not set(rest) & {"--q0", "--target", "--limits"}:
         rest = [SMALL if word in ("panda", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
-    if verb == "sweep" and "--check" not in rest:
-        spec = tomllib.loads(next(ROOT / w for w in rest if w.endswith(".toml")).read_text(encoding="utf-8"))
-        for name, axis in spec.get("axes", {}).items():
-            if isinstance(axis, dict):
-                kind = next(iter(axis))
-                count = 2 if kind == "samples" else [*axis[kind][:2], 2] if len(axis[kind]) == 3 else axis[kind][:1] * 2
-                less = ", ".join(f"{k} = {count if k == kind else v!r}" for k, v in axis.items())
-                rest += ["--set", f"axes.{name}={{ {less} }}"]
-        rest = ["--set", "N=8", *rest] if isinstance(spec.get("fixed", {}).get("N"), int) else rest
-    if verb == "bench" and "--help" not in rest:
-        return [verb, *FEWER[verb], *(["--json"] if "--json" in rest else [])]
     return [verb, *rest, *FEWER.get(verb, [])]
 
 
-def prepare(folder):
+def prepare(folder, less):
     """What the pages speak of: robots' files, specs, waypoints."""
     for name, file in (("panda.urdf", "panda"), ("robot.urdf", "ur5")):
         shutil.copy(robot_file(file), folder / name)
     shutil.copytree(ROOT / "sweeps", folder / "sweeps")
+    for spec in folder.glob("sweeps/*.toml") if less else ():
+        spec.write_text(SPEC, encoding="utf-8")
     rows = ("time,x,y,z,qw,qx,qy,qz", "0,0.4,0.0,0.4,0,1,0,0", "2,0.45,0.1,0.4,0,1,0,0", "4,0.4,0.0,0.4,0,1,0,0")
     (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 def read_aloud(page, folder, less):
     """Run a page from its top to its end, as a reader would who types all of it into one shell and one Python."""
-    prepare(folder)
-    names = {"__name__": "page"}
+    prepare(folder, less)
+    names, done = {"__name__": "page"}, []
     for kind, text in parts(page):
         if kind == "python":
+            code = text.replace("1_000_000", "1_000") if less else text
             with jax.enable_x64(False):  # Python users get float32
-                exec(compile(text, f"{page.name}", "exec"), names)
+                exec(compile(code, page.name, "exec"), names)
             continue
         argv = shlex.split(text)[1:]
-        if argv[0] in ELSEWHERE or argv[0].isupper():
+        argv = fewer(argv) if less else argv
+        if argv[0] in ELSEWHERE or any(word.isupper() and word.isalpha() for word in argv[:2]) or argv in done:
             continue
+        done.append(argv)
         try:
-            main(fewer(argv) if less else argv)
+            main(argv)
         except SystemExit as left:
             assert not left.code, f"{text} ended with {left.code}"
 

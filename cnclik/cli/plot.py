@@ -48,5 +48,12 @@ def draw(data, folder: pathlib.Path, *, tables=None, form="png") -> None:
 
     about = {"Description": data.attrs.get("spec", "")}
     made = {f"{name}.{form}": (make, {"Title": name} | about) for name, make in sweeps.drawings(data, tables).items()}
-    for file in output.draw(made, folder, name="folder", again=f"cnclik plot {folder}"):
-        print(f"Wrote {folder / file}")
+    written = []
+    try:
+        written = output.draw(made, folder, name="folder", again=f"cnclik plot {folder}")
+    except output.FigureError as error:
+        written = error.written
+        raise
+    finally:
+        for file in written:
+            print(f"Wrote {folder / file}")

@@ -12,7 +12,14 @@ _PARTIAL = ".partial-"
 
 
 class FigureError(RuntimeError):
-    """Figures that could not be drawn, after all else was written; the message is one line fit for a terminal."""
+    """Figures that could not be drawn, after all else was written; the message is one line fit for a terminal.
+
+    Attributes: written: names of those that could.
+    """
+
+    def __init__(self, message, written=()):
+        super().__init__(message)
+        self.written = list(written)
 
 
 @contextlib.contextmanager
@@ -77,7 +84,8 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
     if failed:
         what = ", ".join(f"{file} ({_reason(error)})" for file, error in failed.items())
         again = f", `{again}` draws again" if again else ""
-        raise FigureError(f"Not drawn: {what}; the data are kept in {path}{again}.") from next(iter(failed.values()))
+        message = f"Not drawn: {what}; the data are kept in {path}{again}."
+        raise FigureError(message, [f for f in figures if f not in failed]) from next(iter(failed.values()))
     return list(figures)
 
 

@@ -108,6 +108,7 @@ def test_vmap_over_everything_at_once():
         close(many.t[i], Ts[i] * np.arange(N + 1), atol=1e-15)
 
 
+@pytest.mark.slow
 def test_compositions_agree():
     """jit, vmap, jvp, grad and their compositions give the one derivative."""
     final = lambda alpha: jnp.sum(run(alpha=alpha).e[-1] ** 2)  # noqa: E731

@@ -58,7 +58,7 @@ def test_names_and_units():
 
 
 def test_task_coordinates_are_position_and_rotation_vector():
-    law = ck.Law(ARM, ck.pose_task(), alpha=1.0)
+    law = ck.Law(ARM, ck.pose_task(), alpha=1.0, inverse=ck.damped(0.1))  # six coordinates of four joints
     run = ck.solve(law, ck.hold(ck.pose(ARM, Q)), Q, 0.1, 1)
     at = ck.pose(ARM, Q)
     wanted = np.concatenate([at.position, Rotation.from_matrix(at.rotation).as_rotvec()])

@@ -170,7 +170,7 @@ def test_a_figure_that_fails_costs_no_data(capsys, tmp_path, monkeypatch, result
     written = {p.name for p in tmp_path.iterdir()}
     assert written == (DATA | {"b.png"} if code == 1 else DATA)
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and (code != 1 or "a.png: RuntimeError: no ink" in err)
+    assert err.count("\n") == 1 and (code != 1 or "a.png (RuntimeError: no ink)" in err)
 
 
 def test_from_python_without_a_folder(monkeypatch, results):
