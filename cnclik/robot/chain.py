@@ -64,7 +64,9 @@ class Chain:
             unit = "rad" if turning.get(i, True) else "m"
             low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
             kind = REVOLUTE if unit == "rad" else PRISMATIC
-            lines.append(f"  {name}: {kind}, {low:.5g} to {high:.5g} {unit}, up to {speed:.5g} {unit}/s")
+            room = f"{low:.5g} to {high:.5g} {unit}" if math.isfinite(low) or math.isfinite(high) else "no limits"
+            fast = f", up to {speed:.5g} {unit}/s" if math.isfinite(speed) else ""
+            lines.append(f"  {name}: {kind}, {room}{fast}")
         return "\n".join(lines)
 
 
