@@ -39,10 +39,25 @@ def decided(trajectories):
     return trajectories.spread < claims.UNDETERMINED
 
 
+@pytest.mark.parametrize(
+    "arm, case, method",
+    [("2dof", "reach", "EE"), ("2dof", "track", "CN"), ("2dof", "track", "IE"), ("5dof", "track", "EE")],
+)
+def test_a_run_by_itself_is_the_committed_one(arm, case, method, results):
+    run = paper.experiment(arm, case, method)
+    at = {"arm": arm, "case": case, "method": method, "reading": READING}
+    committed = results.trajectories.sel(at)
+    for name in ("e", "status"):
+        np.testing.assert_allclose(getattr(run, name), committed[name], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(run.q, committed.q[:, : run.q.shape[1]], rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.slow
 def test_writes_everything_and_nothing_else(fresh):
     assert {p.name for p in fresh.iterdir()} == {*FIGURES, *DATA} == {p.name for p in COMMITTED.iterdir()}
 
 
+@pytest.mark.slow
 def test_committed_data_are_what_the_code_gives(ours, results):
     mask = decided(ours.trajectories)
     xr.testing.assert_equal(mask, decided(results.trajectories))
@@ -59,6 +74,7 @@ def test_committed_data_are_what_the_code_gives(ours, results):
             np.testing.assert_allclose(a, b, rtol=1e-2 if loose else 1e-7, atol=1e-9, err_msg=f"{name}.{variable}")
 
 
+@pytest.mark.slow
 def test_committed_verdicts_are_what_the_code_gives(fresh):
     ours, theirs = (json.loads((folder / "claims.json").read_text()) for folder in (fresh, COMMITTED))
     assert [(r["arm"], r["case"], r["reading"], r["holds"]) for r in ours["rows"]] == [
@@ -85,6 +101,7 @@ def test_sentences_follow_from_the_data(results):
     assert "EE and IE do not stray to opposite sides" in text
 
 
+@pytest.mark.slow
 def test_figures_say_what_they_were_drawn_from(fresh, ours, results):
     """Each PNG carries the fingerprint of its data; the committed data are checked against fresh ones above."""
     for folder, data in ((COMMITTED, results), (fresh, ours)):
