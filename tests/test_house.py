@@ -102,13 +102,6 @@ def test_no_rule_of_the_linter_is_switched_off_by_hand():
     assert not [str(p) for p in files() if "noqa: E731" in p.read_text(encoding="utf-8")]
 
 
-def test_importing_cnclik_loads_only_jax_and_numpy():
-    heavy = ("matplotlib", "xarray", "zarr", "optax", "rich", "tyro", "h5netcdf", "yourdfpy", "lxml")
-    code = f"import sys, cnclik; print([m for m in {heavy} if m in sys.modules])"
-    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=PACKAGE.parent)
-    assert made.stdout.strip() == "[]"
-
-
 def test_every_public_name_is_there():
     import cnclik
 
