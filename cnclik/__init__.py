@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from cnclik.errors import ArgumentError
-from cnclik.hints import use_hints
+from cnclik.hints import use_form, use_hints
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
 from cnclik.integrate.solve import Step, solve, step

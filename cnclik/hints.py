@@ -10,18 +10,41 @@ import functools
 import os
 
 import jax
+import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
 from cnclik.record import combine, partition
 
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
+_form = jax.make_user_context(default_value=None)
 KEPT_PROGRAMS = 512  # compiled or traced programs that a cache of this library keeps; the least recently used one goes
 
 
 def use_hints(on: bool):
     """Context manager: turn every compiler hint and option of cnclik on or off. Part of JAX's cache keys."""
     return _context(bool(on))
+
+
+def use_form(form):
+    """Context manager: the form of programs made inside, "rolled" (sooner ready) or "unrolled" (quicker), or None.
+
+    None leaves it to the library, which knows how much a call will do, see `cnclik.robot.rolled`; inside a jit, grad
+    or vmap of your own it does not, and unrolls. Both forms give the same numbers, to rounding.
+    """
+    from cnclik.errors import one_of
+
+    return _form(form if form is None else one_of("form", form, ("rolled", "unrolled")))
+
+
+def form():
+    """The form asked for by `use_form`."""
+    return _form.value
+
+
+def in_a_kernel() -> bool:
+    """Whether what is traced becomes one GPU kernel."""
+    return _lanes.value < 0
 
 
 def hints_on() -> bool:
@@ -52,7 +75,7 @@ def on_cpu() -> bool:
 def opaque(fn):
     """Fence a stage in component form: `fn` maps trees of scalars to trees of scalars.
 
-    Literals among the arguments and results stay literals across the fence.
+    Literals among the arguments and results stay literals across the fence. Arrays, of the rolled form, pass unfenced.
     """
 
     @functools.lru_cache(maxsize=KEPT_PROGRAMS)
@@ -77,7 +100,7 @@ def opaque(fn):
         if not hints_on():
             return fn(*args)
         arrays, literals = partition(args)
-        return fenced(literals)(arrays) if arrays else fn(*args)
+        return fn(*args) if not arrays or any(np.ndim(a) for a in arrays) else fenced(literals)(arrays)
 
     stage.cache_info = fenced.cache_info
     return stage

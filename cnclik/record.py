@@ -171,6 +171,40 @@ def placed(rec):
     return made
 
 
+def cast(tree, dtype):
+    """The tree with every floating leaf in one dtype, so that a loop's types can't drift."""
+
+    def one(leaf):
+        leaf = jax.numpy.asarray(leaf)
+        return leaf.astype(dtype) if jax.numpy.issubdtype(leaf.dtype, np.floating) else leaf
+
+    return jax.tree.map(one, tree)
+
+
+def kept(rec, name, make):
+    """make(rec), made once for a record of numbers: a record never changes."""
+    made = rec.__dict__.get(name)
+    if made is None:
+        made = make(rec)
+        if not any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(rec)):
+            object.__setattr__(rec, name, made)
+    return made
+
+
+def mapped(tree, kind, fn):
+    """The tree of records and tuples with fn(r) in the place of every record r of a kind."""
+    if isinstance(tree, kind):
+        return fn(tree)
+    if type(tree) is tuple:
+        return tuple(mapped(v, kind, fn) for v in tree)
+    if not dataclasses.is_dataclass(tree) or isinstance(tree, type):
+        return tree
+    made = object.__new__(type(tree))  # no __init__: its checks are for what the user gives
+    for f in dataclasses.fields(tree):
+        object.__setattr__(made, f.name, mapped(getattr(tree, f.name), kind, fn))
+    return made
+
+
 def stack(records):
     """Records of one build as one whose arrays have a leading lane axis, for `jax.vmap` and `lanes`.
 

@@ -26,6 +26,8 @@ import gc
 import jax
 import pytest
 
+from cnclik.hints import use_form
+
 jax.config.update("jax_enable_x64", True)
 MOST_MEMORY = 2 << 30
 
@@ -66,6 +68,14 @@ def pytest_collection_modifyitems(items):
     items.sort(
         key=lambda item: item.path.name != "test_docs.py"
     )  # the longest file first: no worker waits for it alone
+
+
+@pytest.fixture(autouse=True)
+def _form(request):
+    """Programs in the rolled form, which are soon ready, but where a test's module or mark says otherwise."""
+    mark = request.node.get_closest_marker("form")
+    with use_form(mark.args[0] if mark else "rolled"):
+        yield
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -19,21 +19,23 @@ from cnclik.hints import alone, few_lanes, keeps_history, one_function
 from cnclik.integrate.method import EE, METHODS, Method
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags, growing
-from cnclik.integrate.trajectory import Trajectory, assemble
+from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.law import Law, evaluate
 from cnclik.law.reference import Reference, check
-from cnclik.record import placed, record, replace
+from cnclik.record import cast, placed, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.robot.rolled import RolledChain, in_form
 
 SHORT = 200  # steps up to which the trajectory is put together in the same native function as the loop
 
 
 @record
 class Step:
-    """One step of the loop: q after it, and e before it. Fields as in `Trajectory`, without the time axis."""
+    """One step of the loop: q after it, x and e before it. Fields as in `Trajectory`, without the time axis."""
 
     q: jax.Array
+    x: jax.Array
     e: jax.Array
     qdot: jax.Array
     residual: jax.Array
@@ -66,7 +68,7 @@ def march(field, q, Ts, method: Method, stage) -> Moved:
             slopes.append(first.qdot if c == 0 and not any(row) else field(c, base).qdot)
             continue
         h = sp.mul(row[i], Ts)
-        ahead = _combine(tuple(w / row[i] for w in row[:i]), slopes) if any(row[:i]) else (0.0,) * len(q)
+        ahead = sp.combine([w / row[i] for w in row[:i]], slopes) if any(row[:i]) else sp.each(lambda _: 0.0, q)
 
         def g(k, c=c, base=base, h=h):
             return field(c, _move(base, h, (1.0,), (k,)))
@@ -75,7 +77,7 @@ def march(field, q, Ts, method: Method, stage) -> Moved:
         slopes.append(solved.slope)
         residual = jnp.maximum(residual, solved.residual)
         contraction = jnp.maximum(contraction, solved.contraction)
-    qdot = _combine(method.b, slopes)
+    qdot = sp.combine(method.b, slopes)
     moved = _move(q, Ts, (1.0,), (qdot,))
     return Moved(q=moved, qdot=qdot, first=first, residual=residual, contraction=contraction)
 
@@ -90,6 +92,7 @@ def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     return Step(
         q=made.q,
+        x=sp.each(lambda x: jnp.asarray(x, made.residual.dtype), made.first.x()),  # z of a planar arm is a number
         e=made.first.e,
         qdot=made.qdot,
         residual=made.residual,
@@ -98,15 +101,9 @@ def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
     )
 
 
-def _combine(weights, slopes):
-    return tuple(sp.dot(weights, components) for components in zip(*slopes, strict=True))
-
-
 def _move(q, h, weights, slopes):
     """q + h Σ wᵢ kᵢ."""
-    if not any(weights):
-        return q
-    return tuple(a + sp.mul(h, v) for a, v in zip(q, _combine(weights, slopes), strict=True))
+    return sp.vadd(q, sp.scale(h, sp.combine(weights, slopes))) if any(weights) else q
 
 
 def evaluations_per_step(method: Method, stage, n: int) -> object:
@@ -154,11 +151,11 @@ def solve(
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
     # Called with numbers, no vmap is around this loop: it may become one native function.
-    known = placed(law), placed(reference), placed(stage)
-    if None in known or not all(map(errors.concrete, (q0, Ts, t0))):
+    if not all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q0, Ts, t0)))):
         Ts, t0 = _number(Ts, q0.dtype), _number(t0, q0.dtype)
         return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
-    law, reference, stage = known
+    law, _ = in_form(law, q0, N * evaluations_per_step(method, stage, law.chain.n))
+    law, reference, stage = placed(law), placed(reference), placed(stage)
     with few_lanes(1):
         return _solve(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
 
@@ -182,6 +179,8 @@ def step(
     q, method = check_arguments(law, reference, q, Ts, method, stage, name="q")
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
+    if all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts)))):
+        law, _ = in_form(law, q, evaluations_per_step(method, stage, law.chain.n))
     return _step(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
 
 
@@ -240,38 +239,28 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def cast(tree, dtype):
-    """The tree with every floating leaf in one dtype, so that a loop's types can't drift."""
-
-    def one(leaf):
-        leaf = jnp.asarray(leaf)
-        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    return jax.tree.map(one, tree)
-
-
 @functools.partial(jax.jit, static_argnames=("N", "method"))
 def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     check(reference, law.task)  # shapes only: once, while tracing
     # Alone, the trajectory is put together in the loop's own function; else what nobody asks for shall vanish.
-    short = alone() and 0 < N <= SHORT
+    small = not isinstance(law.chain, RolledChain)
+    short = alone() and 0 < N <= SHORT and small
 
     def loop(law, reference, q0, Ts, t0, stage, k):
         def one(q, k):
-            made = advance(law, reference, q, t0 + k * Ts, Ts, method, stage)
-            return made.q, (q, made.e, made.qdot, made.residual, made.contraction, made.status)
+            made = advance(law, reference, q, t0 + k * Ts, jnp.where(k < N, Ts, 0.0), method, stage)
+            return made.q, replace(made, q=q)
 
-        q, steps = lax.scan(jax.checkpoint(one, prevent_cse=False), tuple(q0), k[:-1])
-        return q, evaluate(law, reference, t0 + k[-1] * Ts, q).e, steps
+        return instants(jax.checkpoint(one, prevent_cse=False), q0, k, q0, law.task.m)
 
     def whole(law, reference, q0, Ts, t0, stage):
+        law, start = in_form(law, q0)
         law, reference = cast((law, reference), q0.dtype)
         Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
         k = jnp.arange(N + 1).astype(q0.dtype)
-        run = loop if short or N == 0 else one_function(loop)
-        q, e, steps = run(law, reference, q0, Ts, t0, stage, k)
-        evaluations = N * evaluations_per_step(method, stage, law.chain.n)
-        run = assemble(law, t0 + k * Ts, steps, q, e, evaluations)
+        run = loop if short or N == 0 or not small else one_function(loop)
+        steps = run(law, reference, start, Ts, t0, stage, k)
+        run = assemble(t0 + k * Ts, steps, N * evaluations_per_step(method, stage, law.chain.n))
         if not keeps_history():
             return run
         return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
@@ -283,13 +272,7 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
 @functools.partial(jax.jit, static_argnames=("method",))
 def _step(law, reference, q, t, Ts, stage, *, method):
     check(reference, law.task)
+    law, start = in_form(law, q)
     law, reference = cast((law, reference), q.dtype)
-    made = advance(law, reference, tuple(q), jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
-    return Step(
-        q=jnp.stack(made.q),
-        e=jnp.stack(made.e),
-        qdot=jnp.stack(made.qdot),
-        residual=made.residual,
-        contraction=made.contraction,
-        status=made.status,
-    )
+    made = advance(law, reference, start, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
+    return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")})

@@ -113,7 +113,7 @@ def _iterate(stage, improve, start, h) -> Solved:
             return (new, moved, change), None
         # Lanes that have had their M passes keep what they have; the shape stays that of `maximum`.
         live = i < stage.M
-        new = tuple(jnp.where(live, a, b) for a, b in zip(new, slope, strict=True))
+        new = sp.each(lambda a, b: jnp.where(live, a, b), new, slope)
         return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
 
     passes = stage.M if sp.is_number(stage.M) else stage.maximum
@@ -140,9 +140,11 @@ def _predict(first, h, ahead):
 
 
 def _matrix(linear, like):
-    """Rows of a linear map of tuples, its columns pushed side by side."""
+    """Rows of a linear map of vectors over the joints, its columns pushed side by side."""
     n = len(like)
     basis = jnp.eye(n, dtype=jnp.result_type(like[0]))
+    if not sp.unrolled(like):
+        return jax.vmap(linear, out_axes=1)(basis)
     columns = jax.vmap(linear)(tuple(basis[i] for i in range(n)))
     return tuple(tuple(column[j] for j in range(n)) for column in columns)
 

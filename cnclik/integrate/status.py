@@ -5,6 +5,7 @@ import enum
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.law.limits import unlimited
 from cnclik.law.reference import motion
 from cnclik.robot import spatial as sp
 
@@ -71,22 +72,18 @@ def require_ok(trajectory, *, allow=Status.OK):
 def flags(law, q, qdot, e, residual, tolerance, first):
     """Status bits of one step in component form; `first` is the law's evaluation at its start."""
     chain = law.chain
-    finite = jnp.isfinite(sum(q[1:], q[0]) + sum(e[1:], e[0]))
+    finite = jnp.isfinite(sp.total(q) + sp.total(e))
     status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
     status |= jnp.where(first.least < law.near_singular, int(Status.NEAR_SINGULAR), 0)
-    outside = [
-        (value <= low) | (value >= high)
-        for value, low, high in zip(q, chain.lower, chain.upper, strict=True)
-        if np.isfinite(low) or np.isfinite(high)
-    ]
-    if first.held is not False:
-        outside.append(first.held)
-    for one in outside:
-        status |= jnp.where(one, int(Status.AT_LIMIT), 0)
-    rounding = 64 * jnp.finfo(q[0].dtype).eps
-    for value, most in zip(qdot, chain.velocity_limit, strict=True):
-        if np.isfinite(most):
-            status |= jnp.where(jnp.abs(value) > most * (1 + rounding), int(Status.OVER_VELOCITY), 0)
+    rounding = 64 * jnp.finfo(residual.dtype).eps
+    outside, fast = first.held, False
+    if not unlimited(chain.lower, chain.upper):
+        outside |= sp.some(sp.each(lambda v, low, high: (v <= low) | (v >= high), q, chain.lower, chain.upper))
+    if not unlimited(chain.velocity_limit):
+        fast = sp.some(sp.each(lambda v, most: jnp.abs(v) > most * (1 + rounding), qdot, chain.velocity_limit))
+    for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):
+        if found is not False:
+            status |= jnp.where(found, int(bit), 0)
     if law.task.m > chain.n:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))

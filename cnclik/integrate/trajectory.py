@@ -1,15 +1,14 @@
 """Trajectory: what a loop did, instant by instant; put together, cut short, joined."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.integrate.status import count
-from cnclik.law.law import task_coordinates
 from cnclik.record import record, replace
+from cnclik.robot import spatial as sp
 
 INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
 STEPS = ("qdot", "residual", "contraction", "status")  # N entries
@@ -61,28 +60,42 @@ class Trajectory:
         return "\n".join(lines)
 
 
-def assemble(law, t, steps, q, e, evaluations) -> Trajectory:
-    """A trajectory from what a scan over its steps stacked up, in component form, and how it ended. Pure.
+def instants(one, start, k, q, m: int):
+    """What a loop does at its N + 1 instants, k = 0 … N, in component form. Pure.
+
+    The step after the last is made for what the last instant is like: with a length of 0, for `one` to see to, it
+    changes nothing, and costs far less than a second way to look at an instant would cost to compile.
 
     Args:
-      t: (N + 1,) [s].
-      steps: (q, e, qdot, residual, contraction, status) of every step, q and e at its start.
-      q, e: at the last instant, tuples of scalars.
+      one: (state, k) to the next state and a `Step` in component form with q at its start.
+      start: the state at first.
+      k: (N + 1,).
+      q, m: joint values, for their form, and the number of task coordinates.
+    Returns: steps of N + 1, and (q, x, e) of the last alone: who asks for the end needs no history.
     """
-    qs, es, qdot, residual, contraction, status = steps
-    qs, es = (tuple(jnp.append(a, b) for a, b in zip(u, v, strict=True)) for u, v in ((qs, q), (es, e)))
-    # A coordinate that no joint moves is a literal, hence the asarray.
-    x = jax.vmap(lambda q: tuple(jnp.asarray(v, t.dtype) for v in task_coordinates(law, q)))(qs)
-    columns = functools.partial(jnp.stack, axis=-1)
+
+    def both(carry, k):
+        state, made = one(carry[0], k)
+        return (state, (made.q, made.x, made.e)), made
+
+    none = sp.each(jnp.zeros_like, q)
+    empty = (none[0],) * m if sp.unrolled(q) else jnp.zeros(m, q.dtype)
+    (_, last), steps = lax.scan(both, (start, (none, empty, empty)), k)
+    return steps, last
+
+
+def assemble(t, found, evaluations) -> Trajectory:
+    """A trajectory from what `instants` found at t (N + 1,) [s]. Pure."""
+    steps, last = found
+    N = len(t) - 1
+
+    def whole(name, end):
+        return jnp.append(sp.packed(getattr(steps, name), axis=-1)[:N], sp.packed(end)[None], 0)
+
     return Trajectory(
         t=t,
-        q=columns(qs),
-        x=columns(x),
-        e=columns(es),
-        qdot=columns(qdot),
-        residual=residual,
-        contraction=contraction,
-        status=status,
+        **{name: whole(name, end) for name, end in zip(("q", "x", "e"), last, strict=True)},
+        **{name: sp.packed(getattr(steps, name), axis=-1)[:N] for name in STEPS},
         evaluations=jnp.asarray(evaluations),
     )
 

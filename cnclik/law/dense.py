@@ -1,7 +1,7 @@
-"""Small dense linear algebra in component form: what a task of 1 to 6 rows needs, without a branch.
+"""Small dense linear algebra: what a task of 1 to 6 rows needs.
 
-A matrix is a tuple of rows, each a tuple of scalars. Loops over its size are unrolled; every operation is
-then one instruction on a whole row of lanes.
+Unrolled, a matrix is a tuple of rows, each a tuple of scalars, loops over its size are written out, without a branch,
+and every operation is one instruction on a whole row of lanes. Rolled, it is an array, and the library does the work.
 """
 
 import functools
@@ -9,6 +9,7 @@ import functools
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.scipy.linalg import cho_solve, solve_triangular
 
 from cnclik.hints import on_cpu, opaque
 from cnclik.robot import spatial as sp
@@ -16,7 +17,9 @@ from cnclik.robot import spatial as sp
 
 @opaque
 def gram(rows, shift):
-    """Lower triangle of J Jᵀ + shift·I: row i has i + 1 entries."""
+    """Lower triangle of J Jᵀ + shift·I: row i has i + 1 entries; rolled, the whole matrix."""
+    if not sp.unrolled(rows):
+        return sp.products(rows, rows) + shift * jnp.eye(len(rows), dtype=rows.dtype)
     return tuple(
         tuple(sp.add(sp.dot(rows[i], rows[j]), shift if i == j else 0.0) for j in range(i + 1))
         for i in range(len(rows))
@@ -37,6 +40,10 @@ def _eliminate(entries, left):
 @opaque
 def ldl(lower):
     """Factor a symmetric positive definite matrix given by its lower triangle: (columns of L, 1/d, d)."""
+    if not sp.unrolled(lower):
+        root = jnp.linalg.cholesky(lower, symmetrize_input=False)  # L √D
+        pivots = jnp.diagonal(root) ** 2
+        return root, 1.0 / pivots, pivots
     m = len(lower)
     columns, pivots, inverses = [], [], []
     for j in range(m):
@@ -52,6 +59,8 @@ def ldl(lower):
 def ldl_solve(factor, b):
     """Solution x of L D Lᵀ x = b."""
     columns, inverses, _ = factor
+    if not sp.unrolled(columns):
+        return cho_solve((columns, True), b)
     x = list(b)
     m = len(x)
     for j in range(m):
@@ -68,6 +77,9 @@ def ldl_solve(factor, b):
 def inverse_trace(factor):
     """Trace of (L D Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ² / dᵢ."""
     columns, inverses, _ = factor
+    if not sp.unrolled(columns):
+        trace = sp.squares(solve_triangular(columns, jnp.eye(len(columns), dtype=columns.dtype), lower=True))
+        return jnp.where(trace > 0, trace, jnp.inf)  # NaN: not positive definite
     m = len(inverses)
     out = []
     for j in range(m):  # column j of L⁻¹
@@ -81,6 +93,8 @@ def inverse_trace(factor):
 @opaque
 def solve(matrix, b):
     """Solution x of A x = b for any square A, by elimination with partial pivoting."""
+    if not sp.unrolled(b):
+        return jnp.linalg.solve(matrix, b)
     n = len(b)
     rows = [[*row, right] for row, right in zip(matrix, b, strict=True)]
     for j in range(n):
@@ -110,10 +124,12 @@ def orthogonal_rows(rows):
     The norms of W's rows are the singular values of J, small ones to high relative accuracy. Made for one
     matrix of m ≤ 6 rows per lane. Do not differentiate through it: at equal singular values U is arbitrary.
     """
+    if not sp.unrolled(rows):
+        u, sigma, vt = jnp.linalg.svd(rows, full_matrices=False)
+        return u, sigma[:, None] * vt
     m, n = len(rows), len(rows[0])
-    like = sp.total(x for row in rows for x in row)
-    eye = tuple(tuple(jnp.full_like(like, float(i == j)) for j in range(m)) for i in range(m))
-    rows = tuple(tuple(x + jnp.zeros_like(like) for x in row) for row in rows)
+    rows, zero = _filled(rows)
+    eye = tuple(tuple(zero + float(i == j) for j in range(m)) for i in range(m))
     if m == 1:
         return eye, rows
 
@@ -128,6 +144,12 @@ def orthogonal_rows(rows):
     both = tuple(w + u for w, u in zip(rows, eye, strict=True))
     both, _ = lax.scan(sweep, both, None, length=_SWEEPS[m])
     return sp.transpose(tuple(row[n:] for row in both)), tuple(row[:n] for row in both)
+
+
+def _filled(rows):
+    """The rows with no literal left, and a 0 of their kind."""
+    zero = jnp.zeros_like(sp.total(x for row in rows for x in row))
+    return tuple(tuple(x + zero for x in row) for row in rows), zero
 
 
 def _rotate(a, b, n):
@@ -146,7 +168,7 @@ def _rotate(a, b, n):
 
 
 def pinv(rows):
-    """Moore-Penrose pseudoinverse J# (n rows of m scalars) and the least singular value (see below).
+    """Moore-Penrose pseudoinverse, as the m rows of its transpose, and the least singular value.
 
     Well conditioned, it is Jᵀ (J Jᵀ)⁻¹, refined; the singular value is then an estimate, from below and within √m.
     Else, and for one or two rows, J# = Σ wᵢ uᵢᵀ/σᵢ² over the singular values above max(m, n)·10·eps·σ_max, as
@@ -157,12 +179,12 @@ def pinv(rows):
 
     right wherever the rank is locally constant, and finite everywhere. The least singular value carries no
     derivative.
+
     """
     if len(rows) > len(rows[0]):
         inverse, least = pinv(sp.transpose(rows))
         return sp.transpose(inverse), least
-    like = sp.total(x for row in rows for x in row)
-    return _pinv(tuple(tuple(x + jnp.zeros_like(like) for x in row) for row in rows))
+    return _pinv(_filled(rows)[0] if sp.unrolled(rows) else rows)
 
 
 @jax.custom_jvp
@@ -172,25 +194,38 @@ def _pinv(rows):
 
 @opaque
 def _pinv_value(rows):
+    if not sp.unrolled(rows):
+        return _pinv_by_decomposition(rows)
     if len(rows) <= 2 or not on_cpu():  # two rows need one rotation; a GPU's kernel has no loop of unknown length
         return _pinv_by_rotations(rows)
     quick, least, trusted = _pinv_by_elimination(rows)
+
+    def choose(a, b):
+        return tuple(sp.each(lambda x, y: jnp.where(trusted, x, y), *pair) for pair in zip(a, b, strict=True))
+
     # Where rows are nearly dependent, a lane carries J into the loop in the place of J# (cf. `robot.trig`): the loop
     # runs once if some lane needs it, else not at all, and no lane's result depends on its neighbours.
-    state = tuple(
-        tuple(jnp.where(trusted, x, y) for x, y in zip(*pair, strict=True))
-        for pair in zip(quick, sp.transpose(rows), strict=True)
-    )
-
     def rotate(carry):
         _, state, least = carry
-        slow, exact = _pinv_by_rotations(sp.transpose(state))
-        choose = functools.partial(jnp.where, trusted)
-        state = tuple(tuple(map(choose, a, b)) for a, b in zip(state, slow, strict=True))
-        return jnp.zeros_like(trusted), state, choose(least, exact)
+        slow, exact = _pinv_by_rotations(state)
+        return jnp.zeros_like(trusted), choose(state, slow), jnp.where(trusted, least, exact)
 
-    _, state, least = lax.while_loop(lambda carry: jnp.any(carry[0]), rotate, (~trusted, state, least))
+    start = ~trusted, choose(quick, rows), least
+    _, state, least = lax.while_loop(lambda carry: jnp.any(carry[0]), rotate, start)
     return state, least
+
+
+def _pinv_by_decomposition(rows):
+    """The same from singular values: what elimination makes where it is trusted, and what rotations make elsewhere."""
+    u, sigma, vt = jnp.linalg.svd(rows, full_matrices=False)
+    eps = jnp.finfo(sigma.dtype).eps
+    keep = sigma > 10 * max(rows.shape) * eps * sigma[0]
+    inverses = jnp.where(keep, 1.0 / jnp.where(keep, sigma, 1.0), 0.0)
+    least = sigma[-1]
+    if len(rows) > 2:
+        size, inverse = jnp.sum(sigma**2), jnp.sum(1.0 / sigma**2)
+        least = jnp.where(size * inverse <= eps ** (-2 / 3), 1.0 / jnp.sqrt(inverse), least)
+    return sp.matmul(u * inverses, vt), least
 
 
 def _pinv_by_elimination(rows):
@@ -199,10 +234,9 @@ def _pinv_by_elimination(rows):
     P (2I − J P) squares what is left of I − J P, of the size eps·κ²: in the end as good as any, eps·κ, while
     κ³ < 1/eps. κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹) tells; a singular J makes that infinite or NaN.
     """
-    columns = sp.transpose(rows)
     factor = ldl(gram(rows, 0.0))
-    size, inverse = sp.total(sp.dot(row, row) for row in rows), inverse_trace(factor)
-    first = tuple(ldl_solve(factor, column) for column in columns)
+    size, inverse = sp.squares(rows), inverse_trace(factor)
+    first = sp.transpose(tuple(ldl_solve(factor, column) for column in sp.transpose(rows)))
     definite = functools.reduce(jnp.minimum, factor[2]) > 0
     trusted = definite & (size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3))
     return _refined(rows, first), 1.0 / jnp.sqrt(jnp.where(definite, inverse, 1.0)), trusted
@@ -210,10 +244,8 @@ def _pinv_by_elimination(rows):
 
 @opaque
 def _refined(rows, p):
-    product = sp.matmul(rows, p)
-    eye = ((float(i == j) for j in range(len(rows))) for i in range(len(rows)))
-    left = tuple(tuple(2.0 * e - x for e, x in zip(*pair, strict=True)) for pair in zip(eye, product, strict=True))
-    return sp.matmul(p, left)
+    left = [[2.0 * (i == k) - sp.dot(row, column) for i, row in enumerate(rows)] for k, column in enumerate(p)]
+    return tuple(sp.combine(weights, p) for weights in left)
 
 
 def _pinv_by_rotations(rows):
@@ -223,8 +255,8 @@ def _pinv_by_rotations(rows):
     tiny = 10 * max(len(rows), len(rows[0])) * jnp.finfo(largest.dtype).eps
     keep = [s > tiny * tiny * largest for s in squares]
     inverses = [jnp.where(k, 1.0, 0.0) / jnp.where(k, s, 1.0) for k, s in zip(keep, squares, strict=True)]
-    scaled = tuple(sp.scale(i, row) for i, row in zip(inverses, w, strict=True))  # m rows of n
-    return sp.matmul(sp.transpose(scaled), sp.transpose(u)), jnp.sqrt(least)
+    scaled = tuple(map(sp.scale, inverses, w))
+    return tuple(sp.combine(row, scaled) for row in u), jnp.sqrt(least)
 
 
 @_pinv.defjvp
@@ -236,20 +268,19 @@ def _pinv_jvp(primals, tangents):
 
 @opaque
 def _pinv_tangent(j, dj, p):
-    pt, djt = sp.transpose(p), sp.transpose(dj)
-    y = sp.matmul(p, pt)  # n×n
-    dj_p = sp.matmul(dj, p)  # m×m
-    pt_p = sp.matmul(pt, p)  # m×m
-    first = sp.matmul(p, dj_p)
-    # (I − J J#) from the right and (I − J# J) from the left, without forming the projections.
-    y_djt = sp.matmul(y, djt)
-    second = _minus(y_djt, sp.matmul(sp.matmul(y_djt, j), p))
-    djt_pt_p = sp.matmul(djt, pt_p)
-    third = _minus(djt_pt_p, sp.matmul(p, sp.matmul(j, djt_pt_p)))
-    return tuple(
-        tuple(b + c - a for a, b, c in zip(*rows, strict=True)) for rows in zip(first, second, third, strict=True)
-    )
+    """The closed form of `pinv`, transposed, with nothing larger than m×m and m vectors over the joints.
+
+    With P = J#, A = dJ P, G = J P, S = Pᵀ P and T = dJᵀ S: dP = T + P (Aᵀ − Aᵀ G − A − J T).
+    """
+    a, g, t = sp.products(dj, p), sp.products(j, p), sp.matmul(sp.products(p, p), dj)  # t holds the rows of Tᵀ
+    at, back = sp.transpose(a), sp.products(j, t)
+    inner = functools.reduce(_minus, (at, sp.matmul(at, g), a, back))
+    return _plus(t, sp.matmul(sp.transpose(inner), p))
 
 
 def _minus(a, b):
-    return tuple(sp.vsub(x, y) for x, y in zip(a, b, strict=True))
+    return tuple(map(sp.vsub, a, b)) if sp.unrolled(a) else a - b
+
+
+def _plus(a, b):
+    return tuple(map(sp.vadd, a, b)) if sp.unrolled(a) else a + b

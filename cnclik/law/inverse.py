@@ -32,8 +32,8 @@ class Pseudoinverse:
     """See `pseudoinverse`."""
 
     def __call__(self, rows) -> Factored:
-        inverse, least = dense.pinv(rows)
-        return Factored(lambda t: _apply(inverse, t), lax.stop_gradient(least))
+        columns, least = dense.pinv(rows)
+        return Factored(lambda t: _apply(t, columns), lax.stop_gradient(least))
 
 
 @record
@@ -56,10 +56,10 @@ class ManipulabilityDamped:
     threshold: object  # w₀
 
     def __call__(self, rows) -> Factored:
-        thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
+        thin = sp.thin(rows)
         tiny = tiny_shift(thin)
         factor = dense.ldl(dense.gram(thin, tiny))
-        w = jnp.sqrt(functools.reduce(jnp.multiply, (jnp.maximum(p, tiny) for p in factor[2])))
+        w = jnp.sqrt(sp.product(sp.each(lambda p: jnp.maximum(p, tiny), factor[2])))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
         shift = jnp.maximum(below * below, tiny)
         return Factored(damped_apply(rows, shift)[0], _least(factor, tiny), shift)
@@ -73,7 +73,7 @@ class SingularDamped:
     threshold: object  # ε
 
     def __call__(self, rows) -> Factored:
-        thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
+        thin = sp.thin(rows)
         tiny = tiny_shift(thin)
         squared = _least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
@@ -83,17 +83,18 @@ class SingularDamped:
 
 def damped_apply(rows, shift):
     """Application of Jᵀ (J Jᵀ + shift·I)⁻¹, and the factors behind it."""
-    columns = sp.transpose(rows)
-    if len(rows) <= len(columns):
-        factor = dense.ldl(dense.gram(rows, shift))
-        return lambda t: _apply(columns, dense.ldl_solve(factor, t)), factor
-    factor = dense.ldl(dense.gram(columns, shift))  # the smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ
-    return lambda t: dense.ldl_solve(factor, _apply(columns, t)), factor
+    thin = sp.thin(rows)
+    factor = dense.ldl(dense.gram(thin, shift))
+    if thin is rows:
+        return lambda t: _apply(dense.ldl_solve(factor, t), rows), factor
+
+    # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
+    return lambda t: dense.ldl_solve(factor, sp.matvec(thin, t)), factor
 
 
 def tiny_shift(rows):
     """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
-    trace = sp.total(sp.dot(row, row) for row in rows)
+    trace = sp.squares(rows)
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6))
 
 
@@ -108,9 +109,9 @@ def _least_squared(rows):
     u, least = columns[0], sp.dot(turned[0], turned[0])
     for column, row in zip(columns[1:], turned[1:], strict=True):
         squared = sp.dot(row, row)
-        u = tuple(jnp.where(squared < least, a, b) for a, b in zip(column, u, strict=True))
+        u = sp.each(functools.partial(jnp.where, squared < least), column, u)
         least = jnp.minimum(least, squared)
-    back = sp.matvec(sp.transpose(rows), u)
+    back = sp.combine(u, rows)
     return sp.dot(back, back)
 
 
@@ -120,14 +121,12 @@ class Transpose:
 
     def __call__(self, rows) -> Factored:
         shift = 1e-12  # only so that the factorisation behind the estimate never divides by 0
-        thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
+        thin = sp.thin(rows)
         factor = dense.ldl(dense.gram(thin, shift))
-        return Factored(lambda t: _apply(sp.transpose(rows), t), _least(factor, shift))
+        return Factored(lambda t: _apply(t, rows), _least(factor, shift))
 
 
-@opaque
-def _apply(matrix, vector):
-    return sp.matvec(matrix, vector)
+_apply = opaque(sp.combine)
 
 
 def _least(factor, shift):

@@ -6,6 +6,7 @@ eq. 3.54).
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse, damped_apply
@@ -22,7 +22,8 @@ from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.record import brief, leaf, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.kinematics import frames
+from cnclik.robot.frames import frames
+from cnclik.robot.rolled import RolledChain
 
 
 @record(kw_only=False)
@@ -114,6 +115,7 @@ class Evaluation(NamedTuple):
 
     qdot: tuple  # n joint velocities
     e: tuple  # m task errors
+    x: Callable  # () to m task coordinates of the tip
     rows: tuple  # of the task Jacobian, weighted
     apply: Callable  # J#: m task components (weighted) to n joint components
     least: object  # estimate of the least singular value
@@ -124,7 +126,11 @@ class Evaluation(NamedTuple):
 def evaluate(law: Law, reference, t, q) -> Evaluation:
     """f(q, t) for q a tuple of n scalars."""
     position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
-    e, rows = error_and_rows(law.task, law.chain, frames(law.chain, q), position_d, rotation_d)
+    if not sp.unrolled(q):
+        position_d, xdot_d = sp.packed(position_d, q.dtype), sp.packed(xdot_d, q.dtype)
+        rotation_d = None if rotation_d is None else sp.packed(rotation_d, q.dtype)
+    at = frames(law.chain, q)
+    e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
     velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, clamped(law, e)))
     rows, velocity = _weigh(law.task, rows), _weigh(law.task, velocity)
     wanted, held = null_velocity(law, q), False
@@ -139,6 +145,7 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
     return Evaluation(
         qdot=qdot,
         e=e,
+        x=lambda: coordinates(law.task, at.position, at.rotation),
         rows=rows,
         apply=made.apply,
         least=made.least,
@@ -166,37 +173,52 @@ def correct(law: Law, q, rows, made, h, r):
         again = apply if exact else damped_apply(rows, made.shift / (1.0 + hz))[0]
         return sp.vsub(r, sp.scale(hz / (1.0 + hz), again(task)))
     c = _gain_rows(law)
-    products = sp.transpose(tuple(sp.matvec(rows, apply(unit)) for unit in _units(len(rows), rows[0][0])))
-    system = _plus_identity(h, sp.matmul(c, products))
+    inverse = _each_row(apply, _identity(task))
+    system = _plus_identity(h, sp.matmul(c, sp.products(rows, inverse)))
     return sp.vsub(r, sp.scale(h, apply(dense.solve(system, sp.matvec(c, task)))))
 
 
 def _whole(law, q, rows, apply, h):
     """I + h (A C B − (I − A B) ∂q̇₀/∂q), rows of n scalars."""
-    c, n = _gain_rows(law), law.chain.n
+    c = _gain_rows(law)
     _, push = jax.linearize(lambda q: null_velocity(law, q), q)
-    columns = []
-    for j, unit in enumerate(_units(n, q[0])):
+
+    def column(unit, moved):
         turned = push(unit)
-        task = sp.vadd(sp.matvec(c, tuple(row[j] for row in rows)), sp.matvec(rows, turned))
-        columns.append(sp.vsub(apply(task), turned))
-    return _plus_identity(h, sp.transpose(tuple(columns)))
+        task = sp.vadd(sp.matvec(c, moved), sp.matvec(rows, turned))
+        return sp.vsub(apply(task), turned)
+
+    columns = _each_row(column, _identity(q), sp.transpose(rows))
+    return _plus_identity(h, sp.transpose(columns))
 
 
 def _gain_rows(law):
     """C = W K W⁻¹: the gain as it acts on weighted errors."""
     alpha, w, m = law.alpha, law.task.weights, law.task.m
+    if isinstance(law.chain, RolledChain):
+        return alpha * jnp.eye(m, dtype=alpha.dtype) if alpha.ndim < 2 else alpha if w is None else w[:, None] * alpha / w
     if alpha.ndim < 2:
         return tuple(tuple((alpha[i] if alpha.ndim else alpha) if i == j else 0.0 for j in range(m)) for i in range(m))
     return tuple(tuple(alpha[i, j] if w is None else alpha[i, j] * w[i] / w[j] for j in range(m)) for i in range(m))
 
 
-def _units(n, like):
-    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
+def _identity(v):
+    """The identity, in the form of a vector."""
+    n = len(v)
+    if not sp.unrolled(v):
+        return jnp.eye(n, dtype=v.dtype)
+    one, zero = jnp.ones_like(v[0]), jnp.zeros_like(v[0])
     return tuple(tuple(one if i == j else zero for j in range(n)) for i in range(n))
 
 
+def _each_row(fn, *matrices):
+    """fn of the rows of one or more matrices, row by row."""
+    return tuple(map(fn, *matrices)) if sp.unrolled(matrices[0]) else jax.vmap(fn)(*matrices)
+
+
 def _plus_identity(h, matrix):
+    if not sp.unrolled(matrix):
+        return h * matrix + jnp.eye(len(matrix), dtype=matrix.dtype)
     return tuple(
         tuple(sp.add(h * x, 1.0 if i == j else 0.0) for j, x in enumerate(row)) for i, row in enumerate(matrix)
     )
@@ -210,15 +232,19 @@ def clamped(law: Law, e):
     """
     if law.error_clamp is None:
         return e
-    out = []
-    for limit, part in zip(law.error_clamp, (e[: len(law.task.position)], e[len(law.task.position) :]), strict=True):
-        if part:
-            out += sp.scale(limit / jnp.maximum(sp.safe_norm(part), limit), part)
-    return tuple(out)
+    p = len(law.task.position)
+    parts = [
+        sp.scale(limit / jnp.maximum(sp.safe_norm(part), limit), part)
+        for limit, part in zip(law.error_clamp, (e[:p], e[p:]), strict=True)
+        if len(part)
+    ]
+    return functools.reduce(sp.join, parts)
 
 
 def gain(alpha, e):
     """K e for a scalar, per-axis or matrix gain."""
+    if not sp.unrolled(e):
+        return alpha * e if alpha.ndim < 2 else sp.matvec(alpha, e)
     if alpha.ndim == 0:
         return sp.scale(alpha, e)
     if alpha.ndim == 1:
@@ -231,28 +257,21 @@ def null_velocity(law: Law, q):
     wanted = law.null_velocity
     if wanted is None:
         return None
-    if not callable(wanted):
-        return tuple(wanted[i] for i in range(law.chain.n))
     if dataclasses.is_dataclass(wanted):
         return wanted(q)
-    values = jnp.asarray(wanted(jnp.stack(q)))
-    if values.shape != (law.chain.n,):
-        raise errors.fail("null_velocity", f"return shape ({law.chain.n},)", f"returns shape {values.shape}")
-    return tuple(values[i] for i in range(law.chain.n))
+    n = law.chain.n
+    values = jnp.asarray(wanted(sp.packed(q)) if callable(wanted) else wanted)
+    if values.shape != (n,):
+        raise errors.fail("null_velocity", f"return shape ({n},)", f"returns shape {values.shape}")
+    return sp.like(q, values)
 
 
 def _weigh(task: Task, items):
     """Rows or components times the task's weights."""
     if task.weights is None:
         return items
+    if not sp.unrolled(items):
+        return (task.weights * items.T).T
     return tuple(
-        sp.scale(task.weights[i], x) if isinstance(x, tuple) else sp.mul(task.weights[i], x)
-        for i, x in enumerate(items)
+        sp.scale(task.weights[i], x) if sp.unrolled(x) else sp.mul(task.weights[i], x) for i, x in enumerate(items)
     )
-
-
-@opaque
-def task_coordinates(law: Law, q):
-    """x(q): the task coordinates of the tip (m scalars)."""
-    at = frames(law.chain, q)
-    return coordinates(law.task, at.position, at.rotation)

@@ -5,7 +5,6 @@ the null-space velocity, and returns a `Limited`. Which joints have limits is kn
 the others cost nothing.
 """
 
-import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,6 +19,9 @@ from cnclik.law import dense
 from cnclik.law.inverse import Factored, tiny_shift
 from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
+
+
+FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 
 
 class Limited(NamedTuple):
@@ -55,15 +57,23 @@ def velocity_scaling() -> Scaled:
 
 def _slow_down(chain, qdot):
     """The velocities scaled to the slowest joint, and whether that changed them."""
-    ratios = [
-        limit / jnp.maximum(jnp.abs(v), limit)
-        for v, limit in zip(qdot, chain.velocity_limit, strict=True)
-        if math.isfinite(limit)
-    ]
-    if not ratios:
+    if unlimited(chain.velocity_limit):
         return qdot, False
-    s = functools.reduce(jnp.minimum, ratios)
+    s = sp.smallest(sp.each(_ratio, qdot, chain.velocity_limit))
     return sp.scale(s, qdot), s < 1
+
+
+def unlimited(*bounds) -> bool:
+    """Whether it is known, while tracing, that there is no limit among these."""
+    return all(isinstance(b, tuple) and all(sp.is_number(x) and math.isinf(x) for x in b) for b in bounds)
+
+
+def _ratio(v, limit):
+    """What to scale a velocity with, so that it is within its limit."""
+    if sp.is_number(limit) and limit == math.inf:
+        return 1.0
+    over = jnp.abs(v) > limit
+    return jnp.where(over, limit / jnp.where(over, jnp.abs(v), 1.0), 1.0)
 
 
 def _through(apply, rows, velocity, wanted):
@@ -86,33 +96,43 @@ class Weighted:
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         plain = inverse(rows)
         asked = _through(plain.apply, rows, velocity, wanted)
-        roots, back = zip(*map(self._joint, q, asked, chain.lower, chain.upper), strict=True)
-        made = inverse(tuple(tuple(map(sp.mul, row, roots)) for row in rows))
-        factored = Factored(lambda t: tuple(map(sp.mul, roots, made.apply(t))), plain.least)
+        roots = sp.each(_root, q, asked, chain.lower, chain.upper)
+        made = inverse(sp.rescale(rows, roots))
+        factored = Factored(lambda t: sp.each(sp.mul, roots, made.apply(t)), plain.least)
+        back = None if unlimited(chain.lower, chain.upper) else sp.each(self._back, q, chain.lower, chain.upper)
         if wanted is not None:
-            back = sp.vadd(back, tuple(sp.mul(sp.mul(r, r), w) for r, w in zip(roots, wanted, strict=True)))
-        qdot = _through(factored.apply, rows, velocity, None if _all_zero(back) else back)
-        qdot, slowed = _slow_down(chain, qdot)
+            wanted = sp.each(lambda r, w: sp.mul(sp.mul(r, r), w), roots, wanted)
+            back = wanted if back is None else sp.vadd(back, wanted)
+        qdot, slowed = _slow_down(chain, _through(factored.apply, rows, velocity, back))
         # Held back: a joint four times as heavy as it would be in mid-range.
-        stopped = [r < 0.5 for r in roots if not sp.is_number(r)]
-        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=_any([slowed, *stopped]))
+        stopped = sp.some(sp.each(lambda r: False if sp.is_number(r) else r < 0.5, roots))
+        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=sp.some((slowed, stopped)))
 
-    def _joint(self, q, qdot, low, high):
-        """Square root of the joint's inverse weight, and the velocity that brings it back inside."""
-        if not (math.isfinite(low) and math.isfinite(high)) or low == high:
-            return 1.0, 0.0
-        return _weigh_joint(q, qdot, low, high, self.rate)
+    def _back(self, q, low, high):
+        """The velocity that brings a joint back inside."""
+        if _between(low, high) is False:
+            return 0.0
+        return jnp.where(_between(low, high), self.rate * (jnp.clip(q, low, high) - q), 0.0)
+
+
+def _between(low, high):
+    """Whether a joint has two limits and room between them; known where they are numbers."""
+    return (high - low < math.inf) & (high > low)
 
 
 @opaque
-def _weigh_joint(q, qdot, low, high, rate):
+def _root(q, qdot, low, high):
+    """Square root of a joint's inverse weight, 1/w = D/(D + N) with w = 1 + N/D = 1 + |∂H/∂q|."""
+    limited = _between(low, high)
+    if limited is False:
+        return 1.0
+    if limited is not True:  # a joint without limits is in the middle of what stands for them
+        low, high = jnp.where(limited, low, q - 1.0), jnp.where(limited, high, q + 1.0)
     below, above = jnp.maximum(q - low, 0.0), jnp.maximum(high - q, 0.0)  # room on both sides
     room, skew = high - low, (q - low) - (high - q)
-    # 1/w = D/(D + N), w = 1 + N/D = 1 + |∂H/∂q|; its root has no root of 0 in it.
-    half = 2.0 * below * above
+    half = 2.0 * below * above  # written so that there is no root of 0
     root = half / jnp.sqrt(half * half + room * room * jnp.abs(skew))
-    back = rate * (jnp.clip(q, low, high) - q)
-    return jnp.where(qdot * skew > 0, root, 1.0), back
+    return jnp.where(qdot * skew > 0, root, 1.0)
 
 
 def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
@@ -129,22 +149,13 @@ def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
     return Weighted(rate=_positive("rate", rate))
 
 
-def _all_zero(values):
-    return all(sp.is_number(v) and v == 0 for v in values)
-
-
-def _any(found):
-    found = [f for f in found if f is not False]
-    return functools.reduce(jnp.logical_or, found) if found else False
-
-
 # --- saturation in the null space ---------------------------------------------------------------------
 
 
 class _Pass(NamedTuple):
     """What a pass of the saturation hands to the next."""
 
-    locked: tuple  # per limited joint: 1 where it moves at its bound
+    locked: tuple  # per joint: 1 where it moves at its bound
     fixed: tuple  # n null-space velocities, those of locked joints at their bounds
     done: object  # a pass met every bound with the whole task
     best: object  # largest share of the task met so far, negative while no share fits
@@ -160,29 +171,20 @@ class Saturated:
     rate: object
 
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
-        n, m = chain.n, len(rows)
-        bounds = [
-            _bounds(*limits, self.rate)
-            for limits in zip(q, chain.lower, chain.upper, chain.velocity_limit, strict=True)
-        ]
-        limited = [i for i in range(n) if bounds[i] is not None]
         plain = inverse(rows)
-        if not limited:
+        if unlimited(chain.lower, chain.upper, chain.velocity_limit):
             qdot = _through(plain.apply, rows, velocity, wanted)
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, held=False)
-        low, high = zip(*(bounds[i] for i in limited), strict=True)
+        low, high = sp.parts(self._bounds, q, chain.lower, chain.upper, chain.velocity_limit)
         # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
         # all of them false for NaN, so that no lane that is not finite passes for one at rest.
-        zero = sp.total((*q, *velocity)) * 0.0
+        zero = (sp.total(q) + sp.total(velocity)) * 0.0
         asked = sp.safe_norm(velocity)
         reached = _beyond_reach(rows, velocity)
 
         def free(locked):
             """The rows without the locked joints' columns."""
-            factor = dict(zip(limited, locked, strict=True))
-            return tuple(
-                tuple(sp.mul(1.0 - factor[i], x) if i in factor else x for i, x in enumerate(row)) for row in rows
-            )
+            return sp.rescale(rows, sp.each(lambda gone: 1.0 - gone, locked))
 
         def one(at: _Pass, _):
             left = free(at.locked)
@@ -192,20 +194,20 @@ class Saturated:
             # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
             # inverse holds back next to a singularity is no reason to stand still.
             lost = _beyond_reach(left, velocity) > reached + 0.01 * asked
-            of_limited = [tuple(v[i] + zero for i in limited) for v in (along, rest)]
-            s, worst, at_bound, over = _share(*of_limited, low, high, at.locked)
+            along, rest = (sp.each(lambda x: x + zero, v) for v in (along, rest))
+            s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
             s = jnp.where(lost, -1.0, s)
             fits = ~over & ~lost
             better = ~at.done & (fits | (s > at.best) | (at.best < 0))
             share = jnp.where(fits | (s < 0), 1.0, s)
             made = sp.vadd(sp.scale(share, along), rest)
-            choose = functools.partial(_choose, better)
-            fixed = list(at.fixed)
-            for k, i in enumerate(limited):
-                fixed[i] = jnp.where(worst[k] > 0, at_bound[k], fixed[i])
+
+            def choose(new, old):
+                return sp.each(lambda a, b: jnp.where(better, a, b), new, old)
+
             return _Pass(
-                locked=tuple(jnp.maximum(a, w) for a, w in zip(at.locked, worst, strict=True)),
-                fixed=tuple(fixed),
+                locked=sp.each(jnp.maximum, at.locked, worst),
+                fixed=sp.each(lambda w, bound, v: jnp.where(w > 0, bound, v), worst, at_bound, at.fixed),
                 done=at.done | fits,
                 best=jnp.where(better, jnp.where(fits, 1.0, s), at.best),
                 qdot=choose(made, at.qdot),
@@ -214,27 +216,34 @@ class Saturated:
             ), None
 
         never = jnp.zeros_like(zero, bool)
-        nothing = (zero,) * len(limited)
+        nothing = sp.each(lambda x: jnp.zeros_like(x) + zero, q)
         start = _Pass(
             locked=nothing,
-            fixed=tuple(w + zero for w in wanted) if wanted is not None else (zero,) * n,
+            fixed=nothing if wanted is None else sp.vadd(nothing, wanted),
             done=never,
             best=zero - 1.0,
-            qdot=(zero,) * n,
+            qdot=nothing,
             kept=nothing,
             held=never,
         )
-        found, _ = lax.scan(one, start, None, length=max(n - m, 0) + 2)
+        found, _ = lax.scan(one, start, None, length=max(chain.n - len(rows), 0) + 2)
         factored = inverse(free(found.kept))
         # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
-        qdot = [x + zero for x in found.qdot]
-        for k, i in enumerate(limited):
-            qdot[i] = jnp.clip(qdot[i], low[k], high[k])
-        return Limited(qdot=tuple(qdot), apply=factored.apply, least=plain.least, held=found.held)
+        qdot = sp.each(lambda v, l, h: jnp.clip(v + zero, l, h), found.qdot, low, high)
+        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=found.held)
 
+    def _bounds(self, q, low, high, speed):
+        """The velocities a joint may have."""
+        far = min(speed, FAR) if sp.is_number(speed) else jnp.minimum(speed, FAR)
 
-def _choose(better, new, old):
-    return tuple(jnp.where(better, a, b) for a, b in zip(new, old, strict=True))
+        def bound(limit, unlimited):
+            if sp.is_number(limit):
+                room = limit - q if math.isfinite(limit) else jnp.full_like(q, unlimited)
+            else:
+                room = jnp.where(jnp.isfinite(limit), limit - q, unlimited)
+            return jnp.clip(self.rate * room, -far, far)
+
+        return bound(low, -FAR * FAR), bound(high, FAR * FAR)
 
 
 def _beyond_reach(rows, velocity):
@@ -249,50 +258,32 @@ def _beyond_reach(rows, velocity):
     return shift * sp.safe_norm(dense.ldl_solve(factor, once))
 
 
-def _bounds(q, low, high, speed, rate):
-    """The velocities a joint may have, or None where it has no limit at all."""
-    if not any(map(math.isfinite, (low, high, speed))):
-        return None
-    far = 1e6 if not math.isfinite(speed) else speed  # stands for unlimited: finite, so that no ∞ − ∞ arises
-    least = jnp.full_like(q, -far) if not math.isfinite(low) else jnp.clip(rate * (low - q), -far, far)
-    most = jnp.full_like(q, far) if not math.isfinite(high) else jnp.clip(rate * (high - q), -far, far)
-    return least, most
-
-
 @opaque
 def _share(along, rest, low, high, locked):
     """The largest s ≤ 1 with low ≤ s·along + rest ≤ high, −1 if none; the joint that bounds it; its bound.
 
     Flacco, De Luca & Khatib (2015), Algorithm 2.
     """
-    tiny = 64 * jnp.finfo(along[0].dtype).eps
-    least, most, caps, ends, beyond = 0.0, 1.0, [], [], []
-    for a, b, l, h, gone in zip(along, rest, low, high, locked, strict=True):
-        slack = tiny * (1.0 + jnp.abs(a) + jnp.abs(b))
+
+    def joint(a, b, l, h, gone):
+        slack = 64 * jnp.finfo(a.dtype).eps * (1.0 + jnp.abs(a) + jnp.abs(b))
         whole = a + b
         out = (gone < 0.5) & ((whole > h + slack) | (whole < l - slack))
         moves = jnp.abs(a) > slack
         inverse = 1.0 / jnp.where(moves, a, 1.0)
         one, two = (l - b) * inverse, (h - b) * inverse
-        cap = jnp.where(moves, jnp.maximum(one, two), 1.0)
-        floor = jnp.where(moves, jnp.minimum(one, two), 0.0)
-        stuck = out & ~moves  # outside whatever the share is
-        cap = jnp.where(out, jnp.where(stuck, -1.0, cap), 2.0)
-        floor = jnp.where((gone < 0.5) & moves, floor, 0.0)
-        most, least = jnp.minimum(most, cap), jnp.maximum(least, floor)
-        caps.append(cap)
-        ends.append(jnp.where(whole > h, h, l))
-        beyond.append(out)
-    over = functools.reduce(jnp.logical_or, beyond)
-    s = jnp.where((most >= least) & (most >= 0), most, -1.0)
+        cap = jnp.where(moves, jnp.maximum(one, two), -1.0)  # what doesn't move is outside whatever the share is
+        floor = jnp.where((gone < 0.5) & moves, jnp.minimum(one, two), 0.0)
+        return jnp.where(out, cap, 2.0), floor, jnp.where(whole > h, h, l), out
+
+    caps, floors, ends, beyond = sp.parts(joint, along, rest, low, high, locked)
+    smallest = sp.smallest(caps)
+    most, least = jnp.minimum(smallest, 1.0), -sp.smallest(sp.each(jnp.negative, floors))
+    s = jnp.where((most >= jnp.maximum(least, 0.0)) & (most >= 0), most, -1.0)
     # The most critical joint is the one locked next.
-    smallest = functools.reduce(jnp.minimum, caps)
-    worst, taken = [], jnp.zeros_like(over)
-    for cap, out in zip(caps, beyond, strict=True):
-        it = out & (cap <= smallest) & ~taken
-        taken = taken | it
-        worst.append(jnp.where(it, 1.0, 0.0).astype(along[0].dtype))
-    return s, tuple(worst), tuple(ends), over
+    critical = sp.first(sp.each(lambda cap, out: out & (cap <= smallest), caps, beyond))
+    worst = sp.each(lambda it, a: jnp.where(it, 1.0, 0.0).astype(a.dtype), critical, along)
+    return s, worst, ends, sp.some(beyond)
 
 
 def saturation(rate: ArrayLike = 10.0) -> Saturated:

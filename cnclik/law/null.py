@@ -10,11 +10,12 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.law import dense
+from cnclik.law.inverse import tiny_shift
 from cnclik.law.task import Task
 from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.kinematics import frames, jacobian_rows
+from cnclik.robot.frames import frames, jacobian_rows
 
 
 @record
@@ -27,7 +28,7 @@ class Posture:
     def __call__(self, q):
         if len(self.rest) != len(q):
             raise errors.fail("rest", f"have shape ({len(q)},)", f"has shape ({len(self.rest)},)")
-        return tuple(self.rate * (self.rest[i] - x) for i, x in enumerate(q))
+        return sp.each(lambda rest, x: self.rate * (rest - x), sp.like(q, self.rest), q)
 
 
 @record
@@ -43,15 +44,10 @@ class MaximizeManipulability:
 
     def _measure(self, q):
         rows = jacobian_rows(self.chain, frames(self.chain, q), self.task.linear, self.task.angular)
-        thin = rows if len(rows) <= len(rows[0]) else sp.transpose(rows)
-        trace = jax.lax.stop_gradient(sp.total(sp.dot(row, row) for row in thin))
+        thin = sp.thin(rows)
         # A shift at rounding level: w has a kink at 0, where this stays finite.
-        tiny = 64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6)
-        _, _, pivots = dense.ldl(dense.gram(thin, tiny))
-        product = pivots[0]
-        for pivot in pivots[1:]:
-            product = product * pivot
-        return jnp.sqrt(product)
+        _, _, pivots = dense.ldl(dense.gram(thin, tiny_shift(thin)))
+        return jnp.sqrt(sp.product(pivots))
 
 
 def posture(rest: ArrayLike, rate: ArrayLike = 1.0) -> Posture:

@@ -9,9 +9,9 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import opaque
-from cnclik.record import brief, record
+from cnclik.record import brief, record, replace
 from cnclik.robot import spatial as sp
-from cnclik.robot.kinematics import Frames, jacobian_rows
+from cnclik.robot.frames import Frames, jacobian_rows
 
 _AXES = "xyz"
 
@@ -93,20 +93,24 @@ def _task(position, orientation, weights):
     return Task(position=position, orientation=orientation, weights=weights)
 
 
-@opaque
 def error_and_rows(task: Task, chain, at: Frames, position_d, rotation_d):
-    """The error e (m scalars) and the rows of the task Jacobian, before weighting."""
-    e = tuple(sp.sub(d, at.position[i]) for d, i in zip(position_d, task.linear, strict=True))
+    """The error e (m,) and the rows of the task Jacobian, before weighting."""
+    return _error_and_rows(replace(task, weights=None), chain, at, position_d, rotation_d)
+
+
+@opaque
+def _error_and_rows(task, chain, at, position_d, rotation_d):
+    e = sp.vsub(position_d, sp.pick(at.position, task.linear))
     if task.orientation:
         turn = sp.log_so3(sp.matmul(rotation_d, sp.transpose(at.rotation)))
-        e += tuple(turn[i] for i in task.angular)
+        e = sp.join(e, sp.pick(turn, task.angular))
     return e, jacobian_rows(chain, at, task.linear, task.angular)
 
 
 def coordinates(task: Task, position, rotation):
     """Task coordinates x of a pose: positions [m], then components of its rotation vector [rad]."""
-    x = tuple(position[i] for i in task.linear)
-    if task.orientation:
-        turn = sp.log_so3(rotation)
-        x += tuple(turn[i] for i in task.angular)
-    return x
+    x = sp.pick(position, task.linear)
+    return sp.join(x, sp.pick(_turned(rotation), task.angular)) if task.orientation else x
+
+
+_turned = opaque(sp.log_so3)

@@ -12,7 +12,7 @@ from cnclik.hints import use_hints
 from cnclik.law import reference as ref
 from cnclik.problem.names import Choice, fitting
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.kinematics import frames
+from cnclik.robot.frames import frames
 from cnclik.robot.posture import arm_length
 
 PYTHON = {"from": "start", "to": "end"}  # `from` is no name in Python

@@ -13,7 +13,7 @@ from cnclik import errors
 from cnclik.hints import use_hints
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.kinematics import frames, jacobian_rows, stack
+from cnclik.robot.frames import frames, jacobian_rows
 
 
 def arm_length(chain: Chain):
@@ -40,7 +40,7 @@ def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
 
     def one(q):
-        return stack(jacobian_rows(chain, frames(chain, tuple(q)), task.linear, task.angular), q)
+        return sp.packed(jacobian_rows(chain, frames(chain, tuple(q)), task.linear, task.angular), q.dtype)
 
     with use_hints(False):  # run as written: compiling the chain for one look at it would take seconds
         j = np.array(jax.vmap(one)(jnp.asarray(postures)))

@@ -1,11 +1,16 @@
-"""3-vectors and rotations in component form.
+"""Vectors and matrices in two forms, and rotations.
 
-A vector is a tuple of three scalars, a rotation a tuple of three rows. `vmap` turns each scalar into one
-contiguous row of lanes, so the same code serves one robot and a million. A scalar may be a Python number:
-products with a literal 0 or 1 then vanish while the program is traced.
+A vector is a tuple of scalars and a matrix a tuple of rows: the unrolled form. `vmap` turns each scalar into one
+contiguous row of lanes, so the same code serves one robot and a million; and a scalar may be a Python number, with
+which products with a literal 0 or 1 vanish while the program is traced. Or they are arrays: the rolled form, which makes
+small programs (see `robot.rolled`). What is written with the functions here serves both.
 """
 
+import functools
+import itertools
+
 import jax.numpy as jnp
+import numpy as np
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO = (0.0, 0.0, 0.0)
@@ -48,30 +53,45 @@ def sub(a, b):
 
 
 def total(terms):
-    """Sum of a sequence; an empty one is the literal 0."""
-    out = 0.0
-    for term in terms:
-        out = add(out, term)
-    return out
+    """Sum of a sequence, of which an empty one is the literal 0, or of an array."""
+    return jnp.sum(terms) if hasattr(terms, "dtype") else functools.reduce(add, terms, 0.0)
 
 
-# --- vectors and matrices of scalars ------------------------------------------------------------------
+# --- vectors and matrices in both forms ---------------------------------------------------------------
 
 
-def dot(a, b):
-    return total(mul(x, y) for x, y in zip(a, b, strict=True))
+def unrolled(v) -> bool:
+    """Whether a vector or matrix is a tuple."""
+    return isinstance(v, (tuple, list))
+
+
+def each(fn, *vectors):
+    """fn of the entries of one or more vectors of one form, entry by entry."""
+    if unrolled(vectors[0]):
+        return tuple(fn(*entries) for entries in zip(*vectors, strict=True))
+    return fn(*vectors)
+
+
+def parts(fn, *vectors):
+    """Several vectors at once: fn of the entries returns a tuple, an entry of each."""
+    found = each(fn, *vectors)
+    return transpose(found) if unrolled(vectors[0]) else found
 
 
 def vadd(a, b):
-    return tuple(add(x, y) for x, y in zip(a, b, strict=True))
+    return each(add, a, b)
 
 
 def vsub(a, b):
-    return tuple(sub(x, y) for x, y in zip(a, b, strict=True))
+    return each(sub, a, b)
 
 
 def scale(s, v):
-    return tuple(mul(s, x) for x in v)
+    return each(lambda x: mul(s, x), v)
+
+
+def dot(a, b):
+    return total(each(mul, a, b))
 
 
 def cross(a, b):
@@ -83,16 +103,101 @@ def cross(a, b):
 
 
 def transpose(m):
-    return tuple(zip(*m, strict=True))
+    return tuple(zip(*m, strict=True)) if unrolled(m) else m.T
 
 
 def matvec(m, v):
-    return tuple(dot(row, v) for row in m)
+    return tuple(dot(row, v) for row in m) if unrolled(m) else _product(m, v)
 
 
 def matmul(a, b):
+    if not unrolled(a):
+        return _product(a, b)
     columns = transpose(b)
     return tuple(tuple(dot(row, column) for column in columns) for row in a)
+
+
+def _product(a, b):
+    return jnp.matmul(a, b, precision="highest")  # a GPU would round to fewer digits otherwise
+
+
+def combine(weights, rows):
+    """Σ wᵢ rᵢ, the transpose of a matrix times w, or the same of a tuple of vectors in any form."""
+    return functools.reduce(vadd, map(scale, weights, rows)) if unrolled(rows) else _product(weights, rows)
+
+
+def rescale(rows, factors):
+    """The matrix with its columns times some factors."""
+    return tuple(each(mul, row, factors) for row in rows) if unrolled(rows) else rows * factors
+
+
+def products(a, b):
+    """A Bᵀ, from rows."""
+    return tuple(tuple(dot(x, y) for y in b) for x in a) if unrolled(a) else _product(a, b.T)
+
+
+def squares(rows):
+    """Sum of the squares of all entries of a matrix: the trace of A Aᵀ."""
+    return total(dot(row, row) for row in rows) if unrolled(rows) else jnp.sum(rows * rows)
+
+
+def thin(rows):
+    """The matrix, or its transpose, whichever has fewer rows."""
+    return rows if len(rows) <= len(rows[0]) else transpose(rows)
+
+
+def pick(v, indices):
+    """Some entries of a vector."""
+    if unrolled(v):
+        return tuple(v[i] for i in indices)
+    return v[: len(indices)] if tuple(indices) == tuple(range(len(indices))) else jnp.stack([v[i] for i in indices])
+
+
+def join(a, b):
+    """The entries of two vectors, one after the other."""
+    if unrolled(a):
+        return (*a, *b)
+    return jnp.concatenate([a, b]) if len(a) else b
+
+
+def packed(v, dtype=None, axis=0):
+    """A vector or matrix in either form as an array, numbers among its entries in the given dtype."""
+    if unrolled(v):
+        return jnp.stack([packed(x, dtype, axis) for x in v], axis) if len(v) else jnp.zeros(0, dtype)
+    return jnp.asarray(v, dtype)
+
+
+def like(q, values):
+    """An array (n,) in the form of q."""
+    return tuple(values[i] for i in range(len(q))) if unrolled(q) else values
+
+
+# --- over the entries of a vector ---------------------------------------------------------------------
+
+
+def smallest(v):
+    return functools.reduce(jnp.minimum, v) if unrolled(v) else jnp.min(v)
+
+
+def product(v):
+    return functools.reduce(mul, v) if unrolled(v) else jnp.prod(v)
+
+
+def some(v):
+    """Whether some entry is true; the literal False where that is known of all."""
+    return functools.reduce(_either, v) if unrolled(v) else jnp.any(v)
+
+
+def _either(a, b):
+    return b if a is False else a if b is False else a | b
+
+
+def first(v):
+    """The first true entry alone."""
+    if not unrolled(v):
+        return v & (jnp.cumsum(v) == 1)
+    before = (jnp.zeros_like(v[0]), *itertools.accumulate(v[:-1], jnp.logical_or))
+    return tuple(x & ~b for x, b in zip(v, before, strict=True))
 
 
 def safe_norm(v):
@@ -161,21 +266,39 @@ def quaternion_from_rotation(r):
     The rows of 4 q qᵀ are linear in the entries of R; taking the row with the largest diagonal keeps the
     one square root away from 0, so values and derivatives stay finite everywhere (after Shepperd 1978).
     """
+    if unrolled(r):
+        rows = _four_qq(r)
+        row, largest = rows[0], rows[0][0]
+        for k in (1, 2, 3):
+            better = rows[k][k] > largest
+            row = tuple(jnp.where(better, new, old) for new, old in zip(rows[k], row, strict=True))
+            largest = jnp.where(better, rows[k][k], largest)
+    else:
+        constant, slopes = (part.astype(r.dtype) for part in _FOUR_QQ)
+        rows = constant + _product(slopes, r.reshape(9))
+        diagonal = jnp.diagonal(rows)
+        row, largest = rows[jnp.argmax(diagonal)], jnp.max(diagonal)
+    factor = 0.5 / jnp.sqrt(largest)
+    return scale(jnp.where(row[0] < 0, -factor, factor), row)
+
+
+def _four_qq(r):
     (a, b, c), (d, e, f), (g, h, i) = r
-    rows = (
+    return (
         (1 + a + e + i, h - f, c - g, d - b),
         (h - f, 1 + a - e - i, b + d, c + g),
         (c - g, b + d, 1 - a + e - i, f + h),
         (d - b, c + g, f + h, 1 - a - e + i),
     )
-    row, largest = rows[0], rows[0][0]
-    for k in (1, 2, 3):
-        better = rows[k][k] > largest
-        row = tuple(jnp.where(better, new, old) for new, old in zip(rows[k], row, strict=True))
-        largest = jnp.where(better, rows[k][k], largest)
-    factor = 0.5 / jnp.sqrt(largest)
-    factor = jnp.where(row[0] < 0, -factor, factor)
-    return tuple(factor * x for x in row)
+
+
+def _affine(fn):
+    """An affine map of 3×3 matrices as its value at 0 and its matrix: fn(R) = first + second · vec R."""
+    zero = np.array(fn(np.zeros((3, 3))))
+    return zero, np.stack([np.array(fn(unit)) - zero for unit in np.eye(9).reshape(9, 3, 3)], axis=-1)
+
+
+_FOUR_QQ = _affine(_four_qq)
 
 
 def rotation_from_quaternion(q):
@@ -194,7 +317,8 @@ def log_so3(r):
     Values and derivatives are finite at 0 and at π. At exactly π the vector and its negative describe the
     same rotation; one of them is returned, with the derivative of its branch.
     """
-    w, *v = quaternion_from_rotation(r)
+    q = quaternion_from_rotation(r)
+    w, v = q[0], q[1:]
     squared = dot(v, v)  # sin²(θ/2)
     small = squared < 1e-4
     safe = jnp.where(small, 1.0, squared)
@@ -202,4 +326,4 @@ def log_so3(r):
     # Below the threshold 2 asin(s)/s as a series; elsewhere atan2, exact up to θ = π where w = 0.
     series = _series(squared, 2.0, 1 / 3, 3 / 20, 5 / 56, 35 / 576)
     factor = jnp.where(small, series, 2 * jnp.arctan2(sine, jnp.where(small, 1.0, w)) / sine)
-    return tuple(factor * x for x in v)
+    return scale(factor, v)

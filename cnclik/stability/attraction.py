@@ -19,7 +19,9 @@ from cnclik.law.inverse import Pseudoinverse
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
-from cnclik.robot.kinematics import as_joint_values, frames, jacobian, stack
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames
+from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.stability.linear import named
 from cnclik.stability.maps import endings_about
 
@@ -133,8 +135,8 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
 @functools.partial(jax.jit, static_argnames=("N", "method", "tolerance"))
 def _targets(law, q0, moves, Ts, stage, *, N, method, tolerance):
     at = frames(law.chain, tuple(q0))
-    rotation = stack(at.rotation, q0) if law.task.orientation else None
-    here = stack(tuple(at.position[i] for i in law.task.linear), q0)
+    rotation = sp.packed(at.rotation, q0.dtype) if law.task.orientation else None
+    here = sp.packed(sp.pick(at.position, law.task.linear), q0.dtype)
 
     def one(move):
         target = ref.hold(here + move, rotation)

@@ -14,7 +14,9 @@ from cnclik.law import reference as ref
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
-from cnclik.robot.kinematics import as_joint_values, frames, stack
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames
+from cnclik.robot.kinematics import as_joint_values
 from cnclik.stability.linear import named, stability_limit
 from cnclik.stability.recommend import recommend
 from cnclik.stability.spectrum import largest_rate, settle
@@ -220,8 +222,8 @@ def starts(law, rest, moves):
 @jax.jit
 def _starts(law, rest, moves):
     at = frames(law.chain, tuple(rest))
-    rotation = stack(at.rotation, rest) if law.task.orientation else None
-    here = stack(tuple(at.position[i] for i in law.task.linear), rest)
+    rotation = sp.packed(at.rotation, rest.dtype) if law.task.orientation else None
+    here = sp.packed(sp.pick(at.position, law.task.linear), rest.dtype)
 
     def one(move):
         target, zero = ref.hold(here - move, rotation), jnp.zeros_like(rest[0])
@@ -229,6 +231,6 @@ def _starts(law, rest, moves):
         def go(q, _):
             return advance(law, target, q, zero, zero + 0.5, EE, picard(0)).q, None
 
-        return stack(lax.scan(go, tuple(rest), None, length=60)[0], rest)
+        return sp.packed(lax.scan(go, tuple(rest), None, length=60)[0], rest.dtype)
 
     return jax.vmap(one)(moves)

@@ -9,7 +9,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.precision import in_float64
 from cnclik.record import record
-from cnclik.robot.kinematics import frames, stack
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
 
@@ -25,7 +26,7 @@ class PositionObjective:
 
     def __call__(self, values):
         chain = self.build(*values)
-        found = jax.vmap(lambda q: stack(frames(chain, tuple(q)).position, q))(self.q)
+        found = jax.vmap(lambda q: sp.packed(frames(chain, tuple(q)).position, q.dtype))(self.q)
         return jnp.mean(jnp.sum((found - self.measured) ** 2, axis=-1)), jnp.zeros((0,), found.dtype)
 
 

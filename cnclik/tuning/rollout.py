@@ -5,16 +5,15 @@ model at q[k] would say. A step holds w[k], as a controller does that measures o
 """
 
 import jax.numpy as jnp
-from jax import lax
 
 from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
-from cnclik.integrate.trajectory import Trajectory, assemble
+from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law import reference as ref
 from cnclik.law.shifted import shifted
-from cnclik.law.task import error_and_rows
+from cnclik.law.task import coordinates, error_and_rows
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
-from cnclik.robot.kinematics import frames
+from cnclik.robot.frames import frames
 from cnclik.tuning.parameters import Adjustable, scheduled
 
 
@@ -51,30 +50,32 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
     law, reference, Ts = loop.law, scenario.reference, loop.Ts
     true_law = law if scenario.plant is None else replace(law, chain=scenario.plant)
     horizon = N * Ts if horizon is None else horizon
-    first = _error(true_law, reference, jnp.zeros((), dtype), tuple(scenario.q0))
+    first, _ = _error(true_law, reference, jnp.zeros((), dtype), tuple(scenario.q0))
 
     def one(carry, k):
         q, past = carry
         t = k * Ts
-        e = _error(true_law, reference, t, q)
+        e, x = _error(true_law, reference, t, q)
         late = (e, *past)
         measured = late[delay]
         if scenario.noise is not None:
             row = scenario.noise[k.astype(int)]
             measured = tuple(v + row[i] for i, v in enumerate(measured))
-        model = e if scenario.plant is None else _error(law, reference, t, q)
+        model = e if scenario.plant is None else _error(law, reference, t, q)[0]
         told = shifted(reference, law.task, sp.vsub(measured, model))
-        made = advance(scheduled(loop, t / horizon), told, q, t, Ts, method, stage)
-        return (made.q, late[:delay]), (q, e, made.qdot, made.residual, made.contraction, made.status)
+        length = jnp.where(k < N, Ts, 0.0)  # see `instants`
+        made = advance(scheduled(loop, t / horizon), told, q, t, length, method, stage)
+        return (made.q, late[:delay]), replace(made, q=q, x=x, e=e)
 
     k = jnp.arange(N + 1).astype(dtype)
-    start = (tuple(scenario.q0), (first,) * delay)
-    (q, _), steps = lax.scan(one, start, k[:-1])
-    e = _error(true_law, reference, k[-1] * Ts, q)
-    evaluations = N * evaluations_per_step(method, stage, law.chain.n)
-    return assemble(true_law, k * Ts, steps, q, e, evaluations)
+    q0 = tuple(scenario.q0)
+    found = instants(one, (q0, (first,) * delay), k, q0, law.task.m)
+    return assemble(k * Ts, found, N * evaluations_per_step(method, stage, law.chain.n))
 
 
 def _error(law, reference, t, q):
+    """The error and the task coordinates at q."""
     position, rotation, _ = ref.sample(reference, law.task, t)
-    return error_and_rows(law.task, law.chain, frames(law.chain, q), position, rotation)[0]
+    at = frames(law.chain, q)
+    e, _ = error_and_rows(law.task, law.chain, at, position, rotation)
+    return e, coordinates(law.task, at.position, at.rotation)

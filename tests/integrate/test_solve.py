@@ -170,6 +170,7 @@ def test_hints_change_nothing_but_speed():
     close(slope(4.0), without, rtol=1e-11)
 
 
+@pytest.mark.form("unrolled")
 def test_hints_are_part_of_the_cache_key():
     """Turning the hints off must not find the fenced program in JAX's cache, nor the other way round."""
 

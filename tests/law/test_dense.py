@@ -18,11 +18,12 @@ def rows(a):
 
 
 def pinv(a):
-    return jnp.stack([jnp.stack(row) for row in dense.pinv(rows(a))[0]])
+    return jnp.stack([jnp.stack(row) for row in dense.pinv(rows(a))[0]]).T
 
 
 many_pinv = jax.jit(jax.vmap(pinv))
 many_least = jax.jit(jax.vmap(lambda a: dense.pinv(rows(a))[1]))
+many_rolled = jax.jit(jax.vmap(dense.pinv))
 
 
 def with_singular_values(shape, values, rng):
@@ -58,6 +59,26 @@ def test_against_numpy(shape):
     for found, matrix in zip(many_pinv(a), a, strict=True):
         wanted = np.linalg.pinv(matrix, rcond=1e-12)
         close(found, wanted, atol=1e-12 * max(1e-300, np.abs(wanted).max()) * 10)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_rolled_against_numpy(shape):
+    a = cases(shape)
+    for found, matrix in zip(many_rolled(a)[0], a, strict=True):
+        wanted = np.linalg.pinv(matrix, rcond=1e-12)
+        close(found.T, wanted, atol=1e-12 * max(1e-300, np.abs(wanted).max()) * 10)
+
+
+@pytest.mark.parametrize("shape", [(2, 5), (6, 7), (4, 2)], ids=str)
+def test_rolled_as_unrolled(shape):
+    """The least singular value as well, estimated or exact, and derivatives."""
+    a = cases(shape)
+    largest = np.maximum(np.linalg.norm(a, 2, axis=(1, 2)), 1e-300)
+    close(many_rolled(a)[1] / largest, many_least(a) / largest, atol=1e-12)
+    rng = np.random.default_rng(0)
+    at, along = a[0], rng.normal(size=shape)
+    one, two = (jax.jvp(f, (at,), (along,))[1] for f in (lambda a: dense.pinv(a)[0].T, pinv))
+    close(one, two, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("shape", [(2, 5), (3, 3), (6, 7), (6, 6), (4, 2)], ids=str)

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 import cnclik as ck
-from cnclik.law.limits import Weighted
+from cnclik.law import limits as room
 
 RATE, LANES = 10.0, 150
 ARM = ck.panda()
@@ -110,13 +110,12 @@ def test_weighted_least_norm_is_chan_and_dubeys():
 
 
 def test_weighted_joints_stop_at_their_limits_and_return():
-    root = jax.vmap(Weighted(rate=RATE)._joint, (0, None, None, None))
     q = np.array([-1.2, -1.0, -0.999, 0.0, 1.0, 1.2])
-    outward, back = root(q, 1.0, -1.0, 1.0)
+    outward, inward = (room._root(q, v, -1.0, 1.0) for v in (1.0, -1.0))
+    back = ck.weighted_least_norm(RATE)._back(q, -1.0, 1.0)
     np.testing.assert_allclose(outward[4:], 0, atol=1e-12)  # no way further out
     np.testing.assert_allclose(outward[:3], 1)  # free to come in
     np.testing.assert_allclose(back, [2.0, 0, 0, 0, 0, -2.0], atol=1e-12)
-    inward, _ = root(q, -1.0, -1.0, 1.0)
     assert inward[0] == 0 and inward[1] == 0 and 0 < inward[2] < 0.01 and inward[4] == 1
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.law.task import error_and_rows
-from cnclik.robot.kinematics import frames
+from cnclik.robot.frames import frames
 from tests.oracles import close
 
 ARM = ck.from_screws(

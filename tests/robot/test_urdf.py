@@ -12,7 +12,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.robot.builtin import panda, ur5
-from cnclik.robot.kinematics import frames, jacobian_rows, stack
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.urdf import chain, read_urdf
 
 pin = pytest.importorskip("pinocchio")
@@ -96,7 +97,7 @@ def compare(arm, tree, path, model, tip):
     def one(q):
         at = frames(arm, tuple(q))
         rows = jacobian_rows(arm, at, (0, 1, 2), (0, 1, 2))
-        return stack(at.position, q), stack(at.rotation, q), stack(rows, q)
+        return tuple(sp.packed(v, q.dtype) for v in (at.position, at.rotation, rows))
 
     # Run as written, one operation after the other: compiling each of 577 chains would take minutes.
     with ck.use_hints(False):

@@ -1,0 +1,125 @@
+"""The rolled form: the joints are an axis of arrays, and geometry is a parameter.
+
+The unrolled form writes a robot out, number by number: its programs are as quick as can be, and take seconds to
+compile. Rolled, a robot is a handful of arrays that a short loop over the joints reads: ten times slower to run, ten
+times sooner ready, and one program serves all robots with as many joints. Joint i's transform is affine in the sine
+and cosine of its value and in the value itself,
+
+  Tᵢ(v) = Aᵢ + sin(v) Bᵢ + cos(v) Cᵢ + v Dᵢ  (4×4),
+
+so it is known from four of its values, and these come from the unrolled form's own code.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik import errors
+from cnclik.hints import form, in_a_kernel, use_hints
+from cnclik.record import kept, mapped, record
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.frames import Frames, frames, jacobian_rows, link
+
+ROLLED = 1 << 17  # evaluations of f in one call up to which the rolled form is the sooner one, compiling included
+
+
+@record
+class RolledChain:
+    """A `Chain` as arrays: j joints, n coordinates."""
+
+    transforms: tuple  # A, B, C, D as above, (j, 4, 4) each; D is None where all joints are revolute
+    axes: object  # (j, 3) unit vectors in the joints' own frames
+    turning: object  # (j,) true for revolute joints; None where all are
+    mimic: object  # (multipliers (j, n), offsets (j,)) of the joint values; None where they are the coordinates
+    tip: object  # (4, 4)
+    lower: object  # (n,) as in `Chain`
+    upper: object
+    velocity_limit: object
+
+    @property
+    def n(self) -> int:
+        """Number of joint coordinates."""
+        return self.lower.shape[-1]
+
+
+def pays(evaluations) -> bool:
+    """Whether a call of so many evaluations of f, None for unknown, should run in the rolled form.
+
+    `cnclik.use_form` overrides it. A GPU's kernel is always unrolled: it has no arrays to index.
+    """
+    if in_a_kernel():
+        return False
+    return form() == "rolled" if form() else evaluations is not None and evaluations <= ROLLED
+
+
+def in_form(law, q, evaluations=None):
+    """A law, or a chain, and q (n,) in the form that pays: rolled, or unrolled with a tuple for q."""
+    if isinstance(getattr(law, "chain", law), RolledChain):
+        return law, q
+    return (roll(law), q) if pays(evaluations) else (law, tuple(q))
+
+
+def roll(tree):
+    """The tree with every `Chain` in it rolled."""
+    return kept(tree, "_rolled", lambda tree: mapped(tree, Chain, _rolled))
+
+
+def _rolled(chain: Chain) -> RolledChain:
+    known = all(map(errors.concrete, jax.tree.leaves(chain)))
+    xp = np if known else jnp  # NumPy compiles nothing
+    if known:
+        chain = jax.tree.map(np.asarray, chain)
+
+    def matrix(position, rotation):
+        rows = [[*row, p] for row, p in zip(rotation, position, strict=True)]
+        return xp.array([*rows, [0.0, 0.0, 0.0, 1.0]])
+
+    def at(*motion):  # value, sine, cosine
+        with use_hints(False):
+            return xp.stack([matrix(*link(j, sp.ZERO, sp.IDENTITY, *motion)[:2]) for j in chain.joints])
+
+    zero = at(0.0, 0.0, 0.0)
+    turning = np.array([j.kind == REVOLUTE for j in chain.joints])
+    own = [(j.coordinate, j.multiplier, j.offset) for j in chain.joints] == [(i, 1.0, 0.0) for i in range(chain.n)]
+    onto = np.eye(chain.n)[[j.coordinate for j in chain.joints]]
+    return RolledChain(
+        transforms=(zero, at(0.0, 1.0, 0.0) - zero, at(0.0, 0.0, 1.0) - zero)
+        + (None if turning.all() else at(1.0, 0.0, 0.0) - zero,),
+        axes=xp.array([j.axis for j in chain.joints]),
+        turning=None if turning.all() else turning,
+        mimic=None
+        if own
+        else (onto * xp.array([[j.multiplier] for j in chain.joints]), xp.array([j.offset for j in chain.joints])),
+        tip=matrix(chain.tip.position, chain.tip.rotation),
+        **{name: np.asarray(getattr(chain, name), float) for name in ("lower", "upper", "velocity_limit")},
+    )
+
+
+@frames.register
+def _(chain: RolledChain, q) -> Frames:
+    """All frames of the chain at q (n,), as arrays."""
+    values = q if chain.mimic is None else chain.mimic[0] @ q + chain.mimic[1]
+    factors = (jnp.ones_like(values), jnp.sin(values), jnp.cos(values), values)
+    own = sum(f[:, None, None] * part for f, part in zip(factors, chain.transforms, strict=True) if part is not None)
+
+    def link(before, one):
+        after = sp.matmul(before, one)
+        return after, after
+
+    last, at = lax.scan(link, jnp.eye(4, dtype=own.dtype), own)
+    tip = sp.matmul(last, chain.tip)
+    axes = jnp.sum(at[:, :3, :3] * chain.axes[:, None, :], axis=-1)
+    return Frames(position=tip[:3, 3], rotation=tip[:3, :3], axes=axes, points=at[:, :3, 3])
+
+
+@jacobian_rows.register
+def _(chain: RolledChain, at: Frames, linear, angular):
+    velocity, spin = jnp.cross(at.axes, at.position - at.points), at.axes
+    if chain.turning is not None:
+        turning = chain.turning[:, None]
+        velocity, spin = jnp.where(turning, velocity, at.axes), jnp.where(turning, spin, 0.0)
+    rows = jnp.concatenate([velocity, spin], axis=1).T
+    rows = sp.pick(rows, (*linear, *(3 + i for i in angular)))
+    return rows if chain.mimic is None else sp.matmul(rows, chain.mimic[0])
