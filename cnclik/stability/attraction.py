@@ -20,7 +20,7 @@ from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values, frames, jacobian, stack
-from cnclik.stability.linear import named
+from cnclik.stability.linear import checked
 from cnclik.stability.maps import endings_about
 
 
@@ -110,7 +110,7 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     q0 = as_joint_values(law.chain, q0, "q0")
     radii = np.asarray(errors.array("radii", radii, (None,)), float)
     units = _directions(len(law.task.position), directions, seed)

@@ -15,7 +15,7 @@ from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values, frames, stack
-from cnclik.stability.linear import named, stability_limit
+from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.recommend import recommend
 from cnclik.stability.spectrum import largest_rate, settle
 
@@ -52,7 +52,7 @@ def outcomes(
       progress: called as progress(loops done, of how many), or None.
     Returns: `Outcome` of NumPy arrays (...).
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     ref.check(reference, law.task)
     N = errors.integer("N", N, at_least=4)
     q0 = np.asarray(errors.array("q0", q0), float)
@@ -105,7 +105,7 @@ def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), 
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
     rest = settle(law, reference, q0) if rest is None else rest
@@ -139,7 +139,7 @@ def passes_map(law, reference, q0, *, z, M, Ts=0.1, method=EE, stage=picard(0), 
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     z, M = np.asarray(z, float), np.asarray(M, int)
     made = outcomes(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, N=N, **options)
     masked = [replace(stage, M=jnp.asarray(int(m)), maximum=int(M.max())) for m in M]

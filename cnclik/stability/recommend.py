@@ -11,7 +11,7 @@ from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import EPS, first_above, least_on, named
+from cnclik.stability.linear import EPS, checked, first_above, least_on
 from cnclik.stability.spectrum import (
     Spectrum,
     at_rest,
@@ -107,7 +107,7 @@ class _Loop(NamedTuple):
 
 
 def _loop(law, reference, q, method, stage) -> _Loop:
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     q = as_joint_values(law.chain, q, finite=True)
     return _Loop(law, at_rest(law, reference, q), q, method, stage, largest_rate(law.alpha))
 

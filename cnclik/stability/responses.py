@@ -14,7 +14,7 @@ from cnclik.law.shifted import shifted
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import named
+from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 
 SIZE = 1e-3  # of the step and of the sine's amplitude [m, rad]: small, so that geometry plays no part
@@ -58,7 +58,7 @@ def responses(law, reference, q, *, Ts, method=EE, stage=picard(5), N=2 * PERIOD
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=1)
     q = as_joint_values(law.chain, q, finite=True)

@@ -21,7 +21,7 @@ from cnclik.record import record, replace
 from cnclik.robot.kinematics import as_joint_values, pose
 from cnclik.robot.posture import arm_length
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.stability.linear import named
+from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
 LANES = 1024  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
@@ -64,14 +64,18 @@ def _tile(law, reference, q, scale, Ts, method, stage):
     return moved, rows[0]
 
 
-def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
-    """The (m, m) matrix by which one step multiplies the (weighted) error at rest: I + J (S − I) J#.
-
-    S = ∂q[k+1]/∂q[k]. Pure, for jit, vmap and grad; nothing is checked. A direction that J has lost keeps its error.
-    """
-    moved, rows = one_step(law, reference, q, Ts, method, stage)
+def of_error(moved, rows, xp=jnp):
+    """What maps S of q (..., n, n) do to the error at rest where the task's rows are J (m, n): I + J (S − I) J#."""
     m, n = rows.shape
-    return jnp.eye(m, dtype=q.dtype) + rows @ (moved - jnp.eye(n, dtype=q.dtype)) @ jnp.linalg.pinv(rows)
+    return xp.eye(m, dtype=rows.dtype) + rows @ (moved - xp.eye(n, dtype=rows.dtype)) @ xp.linalg.pinv(rows)
+
+
+def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
+    """The (m, m) matrix by which one step multiplies the (weighted) error at rest, see `of_error`.
+
+    Pure, for jit, vmap and grad; nothing is checked. A direction that J has lost keeps its error.
+    """
+    return of_error(*one_step(law, reference, q, Ts, method, stage))
 
 
 @in_float64
@@ -89,7 +93,7 @@ def spectral_radius(law, reference, q, Ts, method: Method = EE, stage=picard(5))
       Ts: sampling time [s].
       method, stage: as for `solve`.
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     held = at_rest(law, reference, q)
     found = jnp.linalg.eigvals(task_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
     radius = safe_sqrt(jnp.max(found.real**2 + found.imag**2))
@@ -129,7 +133,7 @@ def spectrum(law, reference, q, Ts, method=EE, stage=picard(5)) -> Spectrum:
     Args: as for `spectral_radius`.
     Raises: ArgumentError where the loop is not at rest at q.
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     q = as_joint_values(law.chain, q, finite=True)
     return spectrum_of(*step_map(law, at_rest(law, reference, q), q, Ts, method, stage))
 

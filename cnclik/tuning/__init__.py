@@ -6,7 +6,7 @@ from cnclik.tuning.controller import controller_lines
 from cnclik.tuning.descent import Descent
 from cnclik.tuning.field import end_responses, radius_field
 from cnclik.tuning.losses import LOSSES, View
-from cnclik.tuning.objective import judge, loop_objective
+from cnclik.tuning.objective import Goal, judge, loop_objective
 from cnclik.tuning.page import page
 from cnclik.tuning.parameters import Parameter, parameter, scaled_links
 from cnclik.tuning.result import Performance, Tuned, gradient_in_words, plain, to_json
@@ -17,6 +17,7 @@ __all__ = [
     "Calibrated",
     "Conditions",
     "Descent",
+    "Goal",
     "Parameter",
     "Performance",
     "Tuned",

@@ -17,9 +17,8 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.tuning import parameters as pm
-from cnclik.tuning.conditions import Conditions
 from cnclik.tuning.descent import Descent, descend
-from cnclik.tuning.objective import TOGETHER, Judged, along, judge, loop_objective
+from cnclik.tuning.objective import TOGETHER, Goal, Judged, along, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
 FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
@@ -43,15 +42,9 @@ def tune(
     N,
     method=EE,
     stage=picard(5),
-    over=("alpha",),
-    bounds=None,
-    loss="tracking",
-    margin=0.9,
-    ringing=False,
-    velocity_limit="chain",
-    conditions=Conditions(),
     descent=Descent(),
     progress=None,
+    **goal,
 ) -> Tuned:
     """Tune a loop's gains by gradient: loss → min, spectral radius ≤ margin, no ringing, |q̇| ≤ limit.
 
@@ -63,45 +56,19 @@ def tune(
       reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n); the loss is the mean over them.
       Ts: sampling time [s]. N: steps; N·Ts is the horizon, also where Ts is tuned.
       method, stage: as for `solve`.
-      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
-        Ts), or `parameters.Parameter`s of one's own.
-      bounds: {name: (lower, upper)} in place of the defaults.
-      loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
-      margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
-        at least by this factor per step.
-      ringing: whether a step may take back more of an error than there is, so that it changes its sign. Not by
-        default: with A the one-step map of the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) for d samples of delay: z ≤ 1
-        for explicit Euler and no delay.
-      velocity_limit: (n,) [rad/s, m/s], one number for all joints, "chain": the robot's own, or None.
-      conditions: noise, delay and model error it is judged under, see `Conditions`.
       descent: how it descends, see `Descent`.
       progress: called with (evaluations, of how many, loss in words) after each round, or None.
+      goal: over, bounds, loss, margin, ringing, velocity_limit, conditions, see `Goal`: by default alpha, for the RMS
+        error, a spectral radius of at most 0.9, no ringing, the robot's own joint velocities, no noise and no delay.
 
     Returns: `Tuned`; it keeps every constraint, or says by how much not.
     Raises: ArgumentError for arguments that do not fit.
     """
     if not isinstance(descent, Descent):
         raise errors.fail("descent", "be Descent(...)", f"is {type(descent).__name__}")
-    objective = loop_objective(
-        law,
-        reference,
-        q0,
-        Ts=Ts,
-        N=N,
-        method=method,
-        stage=stage,
-        over=over,
-        bounds=bounds,
-        loss=loss,
-        margin=margin,
-        ringing=ringing,
-        velocity_limit=velocity_limit,
-        conditions=conditions,
-    )
-    asked = dict(
-        reference=reference, q0=q0, conditions=conditions, loss=loss, ringing=ringing, gradient=descent.gradient
-    )
-    parameters = objective.parameters
+    objective = loop_objective(law, reference, q0, Ts=Ts, N=N, method=method, stage=stage, **goal)
+    goal, parameters = Goal(**goal), objective.parameters
+    asked = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)
     own = tuple(p.start for p in parameters)
     fallbacks = _gains_over_z(objective)
     before, *judged = judge(objective, [own, *fallbacks])
@@ -109,13 +76,13 @@ def tune(
     safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))
     if not np.isfinite(judged[safe].loss):
         nothing = {name: np.zeros(0) for name in ("loss", "violation", "accepted")}
-        own = tuple(np.asarray(v) for v in pm.values_of(parameters, jnp.asarray(pm.free_of(parameters, own))))
+        own = _values(objective, pm.free_of(parameters, own))
         ended = dict(status="non-finite", history=nothing, starts=np.full(1, np.inf), evaluations=0)
         return result(objective, own, before, judge(objective, [own])[0], **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
     objective = along(objective, judged[safe])
-    rng = np.random.default_rng(conditions.seed)
+    rng = np.random.default_rng(goal.conditions.seed)
     begun = [
         _nearest_kept(objective, u, anchor)
         for u in (pm.free_of(parameters, own), *rng.uniform(-4, 4, (descent.starts - 1, len(anchor))))
