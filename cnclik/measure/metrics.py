@@ -19,7 +19,8 @@ from cnclik.integrate.status import Status
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, evaluate
-from cnclik.measure.ending import ending, stable
+from cnclik.measure.ending import ending
+from cnclik.measure.outcome import stable
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import PRISMATIC
 
@@ -244,9 +245,7 @@ def _errors(name, rows, unit, label, needs=""):
 METRICS = {
     **_errors("error", lambda of: of.run.e, "e", "error ‖e‖"),
     **_errors("position_error", _position, "m", "position error", "position"),
-    **_errors(
-        "rotation_error", lambda of: of.run.e[..., len(of.law.task.position) :], "rad", "rotation error", "rotation"
-    ),
+    **_errors("rotation_error", _rotation, "rad", "rotation error", "rotation"),
     **_errors("along", lambda of: _split(of)[0], "m", "position error along the path", "position"),
     **_errors("across", lambda of: _split(of)[1], "m", "position error across the path", "position"),
     "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
@@ -262,7 +261,7 @@ METRICS = {
     "ending": Metric(
         lambda of: ending(of.run.e, of.run.status), "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"
     ),
-    "stable": Metric(lambda of: stable(of.run.e, of.run.status), "1", "ends stable"),
+    "stable": Metric(lambda of: stable(ending(of.run.e, of.run.status)).astype(of.run.e.dtype), "1", "ends stable"),
     "overshoot": Metric(_overshoot, "1", "largest −e·e₀/‖e₀‖²: how far beyond the target"),
     "rate": Metric(_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
     "max_qdot": Metric(lambda of: _max(_finite(jnp.abs(of.run.qdot))), "q/s", "largest |q̇ᵢ|"),

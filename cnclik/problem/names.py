@@ -134,7 +134,7 @@ def task_from(text, chain: Chain | None = None) -> task.Task:
     flat = chain is not None and is_planar(chain)
     if text is None:
         text = "pose" if not flat and (chain is None or chain.n >= 6) else "position"
-    if text in TASKS:
+    if isinstance(text, str) and text in TASKS:
         return TASKS[text](*(("xy", "z") if flat else ("xyz", "xyz")))
     found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
     if not found or not text:

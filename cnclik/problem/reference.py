@@ -18,6 +18,9 @@ from cnclik.robot.posture import arm_length
 
 def as_written(options) -> dict:
     """Options by the names that a user writes: `from` is no name in Python, `start` and `end` stand for from and to."""
+    for python, name in (("start", "from"), ("end", "to")):
+        if python in options and name in options:
+            raise errors.fail(python, f"be left out where `{name}` is given", f"is {options[python]!r}")
     return {{"start": "from", "end": "to"}.get(name, name): value for name, value in options.items()}
 
 

@@ -165,16 +165,9 @@ def real_axis_limits(method, stage=None) -> RealAxisLimits:
     Args: as for `amplification`.
     """
     method, stage = checked(method, stage)
-
-    def real(z):
-        return amplification(method, stage, z)
-
-    def size(z):
-        return np.abs(real(z))
-
-    stable = first_above(size, 1 + _SLACK)
-    crossing = first_above(lambda z: -real(z), 2**9 * EPS)
-    fastest, rate = least_on(size, min(stable, REACH))
+    stable = stability_limit(method, stage)
+    crossing = first_above(lambda z: -amplification(method, stage, z), 2**9 * EPS)
+    fastest, rate = least_on(lambda z: np.abs(amplification(method, stage, z)), min(stable, REACH))
     return RealAxisLimits(
         stable=stable,
         monotone=min(stable, crossing),
@@ -204,6 +197,7 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
     import xarray as xr
 
     method, stage = checked(method, stage)
+    points = errors.integer("points", points, at_least=2)
     x, y = np.linspace(*real, points), np.linspace(*imaginary, points)
     values = np.abs(amplification(method, stage, x + 1j * y[:, None]))
     return xr.DataArray(

@@ -14,9 +14,8 @@ import numpy as np
 from cnclik.hints import quick_jit
 from cnclik.integrate.solve import advance, cast
 from cnclik.law import reference as ref
-from cnclik.law.law import evaluate
 from cnclik.record import replace
-from cnclik.stability.spectrum import task_radius
+from cnclik.stability.spectrum import task_radius, task_rows
 
 GAINS = 32  # looked at together: one shape, one program
 LEAST = 1e-15  # share of the gain down to which a stable one is looked for
@@ -51,9 +50,7 @@ def _moved(law, reference, q, scale, Ts, stage, *, method):
 
     def one(q, scale):
         gained = replace(law, alpha=law.alpha * scale)
-        rows = evaluate(gained, reference, zero, tuple(q)).rows
-        made = advance(gained, reference, tuple(q), zero, Ts, method, stage)
-        return jnp.stack(made.q), jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in rows])
+        return jnp.stack(advance(gained, reference, tuple(q), zero, Ts, method, stage).q), task_rows(law, reference, q)
 
     return jax.vmap(one)(q, scale)
 

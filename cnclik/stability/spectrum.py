@@ -38,9 +38,13 @@ def one_step(law, reference, q, Ts, method, stage):
     def move(q):
         return jnp.stack(advance(law, reference, tuple(q), zero, Ts, method, stage).q)
 
-    at = evaluate(law, reference, zero, tuple(q))
-    rows = jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in at.rows])
-    return jax.jacfwd(move)(q), rows
+    return jax.jacfwd(move)(q), task_rows(law, reference, q)
+
+
+def task_rows(law, reference, q):
+    """Rows of the weighted task Jacobian at q and t = 0 (m, n)."""
+    rows = evaluate(law, reference, jnp.zeros((), q.dtype), tuple(q)).rows
+    return jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in rows])
 
 
 def step_maps(law, reference, q, scale, Ts, method, stage):
@@ -134,8 +138,8 @@ def spectrum(law, reference, q, Ts, method=EE, stage=picard(5)) -> Spectrum:
     Raises: ArgumentError where the loop is not at rest at q.
     """
     method, stage = checked(method, stage)
-    q = as_joint_values(law.chain, q, finite=True)
-    return spectrum_of(*step_map(law, at_rest(law, reference, q), q, Ts, method, stage))
+    held = at_rest(law, reference, q)
+    return spectrum_of(*step_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
 
 
 def step_map(law, reference, q, Ts, method, stage):
@@ -194,22 +198,33 @@ def _largest(moved, basis):
 # --- rest ---------------------------------------------------------------------------------------------
 
 
+def check_loop(law, *references) -> None:
+    """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
+    if not isinstance(law, Law):
+        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    for one in references:
+        if not isinstance(one, ref.Reference):
+            raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(one).__name__}")
+        ref.check(one, law.task)
+
+
 def at_rest(law, reference, q):
     """The held reference of a loop at rest at q: where q is, once it is known that `reference` is there too.
 
     Raises: ArgumentError where `reference` (None: any) is elsewhere at t = 0 by more than REST.
     """
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
-    q = as_joint_values(law.chain, q)
-    if reference is not None:
-        ref.check(reference, law.task)
-        if errors.concrete(q):
-            _require_rest(law, reference, q)
+    check_loop(law, *(() if reference is None else (reference,)))
+    q = as_joint_values(law.chain, q, finite=True)
+    if reference is not None and errors.concrete(q):
+        _require_rest(law, reference, q)
+    return replace(hold_at(law, q), feedforward=jnp.zeros(law.task.m, q.dtype))
+
+
+def hold_at(law, q, move=0.0):
+    """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
     at = pose(law.chain, q)
-    position = at.position[jnp.array(law.task.linear)] if law.task.position else None
-    held = ref.hold(position, at.rotation if law.task.orientation else None)
-    return replace(held, feedforward=jnp.zeros(law.task.m, q.dtype))
+    position = at.position[jnp.array(law.task.linear)] + move if law.task.position else None
+    return ref.hold(position, at.rotation if law.task.orientation else None)
 
 
 def _require_rest(law, reference, q):
@@ -241,14 +256,14 @@ def settle(law, reference, q0, *, N=200):
 
     Raises: ArgumentError where the error doesn't vanish, as for a target out of reach.
     """
+    check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")
     with use_hints(False):  # ready sooner, and few steps
         run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
     size = float(jnp.linalg.norm(run.e[-1]))
     if not size < rest_tolerance(law.chain):
-        raise errors.fail(
-            "target", "be one the loop comes to rest on", f"leaves an error of {size:.3g} after {N} steps"
-        )
+        found = f"leaves an error of {size:.3g} after {N} steps"
+        raise errors.fail("target", "be one the loop comes to rest on", found)
     return np.asarray(run.q[-1])
 
 

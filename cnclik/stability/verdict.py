@@ -14,6 +14,7 @@ from cnclik import errors
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
 from cnclik.law.limits import Saturated
@@ -24,7 +25,7 @@ from cnclik.robot.posture import arm_length
 from cnclik.stability.linear import checked
 from cnclik.stability.local import GAINS, Instant, fastest_share, maps, stable_share, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
-from cnclik.stability.spectrum import at_rest, null_radius, spectrum_of
+from cnclik.stability.spectrum import at_rest, check_loop, null_radius, spectrum_of
 
 REVERSING = 0.15  # share of the joint speed that the next step takes back, from which on a loop shakes
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
@@ -80,9 +81,10 @@ def verdict(law, reference, run, *, Ts, method=EE, stage=picard(5)) -> Verdict:
       run: its `Trajectory`, one lane.
     Raises: ArgumentError for a run of several lanes or of no step, or one with another Ts.
     """
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    check_loop(law, reference)
     method, stage = checked(method, stage)
+    if not isinstance(run, Trajectory) or np.shape(run.q)[-1] != law.chain.n:
+        raise errors.fail("run", "be a Trajectory of this law", f"is {type(run).__name__}")
     if np.ndim(run.residual) != 1 or len(run.residual) == 0:
         raise errors.fail("run", "be one run of at least one step", f"has steps of shape {np.shape(run.residual)}")
     step = float(run.t[-1] - run.t[0]) / len(run.residual)

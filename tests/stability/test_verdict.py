@@ -185,9 +185,3 @@ def test_a_gain_far_too_large_is_told_the_one_that_is_stable(alpha):
     """It was called unstable at every gain: nobody looked below a thousandth of what it was."""
     found = judge(law(alpha), NEAR, 20)
     assert float(re.search(r"below ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(2 / Ts, rel=0.02)
-
-
-def test_another_sampling_time_than_the_runs_is_refused():
-    run = ck.solve(law(5.0), NEAR, Q5, Ts, 20)
-    with pytest.raises(ck.ArgumentError, match=r"`Ts` must be the run's, 0\.1 s, but is 0\.01"):
-        verdict(law(5.0), NEAR, run, Ts=0.01)
