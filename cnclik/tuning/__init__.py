@@ -12,27 +12,6 @@ from cnclik.tuning.parameters import Parameter, parameter, scaled_links
 from cnclik.tuning.result import Performance, Tuned, gradient_in_words, plain, to_json
 from cnclik.tuning.tune import tune
 
-__all__ = [
-    "LOSSES",
-    "Calibrated",
-    "Conditions",
-    "Descent",
-    "Goal",
-    "Parameter",
-    "Performance",
-    "Tuned",
-    "View",
-    "calibrate",
-    "controller_lines",
-    "end_responses",
-    "gradient_in_words",
-    "judge",
-    "loop_objective",
-    "page",
-    "parameter",
-    "plain",
-    "radius_field",
-    "scaled_links",
-    "to_json",
-    "tune",
-]
+__all__ = ["LOSSES", "Calibrated", "Conditions", "Descent", "Goal", "Parameter", "Performance", "Tuned", "View"]
+__all__ += ["calibrate", "controller_lines", "end_responses", "gradient_in_words", "judge", "loop_objective", "page"]
+__all__ += ["parameter", "plain", "radius_field", "scaled_links", "to_json", "tune"]

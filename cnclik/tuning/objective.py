@@ -11,9 +11,9 @@ from cnclik import errors
 from cnclik.hints import quick_jit
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
-from cnclik.law.law import Law
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.stability.linear import checked
+from cnclik.stability.spectrum import check_loop
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, scenarios
@@ -55,6 +55,8 @@ class Goal:
     def __post_init__(self):
         if errors.number("margin", self.margin, positive=True) > 1:
             raise errors.fail("margin", "be at most 1", f"is {self.margin:g}")
+        if not isinstance(self.bounds, (dict, type(None))):
+            raise errors.fail("bounds", "be a table {name: (lower, upper)}", f"is {self.bounds!r}")
         if not isinstance(self.conditions, Conditions):
             raise errors.fail("conditions", "be Conditions(...)", f"is {type(self.conditions).__name__}")
 
@@ -201,8 +203,7 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
 
 def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **goal) -> LoopObjective:
     """The objective that `tune` descends, for judging values found in other ways. Args: as for `tune`."""
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    check_loop(law)
     goal = Goal(**goal)
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
@@ -235,11 +236,6 @@ def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **g
     )
 
 
-def along(objective: LoopObjective, judged: Judged) -> LoopObjective:
-    """The objective whose constraints are asked for along a run that was judged."""
-    return replace(objective, postures=jnp.asarray(judged.postures))
-
-
 def steps_to(horizon, Ts) -> int:
     """Steps of Ts up to the horizon, the last one perhaps beyond it."""
     return int(np.ceil(float(horizon) / float(Ts) - 1e-9))
@@ -251,11 +247,10 @@ def _limits(chain, velocity_limit):
         return (), None
     if isinstance(velocity_limit, str):
         errors.one_of("velocity_limit", velocity_limit, ("chain",))
-        limits = np.array(chain.velocity_limit)
-    else:
-        limits = errors.array("velocity_limit", velocity_limit, (), (chain.n,), finite=False)
-        limits = np.broadcast_to(np.asarray(limits, float), (chain.n,))
-        if not np.all(limits > 0):
-            raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
+        velocity_limit = chain.velocity_limit
+    limits = errors.array("velocity_limit", velocity_limit, (), (chain.n,), finite=False)
+    limits = np.broadcast_to(np.asarray(limits, float), (chain.n,))
+    if not np.all(limits > 0):
+        raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
     joints = tuple(int(i) for i in np.flatnonzero(np.isfinite(limits)))
     return joints, (jnp.asarray(limits[list(joints)]) if joints else None)

@@ -16,9 +16,10 @@ from cnclik import errors
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
+from cnclik.record import replace
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
-from cnclik.tuning.objective import TOGETHER, Goal, Judged, along, judge, loop_objective
+from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
 FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
@@ -29,7 +30,6 @@ class Candidate(NamedTuple):
 
     u: np.ndarray  # (p,)
     judged: Judged
-    descent: int | None = None  # which of the descents it comes from
 
 
 @in_float64
@@ -81,7 +81,7 @@ def tune(
         return result(objective, own, before, judge(objective, [own])[0], **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
-    objective = along(objective, judged[safe])
+    objective = replace(objective, postures=jnp.asarray(judged[safe].postures))  # constraints along that run
     rng = np.random.default_rng(goal.conditions.seed)
     begun = [
         _nearest_kept(objective, u, anchor)
@@ -96,9 +96,10 @@ def tune(
         descent=descent,
         progress=progress,
     )
-    candidates = _judged(objective, [*done.u, *done.best, anchor], [*range(descent.starts)] * 2 + [None])
+    candidates = _judged(objective, [*done.u, *done.best, anchor])
     chosen = _restored(objective, candidates)
-    starts = np.array([_least_kept_loss(c for c in candidates if c.descent == i) for i in range(descent.starts)])
+    kept = [float(c.judged.loss) if c.judged.kept else np.inf for c in candidates[:-1]]
+    starts = np.reshape(kept, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
     return result(
         objective,
@@ -117,9 +118,8 @@ def _values(objective, u):
     return tuple(np.asarray(v) for v in pm.values_of(objective.parameters, jnp.asarray(u)))
 
 
-def _judged(objective, points, descents) -> list:
-    found = judge(objective, [_values(objective, u) for u in points])
-    return [Candidate(*parts) for parts in zip(points, found, descents, strict=True)]
+def _judged(objective, points) -> list:
+    return [*map(Candidate, points, judge(objective, [_values(objective, u) for u in points]))]
 
 
 def _gains_over_z(objective):
@@ -127,14 +127,13 @@ def _gains_over_z(objective):
     start = {p.name: np.asarray(pm.bounded(p, pm.free(p, p.start))) for p in objective.parameters}
     gains = [p for p in objective.parameters if p.name in ("alpha", "schedule")]
     Ts = float(start.get("Ts", objective.loop.Ts))
-    made = []
-    for z in FALLBACK_Z if gains else (None,):
-        values = dict(start)
-        for p in gains:
-            value = z / Ts * (np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)))
-            values[p.name] = np.asarray(pm.bounded(p, pm.free(p, value)))
-        made.append(tuple(values[p.name] for p in objective.parameters))
-    return made
+
+    def gain(p, rate):
+        value = rate * (np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)))
+        return np.asarray(pm.bounded(p, pm.free(p, value)))
+
+    made = [start | {p.name: gain(p, z / Ts) for p in gains} for z in (FALLBACK_Z if gains else (0.0,))]
+    return [tuple(values.values()) for values in made]
 
 
 # --- candidates ---------------------------------------------------------------------------------------
@@ -142,15 +141,11 @@ def _gains_over_z(objective):
 
 def _on_the_way(objective, far, near, shares):
     """Candidates on the straight line from far (share 0) to near (1) in the free numbers."""
-    return _judged(objective, [far + s * (near - far) for s in shares], [None] * len(shares))
+    return _judged(objective, [far + s * (near - far) for s in shares])
 
 
 def _least_bad(candidates):
     return min(candidates, key=lambda c: c.judged.violation)
-
-
-def _least_kept_loss(candidates):
-    return min((float(c.judged.loss) for c in candidates if c.judged.kept), default=np.inf)
 
 
 def _nearest_kept(objective, u, anchor) -> Candidate:
@@ -182,10 +177,8 @@ def _boundary(objective, far, near) -> Candidate:
         shares = np.linspace(low, high, TOGETHER)
         way = _on_the_way(objective, far.u, near.u, shares)
         i = next((i for i, c in enumerate(way) if c.judged.kept), None)
-        if i is None:
-            return last
-        last = way[i]
-        if i == 0:
-            return last
+        last = last if i is None else way[i]
+        if not i:  # none of them, or the farthest
+            break
         low, high = shares[i - 1], shares[i]
     return last
