@@ -10,6 +10,8 @@ import dataclasses
 
 import jax
 
+from cnclik import errors
+
 
 @jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -109,3 +111,8 @@ RK4 = Method(
 )
 
 METHODS = {m.name: m for m in (EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4)}
+
+
+def named(method, argument="method") -> Method:
+    """The method, or the one of that name. Raises: ArgumentError, naming `argument`, where there is none."""
+    return method if isinstance(method, Method) else METHODS[errors.one_of(argument, method, METHODS)]

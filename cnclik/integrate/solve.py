@@ -11,12 +11,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import alone, few_lanes, keeps_history, one_function
-from cnclik.integrate.method import EE, METHODS, Method
+from cnclik.integrate.method import EE, Method, named
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags, growing
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
@@ -204,8 +203,7 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     """Raise ArgumentError where the arguments of a loop don't fit; q as an array (n,) and the method as a `Method`."""
     if not isinstance(law, Law):
         raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
-    if not isinstance(method, Method):
-        method = METHODS[errors.one_of("method", method, METHODS)]
+    method = named(method)
     if not isinstance(reference, Reference):
         raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
     if not hasattr(stage, "tolerance"):

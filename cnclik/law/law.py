@@ -196,7 +196,9 @@ def _gain_rows(law):
     """C = W K W⁻¹: the gain as it acts on weighted errors."""
     alpha, w, m = law.alpha, law.task.weights, law.task.m
     if isinstance(law.chain, RolledChain):
-        return alpha * jnp.eye(m, dtype=alpha.dtype) if alpha.ndim < 2 else alpha if w is None else w[:, None] * alpha / w
+        return (
+            alpha * jnp.eye(m, dtype=alpha.dtype) if alpha.ndim < 2 else alpha if w is None else w[:, None] * alpha / w
+        )
     if alpha.ndim < 2:
         return tuple(tuple((alpha[i] if alpha.ndim else alpha) if i == j else 0.0 for j in range(m)) for i in range(m))
     return tuple(tuple(alpha[i, j] if w is None else alpha[i, j] * w[i] / w[j] for j in range(m)) for i in range(m))

@@ -20,7 +20,6 @@ from cnclik.law.inverse import Factored, tiny_shift
 from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 
-
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 
 

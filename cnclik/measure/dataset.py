@@ -39,22 +39,20 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
 
     dims = tuple(dims)
     t, evaluations = np.asarray(trajectory.t), np.asarray(trajectory.evaluations)
-    if np.ndim(trajectory.residual) != len(dims) + 1:
-        raise errors.fail(
-            "dims", f"name the {np.ndim(trajectory.residual) - 1} leading axes of the trajectory", f"is {dims}"
-        )
-    lanes = np.shape(trajectory.residual)[:-1]
-    q_units = _joint_units(law.chain)
-    x_units = law.task.units
-    one = functools.partial(_joined, separator=" or ")
+    *lanes, N = np.shape(trajectory.residual)
+    if len(lanes) != len(dims):
+        raise errors.fail("dims", f"name the {len(lanes)} leading axes of the trajectory", f"is {dims}")
+    q_units, x_units = _joint_units(law.chain), law.task.units
+    q_unit, x_unit = (" or ".join(dict.fromkeys(units)) for units in (q_units, x_units))
+    qdot_unit = " or ".join(f"{unit}/s" for unit in dict.fromkeys(q_units))
     instant, step = (*dims, "time"), (*dims, "step")
     flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(s.name for s in Status if s)}
     variables = {
-        "q": ((*instant, "joint"), trajectory.q, _about("joint value", one(q_units))),
-        "x": ((*instant, "axis"), trajectory.x, _about("task coordinate", one(x_units))),
-        "e": ((*instant, "axis"), trajectory.e, _about("error x_d − x", one(x_units))),
-        "qdot": ((*step, "joint"), trajectory.qdot, _about("joint velocity", one(f"{u}/s" for u in q_units))),
-        "residual": (step, trajectory.residual, _about("last change of the implicit stage", one(q_units))),
+        "q": ((*instant, "joint"), trajectory.q, _about("joint value", q_unit)),
+        "x": ((*instant, "axis"), trajectory.x, _about("task coordinate", x_unit)),
+        "e": ((*instant, "axis"), trajectory.e, _about("error x_d − x", x_unit)),
+        "qdot": ((*step, "joint"), trajectory.qdot, _about("joint velocity", qdot_unit)),
+        "residual": (step, trajectory.residual, _about("last change of the implicit stage", q_unit)),
         "contraction": (step, trajectory.contraction, _about("ratio of its last two changes", "1")),
         "status": (step, trajectory.status, _about("status bits", "1") | flags),
         "evaluations": (dims, np.broadcast_to(evaluations, lanes), _about("evaluations of f(q, t)", "1")),
@@ -64,7 +62,7 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
         "joint_unit": ("joint", list(q_units), _about("unit of the joint's value", "1")),
         "axis": ("axis", list(law.task.names), _about("task coordinate", "1")),
         "axis_unit": ("axis", list(x_units), _about("unit of the task coordinate", "1")),
-        "step": ("step", np.arange(np.shape(trajectory.residual)[-1]), _about("step", "1")),
+        "step": ("step", np.arange(N), _about("step", "1")),
     }
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
@@ -77,8 +75,8 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
 
 
 def as_json(config) -> str:
-    """A configuration as one line of JSON with sorted keys: what goes into attributes."""
-    return json.dumps(config, sort_keys=True, ensure_ascii=False)
+    """A configuration as one line of JSON with sorted keys, arrays as lists: what goes into attributes."""
+    return json.dumps(config, sort_keys=True, ensure_ascii=False, default=lambda value: np.asarray(value).tolist())
 
 
 def provenance(dtype) -> dict:
@@ -110,10 +108,6 @@ def _commit() -> str:
 
 def _about(name, units):
     return {"long_name": name, "units": units}
-
-
-def _joined(units, separator):
-    return separator.join(dict.fromkeys(units))
 
 
 def _joint_units(chain):

@@ -24,8 +24,3 @@ def ending(e, status, tolerance=1e-3):
     least, largest = jnp.min(third, initial=jnp.inf), jnp.max(third, initial=0.0)
     code = outcome.classify(last, least, largest, scale, tolerance, singular_first)
     return jnp.where(scale > 0, code.astype(e.dtype), jnp.nan)
-
-
-def stable(e, status):
-    """1 where the loop ended as a stable one does, converged or slowly on the way, else 0."""
-    return outcome.stable(ending(e, status)).astype(e.dtype)

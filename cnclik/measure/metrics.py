@@ -6,7 +6,6 @@ that is not finite counts as infinitely large, so that a diverged loop is never 
 NaN means "not defined", and only where a metric's line says so.
 """
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,7 +19,8 @@ from cnclik.integrate.status import Status
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, evaluate
-from cnclik.measure.ending import ending, stable
+from cnclik.measure.ending import ending
+from cnclik.measure.outcome import stable
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import PRISMATIC
 
@@ -94,6 +94,10 @@ def _norms(rows):
     return sp.safe_sqrt(_squares(rows))
 
 
+def _root_mean(rows):
+    return sp.safe_sqrt(jnp.mean(_squares(rows)))
+
+
 def _max(values):
     """Largest of non-negative values, over all axes."""
     return jnp.max(values, initial=0)
@@ -105,32 +109,12 @@ def _first(hit):
     return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
 
-def _all(loop):
-    return loop.run.e
-
-
 def _position(loop):
     return loop.run.e[..., : len(loop.law.task.position)]
 
 
 def _rotation(loop):
     return loop.run.e[..., len(loop.law.task.position) :]
-
-
-def _final(part, loop):
-    return _norms(part(loop)[-1])
-
-
-def _mean(part, loop):
-    return jnp.mean(_norms(part(loop)))
-
-
-def _rms(part, loop):
-    return sp.safe_sqrt(jnp.mean(_squares(part(loop))))
-
-
-def _largest(part, loop):
-    return _max(_norms(part(loop)))
 
 
 def _split(loop):
@@ -145,14 +129,6 @@ def _split(loop):
     return along, e - along * tangent
 
 
-def _along(loop):
-    return _split(loop)[0]
-
-
-def _across(loop):
-    return _split(loop)[1]
-
-
 # --- convergence --------------------------------------------------------------------------------------
 
 
@@ -160,10 +136,6 @@ def _steps_to_tolerance(loop):
     inside = _norms(loop.run.e) <= loop.tolerance
     k = _first(inside)
     return jnp.where(k < inside.shape[0], k, jnp.inf).astype(loop.run.e.dtype)
-
-
-def _evaluations_to_tolerance(of):
-    return _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1)
 
 
 def _settling_time(loop):
@@ -174,19 +146,11 @@ def _settling_time(loop):
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
-def _converged(loop):
-    return (_norms(loop.run.e[-1]) <= loop.tolerance).astype(loop.run.e.dtype)
-
-
 def _overshoot(loop):
     e, first = loop.run.e, loop.run.e[0]
     squared = _squares(first)
-    beyond = _max(jnp.maximum(_finite(-_products(e, first)), 0.0)) / jnp.where(squared > 0, squared, 1.0)
-    return jnp.where(squared > 0, beyond, 0.0)
-
-
-def _products(rows, vector):
-    return jnp.sum(rows * vector, axis=-1)
+    beyond = _max(jnp.maximum(_finite(-jnp.sum(e * first, axis=-1)), 0.0))
+    return jnp.where(squared > 0, beyond / jnp.where(squared > 0, squared, 1.0), 0.0)
 
 
 def _rate(loop):
@@ -202,12 +166,8 @@ def _rate(loop):
 # --- joints -------------------------------------------------------------------------------------------
 
 
-def _max_qdot(loop):
-    return _max(_finite(jnp.abs(loop.run.qdot)))
-
-
 def _rms_qdot(loop):
-    return sp.safe_sqrt(jnp.mean(_squares(loop.run.qdot))) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
+    return _root_mean(loop.run.qdot) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
 
 
 def _rms_qddot(loop):
@@ -215,26 +175,13 @@ def _rms_qddot(loop):
     if steps < 2:
         return jnp.zeros((), loop.run.q.dtype)
     step = (loop.run.t[-1] - loop.run.t[0]) / steps
-    return sp.safe_sqrt(jnp.mean(_squares(jnp.diff(loop.run.qdot, axis=0) / step)))
-
-
-def _path_length(loop):
-    return jnp.sum(_norms(jnp.diff(loop.run.q, axis=0)))
-
-
-def _velocity_ratio(loop):
-    limits = np.asarray(loop.law.chain.velocity_limit)
-    return _max(_finite(jnp.abs(loop.run.qdot) / limits))
+    return _root_mean(jnp.diff(loop.run.qdot, axis=0) / step)
 
 
 def _limit_distance(loop):
     q = loop.run.q
     below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
     return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
-
-
-def _past_limit(loop):
-    return jnp.maximum(-_limit_distance(loop), 0.0)
 
 
 def chatter(qdot, *, settled=0.5):
@@ -254,17 +201,13 @@ def chatter(qdot, *, settled=0.5):
     before, after = late[:-1], late[1:]
     back = jnp.where(before * after < 0, jnp.minimum(jnp.abs(before), jnp.abs(after)), 0.0)
     everything_finite = jnp.all(jnp.isfinite(late))
-    return jnp.where(everything_finite, sp.safe_sqrt(jnp.mean(_squares(back))), jnp.inf)
-
-
-def _task_jacobian(loop, t, q):
-    return evaluate(loop.law, loop.reference, t, q).rows
+    return jnp.where(everything_finite, _root_mean(back), jnp.inf)
 
 
 def _least_singular_value(loop):
     """σ_min = ‖uᵀJ‖ with u its left singular vector held fixed: so dσ = uᵀ dJ v, without a decomposition's."""
     columns = tuple(loop.run.q[:, i] for i in range(loop.law.chain.n))
-    rows = jax.vmap(lambda t, q: _task_jacobian(loop, t, q))(loop.run.t, columns)
+    rows = jax.vmap(lambda t, q: evaluate(loop.law, loop.reference, t, q).rows)(loop.run.t, columns)
     if len(rows) > len(rows[0]):
         rows = sp.transpose(rows)
     u, w = lax.stop_gradient(dense.orthogonal_rows(rows))
@@ -275,81 +218,93 @@ def _least_singular_value(loop):
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 
-# --- the iteration and its status ---------------------------------------------------------------------
+# --- the table ----------------------------------------------------------------------------------------
 
 
-def _residual(loop):
-    return _max(_finite(loop.run.residual))
-
-
-def _contraction(loop):
-    return _max(_finite(loop.run.contraction))
-
-
-def _evaluations(loop):
-    return jnp.asarray(loop.run.evaluations).astype(loop.run.q.dtype)
-
-
-def _count(bit, loop):
-    status = loop.run.status
-    hit = (status == 0) if bit == 0 else (status & bit) != 0
+def _count(hit):
     return jnp.sum(hit.astype(jnp.int32))
 
 
-_BITS = {bit.name.lower(): bit for bit in Status if bit}
+_MARKED = {
+    bit.name.lower(): Metric(lambda of, bit=bit: _count((of.run.status & bit) != 0), "1", f"steps marked {bit.name}")
+    for bit in Status
+    if bit
+}
 
 
-def _errors(prefix, part, unit, label, needs=""):
-    kinds = {"final": (_final, "at the end"), "mean": (_mean, "mean"), "rms": (_rms, "RMS"), "max": (_largest, "max")}
+def _errors(name, rows, unit, label, needs=""):
+    """Metrics of one part of the error: its size at the end, and over the run; rows(of) is that part."""
     return {
-        f"{kind}_{prefix}": Metric(functools.partial(fn, part), unit, f"{label}, {words}", needs=needs)
-        for kind, (fn, words) in kinds.items()
+        f"final_{name}": Metric(lambda of: _norms(rows(of)[-1]), unit, f"{label}, at the end", needs=needs),
+        f"mean_{name}": Metric(lambda of: jnp.mean(_norms(rows(of))), unit, f"{label}, mean", needs=needs),
+        f"rms_{name}": Metric(lambda of: _root_mean(rows(of)), unit, f"{label}, RMS", needs=needs),
+        f"max_{name}": Metric(lambda of: _max(_norms(rows(of))), unit, f"{label}, max", needs=needs),
     }
 
 
 METRICS = {
-    **_errors("error", _all, "e", "error ‖e‖"),
+    **_errors("error", lambda of: of.run.e, "e", "error ‖e‖"),
     **_errors("position_error", _position, "m", "position error", "position"),
     **_errors("rotation_error", _rotation, "rad", "rotation error", "rotation"),
-    **_errors("along", _along, "m", "position error along the path", "position"),
-    **_errors("across", _across, "m", "position error across the path", "position"),
+    **_errors("along", lambda of: _split(of)[0], "m", "position error along the path", "position"),
+    **_errors("across", lambda of: _split(of)[1], "m", "position error across the path", "position"),
     "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
-    "evaluations_to_tolerance": Metric(_evaluations_to_tolerance, "1", "evaluations of f to the tolerance"),
+    "evaluations_to_tolerance": Metric(
+        lambda of: _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1),
+        "1",
+        "evaluations of f to the tolerance",
+    ),
     "settling_time": Metric(_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
-    "converged": Metric(_converged, "1", "1 if ‖e[N]‖ ≤ tolerance"),
+    "converged": Metric(
+        lambda of: (_norms(of.run.e[-1]) <= of.tolerance).astype(of.run.e.dtype), "1", "1 if ‖e[N]‖ ≤ tolerance"
+    ),
     "ending": Metric(
         lambda of: ending(of.run.e, of.run.status), "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"
     ),
-    "stable": Metric(lambda of: stable(of.run.e, of.run.status), "1", "ends stable"),
+    "stable": Metric(lambda of: stable(ending(of.run.e, of.run.status)).astype(of.run.e.dtype), "1", "ends stable"),
     "overshoot": Metric(_overshoot, "1", "largest −e·e₀/‖e₀‖²: how far beyond the target"),
     "rate": Metric(_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
-    "max_qdot": Metric(_max_qdot, "q/s", "largest |q̇ᵢ|"),
+    "max_qdot": Metric(lambda of: _max(_finite(jnp.abs(of.run.qdot))), "q/s", "largest |q̇ᵢ|"),
     "rms_qdot": Metric(_rms_qdot, "q/s", "RMS of ‖q̇‖"),
     "rms_qddot": Metric(_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
-    "path_length": Metric(_path_length, "q", "length of the joint path, Σ‖Δq‖"),
-    "velocity_ratio": Metric(_velocity_ratio, "1", "largest |q̇ᵢ| over its limit"),
+    "path_length": Metric(
+        lambda of: jnp.sum(_norms(jnp.diff(of.run.q, axis=0))), "q", "length of the joint path, Σ‖Δq‖"
+    ),
+    "velocity_ratio": Metric(
+        lambda of: _max(_finite(jnp.abs(of.run.qdot) / np.asarray(of.law.chain.velocity_limit))),
+        "1",
+        "largest |q̇ᵢ| over its limit",
+    ),
     "limit_distance": Metric(_limit_distance, "q", "least distance to a joint limit, negative beyond it"),
-    "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
-    "chatter": Metric(lambda loop: chatter(loop.run.qdot), "q/s", "RMS speed taken back in the next step, second half"),
+    "past_limit": Metric(
+        lambda of: jnp.maximum(-_limit_distance(of), 0.0),
+        "q",
+        "how far the farthest joint goes beyond its limit, 0 if none does",
+    ),
+    "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed taken back in the next step, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
-    "residual": Metric(_residual, "q", "largest last change of an implicit stage"),
-    "contraction": Metric(_contraction, "1", "largest ratio of an implicit stage's last two changes"),
-    "evaluations": Metric(_evaluations, "1", "evaluations of f(q, t)"),
-    "ok": Metric(functools.partial(_count, 0), "1", "steps with status OK"),
-    **{name: Metric(functools.partial(_count, bit), "1", f"steps marked {bit.name}") for name, bit in _BITS.items()},
+    "residual": Metric(lambda of: _max(_finite(of.run.residual)), "q", "largest last change of an implicit stage"),
+    "contraction": Metric(
+        lambda of: _max(_finite(of.run.contraction)), "1", "largest ratio of an implicit stage's last two changes"
+    ),
+    "evaluations": Metric(
+        lambda of: jnp.asarray(of.run.evaluations).astype(of.run.q.dtype), "1", "evaluations of f(q, t)"
+    ),
+    "ok": Metric(lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
+    **_MARKED,
     # On request, whole histories: what convergence curves are drawn from.
-    "error": Metric(lambda loop: _norms(loop.run.e), "e", "error ‖e[k]‖", ("time",)),
-    "t": Metric(lambda loop: loop.run.t, "s", "time", ("time",)),
-    "q": Metric(lambda loop: loop.run.q, "q", "joint values", ("time", "joint")),
-    "x": Metric(lambda loop: loop.run.x, "e", "task coordinates", ("time", "axis")),
-    "e": Metric(lambda loop: loop.run.e, "e", "error", ("time", "axis")),
-    "qdot": Metric(lambda loop: loop.run.qdot, "q/s", "joint velocity", ("step", "joint")),
-    "status": Metric(lambda loop: loop.run.status, "1", "status bits", ("step",)),
+    "error": Metric(lambda of: _norms(of.run.e), "e", "error ‖e[k]‖", ("time",)),
+    "t": Metric(lambda of: of.run.t, "s", "time", ("time",)),
+    "q": Metric(lambda of: of.run.q, "q", "joint values", ("time", "joint")),
+    "x": Metric(lambda of: of.run.x, "e", "task coordinates", ("time", "axis")),
+    "e": Metric(lambda of: of.run.e, "e", "error", ("time", "axis")),
+    "qdot": Metric(lambda of: of.run.qdot, "q/s", "joint velocity", ("step", "joint")),
+    "status": Metric(lambda of: of.run.status, "1", "status bits", ("step",)),
 }
 
 DEFAULT = (
     *("final_error", "mean_error", "rms_error", "max_error", "steps_to_tolerance", "converged", "max_qdot"),
-    *("residual", "evaluations", "ok", *_BITS),
+    *("residual", "evaluations", "ok", *_MARKED),
 )
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.hints import one_function
-from cnclik.integrate.method import EE, METHODS, Method
+from cnclik.integrate.method import EE, Method, named
 from cnclik.integrate.solve import advance, cast
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
@@ -91,7 +91,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
       tolerance: fraction of `scale` that counts as arrived.
       scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
     """
-    method = METHODS[method] if isinstance(method, str) else method
+    method = named(method)
     law, reference, Ts, tolerance = cast((law, reference, Ts, tolerance), q0.dtype)
     Ts = jnp.asarray(Ts, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)

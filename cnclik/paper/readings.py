@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import CN, METHODS, Method
+from cnclik.integrate.method import CN, METHODS, Method, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
@@ -121,8 +121,7 @@ def experiment(arm: str, case: str, method: Method | str = CN, reading: Reading 
       reading: how to read the text.
     """
     errors.one_of("arm", arm, ARMS)
-    if not isinstance(method, Method):
-        method = METHODS[errors.one_of("method", method, METHODS)]
+    method = named(method)
     return solve(
         law(arm, reading.rotation),
         path(arm, case, reading.feedforward),

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import Method
+from cnclik.integrate.method import Method, named
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference
 from cnclik.problem.names import (
@@ -13,7 +13,6 @@ from cnclik.problem.names import (
     gain_from,
     inverse_from,
     limits_from,
-    method_from,
     null_from,
     robot_from,
     robot_name,
@@ -22,7 +21,7 @@ from cnclik.problem.names import (
     task_from,
 )
 from cnclik.problem.options import DEFAULTS, OPTIONS, PATH
-from cnclik.problem.reference import PYTHON, reference_from
+from cnclik.problem.reference import as_written, reference_from
 
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
 
@@ -52,8 +51,7 @@ def problem_from(robot, **options) -> Problem:
 
     Raises: ArgumentError naming the entry that does not fit.
     """
-    written = {python: name for name, python in PYTHON.items()}
-    given = {written.get(key, key): value for key, value in options.items() if value is not None}
+    given = as_written({name: value for name, value in options.items() if value is not None})
     for key in given:
         errors.one_of("option", key, OPTIONS)
     v = dict.fromkeys(OPTIONS) | DEFAULTS | given
@@ -71,7 +69,7 @@ def problem_from(robot, **options) -> Problem:
         null_velocity=null_from(chain, task, **{name: v[name] for name in NULL_TERMS}),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
-    path = {name: given[name] for name in PATH if name in given}
+    path = {name: v[name] for name in PATH}
     return Problem(
         name=robot_name(robot, v["tip"]),
         law=law,
@@ -79,6 +77,6 @@ def problem_from(robot, **options) -> Problem:
         q0=q0,
         Ts=Ts,
         N=N,
-        method=method_from(v["method"]),
+        method=named(v["method"]),
         stage=stage_from(v["stage"], v["M"]),
     )

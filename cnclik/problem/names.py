@@ -15,7 +15,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate import stage as stages
-from cnclik.integrate.method import METHODS, Method
+from cnclik.integrate.method import named
 from cnclik.law import inverse, limits, null, task
 from cnclik.robot import builtin
 from cnclik.robot.chain import Chain, planar_arm
@@ -62,7 +62,9 @@ LIMITS = {  # of the rate [1/s] at which a joint may near its limit
 }
 NULL_TERMS = {  # of chain, task and the option's value
     "posture": lambda chain, task, rest: null.posture(errors.array("posture", rest, (chain.n,))),
-    "manipulability": null.maximize_manipulability,
+    "manipulability": lambda chain, task, gain: null.maximize_manipulability(
+        chain, task, errors.number("manipulability", gain, positive=True)
+    ),
 }
 STAGES = {"picard": stages.picard, "chord": stages.chord, "newton": stages.newton}
 
@@ -132,7 +134,7 @@ def task_from(text, chain: Chain | None = None) -> task.Task:
     flat = chain is not None and is_planar(chain)
     if text is None:
         text = "pose" if not flat and (chain is None or chain.n >= 6) else "position"
-    if text in TASKS:
+    if isinstance(text, str) and text in TASKS:
         return TASKS[text](*(("xy", "z") if flat else ("xyz", "xyz")))
     found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
     if not found or not text:
@@ -182,10 +184,10 @@ def limits_from(name="none", Ts=None):
     Where the sampling time is known, a joint nears its limit at most as fast as one step can stop: 1/Ts, and
     10 per second at most.
     """
-    build = LIMITS[errors.one_of("limits", name, LIMITS)]
-    if Ts is None:
-        return build(10.0)
-    return build(min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts))
+    rate = 10.0
+    if Ts is not None:
+        rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
+    return LIMITS[errors.one_of("limits", name, LIMITS)](rate)
 
 
 def null_from(chain: Chain, task, **given):
@@ -194,19 +196,12 @@ def null_from(chain: Chain, task, **given):
     if len(given) > 1:
         first, second, *_ = given
         raise errors.fail(second, f"be left out where `{first}` is given", f"is {given[second]!r}")
-    for name, value in given.items():
-        if name == "manipulability":
-            errors.number(name, value, positive=True)
-        return NULL_TERMS[name](chain, task, value)
-    return None
+    return next((NULL_TERMS[name](chain, task, value) for name, value in given.items()), None)
 
 
 # --- loop ---------------------------------------------------------------------------------------------
 
-
-def method_from(name) -> Method:
-    """A method by name."""
-    return name if isinstance(name, Method) else METHODS[errors.one_of("method", name, METHODS)]
+method_from = named
 
 
 def stage_from(name="picard", M=5, **options):

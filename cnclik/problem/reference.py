@@ -15,7 +15,13 @@ from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import frames
 from cnclik.robot.posture import arm_length
 
-PYTHON = {"from": "start", "to": "end"}  # `from` is no name in Python
+
+def as_written(options) -> dict:
+    """Options by the names that a user writes: `from` is no name in Python, `start` and `end` stand for from and to."""
+    for python, name in (("start", "from"), ("end", "to")):
+        if python in options and name in options:
+            raise errors.fail(python, f"be left out where `{name}` is given", f"is {options[python]!r}")
+    return {{"start": "from", "end": "to"}.get(name, name): value for name, value in options.items()}
 
 
 class Scene(NamedTuple):
@@ -25,7 +31,6 @@ class Scene(NamedTuple):
     task: object
     q0: object
     here: tuple  # position and rotation of the tip at q0
-    horizon: object  # length of the run [s]
 
 
 def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> ref.Reference:
@@ -48,15 +53,15 @@ def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> re
       horizon: length of the run [s], the default of `period`.
       given: the options named above; `from` and `to` are `start` and `end`.
     """
-    scene = Scene(chain, task, q0, _tip(chain, q0), horizon)
-    written = {python: name for name, python in PYTHON.items()}
-    given = {written.get(key, key): value for key, value in given.items()}
+    scene = Scene(chain, task, q0, _tip(chain, q0))
+    given = as_written(given)
     if str(name).lower().endswith(".csv"):
         fitting("reference", name, Choice(_waypoints), given)
         return _waypoints(scene, name)
     choice = REFERENCES[errors.one_of("reference", name, (*REFERENCES, "FILE.csv"))]
     given = fitting("reference", name, choice, given)
-    return choice.build(scene, **{PYTHON.get(key, key): value for key, value in given.items()})
+    length = {"period": horizon} if "period" in choice.options else {}
+    return choice.build(scene, **(length | given))
 
 
 def _hold(scene, target=None):
@@ -64,16 +69,15 @@ def _hold(scene, target=None):
     return ref.hold(*_point("target", target, scene.task, there))
 
 
-def _line(scene, start=None, end=None, period=None):
-    period = scene.horizon if period is None else period
+def _line(scene, period, **ends):
     errors.number("period", period, positive=True)
-    first, turned = _point("from", start, scene.task, scene.here)
-    last, turned_last = _point("to", end, scene.task, scene.here if end is not None else _away(scene))
+    first, turned = _point("from", ends.get("from"), scene.task, scene.here)
+    last, turned_last = _point("to", ends.get("to"), scene.task, scene.here if "to" in ends else _away(scene))
     turned_last = None if turned_last is turned else turned_last  # kept: nothing to turn
     return ref.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
 
-def _circle(scene, center=None, radius=None, normal=None, period=None, phase=0.0):
+def _circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
     _needs_position("circle", scene.task)
     radius = arm_length(scene.chain) / 10 if radius is None else radius
     errors.number("radius", radius, positive=True)
@@ -82,16 +86,14 @@ def _circle(scene, center=None, radius=None, normal=None, period=None, phase=0.0
     if center is None:
         first = ref.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve(0.0)[0]
         at = at - _stacked(first)
-    period = scene.horizon if period is None else period
     return ref.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
 
 
-def _lissajous(scene, center=None, amplitude=None, frequency=None, period=None, phase=None):
+def _lissajous(scene, period, center=None, amplitude=None, frequency=None, phase=None):
     _needs_position("lissajous", scene.task)
     amplitude = arm_length(scene.chain) / 20 if amplitude is None else amplitude
     at, rotation = _point("center", center, scene.task, scene.here)
     size = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),))) * np.ones(len(at))
-    period = scene.horizon if period is None else period
     return ref.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
 
 

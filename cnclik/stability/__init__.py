@@ -36,47 +36,10 @@ from cnclik.stability.spectrum import (
 )
 from cnclik.stability.verdict import Behaviour, Verdict, verdict
 
-__all__ = [
-    "Advice",
-    "Behaviour",
-    "Ending",
-    "Margin",
-    "Outcome",
-    "RealAxisLimits",
-    "Recommendation",
-    "Spectrum",
-    "Verdict",
-    "advise",
-    "agreement",
-    "amplification",
-    "at_rest",
-    "attraction_radius",
-    "certified_radius",
-    "curvature_bound",
-    "delay_limit",
-    "delayed_radius",
-    "gain_per_second",
-    "gain_per_step",
-    "largest_rate",
-    "margin",
-    "one_step",
-    "outcome",
-    "outcomes",
-    "passes_map",
-    "plane",
-    "real_axis_limits",
-    "recommend",
-    "responses",
-    "sampled_attraction",
-    "settle",
-    "spectral_radius",
-    "spectrum",
-    "stability_limit",
-    "stability_map",
-    "stability_region",
-    "starts",
-    "step_maps",
-    "task_map",
-    "task_radius",
-    "verdict",
-]
+__all__ = ["Advice", "Behaviour", "Ending", "Margin", "Outcome", "RealAxisLimits", "Recommendation", "Spectrum"]
+__all__ += ["Verdict"]
+__all__ += ["advise", "agreement", "amplification", "at_rest", "attraction_radius", "certified_radius"]
+__all__ += ["curvature_bound", "delay_limit", "delayed_radius", "gain_per_second", "gain_per_step", "largest_rate"]
+__all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "real_axis_limits", "recommend"]
+__all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
+__all__ += ["stability_map", "stability_region", "starts", "step_maps", "task_map", "task_radius", "verdict"]

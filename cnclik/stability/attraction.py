@@ -14,16 +14,14 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
-from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames
 from cnclik.robot.kinematics import as_joint_values, jacobian
-from cnclik.stability.linear import named
+from cnclik.stability.linear import checked
 from cnclik.stability.maps import endings_about
+from cnclik.stability.spectrum import hold_at
 
 
 def curvature_bound(chain) -> float:
@@ -40,9 +38,8 @@ def curvature_bound(chain) -> float:
     offsets = [*(j.origin.position for j in chain.joints[1:]), chain.tip.position]
     lengths = [math.sqrt(sum(float(v) ** 2 for v in offset)) for offset in offsets]
     reach = np.zeros((len(lengths), chain.n))  # row k: which coordinates turn link k, and how much
-    for k in range(len(lengths)):
-        for joint in chain.joints[: k + 1]:
-            reach[k, joint.coordinate] += abs(float(joint.multiplier))
+    for k, joint in enumerate(chain.joints):
+        reach[k:, joint.coordinate] += abs(float(joint.multiplier))
     return float(np.linalg.eigvalsh(reach.T @ (np.array(lengths)[:, None] * reach))[-1])
 
 
@@ -80,12 +77,9 @@ def certified_radius(law, q0, *, Ts) -> float:
     extras = (law.task.weights, law.limits, law.null_velocity)
     plain = not law.task.orientation and all(extra is None for extra in extras)
     if not (plain and isinstance(law.inverse, Pseudoinverse) and np.ndim(law.alpha) == 0):
-        raise errors.fail(
-            "law",
-            "be a position task with pseudoinverse(), scalar alpha, no weights, limits or null velocity",
-            "is not",
-        )
-    z = float(law.alpha) * float(Ts)
+        must = "be a position task with pseudoinverse(), scalar alpha, no weights, limits or null velocity"
+        raise errors.fail("law", must, "is not")
+    z = float(law.alpha) * float(errors.number("Ts", Ts, positive=True))
     if not 0 < z < 2:
         return 0.0
     bound = curvature_bound(law.chain)
@@ -112,14 +106,15 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     q0 = as_joint_values(law.chain, q0, "q0")
     radii = np.asarray(errors.array("radii", radii, (None,)), float)
+    Ts = jnp.asarray(errors.number("Ts", Ts, positive=True), float)
+    errors.number("tolerance", tolerance, positive=True)
+    directions, N = errors.integer("directions", directions, at_least=1), errors.integer("N", N, at_least=4)
     units = _directions(len(law.task.position), directions, seed)
-    moves = (radii[:, None, None] * units).reshape(-1, units.shape[-1])
-    ended = _targets(
-        law, q0, jnp.asarray(moves), jnp.asarray(Ts, float), stage, N=N, method=method, tolerance=tolerance
-    )
+    moves = jnp.asarray((radii[:, None, None] * units).reshape(-1, units.shape[-1]))
+    ended = _targets(law, q0, moves, Ts, stage, N=N, method=method, tolerance=tolerance)
     ending = np.asarray(ended.ending).reshape(len(radii), len(units))
     return xr.Dataset(
         {
@@ -134,13 +129,8 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
 
 @functools.partial(jax.jit, static_argnames=("N", "method", "tolerance"))
 def _targets(law, q0, moves, Ts, stage, *, N, method, tolerance):
-    at = frames(law.chain, tuple(q0))
-    rotation = sp.packed(at.rotation, q0.dtype) if law.task.orientation else None
-    here = sp.packed(sp.pick(at.position, law.task.linear), q0.dtype)
-
     def one(move):
-        target = ref.hold(here + move, rotation)
-        return outcome(law, target, q0, Ts, N, method, stage, tolerance=tolerance)
+        return outcome(law, hold_at(law, q0, move), q0, Ts, N, method, stage, tolerance=tolerance)
 
     return jax.vmap(one)(moves)
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import METHODS, Method
+from cnclik.integrate.method import named
 from cnclik.integrate.solve import march
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
@@ -66,7 +66,7 @@ def amplification(method, stage, z):
       z: alpha·Ts, a number or an array of any shape, real or complex. Numerical analysis writes −z for it.
     Returns: a NumPy array of the shape of z, complex where z is; computed in float64.
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     z = np.asarray(z)
     flat = z.reshape(-1)
     a, b = jnp.asarray(flat.real, np.float64), jnp.asarray(flat.imag, np.float64)
@@ -75,10 +75,9 @@ def amplification(method, stage, z):
     return value.reshape(z.shape)
 
 
-def named(method, stage):
-    """A method by name, and the stage an explicit method doesn't need."""
-    if not isinstance(method, Method):
-        method = METHODS[errors.one_of("method", method, METHODS)]
+def checked(method, stage):
+    """A method, also by name, and its stage, which an explicit one doesn't need."""
+    method = named(method)
     if stage is None:
         if method.implicit:
             raise errors.fail("stage", f"be given for {method}, such as picard(5)", "is None")
@@ -165,17 +164,10 @@ def real_axis_limits(method, stage=None) -> RealAxisLimits:
 
     Args: as for `amplification`.
     """
-    method, stage = named(method, stage)
-
-    def real(z):
-        return amplification(method, stage, z)
-
-    def size(z):
-        return np.abs(real(z))
-
-    stable = first_above(size, 1 + _SLACK)
-    crossing = first_above(lambda z: -real(z), 2**9 * EPS)
-    fastest, rate = least_on(size, min(stable, REACH))
+    method, stage = checked(method, stage)
+    stable = stability_limit(method, stage)
+    crossing = first_above(lambda z: -amplification(method, stage, z), 2**9 * EPS)
+    fastest, rate = least_on(lambda z: np.abs(amplification(method, stage, z)), min(stable, REACH))
     return RealAxisLimits(
         stable=stable,
         monotone=min(stable, crossing),
@@ -190,7 +182,7 @@ def stability_limit(method, stage=None) -> float:
 
     EE 2, IE with picard(5) 1, IE with chord(M) inf, the paper's CN solved exactly 1 + √5, RK4 2.785.
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     return first_above(lambda z: np.abs(amplification(method, stage, z)), 1 + _SLACK)
 
 
@@ -204,7 +196,8 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
+    points = errors.integer("points", points, at_least=2)
     x, y = np.linspace(*real, points), np.linspace(*imaginary, points)
     values = np.abs(amplification(method, stage, x + 1j * y[:, None]))
     return xr.DataArray(
@@ -233,12 +226,17 @@ def delayed_radius(method, stage, z, delay: int):
       delay: d ≥ 0, whole samples.
     """
     delay = errors.integer("delay", delay, at_least=0)
-    increment = np.asarray(amplification(method, stage, z)) - 1
-    companion = np.zeros((*increment.shape, delay + 1, delay + 1), increment.dtype)
+    return np.abs(late_factors(amplification(method, stage, z), delay)).max(-1)
+
+
+def late_factors(prompt, delay: int):
+    """Factors (..., d + 1) of a loop that is d samples late, from a prompt one's λ (...): μ^(d+1) − μ^d + 1 − λ = 0."""
+    prompt = np.asarray(prompt)
+    companion = np.zeros((*prompt.shape, delay + 1, delay + 1), prompt.dtype)
     companion[..., 0, 0] += 1
-    companion[..., 0, -1] += increment
+    companion[..., 0, -1] += prompt - 1
     companion[..., np.arange(1, delay + 1), np.arange(delay)] = 1
-    return np.abs(np.linalg.eigvals(companion)).max(-1)
+    return np.linalg.eigvals(companion)
 
 
 def delay_limit(delay: int, method="EE", stage=None) -> float:
@@ -246,7 +244,7 @@ def delay_limit(delay: int, method="EE", stage=None) -> float:
 
     Explicit Euler: 2 sin(π/(2(2d + 1))), that is 2, 1, 0.618, 0.445, 0.347 for d = 0 … 4 (Levin & May 1976).
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     return first_above(lambda z: delayed_radius(method, stage, z, delay), 1 + _SLACK)
 
 

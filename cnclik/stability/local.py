@@ -14,12 +14,11 @@ import numpy as np
 from cnclik.hints import quick_jit
 from cnclik.integrate.solve import advance, cast
 from cnclik.law import reference as ref
-from cnclik.law.law import evaluate
 from cnclik.record import replace
-from cnclik.stability.spectrum import task_radius
+from cnclik.stability.spectrum import task_radius, task_rows
 
 GAINS = 32  # looked at together: one shape, one program
-LEAST = 1e-3  # share of the gain down to which a stable one is looked for
+LEAST = 1e-15  # share of the gain down to which a stable one is looked for
 _STEP = 1e-6  # of the differences [rad, m]
 _NOISE = 1e-6  # of the eigenvalues that come of it
 
@@ -51,9 +50,7 @@ def _moved(law, reference, q, scale, Ts, stage, *, method):
 
     def one(q, scale):
         gained = replace(law, alpha=law.alpha * scale)
-        rows = evaluate(gained, reference, zero, tuple(q)).rows
-        made = advance(gained, reference, tuple(q), zero, Ts, method, stage)
-        return jnp.stack(made.q), jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in rows])
+        return jnp.stack(advance(gained, reference, tuple(q), zero, Ts, method, stage).q), task_rows(law, reference, q)
 
     return jax.vmap(one)(q, scale)
 
@@ -71,19 +68,19 @@ def maps(law, at: Instant, scale, Ts, method, stage):
 def stable_share(law, at: Instant, Ts, method, stage) -> float:
     """Share of the gain up to which the loop is stable at an instant, to 1 %: 1 if all of it is, 0 below LEAST."""
 
-    def radius(scale):
-        return task_radius(*maps(law, at, scale, Ts, method, stage))
+    def bad(scale):
+        return ~(task_radius(*maps(law, at, scale, Ts, method, stage)) <= 1 + _NOISE)
 
-    grid = np.geomspace(LEAST, 1, GAINS)
-    bad = ~(radius(grid) <= 1 + _NOISE)
-    if not bad.any():
-        return 1.0
-    first = int(np.argmax(bad))
-    if first == 0:
-        return 0.0
-    grid = np.linspace(grid[first - 1], grid[first], GAINS)
-    bad = ~(radius(grid) <= 1 + _NOISE)
-    return float(grid[max(int(np.argmax(bad)) - 1, 0)])
+    for top in np.geomspace(1, LEAST, 6)[:-1]:  # three decades at a time
+        grid = np.geomspace(top * 1e-3, top, GAINS)
+        unstable = bad(grid)
+        first = int(np.argmax(unstable))
+        if not unstable.any():
+            return float(top)
+        if first > 0:
+            grid = np.linspace(grid[first - 1], grid[first], GAINS)
+            return float(grid[max(int(np.argmax(bad(grid))) - 1, 0)])
+    return 0.0
 
 
 def fastest_share(law, at: Instant, Ts, method, stage) -> float:

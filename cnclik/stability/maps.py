@@ -1,28 +1,26 @@
 """Maps: outcomes of whole nonlinear loops over alpha, Ts and M, with the linear boundary beside them."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import EE
-from cnclik.integrate.solve import advance, evaluations_per_step
+from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
-from cnclik.law import reference as ref
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import named, stability_limit
+from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.recommend import recommend
-from cnclik.stability.spectrum import largest_rate, settle
+from cnclik.stability.spectrum import check_loop, largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-MIN_EVALUATIONS_FOR_LANES = 10_000_000  # fewer don't win back what a native loop takes longer to compile, up to 20 s
+MIN_EVALUATIONS_FOR_LANES = 10_000_000  # fewer don't win back what `lanes` takes longer to compile, up to 20 s
 BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
@@ -54,12 +52,26 @@ def outcomes(
       progress: called as progress(loops done, of how many), or None.
     Returns: `Outcome` of NumPy arrays (...).
     """
-    method, stage = named(method, stage)
-    ref.check(reference, law.task)
+    method, stage = checked(method, stage)
+    check_loop(law, reference)
     N = errors.integer("N", N, at_least=4)
-    q0 = np.asarray(errors.array("q0", q0), float)
-    shape = np.broadcast_shapes(q0.shape[:-1], np.shape(alpha), np.shape(Ts), np.shape(M) if M is not None else ())
-    count = int(np.prod(shape))
+    errors.number("tolerance", tolerance, positive=True)
+    given = (("q0", q0), ("alpha", alpha), ("Ts", Ts), ("M", 0 if M is None else M))
+    q0, alpha, Ts, passes = (np.asarray(errors.array(name, value), float) for name, value in given)
+    if not np.all(Ts > 0):
+        raise errors.fail("Ts", "be positive", f"is {Ts.tolist()}")
+    if np.any(passes < 0):
+        raise errors.fail("M", "be at least 0", f"is {passes.tolist()}")
+    if q0.shape[-1:] != (law.chain.n,):
+        raise errors.fail("q0", f"have shape (..., {law.chain.n})", f"has shape {q0.shape}")
+    shapes = q0.shape[:-1], alpha.shape, Ts.shape, passes.shape
+    try:
+        shape = np.broadcast_shapes(*shapes)
+    except ValueError:
+        shape = (0,)
+    count = math.prod(shape)
+    if not count:
+        raise errors.fail("q0, alpha, Ts, M", "go with each other, one loop at least", f"have the shapes {shapes}")
     chunk = min(errors.integer("chunk", chunk, at_least=1), count)
     pad = -count % chunk
 
@@ -78,7 +90,8 @@ def outcomes(
         own = stage if M is None else replace(stage, M=M)
         return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
 
-    run = many(one, count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n)))
+    evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
+    run = lanes(one, block=BLOCK) if evaluations > MIN_EVALUATIONS_FOR_LANES else jax.jit(jax.vmap(one))
     done = []
     for i in range(0, count, chunk):
         part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]
@@ -86,11 +99,6 @@ def outcomes(
         if progress is not None:
             progress(min(i + chunk, count), count)
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
-
-
-def many(one, evaluations):
-    """vmap(one), for so many evaluations of f in all: what `lanes` compiles is faster, but takes longer to compile."""
-    return lanes(one, block=BLOCK) if evaluations > MIN_EVALUATIONS_FOR_LANES else jax.jit(jax.vmap(one))
 
 
 @in_float64
@@ -107,7 +115,7 @@ def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), 
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
     rest = settle(law, reference, q0) if rest is None else rest
@@ -141,8 +149,9 @@ def passes_map(law, reference, q0, *, z, M, Ts=0.1, method=EE, stage=picard(0), 
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
-    z, M = np.asarray(z, float), np.asarray(M, int)
+    method, stage = checked(method, stage)
+    z = np.asarray(errors.array("z", z, (None,)), float)
+    M = np.array([errors.integer("M", m, at_least=0) for m in M], int)
     made = outcomes(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, N=N, **options)
     masked = [replace(stage, M=jnp.asarray(int(m)), maximum=int(M.max())) for m in M]
     return xr.Dataset(
@@ -172,11 +181,7 @@ def _variables(made: Outcome, dims):
         "steps": (dims, made.steps, {"units": "1", "long_name": "steps to the tolerance"}),
         "final": (dims, made.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
         "near_singular": (dims, made.near_singular, {"units": "1"}),
-        "stage_not_converged": (
-            dims,
-            made.stage_not_converged,
-            {"units": "1", "long_name": "some stage not converged"},
-        ),
+        "stage_not_converged": (dims, made.stage_not_converged, {"units": "1", "long_name": "a stage not converged"}),
     }
 
 
@@ -205,32 +210,3 @@ def agreement(ending, z, limit, *, band=0.03):
     outside = ~finite | (np.abs(z - np.where(finite, limit, 0)) > band * np.where(finite, limit, 0))
     agree = stable(ending) == (z < limit)
     return float(agree[outside].mean())
-
-
-@in_float64
-def starts(law, rest, moves):
-    """Starts (k, n) from which the tip has to go by -moves (k, d) [m] to be where it is at rest (n,). In float64.
-
-    Found by letting the loop go from `rest` to each displaced target, so the initial error is `moves` to rounding
-    where the target is within reach. Orientations are kept.
-    """
-    rest = as_joint_values(law.chain, rest, "rest")
-    moves = jnp.asarray(errors.array("moves", moves, (None, len(law.task.position))))
-    return np.asarray(_starts(replace(law, alpha=law.alpha / largest_rate(law.alpha)), rest, moves))
-
-
-@jax.jit
-def _starts(law, rest, moves):
-    at = frames(law.chain, tuple(rest))
-    rotation = sp.packed(at.rotation, rest.dtype) if law.task.orientation else None
-    here = sp.packed(sp.pick(at.position, law.task.linear), rest.dtype)
-
-    def one(move):
-        target, zero = ref.hold(here - move, rotation), jnp.zeros_like(rest[0])
-
-        def go(q, _):
-            return advance(law, target, q, zero, zero + 0.5, EE, picard(0)).q, None
-
-        return sp.packed(lax.scan(go, tuple(rest), None, length=60)[0], rest.dtype)
-
-    return jax.vmap(one)(moves)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import METHODS
+from cnclik.integrate.method import named
 from cnclik.integrate.stage import chord, picard
 from cnclik.measure.files import markdown
 from cnclik.stability.linear import delay_limit, real_axis_limits, stability_region
@@ -28,7 +28,7 @@ def plane(methods=(*EXPLICIT, *IMPLICIT), passes=(0, 1, 2, 3, 4, 5, 10), *, poin
     """
     import xarray as xr
 
-    methods = [METHODS[errors.one_of("methods", name, METHODS)] for name in methods]
+    methods = [named(method, "methods") for method in methods]
     passes = [errors.integer("passes", M, at_least=0) for M in passes]
     for name, given in (("methods", methods), ("passes", passes)):
         if not given:

@@ -11,7 +11,7 @@ from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import EPS, first_above, least_on, named
+from cnclik.stability.linear import EPS, checked, first_above, least_on
 from cnclik.stability.spectrum import (
     Spectrum,
     at_rest,
@@ -107,9 +107,9 @@ class _Loop(NamedTuple):
 
 
 def _loop(law, reference, q, method, stage) -> _Loop:
-    method, stage = named(method, stage)
-    q = as_joint_values(law.chain, q, finite=True)
-    return _Loop(law, at_rest(law, reference, q), q, method, stage, largest_rate(law.alpha))
+    method, stage = checked(method, stage)
+    held = at_rest(law, reference, q)
+    return _Loop(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha))
 
 
 @in_float64
@@ -137,8 +137,7 @@ def margin(law, reference, q, *, Ts, method=EE, stage=picard(5), reach=REACH) ->
 
     Args: as for `recommend`.
     """
-    loop = _loop(law, reference, q, method, stage)
-    return _margin(loop, Ts, _recommend(loop, Ts, reach), _spectrum(loop, Ts))
+    return _margin(_loop(law, reference, q, method, stage), Ts, reach)[1]
 
 
 @in_float64
@@ -148,21 +147,21 @@ def advise(law, reference, q, *, Ts, method=EE, stage=picard(5), reach=REACH) ->
     Args: as for `recommend`.
     """
     loop = _loop(law, reference, q, method, stage)
-    gains, now = _recommend(loop, Ts, reach), _spectrum(loop, Ts)
-    return Advice(gains=gains, times=_recommend(loop, None, reach), margin=_margin(loop, Ts, gains, now), spectrum=now)
+    gains, room, now = _margin(loop, Ts, reach)
+    return Advice(gains=gains, times=_recommend(loop, None, reach), margin=room, spectrum=now)
 
 
-def _spectrum(loop, Ts):
-    return spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage))
-
-
-def _margin(loop, Ts, gains, now) -> Margin:
-    z = loop.rate * float(Ts)
-    return Margin(z=z, z_largest=gains.z_largest, margin=gains.z_largest / z, radius=now.radius, limit=gains.limit)
+def _margin(loop, Ts, reach):
+    """`Recommendation` of alpha, `Margin` and `Spectrum`."""
+    z = loop.rate * float(errors.number("Ts", Ts, positive=True))
+    gains = _recommend(loop, Ts, reach)
+    now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage))
+    known = dict(z=z, z_largest=gains.z_largest, margin=gains.z_largest / z, radius=now.radius, limit=gains.limit)
+    return gains, Margin(**known), now
 
 
 def _recommend(loop, Ts, reach) -> Recommendation:
-    law, rate = loop.law, loop.rate
+    law, rate, reach = loop.law, loop.rate, float(errors.number("reach", reach, positive=True))
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
 
@@ -177,15 +176,12 @@ def _recommend(loop, Ts, reach) -> Recommendation:
         scale, times = (np.ones_like(z), z / rate) if Ts is None else (z / (rate * Ts), np.full_like(z, Ts))
         return step_maps(law, loop.held, loop.q, scale, times, loop.method, loop.stage)
 
-    def task(z):
-        return task_radius(*maps(z))
-
     def worst(z):
         moved, rows = maps(z)
         return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
 
     z_largest = first_above(worst, 1 + _SLACK, reach)
-    z_fastest, least = least_on(task, min(z_largest, reach))
+    z_fastest, least = least_on(lambda z: task_radius(*maps(z)), min(z_largest, reach))
     if z_fastest >= reach:
         z_fastest = np.inf
     bounded = np.isfinite(z_largest)

@@ -14,7 +14,7 @@ from cnclik.law.shifted import shifted
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import named
+from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 
 SIZE = 1e-3  # of the step and of the sine's amplitude [m, rad]: small, so that geometry plays no part
@@ -29,19 +29,18 @@ class _Probe:
     omega: object
 
     def __call__(self, t):
-        return self.unit * (SIZE * _wanted(self.omega, t))
+        return self.unit * (SIZE * self.wanted(t))
 
-
-def _wanted(omega, t):
-    return jnp.where(omega > 0, jnp.sin(omega * t), jnp.ones_like(t))
+    def wanted(self, t):
+        return jnp.where(self.omega > 0, jnp.sin(self.omega * t), jnp.ones_like(t))
 
 
 @quick_jit(static_argnames=("N", "method"))
 def _responses(law, curve, q, Ts, stage, units, omega, *, N, method):
     def one(unit, omega):
-        moved = shifted(ref.Reference(curve=curve), law.task, _Probe(unit=unit, omega=omega))
-        run = solve(law, moved, q, Ts, N, method, stage)
-        wanted = _wanted(omega, run.t)
+        probe = _Probe(unit=unit, omega=omega)
+        run = solve(law, shifted(ref.Reference(curve=curve), law.task, probe), q, Ts, N, method, stage)
+        wanted = probe.wanted(run.t)
         return wanted, wanted - (run.e / SIZE) @ unit
 
     return jax.vmap(one)(units, omega)
@@ -58,14 +57,14 @@ def responses(law, reference, q, *, Ts, method=EE, stage=picard(5), N=2 * PERIOD
     """
     import xarray as xr
 
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=1)
-    q = as_joint_values(law.chain, q, finite=True)
+    held = at_rest(law, reference, q)
+    q = as_joint_values(law.chain, q)
     m, Ts = law.task.m, float(Ts)
     units = np.tile(np.eye(m), (2, 1))
     omega = np.repeat([0.0, 2 * np.pi / (PERIOD * Ts)], m)
-    held = at_rest(law, reference, q)
     made = _responses(law, held.curve, q, jnp.asarray(Ts), stage, units, omega, N=N, method=method)
     wanted, response = (np.asarray(v).reshape(2, m, N + 1) for v in made)
     dims = ("test", "axis", "time")

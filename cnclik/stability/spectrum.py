@@ -21,7 +21,7 @@ from cnclik.record import record, replace
 from cnclik.robot.kinematics import as_joint_values, pose
 from cnclik.robot.posture import arm_length
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.stability.linear import named
+from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
 LANES = 1024  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
@@ -38,9 +38,13 @@ def one_step(law, reference, q, Ts, method, stage):
     def move(q):
         return jnp.stack(advance(law, reference, tuple(q), zero, Ts, method, stage).q)
 
-    at = evaluate(law, reference, zero, tuple(q))
-    rows = jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in at.rows])
-    return jax.jacfwd(move)(q), rows
+    return jax.jacfwd(move)(q), task_rows(law, reference, q)
+
+
+def task_rows(law, reference, q):
+    """Rows of the weighted task Jacobian at q and t = 0 (m, n)."""
+    rows = evaluate(law, reference, jnp.zeros((), q.dtype), tuple(q)).rows
+    return jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in rows])
 
 
 def step_maps(law, reference, q, scale, Ts, method, stage):
@@ -64,14 +68,18 @@ def _tile(law, reference, q, scale, Ts, method, stage):
     return moved, rows[0]
 
 
-def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
-    """The (m, m) matrix by which one step multiplies the (weighted) error at rest: I + J (S − I) J#.
-
-    S = ∂q[k+1]/∂q[k]. Pure, for jit, vmap and grad; nothing is checked. A direction that J has lost keeps its error.
-    """
-    moved, rows = one_step(law, reference, q, Ts, method, stage)
+def of_error(moved, rows, xp=jnp):
+    """What maps S of q (..., n, n) do to the error at rest where the task's rows are J (m, n): I + J (S − I) J#."""
     m, n = rows.shape
-    return jnp.eye(m, dtype=q.dtype) + rows @ (moved - jnp.eye(n, dtype=q.dtype)) @ jnp.linalg.pinv(rows)
+    return xp.eye(m, dtype=rows.dtype) + rows @ (moved - xp.eye(n, dtype=rows.dtype)) @ xp.linalg.pinv(rows)
+
+
+def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
+    """The (m, m) matrix by which one step multiplies the (weighted) error at rest, see `of_error`.
+
+    Pure, for jit, vmap and grad; nothing is checked. A direction that J has lost keeps its error.
+    """
+    return of_error(*one_step(law, reference, q, Ts, method, stage))
 
 
 @in_float64
@@ -89,7 +97,7 @@ def spectral_radius(law, reference, q, Ts, method: Method = EE, stage=picard(5))
       Ts: sampling time [s].
       method, stage: as for `solve`.
     """
-    method, stage = named(method, stage)
+    method, stage = checked(method, stage)
     held = at_rest(law, reference, q)
     found = jnp.linalg.eigvals(task_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
     radius = safe_sqrt(jnp.max(found.real**2 + found.imag**2))
@@ -129,9 +137,9 @@ def spectrum(law, reference, q, Ts, method=EE, stage=picard(5)) -> Spectrum:
     Args: as for `spectral_radius`.
     Raises: ArgumentError where the loop is not at rest at q.
     """
-    method, stage = named(method, stage)
-    q = as_joint_values(law.chain, q, finite=True)
-    return spectrum_of(*step_map(law, at_rest(law, reference, q), q, Ts, method, stage))
+    method, stage = checked(method, stage)
+    held = at_rest(law, reference, q)
+    return spectrum_of(*step_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
 
 
 def step_map(law, reference, q, Ts, method, stage):
@@ -190,22 +198,33 @@ def _largest(moved, basis):
 # --- rest ---------------------------------------------------------------------------------------------
 
 
+def check_loop(law, *references) -> None:
+    """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
+    if not isinstance(law, Law):
+        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    for one in references:
+        if not isinstance(one, ref.Reference):
+            raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(one).__name__}")
+        ref.check(one, law.task)
+
+
 def at_rest(law, reference, q):
     """The held reference of a loop at rest at q: where q is, once it is known that `reference` is there too.
 
     Raises: ArgumentError where `reference` (None: any) is elsewhere at t = 0 by more than REST.
     """
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
-    q = as_joint_values(law.chain, q)
-    if reference is not None:
-        ref.check(reference, law.task)
-        if errors.concrete(q):
-            _require_rest(law, reference, q)
+    check_loop(law, *(() if reference is None else (reference,)))
+    q = as_joint_values(law.chain, q, finite=True)
+    if reference is not None and errors.concrete(q):
+        _require_rest(law, reference, q)
+    return replace(hold_at(law, q), feedforward=jnp.zeros(law.task.m, q.dtype))
+
+
+def hold_at(law, q, move=0.0):
+    """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
     at = pose(law.chain, q)
-    position = at.position[jnp.array(law.task.linear)] if law.task.position else None
-    held = ref.hold(position, at.rotation if law.task.orientation else None)
-    return replace(held, feedforward=jnp.zeros(law.task.m, q.dtype))
+    position = at.position[jnp.array(law.task.linear)] + move if law.task.position else None
+    return ref.hold(position, at.rotation if law.task.orientation else None)
 
 
 def _require_rest(law, reference, q):
@@ -237,14 +256,14 @@ def settle(law, reference, q0, *, N=200):
 
     Raises: ArgumentError where the error doesn't vanish, as for a target out of reach.
     """
+    check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")
     with use_hints(False):  # ready sooner, and few steps
         run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
     size = float(jnp.linalg.norm(run.e[-1]))
     if not size < rest_tolerance(law.chain):
-        raise errors.fail(
-            "target", "be one the loop comes to rest on", f"leaves an error of {size:.3g} after {N} steps"
-        )
+        found = f"leaves an error of {size:.3g} after {N} steps"
+        raise errors.fail("target", "be one the loop comes to rest on", found)
     return np.asarray(run.q[-1])
 
 

@@ -19,10 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.method import named
 from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.measure import metrics
 from cnclik.problem.build import problem_from
-from cnclik.problem.names import method_from, robot_from, stage_from
+from cnclik.problem.names import robot_from, stage_from
 from cnclik.problem.options import DEFAULTS, OPTIONS, units
 from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import expression
@@ -167,7 +168,7 @@ def joints_of(known, look) -> int:
 
 @functools.cache
 def _stable(method, stage, M) -> float:
-    method = method_from(method)
+    method = named(method)
     with jax.ensure_compile_time_eval():  # a number, also where a loop is being traced
         # M as an array: one program for every M.
         stage = stage_from(stage, np.asarray(M), maximum=max(M, 16)) if method.implicit else None

@@ -3,9 +3,9 @@
 import numpy as np
 
 from cnclik import errors
-from cnclik.law import reference as ref
 from cnclik.record import record, stack
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.stability.spectrum import check_loop
 from cnclik.tuning.parameters import scaled_links
 from cnclik.tuning.rollout import Scenario
 
@@ -50,30 +50,24 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
       N: steps of each run.
     """
     references = list(reference) if isinstance(reference, (list, tuple)) else [reference]
-    for one in references:
-        if not isinstance(one, ref.Reference):
-            raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(one).__name__}")
-        ref.check(one, law.task)
-    q0 = np.asarray(errors.array("q0", q0, (law.chain.n,), (None, law.chain.n)), float)
-    q0 = np.atleast_2d(q0)
+    check_loop(law, *references)
+    q0 = np.atleast_2d(np.asarray(errors.array("q0", q0, (law.chain.n,), (None, law.chain.n)), float))
     count = max(len(references), len(q0))
     if len(references) not in (1, count) or len(q0) not in (1, count):
         raise errors.fail("q0", f"hold one start, or one for each of {len(references)} paths", f"holds {len(q0)}")
     m = law.task.m
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
     rng = np.random.default_rng(conditions.seed)
-    made = []
-    for i in range(count):
-        for _ in range(conditions.draws):
-            made.append(
-                Scenario(
-                    reference=references[i % len(references)],
-                    q0=as_joint_values(law.chain, q0[i % len(q0)]),
-                    noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
-                    plant=_perturbed(law.chain, conditions.model_error, rng) if conditions.model_error > 0 else None,
-                )
-            )
-    return stack(made)
+
+    def drawn(i):
+        return Scenario(
+            reference=references[i % len(references)],
+            q0=as_joint_values(law.chain, q0[i % len(q0)]),
+            noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
+            plant=_perturbed(law.chain, conditions.model_error, rng) if conditions.model_error > 0 else None,
+        )
+
+    return stack(drawn(i) for i in range(count) for _ in range(conditions.draws))
 
 
 def _perturbed(chain, relative, rng):

@@ -7,9 +7,7 @@ from cnclik.law import inverse as inverses
 from cnclik.record import in_words
 from cnclik.stability.linear import amplification
 
-DAMPED_EXCESS = (
-    1e-3  # by as much z may exceed 1 and be printed as 1: with damping a step at z = 1 falls short of the error
-)
+DAMPED_EXCESS = 1e-3  # by which z may exceed 1 and be printed as 1: damped, a step at z = 1 falls short of the error
 
 
 def controller_lines(tuned) -> dict:

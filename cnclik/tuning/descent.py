@@ -61,9 +61,7 @@ def default_optimizer():
 
 def gradient_mode(count: int, mode="auto") -> str:
     """How gradients of `count` free numbers are taken: "forward" up to 8, else "reverse"."""
-    if mode != "auto":
-        return mode
-    return "forward" if count <= FORWARD_UP_TO else "reverse"
+    return mode if mode != "auto" else "forward" if count <= FORWARD_UP_TO else "reverse"
 
 
 class Carry(NamedTuple):
@@ -151,28 +149,24 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
         direction = _shortened(jnp.where(down, updates, steepest))
         state = _where(down, state, optimizer.init(trial))
 
+        moved = c._replace(
+            **dict(u=trial, merit=value, grad=grad, loss=loss, constraints=constraints, direction=direction),
+            **dict(size=jnp.ones_like(c.size), failures=jnp.zeros_like(c.failures), state=state),
+        )
         # After some rejections the optimizer's memory is at fault: start it again along the gradient.
-        failures = jnp.where(accepted, 0, c.failures + 1)
+        failures = c.failures + 1
         again = failures == REJECTIONS // 2
-        size = jnp.where(finite, SHORTER, 0.1) * c.size
         fallback = -0.1 * c.grad / jnp.maximum(jnp.linalg.norm(c.grad), limits.tiny)
-        kept_direction = jnp.where(again, fallback, c.direction)
-        kept_state = _where(again, optimizer.init(c.u), c.state)
-
+        stayed = c._replace(
+            direction=jnp.where(failures < REJECTIONS, jnp.where(again, fallback, c.direction), 0.0),
+            size=jnp.where(again, 1.0, jnp.where(finite, SHORTER, 0.1) * c.size),
+            failures=failures,
+            state=_where(again, optimizer.init(c.u), c.state),
+        )
         kept = jnp.max(constraints, initial=-jnp.inf) <= 0
         better = finite & kept & (loss < c.best_loss)
-        new = Carry(
-            u=jnp.where(accepted, trial, c.u),
-            merit=jnp.where(accepted, value, c.merit),
-            grad=jnp.where(accepted, grad, c.grad),
-            loss=jnp.where(accepted, loss, c.loss),
-            constraints=jnp.where(accepted, constraints, c.constraints),
-            direction=jnp.where(accepted, direction, jnp.where(failures < REJECTIONS, kept_direction, 0.0)),
-            size=jnp.where(accepted | again, 1.0, size),
-            failures=failures,
-            state=_where(accepted, state, kept_state),
-            best=jnp.where(better, trial, c.best),
-            best_loss=jnp.where(better, loss, c.best_loss),
+        new = _where(accepted, moved, stayed)._replace(
+            best=jnp.where(better, trial, c.best), best_loss=jnp.where(better, loss, c.best_loss)
         )
         return new, History(new.loss, jnp.max(new.constraints, initial=-jnp.inf), accepted)
 
@@ -221,8 +215,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
     rounds = max(1, descent.steps // per_round)
     nothing = float(jnp.finfo(dtype).eps) ** 1.5  # a scaled loss below is 0
     pieces, why = [], "steps"
-    before = np.full(count, np.inf)
-    violation_before = np.full(count, np.inf)
+    before = violation_before = np.full(count, np.inf)
     for i in range(rounds):
         carry, history = round_of_steps(
             objective, carry, multipliers, weight, scale, steps=per_round, optimizer=optimizer, mode=mode

@@ -7,7 +7,8 @@ import numpy as np
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.stability.spectrum import at_rest, largest_rate, one_step, step_maps
+from cnclik.stability.linear import late_factors
+from cnclik.stability.spectrum import at_rest, largest_rate, of_error, one_step, step_maps
 
 SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
 
@@ -18,27 +19,21 @@ SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
 def maps_at_rest(law, q, Ts, method, stage):
     """How one step multiplies a small error (m, m), and a small motion in the null space of J (n, n). Pure.
 
-    With S = ∂q[k+1]/∂q[k]: I + J (S − I) J#, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
+    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
     """
     moved, rows = one_step(law, at_rest(law, None, q), q, Ts, method, stage)
-    m, n = rows.shape
-    eye = jnp.eye(n, dtype=q.dtype)
-    inverse = jnp.linalg.pinv(rows)
-    across = eye - inverse @ rows
-    return jnp.eye(m, dtype=q.dtype) + rows @ (moved - eye) @ inverse, across @ moved @ across
+    across = jnp.eye(len(q), dtype=q.dtype) - jnp.linalg.pinv(rows) @ rows
+    return of_error(moved, rows), across @ moved @ across
 
 
 def delayed(a, delay: int):
     """The step of a loop that acts on the error `delay` samples ago: e[k+1] = e[k] + (A − I) e[k−d], as one matrix."""
     if delay == 0:
         return a
-    m = a.shape[0]
+    m = len(a)
     eye = jnp.eye(m, dtype=a.dtype)
-    top = [eye, *[jnp.zeros_like(a)] * (delay - 1), a - eye]
-    rows = [jnp.concatenate(top, axis=1)]
-    for i in range(delay):
-        rows.append(jnp.concatenate([eye if j == i else jnp.zeros_like(a) for j in range(delay + 1)], axis=1))
-    return jnp.concatenate(rows)
+    older = jnp.eye(m * (delay + 1), k=-m, dtype=a.dtype)  # each error moves on by one place
+    return older.at[:m, :m].set(eye).at[:m, -m:].set(a - eye)
 
 
 def monotone_limit(delay: int) -> float:
@@ -68,12 +63,10 @@ def radius_bound(matrix, squarings: int = SQUARINGS):
         a = a / s
         return (a @ a, log + share * jnp.log(s), dead), None
 
-    shares = 0.5 ** jnp.arange(squarings, dtype=matrix.dtype)
+    shares = 0.5 ** jnp.arange(squarings + 1, dtype=matrix.dtype)
     start = (matrix, jnp.zeros((), matrix.dtype), jnp.zeros((), bool))
-    (a, log, dead), _ = jax.lax.scan(one, start, shares)
-    s = safe_sqrt(jnp.sum(a * a))
-    dead = dead | (s == 0)
-    return jnp.where(dead, 0.0, jnp.exp(log + jnp.log(jnp.where(s == 0, 1.0, s)) * 0.5**squarings))
+    (_, log, dead), _ = jax.lax.scan(one, start, shares)
+    return jnp.where(dead, 0.0, jnp.exp(log))
 
 
 def radius_estimate(matrix):
@@ -103,18 +96,9 @@ def radius_over(law, q, alpha, Ts, method, stage, *, delay=0):
     """
     q = as_joint_values(law.chain, q)
     law = replace(law, alpha=jnp.asarray(law.alpha))
-    moved, rows = step_maps(
-        law, at_rest(law, None, q), q, np.asarray(alpha) / largest_rate(law.alpha), Ts, method, stage
-    )
-    m, n = rows.shape
-    maps = np.eye(m) + rows @ (moved - np.eye(n)) @ np.linalg.pinv(rows)
+    scale = np.asarray(alpha) / largest_rate(law.alpha)
+    moved, rows = step_maps(law, at_rest(law, None, q), q, scale, Ts, method, stage)
+    maps = of_error(moved, rows, np)
     finite = np.isfinite(maps).all((-2, -1))
     factors = np.linalg.eigvals(np.where(finite[:, None, None], maps, 0.0))
-    if delay:  # a factor λ of a prompt loop becomes the roots of μ^(d+1) − μ^d + 1 − λ
-        companion = np.zeros((*factors.shape, delay + 1, delay + 1), factors.dtype)
-        companion[..., 0, 0] += 1
-        companion[..., 0, -1] += factors - 1
-        companion[..., np.arange(1, delay + 1), np.arange(delay)] = 1
-        factors = np.linalg.eigvals(companion)
-    size = np.abs(factors).reshape(len(maps), -1).max(-1)
-    return np.where(finite, size, np.inf)
+    return np.where(finite, np.abs(late_factors(factors, delay)).max((-2, -1)), np.inf)

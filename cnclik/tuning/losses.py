@@ -52,6 +52,11 @@ def _sum_of_powers(a, q):
     return q
 
 
+def _deviation(p):
+    """RMS over axes and path of what has the covariances p (K, m, m)."""
+    return safe_sqrt(jnp.mean(jnp.diagonal(p, axis1=-2, axis2=-1)))
+
+
 def tracking(view: View):
     """RMS of ‖e‖ [m, rad]."""
     return _root_mean(view, view.run.e[1:])
@@ -89,10 +94,8 @@ def noise(view: View):
 
     A step does e ← A e + (A − I) w, so P = A P Aᵀ + (A − I)(A − I)ᵀ: √(z/(2 − z)) for explicit Euler.
     """
-    m = view.maps.shape[-1]
-    change = view.maps - jnp.eye(m, dtype=view.maps.dtype)
-    p = _sum_of_powers(view.maps, change @ jnp.swapaxes(change, -1, -2))
-    return safe_sqrt(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
+    change = view.maps - jnp.eye(view.maps.shape[-1], dtype=view.maps.dtype)
+    return _deviation(_sum_of_powers(view.maps, change @ jnp.swapaxes(change, -1, -2)))
 
 
 def delay(view: View):
@@ -103,8 +106,7 @@ def delay(view: View):
     """
     m = view.maps.shape[-1]
     start = jnp.zeros((2 * m, 2 * m), view.maps.dtype).at[:m, :m].set(jnp.eye(m, dtype=view.maps.dtype))
-    p = jax.vmap(lambda a: _sum_of_powers(delayed(a, 1), start)[:m, :m])(view.maps)
-    return safe_sqrt(jnp.mean(jnp.trace(p, axis1=-2, axis2=-1)) / m)
+    return _deviation(jax.vmap(lambda a: _sum_of_powers(delayed(a, 1), start)[:m, :m])(view.maps))
 
 
 LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise, delay)}

@@ -1,6 +1,6 @@
 """Objective: loss and constraints of a loop over its scenarios, as a function of what is tuned."""
 
-import functools
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -11,9 +11,9 @@ from cnclik import errors
 from cnclik.hints import quick_jit
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
-from cnclik.law.law import Law
-from cnclik.record import record, replace
-from cnclik.stability.linear import named
+from cnclik.record import record
+from cnclik.stability.linear import checked
+from cnclik.stability.spectrum import check_loop
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, scenarios
@@ -26,14 +26,49 @@ CONSTRAINT_TOLERANCE = 2**22 * np.finfo(float).eps  # exceeded by less, relative
 CONSTRAINTS = ("spectral radius", "ringing", "null space", "joint velocity")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Goal:
+    """What is tuned, what is made small, and what is kept.
+
+    Attributes:
+      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
+        Ts), or `parameters.Parameter`s of one's own.
+      bounds: {name: (lower, upper)} in place of the defaults.
+      loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
+      margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
+        at least by this factor per step.
+      ringing: whether a step may take back more of an error than there is, so that it changes its sign. Not by
+        default: with A the one-step map of the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) for d samples of delay: z ≤ 1
+        for explicit Euler and no delay.
+      velocity_limit: (n,) [rad/s, m/s], one number for all joints, "chain": the robot's own, or None.
+      conditions: noise, delay and model error it is judged under, see `Conditions`.
+    """
+
+    over: object = ("alpha",)
+    bounds: dict | None = None
+    loss: object = "tracking"
+    margin: float = 0.9
+    ringing: bool = False
+    velocity_limit: object = "chain"
+    conditions: Conditions = dataclasses.field(default_factory=Conditions)
+
+    def __post_init__(self):
+        if errors.number("margin", self.margin, positive=True) > 1:
+            raise errors.fail("margin", "be at most 1", f"is {self.margin:g}")
+        if not isinstance(self.bounds, (dict, type(None))):
+            raise errors.fail("bounds", "be a table {name: (lower, upper)}", f"is {self.bounds!r}")
+        if not isinstance(self.conditions, Conditions):
+            raise errors.fail("conditions", "be Conditions(...)", f"is {type(self.conditions).__name__}")
+
+
 class Judged(NamedTuple):
-    """What values lead to: largest numbers along the runs; inf for what is not finite."""
+    """What values lead to: largest numbers along the runs, as in `Performance`; inf for what is not finite."""
 
     loss: object
-    radius: object  # spectral radius of the task's directions, delay included
-    null_radius: object  # spectral radius of null-space directions; 1 where nothing acts there, 0 where there are none
-    correction: object  # |1 − λ|, λ an eigenvalue of the prompt loop: the share of an error that a step takes back
-    speed: object  # |q̇| over its limit
+    radius: object
+    null_radius: object
+    correction: object
+    speed: object
     excess: object  # (4,) by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
     postures: object  # (B·K, n) where these were measured
     run: object  # `Trajectory` of the first scenario
@@ -71,10 +106,10 @@ class LoopObjective:
     stage: object
 
     def _runs(self, loop):
-        run = functools.partial(
-            rollout, N=self.N, method=self.method, stage=self.stage, delay=self.delay, horizon=self.horizon
-        )
-        return jax.vmap(lambda scenario: run(loop, scenario))(self.scenarios)
+        def run(scenario):
+            return rollout(loop, scenario, self.N, self.method, self.stage, delay=self.delay, horizon=self.horizon)
+
+        return jax.vmap(run)(self.scenarios)
 
     def _maps(self, loop, postures):
         """One-step maps at rest, of the error (B·K, m, m) and of the null space (B·K, n, n)."""
@@ -88,14 +123,12 @@ class LoopObjective:
         steps = jnp.arange(self.N, dtype=runs.q.dtype)
         weight = jnp.clip((self.horizon - steps * loop.Ts) / loop.Ts, 0.0, 1.0)
         weight = weight / jnp.sum(weight)
-        lanes = runs.q.shape[0]
-        maps = maps.reshape(lanes, -1, *maps.shape[1:])
 
         def one(run, maps):
             view = View(run, weight, loop.Ts, self.horizon, self.tolerance, maps)
             return sum(w * fn(view) for fn, w in self.losses)
 
-        return jnp.mean(jax.vmap(one)(runs, maps))
+        return jnp.mean(jax.vmap(one)(runs, maps.reshape(len(runs.q), -1, *maps.shape[1:])))
 
     def _speed(self, runs):
         """Largest |q̇| over its limit, per joint that has one (j,)."""
@@ -110,7 +143,7 @@ class LoopObjective:
         radius = jax.vmap(lambda a: linear.radius_bound(linear.delayed(a, self.delay)))(maps)
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
         constraints = [radius / self.margin - 1.0, correction / self.largest_correction - 1.0]
-        if _acts_in_null_space(loop):
+        if callable(loop.law.null_velocity):
             constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
         if self.joints:
             constraints.append(self._speed(runs) - 1.0)
@@ -136,24 +169,16 @@ class LoopObjective:
         radius = largest(jax.vmap(lambda a: linear.delayed(a, self.delay))(maps))
         null_radius, correction = largest(across), largest(_corrections(maps))
         speed = told(jnp.max(self._speed(runs))) if self.joints else jnp.zeros_like(radius)
-        unset = jnp.full_like(radius, -jnp.inf)
-        excess = (
-            radius / self.margin - 1.0,
-            jnp.where(jnp.isinf(self.largest_correction), -jnp.inf, correction / self.largest_correction - 1.0),
-            null_radius - 1.0 if _acts_in_null_space(loop) else unset,
-            speed - 1.0 if self.joints else unset,
-        )
+        ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
+        asked = (True, jnp.isfinite(self.largest_correction), callable(loop.law.null_velocity), bool(self.joints))
+        excess = jnp.where(jnp.array(asked), jnp.stack(ratios) - 1.0, -jnp.inf)
         run = jax.tree.map(lambda x: x[0], runs)
-        return Judged(told(loss), radius, null_radius, correction, speed, jnp.stack(excess), postures, run)
+        return Judged(told(loss), radius, null_radius, correction, speed, excess, postures, run)
 
 
 def _corrections(maps):
     """I − A: what a step takes back of an error."""
     return jnp.eye(maps.shape[-1], dtype=maps.dtype) - maps
-
-
-def _acts_in_null_space(loop):
-    return callable(loop.law.null_velocity)
 
 
 @quick_jit
@@ -176,65 +201,39 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
     return found
 
 
-def loop_objective(
-    law,
-    reference,
-    q0,
-    *,
-    Ts,
-    N,
-    method=EE,
-    stage=picard(5),
-    over=("alpha",),
-    bounds=None,
-    loss="tracking",
-    margin=0.9,
-    ringing=False,
-    velocity_limit="chain",
-    conditions=Conditions(),
-) -> LoopObjective:
+def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **goal) -> LoopObjective:
     """The objective that `tune` descends, for judging values found in other ways. Args: as for `tune`."""
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
-    method, stage = named(method, stage)
+    check_loop(law)
+    goal = Goal(**goal)
+    method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=2)
-    errors.number("margin", margin, positive=True)
-    if errors.concrete(margin) and margin > 1:
-        raise errors.fail("margin", "be at most 1", f"is {margin:g}")
-    if not isinstance(conditions, Conditions):
-        raise errors.fail("conditions", "be Conditions(...)", f"is {type(conditions).__name__}")
     loop = pm.Adjustable(law=law, Ts=jnp.asarray(float(Ts)))
-    parameters = pm.chosen(over, loop, bounds or {})
+    parameters = pm.chosen(goal.over, loop, goal.bounds or {})
     shortest = next((float(p.lower) for p in parameters if p.name == "Ts"), float(Ts))
     horizon = N * float(Ts)
     longest = steps_to(horizon, shortest)
-    runs = scenarios(law, reference, q0, longest, conditions)
-    lanes = runs.q0.shape[0]
-    joints, limits = _limits(law.chain, velocity_limit)
+    runs = scenarios(law, reference, q0, longest, goal.conditions)
+    joints, limits = _limits(law.chain, goal.velocity_limit)
+    delay = goal.conditions.delay
     return LoopObjective(
         loop=loop,
         parameters=parameters,
         scenarios=runs,
         postures=jnp.repeat(runs.q0, INTERVALS + 1, axis=0),
-        moments=jnp.asarray(np.tile(np.linspace(0, 1, INTERVALS + 1), lanes)),
-        losses=tuple((fn, jnp.asarray(w)) for fn, w in terms(loss)),
-        margin=jnp.asarray(float(margin)),
-        largest_correction=jnp.asarray(np.inf if ringing else linear.monotone_limit(conditions.delay)),
+        moments=jnp.asarray(np.tile(np.linspace(0, 1, INTERVALS + 1), len(runs.q0))),
+        losses=tuple((fn, jnp.asarray(w)) for fn, w in terms(goal.loss)),
+        margin=jnp.asarray(float(goal.margin)),
+        largest_correction=jnp.asarray(np.inf if goal.ringing else linear.monotone_limit(delay)),
         limits=limits,
         joints=joints,
         horizon=jnp.asarray(horizon),
-        tolerance=jnp.asarray(float(conditions.tolerance)),
+        tolerance=jnp.asarray(float(goal.conditions.tolerance)),
         N=longest,
-        delay=conditions.delay,
+        delay=delay,
         method=method,
         stage=stage,
     )
-
-
-def along(objective: LoopObjective, judged: Judged) -> LoopObjective:
-    """The objective whose constraints are asked for along a run that was judged."""
-    return replace(objective, postures=jnp.asarray(judged.postures))
 
 
 def steps_to(horizon, Ts) -> int:
@@ -248,11 +247,10 @@ def _limits(chain, velocity_limit):
         return (), None
     if isinstance(velocity_limit, str):
         errors.one_of("velocity_limit", velocity_limit, ("chain",))
-        limits = np.array(chain.velocity_limit)
-    else:
-        limits = errors.array("velocity_limit", velocity_limit, (), (chain.n,), finite=False)
-        limits = np.broadcast_to(np.asarray(limits, float), (chain.n,))
-        if not np.all(limits > 0):
-            raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
+        velocity_limit = chain.velocity_limit
+    limits = errors.array("velocity_limit", velocity_limit, (), (chain.n,), finite=False)
+    limits = np.broadcast_to(np.asarray(limits, float), (chain.n,))
+    if not np.all(limits > 0):
+        raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
     joints = tuple(int(i) for i in np.flatnonzero(np.isfinite(limits)))
     return joints, (jnp.asarray(limits[list(joints)]) if joints else None)

@@ -103,11 +103,8 @@ def total(parameters) -> int:
 
 def values_of(parameters, u):
     """The parameters' values, one per parameter, from all free numbers in one vector."""
-    values, at = [], 0
-    for p in parameters:
-        values.append(bounded(p, u[at : at + size(p)]))
-        at += size(p)
-    return tuple(values)
+    ends = np.cumsum([size(p) for p in parameters])
+    return tuple(bounded(p, u[end - size(p) : end]) for p, end in zip(parameters, ends, strict=True))
 
 
 def free_of(parameters, values):
@@ -143,8 +140,9 @@ def put(loop: Adjustable, parameters, values) -> Adjustable:
 
 def gain_per_step(loop: Adjustable) -> float:
     """z = alpha·Ts of the loop: of the largest |eigenvalue| of a gain matrix, of the largest gain of a schedule."""
-    rate = largest_rate(loop.law.alpha) if loop.schedule is None else float(np.max(loop.schedule))
-    return rate * float(loop.Ts)
+    if loop.schedule is not None:
+        return float(np.max(loop.schedule)) * float(loop.Ts)
+    return largest_rate(loop.law.alpha) * float(loop.Ts) if np.any(loop.law.alpha) else 0.0
 
 
 def scheduled(loop: Adjustable, share):
@@ -158,7 +156,7 @@ def scheduled(loop: Adjustable, share):
     return replace(loop.law, alpha=alpha * (rate / size))
 
 
-@record
+@record(kw_only=False)
 class ScaledNullVelocity:
     """A null-space velocity times a gain, in component form."""
 
@@ -186,18 +184,17 @@ def scaled_links(chain, factors):
     return replace(chain, joints=joints, tip=stretch(chain.tip, factors[len(joints)]))
 
 
-def _in_law(**made):
-    """A `put` that changes fields of the law: functions of (law, value)."""
+def _in_law(changes):
+    """A `put` that changes fields of the law: changes(law, value) is {field: what is in it}."""
 
-    def change(loop, value):
-        return replace(loop, law=replace(loop.law, **{name: of(loop.law, value) for name, of in made.items()}))
+    def put(loop, value):
+        return replace(loop, law=replace(loop.law, **changes(loop.law, value)))
 
-    return change
+    return put
 
 
-def _with_tool(law, value):
-    offset = Offset(position=tuple(value[i] for i in range(3)), rotation=law.chain.tip.rotation)
-    return replace(law.chain, tip=offset)
+def _with_tool(chain, value):
+    return replace(chain, tip=Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation))
 
 
 KNOTS = 5  # of a gain schedule
@@ -242,23 +239,19 @@ def _tool(law, Ts):
     return start, start - 0.5, start + 0.5
 
 
-def _sampling_time(law, Ts):
-    return Ts, Ts / 4, Ts * 4
-
-
 _KNOWN = {
-    "alpha": (_alpha, _in_law(alpha=lambda law, v: v), "1/s"),
+    "alpha": (_alpha, _in_law(lambda law, v: {"alpha": v}), "1/s"),
     "schedule": (_schedule, lambda loop, v: replace(loop, schedule=v), "1/s"),
-    "damping": (_damping, _in_law(inverse=lambda law, v: inverses.Damped(damping=v)), "m or 1"),
-    "null_gain": (
-        _null_gain,
-        _in_law(null_velocity=lambda law, v: ScaledNullVelocity(base=law.null_velocity, gain=v)),
+    "damping": (_damping, _in_law(lambda law, v: {"inverse": inverses.Damped(damping=v)}), "m or 1"),
+    "null_gain": (_null_gain, _in_law(lambda law, v: {"null_velocity": ScaledNullVelocity(law.null_velocity, v)}), "1"),
+    "feedforward": (
+        lambda law, Ts: (float(law.feedforward), 0.0, 2.0),
+        _in_law(lambda law, v: {"feedforward": v}),
         "1",
     ),
-    "feedforward": (_feedforward, _in_law(feedforward=lambda law, v: v), "1"),
-    "links": (_links, _in_law(chain=lambda law, v: scaled_links(law.chain, v)), "1"),
-    "tool": (_tool, _in_law(chain=_with_tool), "m"),
-    "Ts": (_sampling_time, lambda loop, v: replace(loop, Ts=v), "s"),
+    "links": (_links, _in_law(lambda law, v: {"chain": scaled_links(law.chain, v)}), "1"),
+    "tool": (_tool, _in_law(lambda law, v: {"chain": _with_tool(law.chain, v)}), "m"),
+    "Ts": (lambda law, Ts: (Ts, Ts / 4, Ts * 4), lambda loop, v: replace(loop, Ts=v), "s"),
 }
 NAMES = tuple(_KNOWN)
 _POSITIVE = ("alpha", "schedule", "damping", "Ts")
@@ -279,16 +272,20 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     errors.one_of("over", name, NAMES)
     of, put, unit = _KNOWN[name]
     start, lower, upper = of(loop.law, float(loop.Ts))
-    lower, upper = (lower, upper) if bounds is None else bounds
-    if name in _POSITIVE and not np.all(np.asarray(lower, float) > 0):
-        raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
+    if bounds is not None:
+        if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+            raise errors.fail(f"bounds of {name}", "be (lower, upper)", f"are {bounds!r}")
+        lower, upper = bounds
     kind = SPD if name == "alpha" and np.ndim(start) == 2 else BOX
-    return parameter(name, start, lower, upper, put, kind=kind, unit=unit)
+    made = parameter(name, start, lower, upper, put, kind=kind, unit=unit)
+    if name in _POSITIVE and not np.all(made.lower > 0):
+        raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
+    return made
 
 
 def chosen(over, loop: Adjustable, bounds) -> tuple:
     """What is tuned, as a user names it: names and `Parameter`s, with bounds {name: (lower, upper)}."""
-    over = (over,) if isinstance(over, (str, Parameter)) else tuple(over)
+    over = tuple(over) if isinstance(over, (tuple, list)) else (over,)
     if not over:
         raise errors.fail("over", "name something to tune", "is empty")
     made = tuple(p if isinstance(p, Parameter) else named(p, loop, bounds.get(p)) for p in over)

@@ -1,5 +1,6 @@
 """Result: what a tuning found, as a record, as plain numbers for a file, and in words."""
 
+import dataclasses
 import math
 import os
 
@@ -148,12 +149,13 @@ def gradient_in_words(count, mode, method, stage) -> str:
     return f"{gradient_mode(count, mode)} mode, {numbers}, {stages}"
 
 
-def result(objective, values, before, after, *, status, history, starts, evaluations, **asked) -> Tuned:
+def result(objective, values, before, after, *, goal, reference, q0, gradient, **ended) -> Tuned:
     """`Tuned` from the values chosen and what was judged.
 
     Args:
       objective: `LoopObjective`. values: one per parameter. before, after: `Judged`.
-      asked: reference, q0, conditions, loss, ringing, gradient as `tune` was given them.
+      goal: `Goal`. reference, q0, gradient: as `tune` was given them.
+      ended: status, history, starts, evaluations of `Tuned`.
     """
     parameters = objective.parameters
     loop, own = (
@@ -162,26 +164,23 @@ def result(objective, values, before, after, *, status, history, starts, evaluat
     )
     return Tuned(
         law=loop.law,
-        reference=_copied(asked["reference"]),
-        q0=np.array(asked["q0"], float),
+        reference=_copied(reference),
+        q0=np.array(q0, float),
         Ts=float(loop.Ts),
         N=min(objective.N, steps_to(objective.horizon, loop.Ts)),
         method=objective.method,
         stage=objective.stage,
         schedule=loop.schedule,
-        conditions=asked["conditions"],
+        conditions=goal.conditions,
         parameters=parameters,
         values={p.name: v for p, v in zip(parameters, values, strict=True)},
-        loss=loss_in_words(asked["loss"]),
+        loss=loss_in_words(goal.loss),
         margin=float(objective.margin),
-        ringing=bool(asked["ringing"]),
+        ringing=bool(goal.ringing),
         before=_performance(objective, own, before),
         after=_performance(objective, loop, after),
-        status=status,
-        history=history,
-        starts=starts,
-        gradient=gradient_in_words(pm.total(parameters), asked["gradient"], objective.method, objective.stage),
-        evaluations=int(evaluations),
+        gradient=gradient_in_words(pm.total(parameters), gradient, objective.method, objective.stage),
+        **ended,
     )
 
 
@@ -192,11 +191,7 @@ def _copied(tree):
 
 def _performance(objective, loop, judged) -> Performance:
     return Performance(
-        loss=float(judged.loss),
-        radius=float(judged.radius),
-        null_radius=float(judged.null_radius),
-        correction=float(judged.correction),
-        speed=float(judged.speed),
+        **{name: float(getattr(judged, name)) for name in ("loss", "radius", "null_radius", "correction", "speed")},
         violation=judged.violation,
         worst=CONSTRAINTS[int(np.argmax(judged.excess))],
         z=pm.gain_per_step(loop),
@@ -208,35 +203,25 @@ def _performance(objective, loop, judged) -> Performance:
 # --- files --------------------------------------------------------------------------------------------
 
 
+_AS_THEY_ARE = (
+    *("Ts", "N", "values", "loss", "margin", "ringing", "conditions", "before", "after"),
+    *("satisfied", "status", "why", "gradient", "evaluations", "starts"),
+)
+
+
 def to_json(tuned: Tuned, **about) -> dict:
     """The result as nested tables of plain numbers, lists and texts, ready for `json`; what is infinite is null.
 
     Args: about: more entries, such as config={...}.
     """
-    names = [p.name for p in tuned.parameters]
-    performance = [f for f in Performance.__dataclass_fields__ if f != "run"]
     made = {
         "alpha": tuned.law.alpha,
-        "Ts": tuned.Ts,
-        "N": tuned.N,
         "method": str(tuned.method),
         "stage": str(tuned.stage) if tuned.method.implicit else None,
-        "values": tuned.values,
         "start": {p.name: p.start for p in tuned.parameters},
         "bounds": {p.name: (p.lower, p.upper) for p in tuned.parameters},
-        "units": dict(zip(names, [p.unit for p in tuned.parameters], strict=True)),
-        "loss": tuned.loss,
-        "margin": tuned.margin,
-        "ringing": tuned.ringing,
-        "conditions": {name: getattr(tuned.conditions, name) for name in Conditions.__dataclass_fields__},
-        "before": {name: getattr(tuned.before, name) for name in performance},
-        "after": {name: getattr(tuned.after, name) for name in performance},
-        "satisfied": tuned.satisfied,
-        "status": tuned.status,
-        "why": tuned.why,
-        "gradient": tuned.gradient,
-        "evaluations": tuned.evaluations,
-        "starts": tuned.starts,
+        "units": {p.name: p.unit for p in tuned.parameters},
+        **{name: getattr(tuned, name) for name in _AS_THEY_ARE},
         "lines": controller_lines(tuned),
         "history": {k: np.asarray(v).astype(float) for k, v in tuned.history.items()},
     }
@@ -245,6 +230,8 @@ def to_json(tuned: Tuned, **about) -> dict:
 
 def plain(value):
     """For JSON: lists, numbers and texts; what is not finite is null."""
+    if isinstance(value, (Conditions, Performance)):
+        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "run"}
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -16,10 +16,10 @@ from cnclik import errors
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
+from cnclik.record import replace
 from cnclik.tuning import parameters as pm
-from cnclik.tuning.conditions import Conditions
 from cnclik.tuning.descent import Descent, descend
-from cnclik.tuning.objective import TOGETHER, Judged, along, judge, loop_objective
+from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
 FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
@@ -30,7 +30,6 @@ class Candidate(NamedTuple):
 
     u: np.ndarray  # (p,)
     judged: Judged
-    descent: int | None = None  # which of the descents it comes from
 
 
 @in_float64
@@ -43,15 +42,9 @@ def tune(
     N,
     method=EE,
     stage=picard(5),
-    over=("alpha",),
-    bounds=None,
-    loss="tracking",
-    margin=0.9,
-    ringing=False,
-    velocity_limit="chain",
-    conditions=Conditions(),
     descent=Descent(),
     progress=None,
+    **goal,
 ) -> Tuned:
     """Tune a loop's gains by gradient: loss → min, spectral radius ≤ margin, no ringing, |q̇| ≤ limit.
 
@@ -63,45 +56,19 @@ def tune(
       reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n); the loss is the mean over them.
       Ts: sampling time [s]. N: steps; N·Ts is the horizon, also where Ts is tuned.
       method, stage: as for `solve`.
-      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
-        Ts), or `parameters.Parameter`s of one's own.
-      bounds: {name: (lower, upper)} in place of the defaults.
-      loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
-      margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
-        at least by this factor per step.
-      ringing: whether a step may take back more of an error than there is, so that it changes its sign. Not by
-        default: with A the one-step map of the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) for d samples of delay: z ≤ 1
-        for explicit Euler and no delay.
-      velocity_limit: (n,) [rad/s, m/s], one number for all joints, "chain": the robot's own, or None.
-      conditions: noise, delay and model error it is judged under, see `Conditions`.
       descent: how it descends, see `Descent`.
       progress: called with (evaluations, of how many, loss in words) after each round, or None.
+      goal: over, bounds, loss, margin, ringing, velocity_limit, conditions, see `Goal`: by default alpha, for the RMS
+        error, a spectral radius of at most 0.9, no ringing, the robot's own joint velocities, no noise and no delay.
 
     Returns: `Tuned`; it keeps every constraint, or says by how much not.
     Raises: ArgumentError for arguments that do not fit.
     """
     if not isinstance(descent, Descent):
         raise errors.fail("descent", "be Descent(...)", f"is {type(descent).__name__}")
-    objective = loop_objective(
-        law,
-        reference,
-        q0,
-        Ts=Ts,
-        N=N,
-        method=method,
-        stage=stage,
-        over=over,
-        bounds=bounds,
-        loss=loss,
-        margin=margin,
-        ringing=ringing,
-        velocity_limit=velocity_limit,
-        conditions=conditions,
-    )
-    asked = dict(
-        reference=reference, q0=q0, conditions=conditions, loss=loss, ringing=ringing, gradient=descent.gradient
-    )
-    parameters = objective.parameters
+    objective = loop_objective(law, reference, q0, Ts=Ts, N=N, method=method, stage=stage, **goal)
+    goal, parameters = Goal(**goal), objective.parameters
+    asked = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)
     own = tuple(p.start for p in parameters)
     fallbacks = _gains_over_z(objective)
     before, *judged = judge(objective, [own, *fallbacks])
@@ -109,13 +76,13 @@ def tune(
     safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))
     if not np.isfinite(judged[safe].loss):
         nothing = {name: np.zeros(0) for name in ("loss", "violation", "accepted")}
-        own = tuple(np.asarray(v) for v in pm.values_of(parameters, jnp.asarray(pm.free_of(parameters, own))))
+        own = _values(objective, pm.free_of(parameters, own))
         ended = dict(status="non-finite", history=nothing, starts=np.full(1, np.inf), evaluations=0)
         return result(objective, own, before, judge(objective, [own])[0], **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
-    objective = along(objective, judged[safe])
-    rng = np.random.default_rng(conditions.seed)
+    objective = replace(objective, postures=jnp.asarray(judged[safe].postures))  # constraints along that run
+    rng = np.random.default_rng(goal.conditions.seed)
     begun = [
         _nearest_kept(objective, u, anchor)
         for u in (pm.free_of(parameters, own), *rng.uniform(-4, 4, (descent.starts - 1, len(anchor))))
@@ -129,9 +96,10 @@ def tune(
         descent=descent,
         progress=progress,
     )
-    candidates = _judged(objective, [*done.u, *done.best, anchor], [*range(descent.starts)] * 2 + [None])
+    candidates = _judged(objective, [*done.u, *done.best, anchor])
     chosen = _restored(objective, candidates)
-    starts = np.array([_least_kept_loss(c for c in candidates if c.descent == i) for i in range(descent.starts)])
+    kept = [float(c.judged.loss) if c.judged.kept else np.inf for c in candidates[:-1]]
+    starts = np.reshape(kept, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
     return result(
         objective,
@@ -150,9 +118,8 @@ def _values(objective, u):
     return tuple(np.asarray(v) for v in pm.values_of(objective.parameters, jnp.asarray(u)))
 
 
-def _judged(objective, points, descents) -> list:
-    found = judge(objective, [_values(objective, u) for u in points])
-    return [Candidate(*parts) for parts in zip(points, found, descents, strict=True)]
+def _judged(objective, points) -> list:
+    return [*map(Candidate, points, judge(objective, [_values(objective, u) for u in points]))]
 
 
 def _gains_over_z(objective):
@@ -160,14 +127,13 @@ def _gains_over_z(objective):
     start = {p.name: np.asarray(pm.bounded(p, pm.free(p, p.start))) for p in objective.parameters}
     gains = [p for p in objective.parameters if p.name in ("alpha", "schedule")]
     Ts = float(start.get("Ts", objective.loop.Ts))
-    made = []
-    for z in FALLBACK_Z if gains else (None,):
-        values = dict(start)
-        for p in gains:
-            value = z / Ts * (np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)))
-            values[p.name] = np.asarray(pm.bounded(p, pm.free(p, value)))
-        made.append(tuple(values[p.name] for p in objective.parameters))
-    return made
+
+    def gain(p, rate):
+        value = rate * (np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)))
+        return np.asarray(pm.bounded(p, pm.free(p, value)))
+
+    made = [start | {p.name: gain(p, z / Ts) for p in gains} for z in (FALLBACK_Z if gains else (0.0,))]
+    return [tuple(values.values()) for values in made]
 
 
 # --- candidates ---------------------------------------------------------------------------------------
@@ -175,15 +141,11 @@ def _gains_over_z(objective):
 
 def _on_the_way(objective, far, near, shares):
     """Candidates on the straight line from far (share 0) to near (1) in the free numbers."""
-    return _judged(objective, [far + s * (near - far) for s in shares], [None] * len(shares))
+    return _judged(objective, [far + s * (near - far) for s in shares])
 
 
 def _least_bad(candidates):
     return min(candidates, key=lambda c: c.judged.violation)
-
-
-def _least_kept_loss(candidates):
-    return min((float(c.judged.loss) for c in candidates if c.judged.kept), default=np.inf)
 
 
 def _nearest_kept(objective, u, anchor) -> Candidate:
@@ -215,10 +177,8 @@ def _boundary(objective, far, near) -> Candidate:
         shares = np.linspace(low, high, TOGETHER)
         way = _on_the_way(objective, far.u, near.u, shares)
         i = next((i for i, c in enumerate(way) if c.judged.kept), None)
-        if i is None:
-            return last
-        last = way[i]
-        if i == 0:
-            return last
+        last = last if i is None else way[i]
+        if not i:  # none of them, or the farthest
+            break
         low, high = shares[i - 1], shares[i]
     return last

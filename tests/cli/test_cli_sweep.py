@@ -12,23 +12,15 @@ from PIL import Image
 from cnclik.cli import main
 from cnclik.show import sweeps
 from cnclik.sweeps import cost, estimate, open_sweep, run_spec
+from tests.specs import reaching
 
-TEXT = """
-question = "Does it end well?"
-expectation = "It does."
-metrics = ["final_error", "max_qdot", "evaluations", "error"]
-[fixed]
-task = "xy"
-robot = "planar:1,1"
-q0 = [0, "-pi/2"]
-N = 6
-reference = "hold"
-target = [1, 0]
-[axes]
-method = ["EE", "HEUN"]
-alpha = { geomspace = [1, 30, 9] }
-Ts = { geomspace = [0.01, 0.2, 7] }
-"""
+TEXT = reaching(
+    metrics=["final_error", "max_qdot", "evaluations", "error"],
+    N=6,
+    method=["EE", "HEUN"],
+    alpha="{ geomspace = [1, 30, 9] }",
+    Ts="{ geomspace = [0.01, 0.2, 7] }",
+)
 FIGURES = """
 [[figure]]
 kind = "heat"

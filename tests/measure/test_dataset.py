@@ -21,7 +21,7 @@ def scara():
 
 def test_single_run(scara):
     run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 4)
-    data = to_dataset(run, scara, config={"b": 1, "a": [2]})
+    data = to_dataset(run, scara, config={"b": 1, "a": np.array([2])})
     assert data.q.dims == ("time", "joint") and data.qdot.dims == ("step", "joint")
     assert data.e.dims == ("time", "axis") and list(data.axis.values) == ["x", "y"]
     assert list(data.joint_unit.values) == ["rad", "m"] and data.q.units == "rad or m"

@@ -111,6 +111,8 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"tip": "hand"}, "`tip`"),
         ({"task": "xx"}, "`task`"),
         ({"task": ""}, "`task`"),
+        ({"task": ["x"]}, "`task`"),
+        ({"reference": "line", "start": [0, 0, 0], "from": [0, 0, 0]}, "`start` must be left out"),
         ({"reference": "cirle"}, "did you mean 'circle'"),
         ({"reference": "no.csv"}, "No such file"),
         ({"target": [1, 2]}, "3 or 7 numbers"),

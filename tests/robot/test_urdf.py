@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.robot.builtin import panda, ur5
 from cnclik.robot import spatial as sp
+from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.urdf import chain, read_urdf
 

@@ -178,3 +178,10 @@ def test_what_cannot_be_judged():
     run = ck.solve(law(5.0), NEAR, Q5, Ts, 0)
     with pytest.raises(ck.ArgumentError, match="`run` must be one run of at least one step"):
         verdict(law(5.0), NEAR, run, Ts=Ts)
+
+
+@pytest.mark.parametrize("alpha", [1e5, 1e8])
+def test_a_gain_far_too_large_is_told_the_one_that_is_stable(alpha):
+    """It was called unstable at every gain: nobody looked below a thousandth of what it was."""
+    found = judge(law(alpha), NEAR, 20)
+    assert float(re.search(r"below ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(2 / Ts, rel=0.02)

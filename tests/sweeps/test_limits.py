@@ -10,28 +10,14 @@ import cnclik as ck
 from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import check, run_spec
 from cnclik.sweeps.limits import linear_limit
+from tests.specs import reaching
 
-TEXT = """
-question = "Where is it stable?"
-expectation = "Up to the limit."
-metrics = ["final_error"]
-[fixed]
-task = "xy"
-robot = "planar:1,1"
-q0 = [0, "-pi/2"]
-N = 5
-reference = "hold"
-target = [1, 0]
-[axes]
-method = ["EE", "IE"]
-alpha = [1.0, 5.0]
-Ts = [0.01, 0.1]
-"""
+SPEC = tomllib.loads(reaching(["final_error"], method=["EE", "IE"], alpha=[1.0, 5.0], Ts=[0.01, 0.1]))
 
 
 def limit(fixed=(), axes=(), drop=()):
     """The coordinate of a variation of the spec: (dimensions, values), or {}."""
-    written = copy.deepcopy(tomllib.loads(TEXT))
+    written = copy.deepcopy(SPEC)
     written["fixed"] |= dict(fixed)
     written["axes"] |= dict(axes)
     for name in drop:
@@ -79,5 +65,5 @@ def test_where_some_laws_have_one_the_others_are_not_a_number():
 
 
 def test_it_goes_with_the_data():
-    data = run_spec(check.parse(tomllib.loads(TEXT.replace('"EE", "IE"', '"EE"'))))
+    data = run_spec(check.parse(SPEC | {"axes": SPEC["axes"] | {"method": ["EE"]}}))
     assert float(data.limit) == 2 and "limit" not in data.data_vars

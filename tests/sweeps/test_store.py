@@ -20,24 +20,15 @@ import zarr
 
 from cnclik.errors import ArgumentError
 from cnclik.sweeps import run_spec, spec, store
+from tests.specs import reaching
 
-TEXT = """
-question = "Does it survive?"
-expectation = "It does."
-metrics = ["final_error", "ok", "error"]
-lanes = 16
-[fixed]
-task = "xy"
-robot = "planar:1,1"
-q0 = [0, "-pi/2"]
-N = 5
-reference = "hold"
-target = [1, 0]
-[axes]
-method = ["EE", "HEUN"]
-alpha = { linspace = [1, 20, 30] }
-Ts = { linspace = [0.01, 0.1, 7] }
-"""
+TEXT = reaching(
+    metrics=["final_error", "ok", "error"],
+    more="lanes = 16",
+    method=["EE", "HEUN"],
+    alpha="{ linspace = [1, 20, 30] }",
+    Ts="{ linspace = [0.01, 0.1, 7] }",
+)
 
 
 def _assert_same(a, b):
@@ -83,7 +74,7 @@ def test_a_store_is_the_sweep_in_memory(path, undisturbed):
     for name in ("final_error", "ok", "error"):
         assert found[name].attrs["units"] in ("m", "1") and found[name].attrs["long_name"]
     with xarray.open_zarr(undisturbed / "data.zarr", chunks=None) as plain:
-        assert plain.question == "Does it survive?" and plain.alpha.units == "1/s"
+        assert plain.question == "Does it end well?" and plain.alpha.units == "1/s"
     assert list(found.method.values) == ["EE", "HEUN"]
     assert found.limit.shape == () and found.limit == 2.0  # of both methods
 

@@ -236,8 +236,8 @@ def test_late_loops_are_tuned_by_their_own_roots():
     assert isinstance(found.loop[1], ck.Reference) and found.loop[2].shape == (2,)
 
 
-@pytest.mark.parametrize("alpha", [1e3, 1e200])
-def test_starts_deep_in_the_unstable_region(alpha):
+@pytest.mark.parametrize("alpha", [0.0, 1e3, 1e200])
+def test_starts_at_rest_and_deep_in_the_unstable_region(alpha):
     found = at(law=ck.replace(LAW, alpha=alpha), margin=0.8)
     assert finite(found) and found.satisfied
     inside(found)
@@ -327,6 +327,10 @@ def test_panda_on_a_circle_does_not_ring():
         ({"margin": 1.5}, "margin"),
         ({"bounds": {"alpha": (5, 1)}}, "increase"),
         ({"bounds": {"Ts": (1, 2)}}, "bounds"),
+        ({"bounds": {"alpha": 3}}, "lower, upper"),
+        ({"bounds": {"alpha": ("a", 2)}}, "bounds of alpha"),
+        ({"bounds": [1, 2]}, "bounds"),
+        ({"over": 3}, "over"),
         ({"velocity_limit": -1.0}, "velocity_limit"),
         ({"conditions": {"noise": 0.1}}, "conditions"),
         ({"conditions": Conditions(noise=np.ones(3))}, "noise"),

@@ -1,0 +1,50 @@
+"""What does not fit is said in one line: nothing is run with it, and no other error comes of it."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import stability as st
+
+ARM = ck.planar_arm([1.0, 1.0])
+LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
+Q = np.array([0.3, 1.2])
+GOAL = ck.hold([1.0, 1.0])
+
+
+def outcomes(**changes):
+    return st.outcomes(LAW, GOAL, **({"q0": Q, "alpha": 5.0, "Ts": 0.1} | changes))
+
+
+def verdict(law=LAW, reference=GOAL, run=None, Ts=0.1):
+    return st.verdict(law, reference, ck.solve(LAW, GOAL, Q, 0.1, 3) if run is None else run, Ts=Ts)
+
+
+@pytest.mark.parametrize(
+    "call, told",
+    [
+        (lambda: st.recommend(3, None, Q, Ts=0.1), "`law` must be a Law"),
+        (lambda: st.recommend(LAW, 3, Q, Ts=0.1), "`reference` must be a Reference"),
+        (lambda: st.recommend(LAW, None, Q, Ts=0.1, reach=-1), "`reach` must be positive"),
+        (lambda: st.margin(LAW, None, Q, Ts=None), "`Ts` must be a number"),
+        (lambda: st.settle(3, GOAL, Q), "`law` must be a Law"),
+        (lambda: st.stability_region("EE", points=0), "`points` must be at least 2"),
+        (lambda: outcomes(alpha=[]), "one loop at least"),
+        (lambda: outcomes(alpha=[1.0, 2.0], Ts=[0.1, 0.1, 0.1]), "go with each other"),
+        (lambda: outcomes(q0=[0.0, 0.0, 0.0]), r"`q0` must have shape \(..., 2\)"),
+        (lambda: outcomes(Ts=-0.1), "`Ts` must be positive"),
+        (lambda: outcomes(M=-1, method="IE"), "`M` must be at least 0"),
+        (lambda: outcomes(tolerance=-1), "`tolerance` must be positive"),
+        (lambda: st.passes_map(LAW, GOAL, Q, z=[0.5], M=["a"], method="IE"), "`M` must be an integer"),
+        (lambda: st.certified_radius(LAW, Q, Ts="a"), "`Ts` must be a number"),
+        (lambda: st.sampled_attraction(LAW, Q, radii=[0.1], Ts=0.1, directions=0), "`directions` must be at least 1"),
+        (lambda: verdict(run=3), "`run` must be a Trajectory"),
+        (lambda: verdict(reference=None), "`reference` must be a Reference"),
+        (lambda: verdict(ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=1.0)), "Trajectory of this law"),
+        (lambda: verdict(Ts=0.01), r"`Ts` must be the run's, 0\.1 s, but is 0\.01"),
+    ],
+)
+def test_what_does_not_fit_is_named(call, told):
+    with pytest.raises(ck.ArgumentError, match=told) as error:
+        call()
+    assert "\n" not in str(error.value)
