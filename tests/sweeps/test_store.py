@@ -286,6 +286,7 @@ def kill_and_resume(path, tmp_path, undisturbed, kills, seed):
     assert (tmp_path / "summary.csv").exists() and (tmp_path / "config.json").exists()
 
 
+@pytest.mark.slow
 def test_two_kills(path, undisturbed, tmp_path):
     kill_and_resume(path, tmp_path, undisturbed, 2, seed=1)
 

@@ -61,6 +61,7 @@ def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
             )
 
 
+@pytest.mark.slow
 def test_long_histories_and_every_metric_of_them():
     def study(alpha):
         law = ck.Law(ARM, ck.position("xy"), alpha=alpha)
