@@ -2,6 +2,7 @@
 
 import json
 
+from cnclik.measure.dataset import provenance
 from cnclik.sweeps import labels
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.limits import linear_limit
@@ -10,10 +11,7 @@ from cnclik.sweeps.spec import Spec, to_json
 
 def coordinates_of(spec: Spec, of: Grid) -> dict:
     """Every coordinate of a spec's data, {name: (dimensions, values, attributes)}: its axes, and the linear limit."""
-    units, found = spec.all_units(), {}
-    for one in of.axes:
-        found |= labels.coordinates(one, units)
-    return found | linear_limit(spec, of)
+    return labels.coordinates(of, spec.all_units()) | linear_limit(spec, of)
 
 
 def attributes(spec: Spec, of: Grid, outputs, **more) -> dict:
@@ -24,18 +22,12 @@ def attributes(spec: Spec, of: Grid, outputs, **more) -> dict:
         "axes": [[a.name, len(a), a.inner] for a in of.axes],
     }
     return {
-        "commit": _commit(),
+        "commit": provenance(float)["commit"],
         "question": spec.question,
         "expectation": spec.expectation,
         "spec": to_json(spec),
         "config": json.dumps(config | more, ensure_ascii=False),
     }
-
-
-def _commit():
-    from cnclik.measure.dataset import provenance
-
-    return provenance(float)["commit"]
 
 
 def fingerprint(spec: Spec) -> dict:

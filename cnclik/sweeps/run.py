@@ -1,6 +1,5 @@
 """run_spec: a question of many loops, from its TOML file to the labelled data, in one call."""
 
-from cnclik.measure import metrics
 from cnclik.sweeps import store
 from cnclik.sweeps.about import attributes, coordinates_of
 from cnclik.sweeps.spec import Spec, read
@@ -27,11 +26,4 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
         store.run(spec, out, fresh=fresh, progress=progress)
         return store.read(out)
     of, outputs, arrays = collect(spec.study, spec.grid(), progress)
-    return dataset(
-        of,
-        outputs,
-        arrays,
-        coordinates_of(spec, of),
-        labels={o.name: metrics.METRICS[o.name].label for o in outputs},
-        attrs=attributes(spec, of, outputs),
-    )
+    return dataset(of, outputs, arrays, coordinates_of(spec, of), attributes(spec, of, outputs))

@@ -18,7 +18,6 @@ import zlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.measure import metrics
 from cnclik.sweeps import program
 from cnclik.sweeps.about import attributes, coordinates_of, fingerprint
 from cnclik.sweeps.grid import Axis, Grid
@@ -137,7 +136,7 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
                 dtype=o.dtype,
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
                 dimension_names=dims + o.dims,
-                attributes={"units": o.unit, "long_name": metrics.METRICS[o.name].label},
+                attributes=o.about,
             )
         group.create_group("progress").create_array(
             "checksum",

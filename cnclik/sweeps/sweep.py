@@ -37,11 +37,15 @@ def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
     if not callable(study):
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
     of, outputs, arrays = collect(study, grid(axes, lanes), progress)
-    coords = {}
-    for one in of.axes:
-        coords |= coordinates(one, UNITS | (units or {}))
-    attrs = {"config": _described(study, of), "lanes": of.lanes} | (attrs or {})
-    return dataset(of, outputs, arrays, coords, units=units, attrs=attrs)
+    units = units or {}
+    for o in outputs:
+        o.about["units"] = units.get(o.name, o.about["units"])
+    config = {
+        "study": getattr(study, "__qualname__", type(study).__name__),
+        "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
+    }
+    attrs = {"config": json.dumps(config), "lanes": of.lanes} | (attrs or {})
+    return dataset(of, outputs, arrays, coordinates(of, UNITS | units), attrs)
 
 
 def collect(study, of: Grid, progress=None):
@@ -58,28 +62,17 @@ def collect(study, of: Grid, progress=None):
     return of, first.outputs, arrays
 
 
-def dataset(of: Grid, outputs, arrays, coords, *, units=None, labels=None, attrs=None):
+def dataset(of: Grid, outputs, arrays, coords, attrs):
     """Arrays over the grid as a labelled `xarray.Dataset`.
 
     Args:
       coords: {name: (dimensions, values, attributes)}.
-      units, labels: {name: unit} and {name: long name} of variables.
       attrs: of the dataset, beside versions, dtype and device.
     """
     import xarray
 
-    units, labels = units or {}, labels or {}
     names = tuple(a.name for a in of.axes)
-    data = {}
-    for o in outputs:
-        about = {"units": units.get(o.name, o.unit)} | ({"long_name": labels[o.name]} if o.name in labels else {})
-        data[o.name] = (names + o.dims, arrays[o.name], about)
+    data = {o.name: (names + o.dims, arrays[o.name], o.about) for o in outputs}
     floats = [o.dtype for o in outputs if jax.numpy.issubdtype(o.dtype, np.floating)]
     dtype = min(floats, key=lambda d: d.itemsize, default=np.dtype(float))
-    return xarray.Dataset(data, coords, attrs=environment(dtype) | (attrs or {}))
-
-
-def _described(study, of: Grid) -> str:
-    name = getattr(study, "__qualname__", type(study).__name__)
-    axes = {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes}
-    return json.dumps({"study": name, "axes": axes})
+    return xarray.Dataset(data, coords, attrs=environment(dtype) | attrs)

@@ -203,6 +203,13 @@ def test_axes_that_are_none(axes, words):
         sweep(3, alpha=[1.0])
 
 
+@pytest.mark.parametrize("name", ["value", "value_0"])
+def test_an_axis_must_not_be_called_as_a_result(name):
+    """It is said before anything is computed."""
+    with pytest.raises(ArgumentError, match=f"names of their own, but '{name}' is in the results"):
+        sweep(lambda **axes: jnp.stack([*axes.values()]), **{name: [1.0, 2.0]})
+
+
 def test_programs_must_agree_on_what_they_return():
     with pytest.raises(ArgumentError, match="same names and shapes everywhere"):
         sweep(lambda N, a: {"x": jnp.zeros(N) + a}, N=[2, 3], a=[1.0])
