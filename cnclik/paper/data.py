@@ -26,8 +26,6 @@ CONFIG = {
     "nudges": NUDGES,
 }
 
-UNDETERMINED = 1e-6  # a mean error with a larger `spread` is decided by rounding, not by the method
-
 
 class Results(NamedTuple):
     """The three datasets that figures, claims and tables are read from."""
@@ -40,13 +38,14 @@ class Results(NamedTuple):
 @in_float64
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    found = Found({}, {})
+    runs, residuals = {}, {}
     for done, (arm, size) in enumerate(ARMS.items()):
         if progress is not None:
             progress(done, len(ARMS), f"the {size} arm: compiling and running")
         one = paper.run_arm(arm)
-        found.runs.update(one.runs)
-        found.residuals.update(one.residuals)
+        runs |= one.runs
+        residuals |= one.residuals
+    found = Found(runs, residuals)
     return Results(trajectories(found), methods(found), passes(found))
 
 
@@ -57,18 +56,19 @@ def trajectories(found: Found) -> xr.Dataset:
     spread: by how much, relatively, the mean error differs between starts a rounding error apart.
     """
     labels = {"reading": list(READINGS), "case": list(CASES), "method": list(PAPER)}
+    shape = [len(v) for v in labels.values()]
     arms = []
     for arm in ARMS:
-        runs = [found.runs[key(arm, *where)] for where in itertools.product(*labels.values())]
-        batch = _stack(runs, [len(v) for v in labels.values()])
+        keys = [key(arm, *where) for where in itertools.product(*labels.values())]
+        runs = [found.runs[k] for k in keys]
+        batch = jax.tree.map(lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *runs)
         one = to_dataset(batch, paper.law(arm), dims=labels, coords=labels)
-        spreads = [_spread(found, key(arm, *where)) for where in itertools.product(*labels.values())]
-        one["spread"] = (tuple(labels), np.reshape(spreads, one.evaluations.shape))
+        one["spread"] = (tuple(labels), np.reshape([_spread(found, k) for k in keys], shape))
         arms.append(one.assign_coords(time=paper.TS * np.arange(paper.N + 1)))
     data = xr.concat(arms, xr.IndexVariable("arm", list(ARMS)), join="outer", coords="minimal", compat="override")
     data.time.attrs = {"long_name": "time", "units": "s"}
     data["joint_unit"] = ("joint", ["rad"] * data.sizes["joint"])
-    data["error_norm"] = _norm(data.e).assign_attrs(long_name="error norm ‖e‖", units="m")
+    data["error_norm"] = np.sqrt((data.e**2).sum("axis")).assign_attrs(long_name="error norm ‖e‖", units="m")
     data["mean_error"] = data.error_norm.mean("time").assign_attrs(long_name="mean of ‖e‖ over k = 0 … N", units="m")
     data["final_error"] = data.error_norm.isel(time=-1, drop=True).assign_attrs(long_name="‖e[N]‖", units="m")
     data.spread.attrs = {"long_name": "relative change of mean_error between starts 1e-12 rad apart", "units": "1"}
@@ -163,14 +163,6 @@ def _labelled(data, dtype, **config):
         data[name].attrs.setdefault("units", "1")
     data.attrs = provenance(dtype) | {"config": as_json(CONFIG | config)}
     return data
-
-
-def _stack(runs, shape):
-    return jax.tree.map(lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *runs)
-
-
-def _norm(e):
-    return np.sqrt((e**2).sum("axis"))
 
 
 def _spread(found, where):

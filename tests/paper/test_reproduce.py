@@ -11,7 +11,7 @@ from PIL import Image
 from cnclik import paper
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
-from cnclik.paper import claims, story
+from cnclik.paper import claims, readings, story
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
 from tests.paper.conftest import COMMITTED, load
@@ -36,7 +36,7 @@ def ours(fresh):
 
 def decided(trajectories):
     """Runs that rounding does not decide, as a mask."""
-    return trajectories.spread < claims.UNDETERMINED
+    return trajectories.spread < readings.UNDETERMINED
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,8 @@ def test_committed_claims_follow_from_committed_data(results):
     judged = json.loads((COMMITTED / "claims.json").read_text())
     again = claims.judge(results.trajectories, results.passes)
     assert [r["mean_error"] for r in judged["rows"]] == [r["mean_error"] for r in again["rows"]]
-    text = story.story(judged, results.trajectories, results.methods, READING, pictures.captions(*results, READING))
+    captions = {name: about["Title"] for name, (_, about) in pictures.figures(*results, READING).items()}
+    text = story.story(judged, results.trajectories, results.methods, READING, captions)
     assert text == (COMMITTED / "claims.md").read_text(encoding="utf-8")
 
 
