@@ -59,10 +59,8 @@ def names(name: str, value) -> set:
         return set().union(*(names(name, v) for v in value))
     if not isinstance(value, str):
         return set()
-    tree = parse(name, value)
-    called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
-    found = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called}
-    return found - set(_CONSTANTS)
+    found = {node.id for node in ast.walk(parse(name, value)) if isinstance(node, ast.Name)}
+    return found - _FUNCTIONS - set(_CONSTANTS)
 
 
 def evaluate(name: str, value, known):

@@ -145,18 +145,14 @@ class Grid:
 
     def blocks(self) -> list:
         """All blocks, program by program."""
-        counts = [range(-(-n // b)) for n, b in zip(self.shape, self.block, strict=True)]
-        outer = [i for i, a in enumerate(self.axes) if not a.inner]
-        inner = [i for i, a in enumerate(self.axes) if a.inner]
+        sizes = zip(self.shape, self.block, strict=True)
+        cuts = [[slice(first, min(first + b, n)) for first in range(0, n, b)] for n, b in sizes]
+        order = sorted(range(len(cuts)), key=lambda i: self.axes[i].inner)  # the outer axes first
+        of_one = math.prod(len(c) for c, a in zip(cuts, self.axes, strict=True) if a.inner)
         out = []
-        for program, fixed in enumerate(itertools.product(*(counts[i] for i in outer))):
-            for moving in itertools.product(*(counts[i] for i in inner)):
-                place = dict(zip(outer + inner, fixed + moving, strict=True))
-                region = tuple(
-                    slice(place[i] * b, min((place[i] + 1) * b, n))
-                    for i, (b, n) in enumerate(zip(self.block, self.shape, strict=True))
-                )
-                out.append(Block(len(out), program, region))
+        for number, chosen in enumerate(itertools.product(*(cuts[i] for i in order))):
+            region = tuple(cut for _, cut in sorted(zip(order, chosen, strict=True), key=lambda pair: pair[0]))
+            out.append(Block(number, number // of_one, region))
         return out
 
     def lane_values(self, block: Block) -> dict:

@@ -1,9 +1,15 @@
-"""Labels: units, symbols and provenance of what a sweep holds. Figures and tables read them from the data."""
+"""Labels: units, symbols and provenance of what a sweep holds, in memory and in a store alike.
+
+Figures and tables read them from the data.
+"""
+
+import json
 
 import numpy as np
 
 from cnclik.measure.dataset import provenance
 from cnclik.sweeps.grid import Grid
+from cnclik.sweeps.limits import linear_limit
 
 # Units of axes and of results that bring none.
 UNITS = {
@@ -35,3 +41,29 @@ def coordinates(of: Grid, units) -> dict:
 def environment(dtype=np.float64) -> dict:
     """What the numbers depend on beside the configuration: versions, dtype, device."""
     return {name: value for name, value in provenance(dtype).items() if name != "commit"}
+
+
+def coordinates_of(spec, of: Grid) -> dict:
+    """Every coordinate of a spec's data, {name: (dimensions, values, attributes)}: its axes, and the linear limit."""
+    return coordinates(of, spec.all_units()) | linear_limit(spec, of)
+
+
+def attributes(spec, of: Grid, outputs, **more) -> dict:
+    """Attributes of a spec's data: what was asked, and in `config` all that the numbers depend on."""
+    asked = {"question": spec.question, "expectation": spec.expectation}
+    config = fingerprint(spec) | {
+        "lanes": of.lanes,
+        "variables": [o.name for o in outputs],
+        "axes": [[a.name, len(a), a.inner] for a in of.axes],
+    }
+    written = {"name": spec.name} | asked | spec.data() | {"figures": spec.figures}
+    return (
+        {"commit": provenance(float)["commit"]}
+        | asked
+        | {"spec": json.dumps(written, ensure_ascii=False), "config": json.dumps(config | more, ensure_ascii=False)}
+    )
+
+
+def fingerprint(spec) -> dict:
+    """What a block's numbers depend on: as JSON gives it back."""
+    return json.loads(json.dumps({"data": spec.data(), "environment": environment()}))

@@ -9,7 +9,6 @@ stable z for the loop's method and stage: alpha = "0.5*limit/Ts".
 
 import dataclasses
 import functools
-import json
 import math
 import operator
 import pathlib
@@ -229,9 +228,3 @@ def _change(written, change):
         from cnclik.sweeps.check import axes_named
 
         written["figure"] = [f for f in written["figure"] if not isinstance(f, dict) or key not in axes_named(f)]
-
-
-def to_json(spec: Spec) -> str:
-    """The spec as one line of JSON, for a dataset's attributes."""
-    about = {"name": spec.name, "question": spec.question, "expectation": spec.expectation}
-    return json.dumps(about | spec.data() | {"figures": spec.figures}, ensure_ascii=False)

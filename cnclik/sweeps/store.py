@@ -19,9 +19,8 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.sweeps import program
-from cnclik.sweeps.about import attributes, coordinates_of, fingerprint
 from cnclik.sweeps.grid import Axis, Grid
-from cnclik.sweeps.labels import environment
+from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
 
 DATA = "data.zarr"
