@@ -51,10 +51,8 @@ def plane(data):
     figure.legend(handles=named.values(), loc="outside lower center", ncols=7, fontsize=6)
     for axis in axes.flat[len(groups) :]:
         axis.axis("off")
-    for axis in axes[-1]:
-        axis.set_xlabel("Re z,  z = α·Ts")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("Im z")
+    plt.setp(axes[-1], xlabel="Re z,  z = α·Ts")
+    plt.setp(axes[:, 0], ylabel="Im z")
     return figure
 
 
@@ -82,19 +80,11 @@ def stability_map(data, *, title="", operating=None):
     if operating is not None:
         alpha, Ts, margin = operating
         axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
-        axis.annotate(
-            f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}",
-            (alpha, Ts),
-            xytext=(-7, -7),
-            ha="right",
-            va="top",
-            textcoords="offset points",
-            fontsize=6.5,
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-            zorder=6,
-        )
-    axis.set_xlim(float(data.alpha[0]), float(data.alpha[-1]))
-    axis.set_ylim(float(data.Ts[0]), float(data.Ts[-1]))
+        place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
+        box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+        words = f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}"
+        axis.annotate(words, (alpha, Ts), fontsize=6.5, bbox=box, **place)
+    axis.set(xlim=data.alpha.values[[0, -1]], ylim=data.Ts.values[[0, -1]])
     return figure
 
 
@@ -111,8 +101,7 @@ def passes(panels):
         for row, limit in zip(rows, data.limit.values, strict=True):
             if np.isfinite(limit):
                 _outlined(axis, [limit, limit], [row - 0.5, row + 0.5])
-        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values)
-        axis.set_xlim(float(data.z[0]), float(data.z[-1]))
+        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values, xlim=data.z.values[[0, -1]])
     axes[0, 0].set_ylabel("passes M")
     figure.colorbar(mesh, ax=axes[0, -1], label="error × per step (measured)", fraction=0.05)
     _legend(figure, panels.values())

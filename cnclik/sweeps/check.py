@@ -86,9 +86,10 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     return dataclasses.replace(spec, figures=_figures(written.get("figure", []), spec))
 
 
-def axes_named(figure) -> set:
-    """The axes that a figure refers to."""
-    return {figure.get(k) for k in ROLES} | set(figure.get("select", ()))
+def axes_named(figure) -> list:
+    """What a figure, checked or not, refers to as axes."""
+    selected = figure.get("select")
+    return [*map(figure.get, ROLES), *(selected if isinstance(selected, dict) else ())]
 
 
 # --- tables and names ---------------------------------------------------------------------------------
@@ -139,8 +140,8 @@ def _check_names(fixed, axes, bundles):
             if name in axes:
                 raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
     for name in (*axes, *bundles):
-        if name in RESERVED:
-            raise errors.fail(f"axes.{name}", f"not be called {' or '.join(RESERVED)}", "is")
+        if name in RESERVED or (name in axes and name in bundles):
+            raise errors.fail(f"axes.{name}", "have a name of its own", f"is called {name!r}")
     for (one, first), (two, second) in itertools.combinations(bundles.items(), 2):
         both = {n for table in first.values() for n in table} & {n for table in second.values() for n in table}
         if both:

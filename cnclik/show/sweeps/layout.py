@@ -62,18 +62,20 @@ def _main_value(data):
 def defaults(data) -> list:
     """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
     axes, starts, value = numeric(data), samples(data), _main_value(data)
-    out = []
-    if value and len(axes) >= 2:
-        out.append({"kind": "heat", "value": value, "x": axes[0], "y": axes[1]})
-        if "method" in data.dims and data.sizes["method"] > 1:
-            out.append({"kind": "best", "value": value, "x": axes[0], "y": axes[1]})
-    elif value and axes:
-        out.append({"kind": "slices", "value": value, "x": axes[0]})
-    if value and starts:
-        out.append({"kind": "distribution", "value": value, "over": starts[0]})
+    methods = data.sizes.get("method", 1)
     costs = data["evaluations"].values if "evaluations" in scalars(data) else np.zeros(1)
-    if value and "Ts" in data.dims and len(np.unique(costs)) > data.sizes.get("method", 1):
+    out = []
+    if len(axes) >= 2:
+        kinds = ("heat", "best") if methods > 1 else ("heat",)
+        out += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
+    elif axes:
+        out.append({"kind": "slices", "value": value, "x": axes[0]})
+    if starts:
+        out.append({"kind": "distribution", "value": value, "over": starts[0]})
+    if "Ts" in data.dims and len(np.unique(costs)) > methods:
         out.append({"kind": "work", "value": value})
+    if value is None:  # nothing but histories
+        out = []
     if "error" in data.data_vars:
         out.append({"kind": "convergence", "value": "error"})
     return out

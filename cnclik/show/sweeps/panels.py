@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from matplotlib import colors, figure
+from matplotlib.artist import setp
 
 from cnclik.show import style
 
@@ -39,10 +40,8 @@ class Panels:
 
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
-        for ax in self.axes[-1]:
-            ax.set_xlabel(x)
-        for ax in self.axes[:, 0]:
-            ax.set_ylabel(y)
+        setp(self.axes[-1], xlabel=x)
+        setp(self.axes[:, 0], ylabel=y)
         lines = self.layout.lines
         handles, labels = self.axes[0, 0].get_legend_handles_labels()
         if lines and len(labels) > 1:
@@ -112,10 +111,10 @@ def norm(values, layout):
     return colors.Normalize(*(layout.limits or (known.min(), known.max())))
 
 
-def axis_scales(ax, x=None, y=None):
+def axis_scales(ax, x, y=()):
     """Logarithmic axes for values in geometric progression."""
     for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
-        if values is not None and geometric(values):
+        if geometric(values):
             scale("log")
 
 
