@@ -208,23 +208,29 @@ def _change(written, change):
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text  # a bare word, such as CN, or an expression
+    fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))
     *path, key = name.split(".")
     if not path or len(path) != {"fixed": 1, "axes": 1, "units": 1, "cases": 2, "bundles": 3}.get(path[0]):
         if name in (*KEYS, *TABLES):
             written[name] = value
             return
-        varied = name in written.get("axes", {}) and isinstance(value, (list, dict))
+        varied = name in axes and isinstance(value, (list, dict))
         path, key = ["axes" if varied else "fixed"], name
     table = written
     for part in path:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
-            raise errors.fail(part, "be a table", f"is {table!r}")
+        table = _inner(table, part)
     table[key] = value
     if path == ["axes"]:
-        written.get("fixed", {}).pop(key, None)
-    elif path == ["fixed"] and written.get("axes", {}).pop(key, None) and isinstance(written.get("figure"), list):
+        fixed.pop(key, None)
+    elif path == ["fixed"] and axes.pop(key, None) and isinstance(written.get("figure"), list):
         # Figures over an axis that is gone go with it.
         from cnclik.sweeps.check import axes_named
 
         written["figure"] = [f for f in written["figure"] if not isinstance(f, dict) or key not in axes_named(f)]
+
+
+def _inner(table, name) -> dict:
+    inner = table.setdefault(name, {})
+    if not isinstance(inner, dict):
+        raise errors.fail(name, "be a table", f"is {inner!r}")
+    return inner
