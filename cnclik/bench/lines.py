@@ -8,11 +8,14 @@ from cnclik.bench.loops import ROBOTS, STAGES
 from cnclik.hints import cores as here
 from cnclik.integrate.method import METHODS
 
-AXES = {
+AXES = {  # None: the usual one
     "robot": tuple(ROBOTS),
     "method": ("EE", "IE", "CN", "TRAPEZOID"),
+    "stage": (None,),
+    "M": (5,),
     "dtype": ("float32", "float64"),
     "batch": (1, 64, 4096, 1_000_000),
+    "cores": (None,),
 }
 
 
@@ -39,7 +42,7 @@ class Line:
         errors.one_of("robot", self.robot, ROBOTS)
         errors.one_of("method", self.method, METHODS)
         errors.one_of("stage", self.stage, STAGES)
-        errors.one_of("dtype", self.dtype, ("float32", "float64"))
+        errors.one_of("dtype", self.dtype, AXES["dtype"])
         errors.integer("M", self.M, at_least=0)
         errors.integer("batch", self.batch, at_least=1)
         if self.N is not None:
@@ -83,19 +86,11 @@ def _powers_up_to(count) -> list:
     return sorted({count, *(2**i for i in range(count.bit_length()) if 2**i < count)}) if count > 1 else []
 
 
-def product(*, robot=(), method=(), stage=(), M=(), dtype=(), batch=(), cores=(), **same) -> list[Line]:
-    """Every combination of some values; an axis without any takes all of the table's, or the usual stage, M, cores."""
-    axes = {
-        "robot": robot or AXES["robot"],
-        "method": method or AXES["method"],
-        "stage": stage or (None,),
-        "M": M or (5,),
-        "dtype": dtype or AXES["dtype"],
-        "batch": batch or AXES["batch"],
-        "cores": cores or (None,),
-    }
+def product(*, N=None, gradient=False, **some) -> list[Line]:
+    """Every combination of `some` values of `AXES`; an axis without any takes all of the table's, or the usual one."""
+    axes = AXES | {name: values for name, values in some.items() if values}
     made = (dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values()))
-    return [Line(**one | {"stage": one["stage"] or stage_of(one["method"])}, **same) for one in made]
+    return [Line(**one | {"stage": one["stage"] or stage_of(one["method"])}, N=N, gradient=gradient) for one in made]
 
 
 # --- what came out, as a table ------------------------------------------------------------------------
@@ -119,7 +114,5 @@ def row(record: dict) -> list[str]:
 
 
 def _time(seconds):
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} µs"
+    unit, size = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-3 else ("µs", 1e-6)
+    return f"{seconds / size:.3g} {unit}"

@@ -87,16 +87,14 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
       error: mean of the lanes' final ‖e‖.
       gradient_over_forward: None, or what `gradients` tells.
     """
-    case, method = ROBOTS[line.robot](), METHODS[line.method]
-    stage = STAGES[line.stage](line.M)
+    case, method, stage = ROBOTS[line.robot](), METHODS[line.method], STAGES[line.stage](line.M)
     per_step = evaluations_per_step(method, stage, case.law.chain.n)
     N = steps_for(line, per_step)
     named = inputs(case, line.batch, line.dtype)
     base = peak_mib()
     end = loop(case, N, method, stage)
     run = functools.partial(lanes(lambda *lane: end(*lane)[1], cores=line.cores), *named.values())
-    first = clock(run)
-    run_s = repeat(run, seconds)
+    first, run_s = clock(run), repeat(run, seconds)
     record = dataclasses.asdict(line) | {
         "N": N,
         "cores": line.cores or cores(),
@@ -130,14 +128,14 @@ def gradients(line, case, method, stage, named, seconds) -> dict:
     def forward(*lane):
         return jax.jvp(lambda a: loss(a, *lane), (alpha,), (jnp.ones_like(alpha),))
 
-    found, out = {}, {"gradient_batch": len(some["q0"]), "gradient_N": N}
+    out = {"gradient_batch": len(some["q0"]), "gradient_N": N}
     for name, fn in {"forward": value, "gradient": reverse, "alpha_gradient": forward}.items():
         # Not `lanes`: a gradient compiled as one function per tile takes a minute to compile.
         run = functools.partial(jax.jit(jax.vmap(fn)), *some.values())
         first, run_s = clock(run), repeat(run, seconds)
-        found[name] = run_s.median
         out |= {f"{name}_s": run_s.median, f"{name}_compile_s": max(first - run_s.median, 0.0)}
-    return out | {f"{name}_over_forward": found[name] / found["forward"] for name in ("gradient", "alpha_gradient")}
+    ratios = {f"{name}_over_forward": out[f"{name}_s"] / out["forward_s"] for name in ("gradient", "alpha_gradient")}
+    return out | ratios
 
 
 def peak_mib() -> float:
@@ -197,8 +195,7 @@ def measure_apart(line: Line, seconds: float = 1.0, *, cache: str | None = None)
       cache: folder for JAX's persistent compilation cache; None: none is used.
     Raises: LineError if the process fails.
     """
-    environment = dict(os.environ)
-    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     if cache is not None:
         environment |= {
             "JAX_COMPILATION_CACHE_DIR": cache,
@@ -206,7 +203,7 @@ def measure_apart(line: Line, seconds: float = 1.0, *, cache: str | None = None)
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
     task = json.dumps({"line": dataclasses.asdict(line), "seconds": seconds})
-    command = [sys.executable, "-m", "cnclik.bench.timing", task]
+    command = [sys.executable, "-c", "from cnclik.bench.timing import child; child()", task]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if done.returncode != 0:
         said = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]
@@ -214,14 +211,11 @@ def measure_apart(line: Line, seconds: float = 1.0, *, cache: str | None = None)
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _child(task: str) -> None:
-    task = json.loads(task)
+def child() -> None:
+    """What that process does: its task is its argument, and what it prints last is the record."""
+    task = json.loads(sys.argv[1])
     line = Line(**task["line"])
     if line.cores is not None:
         hold_to(line.cores)
     jax.config.update("jax_enable_x64", line.dtype == "float64")
     print(json.dumps(measure(line, task["seconds"])))
-
-
-if __name__ == "__main__":
-    _child(sys.argv[1])

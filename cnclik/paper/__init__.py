@@ -5,6 +5,7 @@ found = paper.reproduce("reproduced")             # all of them, with data, clai
 """
 
 from cnclik.paper import readings
+from cnclik.paper.claims import judge
 from cnclik.paper.readings import DEFAULT, READINGS, experiment, reading
 
 __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
@@ -32,29 +33,22 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
 
     with output_folder(out) as folder:
         found = everything(progress)
-        _write(folder, found, shown)
-    draw(figures.figures(*found, shown), out, progress=progress)
+        pictures = figures.figures(*found, shown)
+        _write(folder, found, shown, {name: about.get("Title", "") for name, (_, about) in pictures.items()})
+    draw(pictures, out, progress=progress)
     return found
 
 
-def _write(folder, found, shown) -> None:
+def _write(folder, found, shown, captions) -> None:
     import json
 
     from cnclik.measure.files import save_netcdf
-    from cnclik.paper import claims, figures, story
+    from cnclik.paper import story
 
     for name, data in found._asdict().items():
         save_netcdf(data, folder / f"{name}.nc")
-    judged = claims.judge(found.trajectories, found.passes)
+    judged = judge(found.trajectories, found.passes)
     # allow_nan: a claim that rests on a NaN must not pass as JSON.
     (folder / "claims.json").write_text(json.dumps(judged, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    text = story.story(judged, found.trajectories, found.methods, shown, figures.captions(*found, shown))
+    text = story.story(judged, found.trajectories, found.methods, shown, captions)
     (folder / "claims.md").write_text(text, encoding="utf-8")
-
-
-def __getattr__(name):
-    if name != "judge":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from cnclik.paper.claims import judge  # loads xarray
-
-    return judge

@@ -4,10 +4,11 @@
 (c) The fixed-point iteration converges in 4 to 5 iterations.
 """
 
+import itertools
+
 import numpy as np
 
 from cnclik.paper import readings as paper
-from cnclik.paper.data import UNDETERMINED
 
 CLAIM = {
     "reach": "(a) IE converges slowest and CN fastest: IE has the largest mean error, CN the smallest",
@@ -35,23 +36,18 @@ def holds(case: str, error: dict) -> bool:
 def rows(trajectories) -> list:
     """One record per arm, case and reading for (a) and (b)."""
     found = []
-    for arm in trajectories.arm.values:
-        for case in trajectories.case.values:
-            for reading in trajectories.reading.values:
-                at = trajectories.sel(arm=arm, case=case, reading=reading)
-                mean, final = by_method(at.mean_error), by_method(at.final_error)
-                found.append(
-                    {
-                        "arm": str(arm),
-                        "case": str(case),
-                        "reading": str(reading),
-                        "mean_error": mean,
-                        "final_error": final,
-                        "claim": CLAIM[case],
-                        "holds": bool(holds(case, mean)),
-                    }
-                )
+    for where in _places(trajectories, "arm", "case", "reading"):
+        at = trajectories.sel(where)
+        errors = {name: by_method(at[name]) for name in ("mean_error", "final_error")}
+        verdict = holds(where["case"], errors["mean_error"])
+        found.append(where | errors | {"claim": CLAIM[where["case"]], "holds": verdict})
     return found
+
+
+def _places(data, *dims):
+    """{dimension: label} for every combination of labels."""
+    for labels in itertools.product(*(data[dim].values for dim in dims)):
+        yield dict(zip(dims, map(str, labels), strict=True))
 
 
 def by_method(values) -> dict:
@@ -61,7 +57,7 @@ def by_method(values) -> dict:
 
 def undetermined(trajectories) -> list:
     """(arm, reading, case, method) of the runs whose mean error rounding decides."""
-    marked = trajectories.spread.where(trajectories.spread > UNDETERMINED, drop=True).stack(
+    marked = trajectories.spread.where(trajectories.spread > paper.UNDETERMINED, drop=True).stack(
         run=trajectories.spread.dims
     )
     return [tuple(map(str, run)) for run in marked.dropna("run").run.values]
@@ -75,28 +71,20 @@ def picard(passes) -> list:
     median factor per pass, over the steps and the passes 3 to 8 that are above rounding.
     """
     found = []
-    for arm in passes.arm.values:
-        for case in passes.case.values:
-            for reading in passes.reading.values:
-                for method in passes.method.values:
-                    # As a dict: `method` as a keyword of `sel` is xarray's own option.
-                    at = passes.residual.sel({"arm": arm, "case": case, "reading": reading, "method": method})
-                    residual = at.transpose("pass", "step").values
-                    worst = residual.max(axis=1)
-                    found.append(
-                        {
-                            "arm": str(arm),
-                            "case": str(case),
-                            "reading": str(reading),
-                            "method": str(method),
-                            "residual_max": worst[:11].tolist(),
-                            "residual_median": np.median(residual, axis=1)[:11].tolist(),
-                            "contraction": _contraction(residual),
-                            "needed": {f"{tolerance:.0e}": _needed(worst, tolerance) for tolerance in TOLERANCES},
-                            "claim": CLAIM["picard"],
-                            "holds": bool(worst[paper.M] < SETTLED),
-                        }
-                    )
+    for where in _places(passes, "arm", "case", "reading", "method"):
+        residual = passes.residual.sel(where).transpose("pass", "step").values
+        worst = residual.max(axis=1)
+        found.append(
+            where
+            | {
+                "residual_max": worst[:11].tolist(),
+                "residual_median": np.median(residual, axis=1)[:11].tolist(),
+                "contraction": _contraction(residual),
+                "needed": {f"{tolerance:.0e}": _needed(worst, tolerance) for tolerance in TOLERANCES},
+                "claim": CLAIM["picard"],
+                "holds": bool(worst[paper.M] < SETTLED),
+            }
+        )
     return found
 
 
@@ -111,7 +99,7 @@ def in_full(judged) -> list:
 def _needed(worst, tolerance):
     """First pass from which the residual stays within the tolerance."""
     above = np.flatnonzero(~(worst <= tolerance))
-    first = 0 if above.size == 0 else int(above[-1]) + 1
+    first = int(above[-1]) + 1 if above.size else 0
     return first if first < worst.size else None
 
 

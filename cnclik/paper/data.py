@@ -26,8 +26,6 @@ CONFIG = {
     "nudges": NUDGES,
 }
 
-UNDETERMINED = 1e-6  # a mean error with a larger `spread` is decided by rounding, not by the method
-
 
 class Results(NamedTuple):
     """The three datasets that figures, claims and tables are read from."""
@@ -40,13 +38,14 @@ class Results(NamedTuple):
 @in_float64
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    found = Found({}, {})
+    runs, residuals = {}, {}
     for done, (arm, size) in enumerate(ARMS.items()):
         if progress is not None:
             progress(done, len(ARMS), f"the {size} arm: compiling and running")
         one = paper.run_arm(arm)
-        found.runs.update(one.runs)
-        found.residuals.update(one.residuals)
+        runs |= one.runs
+        residuals |= one.residuals
+    found = Found(runs, residuals)
     return Results(trajectories(found), methods(found), passes(found))
 
 
@@ -57,22 +56,28 @@ def trajectories(found: Found) -> xr.Dataset:
     spread: by how much, relatively, the mean error differs between starts a rounding error apart.
     """
     labels = {"reading": list(READINGS), "case": list(CASES), "method": list(PAPER)}
+    shape = [len(v) for v in labels.values()]
     arms = []
     for arm in ARMS:
-        runs = [found.runs[key(arm, *where)] for where in itertools.product(*labels.values())]
-        batch = _stack(runs, [len(v) for v in labels.values()])
+        keys = [key(arm, *where) for where in itertools.product(*labels.values())]
+        runs = [found.runs[k] for k in keys]
+        batch = jax.tree.map(lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *runs)
         one = to_dataset(batch, paper.law(arm), dims=labels, coords=labels)
-        spreads = [_spread(found, key(arm, *where)) for where in itertools.product(*labels.values())]
-        one["spread"] = (tuple(labels), np.reshape(spreads, one.evaluations.shape))
+        one["spread"] = (tuple(labels), np.reshape([_spread(found, k) for k in keys], shape))
         arms.append(one.assign_coords(time=paper.TS * np.arange(paper.N + 1)))
     data = xr.concat(arms, xr.IndexVariable("arm", list(ARMS)), join="outer", coords="minimal", compat="override")
-    data.time.attrs = {"long_name": "time", "units": "s"}
     data["joint_unit"] = ("joint", ["rad"] * data.sizes["joint"])
-    data["error_norm"] = _norm(data.e).assign_attrs(long_name="error norm ‖e‖", units="m")
-    data["mean_error"] = data.error_norm.mean("time").assign_attrs(long_name="mean of ‖e‖ over k = 0 … N", units="m")
-    data["final_error"] = data.error_norm.isel(time=-1, drop=True).assign_attrs(long_name="‖e[N]‖", units="m")
-    data.spread.attrs = {"long_name": "relative change of mean_error between starts 1e-12 rad apart", "units": "1"}
-    return _labelled(data, data.q.dtype)
+    data["error_norm"] = np.sqrt((data.e**2).sum("axis", skipna=False))
+    data["mean_error"] = data.error_norm.mean("time", skipna=False)
+    data["final_error"] = data.error_norm.isel(time=-1, drop=True)
+    about = {
+        "time": ("time", "s"),
+        "error_norm": ("error norm ‖e‖", "m"),
+        "mean_error": ("mean of ‖e‖ over k = 0 … N", "m"),
+        "final_error": ("‖e[N]‖", "m"),
+        "spread": ("relative change of mean_error between starts 1e-12 rad apart", "1"),
+    }
+    return _labelled(data, data.q.dtype, about)
 
 
 def key(arm: str, reading: str, case: str, method: str) -> tuple:
@@ -90,37 +95,27 @@ def methods(found: Found) -> xr.Dataset:
     implicit stages solved to convergence, `order` its rate under halving of Ts.
     """
     labels = {"arm": list(ARMS), "case": list(CASES), "method": [*PAPER, *BESIDE]}
-    halvings = range(HALVINGS + 1)
-    Ts = [paper.TS / 2**h for h in halvings]
+    labels["Ts"] = [paper.TS / 2**halving for halving in range(HALVINGS + 1)]
 
-    def each(measure, labels, **lane):
-        lanes = [
-            (Lane("on-path", where.get("case", "track"), "consistent", halving=h, **lane), where)
-            for where in (dict(zip(labels, v, strict=True)) for v in itertools.product(*labels.values()))
-            for h in halvings
-        ]
-        values = [measure(found.runs[w["arm"], "once", w["method"], la], la.halving) for la, w in lanes]
-        return (*labels, "Ts"), np.reshape(values, [*(len(v) for v in labels.values()), len(Ts)])
+    def runs(labels, **lane):
+        for arm, case, method, Ts in itertools.product(*labels.values()):
+            halving = labels["Ts"].index(Ts)
+            run = found.runs[arm, "once", method, Lane("on-path", case, "consistent", halving=halving, **lane)]
+            yield run.evaluations, np.linalg.norm(run.e, axis=-1)[:: 2**halving]
 
-    def norms(run, halving):
-        return np.linalg.norm(run.e, axis=-1)[:: 2**halving]
+    def norms(labels, **lane):
+        values = np.reshape([norm for _, norm in runs(labels, **lane)], [*map(len, labels.values()), -1])
+        return xr.DataArray(values, labels | {"time": paper.TS * np.arange(paper.N + 1)}, [*labels, "time"])
 
-    def rms(run, halving):
-        return np.sqrt(np.mean(norms(run, halving)[1:] ** 2))
+    def rms(norm):
+        return np.sqrt((norm.isel(time=slice(1, None)) ** 2).mean("time", skipna=False))
 
-    tracking = {k: labels[k] for k in ("arm", "method")}
-    data = xr.Dataset(
-        {
-            "mean_error": each(lambda r, h: norms(r, h).mean(), labels),
-            "rms_error": each(rms, labels),
-            "evaluations": each(lambda r, h: int(r.evaluations), labels),
-            "rms_converged": each(rms, tracking, M=paper.CONVERGED),
-        },
-        labels | {"Ts": Ts, "time": paper.TS * np.arange(paper.N + 1)},
-    )
-    first = itertools.product(*labels.values())
-    norm = [norms(found.runs[arm, "once", m, Lane("on-path", case, "consistent")], 0) for arm, case, m in first]
-    data["error_norm"] = ((*labels, "time"), np.reshape(norm, [*(len(v) for v in labels.values()), -1]))
+    norm, converged = norms(labels), norms(labels | {"case": ["track"]}, M=paper.CONVERGED)
+    counts = [int(evaluations) for evaluations, _ in runs(labels)]
+    data = norm.isel(Ts=0, drop=True).to_dataset(name="error_norm")
+    data["mean_error"], data["rms_error"] = norm.mean("time", skipna=False), rms(norm)
+    data["evaluations"] = (norm.dims[:-1], np.reshape(counts, norm.shape[:-1]))
+    data["rms_converged"] = rms(converged).isel(case=0, drop=True)
     finer = data.rms_converged.isel(Ts=slice(1, None))
     coarser = data.rms_converged.isel(Ts=slice(None, -1)).assign_coords(Ts=finer.Ts)
     data["order"] = np.log2(coarser / finer)
@@ -134,9 +129,7 @@ def methods(found: Found) -> xr.Dataset:
         "Ts": ("sampling time", "s"),
         "time": ("time", "s"),
     }
-    for name, (long_name, units) in about.items():
-        data[name].attrs = {"long_name": long_name, "units": units}
-    return _labelled(data, data.rms_error.dtype, reading=str(paper.DEFAULT), M_converged=paper.CONVERGED)
+    return _labelled(data, norm.dtype, about, reading=str(paper.DEFAULT), M_converged=paper.CONVERGED)
 
 
 def passes(found: Found) -> xr.Dataset:
@@ -152,25 +145,19 @@ def passes(found: Found) -> xr.Dataset:
         {"residual": ((*labels, "pass", "step"), np.reshape(values, shape))},
         labels | {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)},
     )
-    data.residual.attrs = {"long_name": "change of the joint increment in the last pass", "units": "rad"}
-    return _labelled(data, data.residual.dtype)
+    about = {"residual": ("change of the joint increment in the last pass", "rad")}
+    return _labelled(data, data.residual.dtype, about)
 
 
-def _labelled(data, dtype, **config):
-    """With units on every variable, labels included, and the configuration in the attributes."""
+def _labelled(data, dtype, about, **config):
+    """With `about`, {name: (long name, units)}, units on every other variable, and the configuration."""
+    for name, (long_name, units) in about.items():
+        data[name].attrs = {"long_name": long_name, "units": units}
     for name in data.variables:
         data[name].attrs.setdefault("long_name", name)
         data[name].attrs.setdefault("units", "1")
     data.attrs = provenance(dtype) | {"config": as_json(CONFIG | config)}
     return data
-
-
-def _stack(runs, shape):
-    return jax.tree.map(lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *runs)
-
-
-def _norm(e):
-    return np.sqrt((e**2).sum("axis"))
 
 
 def _spread(found, where):

@@ -22,36 +22,23 @@ PICARD_READINGS = ("on-path/once/consistent", "on-path/twice/consistent")
 
 def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, reading: str) -> dict:
     """{file name: (function that draws it, what the file says of itself)}, as `cnclik.show.output.draw` takes them."""
-    return {
-        name: (functools.partial(make, data), about(caption, data))
-        for name, (caption, data, make) in _drawn(trajectories, methods, passes, reading).items()
-    }
-
-
-def captions(trajectories, methods, passes, reading) -> dict:
-    """{file name: what it shows}."""
-    return {name: caption for name, (caption, *_) in _drawn(trajectories, methods, passes, reading).items()}
-
-
-def _drawn(trajectories, methods, passes, reading):
-    """{file name: (caption, data, function of the data that draws it)}."""
     found = {}
+
+    def add(name, caption, data, make):
+        found[f"{name}.png"] = functools.partial(make, data), about(caption, data)
+
     for arm, size in paper.ARMS.items():
         for case, what in _CASES.items():
             run = trajectories.sel(arm=arm, case=case, reading=reading).sel(joint=[f"q{i + 1}" for i in range(size.n)])
             for kind, make in _KINDS.items():
-                found[f"fig{len(found) + 1:02d}.png"] = (f"{size} arm, {what}: {kind}", run, make)
+                add(f"fig{len(found) + 1:02d}", f"{size} arm, {what}: {kind}", run, make)
     followed = passes[["residual"]].sel(reading=list(PICARD_READINGS)).isel({"pass": slice(0, 31)})
-    return found | {
-        "fig13.png": ("Error against evaluations, all methods", methods, plots.work),
-        "fig14.png": ("Observed orders, stages converged", methods, plots.orders),
-        "fig15.png": ("Convergence of the Picard iteration, Ts once and twice", followed, _passes),
-        "overview.png": (
-            "An arm following a line, and the error of each method",
-            _overview_data(trajectories, methods),
-            _overview,
-        ),
-    }
+    add("fig13", "Error against evaluations, all methods", methods, plots.work)
+    add("fig14", "Observed orders, stages converged", methods, plots.orders)
+    add("fig15", "Convergence of the Picard iteration, Ts once and twice", followed, _passes)
+    both = _overview_data(trajectories, methods)
+    add("overview", "An arm following a line, and the error of each method", both, _overview)
+    return found
 
 
 def about(caption: str, data: xr.Dataset) -> dict:

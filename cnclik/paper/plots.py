@@ -66,9 +66,7 @@ def orders(methods):
             first = float(methods.rms_converged.sel({"arm": arm, "method": anchor, "Ts": Ts[0]}))
             guide = 2.2 * first * (Ts / Ts[0]) ** order
             panel.loglog(Ts, guide, **style.GUIDE)
-            panel.annotate(
-                f"order {order}", (Ts[-1], guide[-1]), xytext=(0, 9), textcoords="offset points", **style.NOTE
-            )
+            panel.annotate(f"order {order}", (Ts[-1], guide[-1]), (0, 9), textcoords="offset points", **style.NOTE)
         panel.set_title(f"{ARMS[str(arm)]} arm, tracking")
         panel.set_xlabel("sampling time $T_s$ [s]")
         panel.set_xticks(Ts, [f"{t:g}" for t in Ts])
@@ -89,24 +87,21 @@ def passes(residual, *, chosen, settled):
       settled: what counts as converged [rad], marked.
     """
     figure, panels = plt.subplots(1, residual.sizes["arm"], sharey=True, figsize=(style.PAGE, 2.9))
-    colors = dict(zip(residual.case.values, (style.BLUE, style.VERMILION), strict=False))
-    dashes = dict(zip(residual.reading.values, ("-", (0, (4, 1.5))), strict=False))
-    markers = dict(zip(residual.reading.values, ("o", "s"), strict=False))
+    looks = [{"linestyle": "-", "marker": "o"}, {"linestyle": (0, (4, 1.5)), "marker": "s"}]
     for panel, arm in zip(panels, residual.arm.values, strict=True):
         panel.axvline(chosen, **style.GUIDE)
         panel.axhline(settled, **style.GUIDE)
-        for reading in residual.reading.values:
-            for case in residual.case.values:
+        for reading, look in zip(residual.reading.values, looks, strict=True):
+            for case, color in zip(residual.case.values, style.COLORS, strict=False):
                 worst = residual.sel({"arm": arm, "case": case, "reading": reading}).max(("step", "method"))
+                look |= {"color": color, "label": f"{case}, Ts {reading.split('/')[1]}"}
                 worst = worst.where(worst > _ROUNDING)
-                look = {"color": colors[case], "linestyle": dashes[reading], "marker": markers[reading]}
-                label = f"{case}, Ts {reading.split('/')[1]}"
-                panel.semilogy(worst["pass"], worst, label=label, markerfacecolor="white", lw=1, markevery=2, **look)
+                panel.semilogy(worst["pass"], worst, markerfacecolor="white", lw=1, markevery=2, **look)
         panel.set_title(f"{ARMS[str(arm)]} arm")
         panel.set_xlabel("passes")
         panel.xaxis.set_major_locator(MaxNLocator(integer=True))
         right = panel.get_xlim()[1]
-        panel.annotate(f"M = {chosen}", (chosen, 1), xytext=(3, 0), textcoords="offset points", **style.NOTE)
+        panel.annotate(f"M = {chosen}", (chosen, 1), (3, 0), textcoords="offset points", **style.NOTE)
         panel.annotate("converged", (right, settled), (0, 2), textcoords="offset points", ha="right", **style.NOTE)
     panels[0].set_ylabel("worst last change [rad]")
     style.legend(figure, panels[0])
@@ -133,14 +128,8 @@ def overview(run, methods, arm_points):
     rate, count = (run.sizes["time"] - 1) / seconds, run.sizes["joint"]
     arm.plot(tip[:, 0], tip[:, 1], color=style.VERMILION, lw=2.4, zorder=20, solid_capstyle="round")
     arm.plot(*arm_points[0, 0], marker="s", ms=7, color=style.BLACK, zorder=21)
-    arm.annotate(
-        f"path of the tip: {length:.2g} m in {seconds:.2g} s",
-        tip[0],
-        (0, -11),
-        textcoords="offset points",
-        ha="right",
-        color=style.VERMILION,
-    )
+    words = f"path of the tip: {length:.2g} m in {seconds:.2g} s"
+    arm.annotate(words, tip[0], (0, -11), textcoords="offset points", ha="right", color=style.VERMILION)
     arm.set(aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]", title=f"a {count}-joint arm follows a line")
     arm.margins(x=0.03, y=0.12)
     for i, method in enumerate(methods.method.values):

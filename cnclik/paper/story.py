@@ -62,7 +62,7 @@ def story(judged, trajectories, methods, reading, captions) -> str:
         _all_readings(facts),
         _files(captions),
     )
-    return "\n\n".join(section for section in sections if section) + "\n"
+    return "\n\n".join(filter(None, sections)) + "\n"
 
 
 # --- sections -----------------------------------------------------------------------------------------
@@ -170,7 +170,7 @@ def _in_full(facts, record) -> str:
 
 
 def _away(facts, record) -> float:
-    where = {"arm": record["arm"], "case": record["case"], "reading": record["reading"]}
+    where = {name: record[name] for name in ("arm", "case", "reading")}
     return float(facts.trajectories.error_norm.sel(where).isel(time=0, method=0))
 
 
@@ -204,30 +204,18 @@ def _undetermined(facts) -> str:
 
 def _tracking(facts) -> str:
     gains = joined([f"{_gain(facts.mean(arm, 'track')):.1f} times ({ARMS[arm]})" for arm in ARMS])
-    return "\n".join(
-        [
-            "## (b) Tracking a line\n",
-            paragraph(
-                f"Under `{DEFAULT}` the mean error of the better of EE and IE is {gains} that of CN.",
-                _sides(facts),
-            ),
-            "",
-            paragraph(_printed_feedforward(facts), bullet=True),
-            paragraph(_twice(facts), bullet=True),
-            paragraph(_printed_rotation(facts), bullet=True),
-        ]
-    )
+    first = f"Under `{DEFAULT}` the mean error of the better of EE and IE is {gains} that of CN."
+    others = [paragraph(part(facts), bullet=True) for part in (_printed_feedforward, _twice, _printed_rotation)]
+    return "\n".join(["## (b) Tracking a line", "", paragraph(first, _sides(facts)), "", *others])
 
 
 def _sides(facts) -> str:
     """To which sides of the path EE and IE stray."""
-    cosines, ratios = [], []
-    for arm in ARMS:
-        e = facts.trajectories.e.sel({"arm": arm, "case": "track", "reading": str(DEFAULT)})
-        one, other = (e.sel({"method": name}).values.ravel() for name in ("EE", "IE"))
-        cosines.append(one @ other / np.linalg.norm(one) / np.linalg.norm(other))
-        ratios.append(np.linalg.norm(other) / np.linalg.norm(one))
-    cosine, ratio = (joined([f"{value:.2f}" for value in values]) for values in (cosines, ratios))
+    e = facts.trajectories.e.sel({"case": "track", "reading": str(DEFAULT)})
+    one, other = (e.sel({"method": name}).transpose("arm", ...).values.reshape(len(ARMS), -1) for name in ("EE", "IE"))
+    sizes = [np.linalg.norm(errors, axis=1) for errors in (one, other)]
+    cosines = np.sum(one * other, axis=1) / sizes[0] / sizes[1]
+    cosine, ratio = (joined([f"{value:.2f}" for value in values]) for values in (cosines, sizes[1] / sizes[0]))
     angles = f"cosine between their errors {cosine}, ratio {ratio}"
     if max(cosines) < -0.9:
         return (
@@ -237,17 +225,13 @@ def _sides(facts) -> str:
     return f"EE and IE do not stray to opposite sides of the path ({angles})."
 
 
-def _range(facts, reading, case="track", methods=PAPER) -> str:
-    finals = [facts.final(arm, case, reading)[m] for arm in ARMS for m in methods]
-    return f"{min(finals):.3f} to {max(finals):.3f} m"
-
-
 def _printed_feedforward(facts) -> str:
     speed = 1 / (N * TS)
+    finals = [facts.final(arm, "track", "on-path/once/printed")[method] for arm in ARMS for method in PAPER]
     return (
         f"**Printed feed-forward.** The loop is told −1 m/s for a path at −1/{N * TS:g} m/s. Whatever the method, the"
         f" error settles where feedback makes up for it, at (1 − 1/{N * TS:g})/α = {(1 - speed) / paper.ALPHA:.3f} m"
-        f" (the runs end at {_range(facts, 'on-path/once/printed')}): a better method has nothing left to gain."
+        f" (the runs end at {min(finals):.3f} to {max(finals):.3f} m): a better method has nothing left to gain."
     )
 
 

@@ -3,8 +3,6 @@
 import itertools
 from typing import NamedTuple
 
-import numpy as np
-
 from cnclik.measure import files
 from cnclik.paper import readings as paper
 from cnclik.paper.readings import ARMS
@@ -28,12 +26,9 @@ class Table(NamedTuple):
 def claim_table(judged, undetermined) -> Table:
     """(a) and (b), one row per arm, case and reading."""
     rows = []
-    for row in judged["rows"]:
-        if not own(row):
-            continue
+    for row in filter(own, judged["rows"]):
         where = row["arm"], row["reading"], row["case"]
-        wild = {method for *run, method in undetermined if tuple(run) == where}
-        mean = [number(v) + ("*" if m in wild else "") for m, v in row["mean_error"].items()]
+        mean = [number(v) + ("*" if (*where, m) in undetermined else "") for m, v in row["mean_error"].items()]
         claim = {"reach": "(a)", "track": "(b)"}[row["case"]]
         rows.append([f"{claim} {ARMS[row['arm']]} {row['case']}", short(row), *mean, verdict(row["holds"])])
     header = ["claim", "reading", *paper.PAPER, "holds"]
@@ -48,16 +43,10 @@ def method_table(methods) -> Table:
         at = methods.sel({"arm": arm, "method": method})
         first = at.isel(Ts=0)
         order = at.order.dropna("Ts").values
-        rows.append(
-            [
-                f"{ARMS[str(arm)]} {method}",
-                f"{int(first.evaluations.sel(case='track'))}",
-                number(first.mean_error.sel(case="reach")),
-                number(first.rms_error.sel(case="track")),
-                number(first.rms_converged),
-                f"{order[0]:.2f} … {order[-1]:.2f}",
-            ]
-        )
+        errors = first.mean_error.sel(case="reach"), first.rms_error.sel(case="track"), first.rms_converged
+        count = int(first.evaluations.sel(case="track"))
+        orders = f"{order[0]:.2f} … {order[-1]:.2f}"
+        rows.append([f"{ARMS[str(arm)]} {method}", str(count), *map(number, errors), orders])
     header = ["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"]
     return Table(f"All methods at Ts = {paper.TS:g} s under {paper.DEFAULT}: errors ‖e‖ [m]", header, rows)
 
@@ -65,11 +54,11 @@ def method_table(methods) -> Table:
 def picard_table(judged) -> Table:
     """(c): passes of the Picard iteration along CN's runs, one row per arm, case and reading."""
     rows = []
-    for record in judged["picard"]:
-        if record["method"] != "CN" or not own(record):
+    for record in filter(own, judged["picard"]):
+        if record["method"] != "CN":
             continue
         needed = [record["needed"][f"{t:.0e}"] for t in _SHOWN]
-        needed = [str(v) if v is not None else f"> {paper.PASSES}" for v in needed]
+        needed = [f"> {paper.PASSES}" if v is None else str(v) for v in needed]
         after = f"{record['residual_max'][paper.M]:.0e}"
         where = f"{ARMS[record['arm']]} {record['case']}"
         rows.append([where, short(record), after, *needed, verdict(record["holds"])])
@@ -91,11 +80,8 @@ def short(record) -> str:
 def number(value) -> str:
     """Three or four digits, as the paper's own tables would print them."""
     value = float(value)
-    if not np.isfinite(value):
-        return str(value)
-    if value == 0 or 0.01 <= abs(value) < 100:
-        return f"{value:.4f}"
-    return f"{value:.2e}".replace("e-0", "e-").replace("e+0", "e+")
+    plain = value == 0 or 0.01 <= abs(value) < 100
+    return f"{value:.4f}" if plain else f"{value:.2e}".replace("e-0", "e-").replace("e+0", "e+")
 
 
 def verdict(holds) -> str:

@@ -8,11 +8,9 @@ from cnclik.paper.tables import number, own, short
 
 def paragraph(*sentences, bullet=False) -> str:
     """A paragraph, or an item of a list."""
-    text = " ".join(" ".join(sentence.split()) for sentence in sentences if sentence)
     lead, rest = ("- ", "  ") if bullet else ("", "")
-    return textwrap.fill(
-        text, 120, initial_indent=lead, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
-    )
+    fill = textwrap.TextWrapper(120, lead, rest, break_long_words=False, break_on_hyphens=False).fill
+    return fill(" ".join(" ".join(sentences).split()))
 
 
 def joined(words) -> str:

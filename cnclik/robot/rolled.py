@@ -82,16 +82,17 @@ def _rolled(chain: Chain) -> RolledChain:
 
     zero = at(0.0, 0.0, 0.0)
     turning = np.array([j.kind == REVOLUTE for j in chain.joints])
-    own = [(j.coordinate, j.multiplier, j.offset) for j in chain.joints] == [(i, 1.0, 0.0) for i in range(chain.n)]
-    onto = np.eye(chain.n)[[j.coordinate for j in chain.joints]]
+    slide, turning = (None, None) if turning.all() else (at(1.0, 0.0, 0.0) - zero, turning)
+    mimic = None
+    if [(j.coordinate, j.multiplier, j.offset) for j in chain.joints] != [(i, 1.0, 0.0) for i in range(chain.n)]:
+        onto = np.eye(chain.n)[[j.coordinate for j in chain.joints]]
+        multipliers, offsets = (xp.array([getattr(j, name) for j in chain.joints]) for name in ("multiplier", "offset"))
+        mimic = onto * multipliers[:, None], offsets
     return RolledChain(
-        transforms=(zero, at(0.0, 1.0, 0.0) - zero, at(0.0, 0.0, 1.0) - zero)
-        + (None if turning.all() else at(1.0, 0.0, 0.0) - zero,),
+        transforms=(zero, at(0.0, 1.0, 0.0) - zero, at(0.0, 0.0, 1.0) - zero, slide),
         axes=xp.array([j.axis for j in chain.joints]),
-        turning=None if turning.all() else turning,
-        mimic=None
-        if own
-        else (onto * xp.array([[j.multiplier] for j in chain.joints]), xp.array([j.offset for j in chain.joints])),
+        turning=turning,
+        mimic=mimic,
         tip=matrix(chain.tip.position, chain.tip.rotation),
         **{name: np.asarray(getattr(chain, name), float) for name in ("lower", "upper", "velocity_limit")},
     )

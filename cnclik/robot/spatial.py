@@ -2,8 +2,8 @@
 
 A vector is a tuple of scalars and a matrix a tuple of rows: the unrolled form. `vmap` turns each scalar into one
 contiguous row of lanes, so the same code serves one robot and a million; and a scalar may be a Python number, with
-which products with a literal 0 or 1 vanish while the program is traced. Or they are arrays: the rolled form, which makes
-small programs (see `robot.rolled`). What is written with the functions here serves both.
+which products with a literal 0 or 1 vanish while the program is traced. Or they are arrays: the rolled form, which
+makes small programs (see `robot.rolled`). What is written with the functions here serves both.
 """
 
 import functools

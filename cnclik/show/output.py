@@ -42,8 +42,8 @@ def output_folder(path, *, name="out"):
         path.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=path))
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise errors.fail(name, "be a folder that can be written into", f"is {str(path)!r} ({reason})") from None
+        found = f"is {str(path)!r} ({error.strerror or error})"
+        raise errors.fail(name, "be a folder that can be written into", found) from None
     try:
         yield partial
         for file in sorted(p for p in partial.rglob("*") if p.is_file()):

@@ -15,9 +15,10 @@ from cnclik.show import style
 
 _TIME = "time $t$ [s]"
 _PARTS = {
-    "m": ("position error ‖e‖ [m]", style.BLUE, "-"),
-    "rad": ("orientation error ‖e‖ [rad]", style.ORANGE, (0, (5, 2))),
+    "m": {"label": "position error ‖e‖ [m]", "color": style.BLUE},
+    "rad": {"label": "orientation error ‖e‖ [rad]", "color": style.ORANGE, "linestyle": style.DASH},
 }
+_BITS = [bit for bit in Status if bit]
 
 
 def plot(run, law, kind="overview"):
@@ -49,7 +50,7 @@ def joint_paths(data, chain=None):
             if q.min() - room < bound < q.max() + room:
                 panel.axhline(bound, **style.LIMIT)
 
-    return _per_joint(data, draw, lambda unit: unit)
+    return _per_joint(data, draw)
 
 
 def joint_velocities(data, chain=None):
@@ -61,7 +62,7 @@ def joint_velocities(data, chain=None):
         rounding = np.max(np.abs(every), initial=0.0) <= 1e-9 * fastest  # it would fill the panel
         if rounding:
             panel.set_ylim(-0.1 * fastest, 0.1 * fastest)
-        for look, one in _methods(data, marker="", linewidth=1.0):
+        for look, one in _methods(data, linewidth=1.0):
             step = {name: look[name] for name in look if not name.startswith("mark")}
             v = np.nan_to_num(one.qdot.values[:, i]) if rounding else one.qdot.values[:, i]
             panel.stairs(v, data.time.values, baseline=None, **step)
@@ -70,7 +71,7 @@ def joint_velocities(data, chain=None):
             if np.max(side * every, initial=0.0) > 0.5 * limit:
                 panel.axhline(side * limit, **style.LIMIT)
 
-    return _per_joint(data, draw, lambda unit: f"{unit}/s")
+    return _per_joint(data, draw, per="/s")
 
 
 def error(data):
@@ -84,7 +85,7 @@ def error(data):
 
 def status(data):
     """What was wrong in each step, one line per status bit; an empty line is good."""
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_bits())))
+    figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_BITS)))
     _draw_status(panel, data)
     panel.set_xlabel(_TIME)
     return figure
@@ -92,9 +93,7 @@ def status(data):
 
 def overview(data, chain):
     """Joint values, error, joint velocities (over their limits where all joints have one) and status at a glance."""
-    figure, ((joints, size), (speed, flags)) = plt.subplots(
-        2, 2, sharex=True, figsize=(style.PAGE, 4.4), height_ratios=(1, 1)
-    )
+    figure, ((joints, size), (speed, flags)) = plt.subplots(2, 2, sharex=True, figsize=(style.PAGE, 4.4))
     limits = np.asarray(chain.velocity_limit)
     limited = bool(np.all(np.isfinite(limits)))
     for i, name in enumerate(data.joint.values):
@@ -132,11 +131,14 @@ def _methods(data, **changes):
     names = [str(name) for name in data.method.values]
     # Markers staggered, so that coinciding lines stay distinguishable.
     every = [(2 * i, 6) if len(names) <= 3 else (i, 7) for i in range(len(names))]
-    looks = [style.line(name, **({"markevery": some} | changes)) for name, some in zip(names, every, strict=True)]
-    return list(zip(looks, (data.sel({"method": name}) for name in names), strict=True))
+    return [
+        (style.line(name, **{"markevery": some} | changes), data.sel({"method": name}))
+        for name, some in zip(names, every, strict=True)
+    ]
 
 
-def _per_joint(data, draw, unit):
+def _per_joint(data, draw, per=""):
+    """A panel for each joint, drawn by draw(panel, i); its unit is that of the joint, `per` a time."""
     n = data.sizes["joint"]
     columns = 1 if n <= 3 else 2
     rows = -(-n // columns)
@@ -151,7 +153,7 @@ def _per_joint(data, draw, unit):
             continue
         draw(panel, i)
         panel.set_title(str(data.joint.values[i]), loc="left", pad=2)
-        panel.set_ylabel(f"[{unit(str(data.joint_unit.values[i]))}]")
+        panel.set_ylabel(f"[{data.joint_unit.values[i]}{per}]")
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
         panel.margins(x=0.01, y=0.12)
         if i % rows == rows - 1:
@@ -164,11 +166,11 @@ def _per_joint(data, draw, unit):
 
 def _draw_error(panel, data):
     usual = []
-    for unit, (label, color, dashes) in _PARTS.items():
+    for unit, look in _PARTS.items():
         part = data.e.values[:, data.axis_unit.values == unit]
         if part.size:
             norm = np.linalg.norm(part, axis=1)
-            panel.plot(data.time, np.where(norm > 0, norm, np.nan), color=color, linestyle=dashes, label=label)
+            panel.plot(data.time, np.where(norm > 0, norm, np.nan), **look)
             positive = norm[norm > 0]
             usual += [np.quantile(positive, 0.01)] if positive.size else []
     panel.set_yscale("log")
@@ -178,29 +180,15 @@ def _draw_error(panel, data):
 
 
 def _draw_status(panel, data):
-    edges, bits = data.time.values, _bits()
+    edges = data.time.values
     if not data.status.values.any():
         panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
-    for row, bit in enumerate(bits):
+    for row, bit in enumerate(_BITS):
         bad = np.flatnonzero(data.status.values & bit.value)
-        spans = [(edges[k], edges[k + 1] - edges[k]) for k in bad]
-        panel.broken_barh(_merged(spans), (row - 0.35, 0.7), color=style.VERMILION, linewidth=0)
-    panel.set_yticks(range(len(bits)), [bit.name.replace("_", " ").lower() for bit in bits])
-    panel.set_ylim(len(bits) - 0.4, -0.6)
+        together = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)  # neighbouring steps as one bar
+        spans = [(edges[steps[0]], edges[steps[-1] + 1] - edges[steps[0]]) for steps in together if steps.size]
+        panel.broken_barh(spans, (row - 0.35, 0.7), color=style.VERMILION, linewidth=0)
+    panel.set_yticks(range(len(_BITS)), [bit.name.replace("_", " ").lower() for bit in _BITS])
+    panel.set_ylim(len(_BITS) - 0.4, -0.6)
     panel.set_xlim(edges[0], edges[-1])
     panel.grid(axis="y", visible=False)
-
-
-def _bits():
-    return [bit for bit in Status if bit]
-
-
-def _merged(spans):
-    """Neighbouring steps as one bar."""
-    merged = []
-    for start, width in spans:
-        if merged and np.isclose(sum(merged[-1]), start, rtol=1e-9, atol=1e-12):
-            merged[-1] = (merged[-1][0], start + width - merged[-1][0])
-        else:
-            merged.append((start, width))
-    return merged

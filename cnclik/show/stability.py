@@ -7,7 +7,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cnclik.measure.outcome import Ending
-from cnclik.show import style as look
+from cnclik.show import style
+from cnclik.show.sweeps.panels import geometric
 
 RATES = "viridis"
 _FLAT = {
@@ -30,34 +31,28 @@ def plane(data):
         groups.setdefault(method if stage else "explicit", {})[stage or method] = data.region.sel(region_row=row)
     columns = min(len(groups), 4)
     rows = -(-len(groups) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(look.PAGE, 2.2 * rows + 0.45), sharex=True, sharey=True, squeeze=False
-    )
+    size = (style.PAGE, 2.2 * rows + 0.45)
+    figure, axes = plt.subplots(rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False)
     named = {}
     for axis, (title, group) in zip(axes.flat, groups.items(), strict=False):
         shades = plt.get_cmap(RATES)(np.linspace(0.0, 0.9, max(len(group), 2)))
         for shade, (name, region) in zip(shades, group.items(), strict=False):
-            color, dashes = shade, "-"
-            if name in look.METHODS:
-                color, dashes = look.METHODS[name].color, look.METHODS[name].linestyle
+            color, dashes = style.METHODS[name][:2] if name in style.METHODS else (shade, "-")
             if name == "exact":
-                color, dashes = look.BLACK, (0, (4, 1.5))
+                color, dashes = style.BLACK, (0, (4, 1.5))
                 axis.contourf(data.re, data.im, region, levels=[0, 1], colors=["0.93"], zorder=0)
-            contour = axis.contour(data.re, data.im, region, levels=[1.0], colors=[color], linewidths=1.0)
-            contour.set_linestyle([dashes])
+            axis.contour(data.re, data.im, region, levels=[1.0], colors=[color], linewidths=1.0, linestyles=[dashes])
             named[name] = plt.Line2D([], [], color=color, linestyle=dashes, linewidth=1.0, label=name)
-        axis.axhline(0, color="0.6", linewidth=0.5, zorder=1)
-        axis.axvline(0, color="0.6", linewidth=0.5, zorder=1)
+        for line in (axis.axhline, axis.axvline):
+            line(0, color="0.6", linewidth=0.5, zorder=1)
         axis.set(title=title, aspect="equal", xlim=(-2, 4), ylim=(-3.1, 3.1))
     if "exact" in named:
         named["area"] = Patch(facecolor="0.93", label="stable if exact")
     figure.legend(handles=named.values(), loc="outside lower center", ncols=7, fontsize=6)
     for axis in axes.flat[len(groups) :]:
         axis.axis("off")
-    for axis in axes[-1]:
-        axis.set_xlabel("Re z,  z = α·Ts")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("Im z")
+    plt.setp(axes[-1], xlabel="Re z,  z = α·Ts")
+    plt.setp(axes[:, 0], ylabel="Im z")
     return figure
 
 
@@ -68,32 +63,28 @@ def stability_map(data, *, title="", operating=None):
       data: from `cnclik.stability.stability_map`.
       operating: (alpha, Ts, margin), or None.
     """
-    figure, axis = plt.subplots(figsize=(look.PAGE * 0.62, 3.1))
+    figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
     mesh = _cells(axis, data.alpha, data.Ts, data)
     figure.colorbar(mesh, ax=axis, label="error × per step (measured)", fraction=0.05)
     _legend(figure, [data], columns=3)
     axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
     for values, scale, ticks in ((data.alpha, axis.set_xscale, axis.xaxis), (data.Ts, axis.set_yscale, axis.yaxis)):
-        if _widens(values.values):
+        if geometric(values.values):
             scale("log")
-            _plain_ticks(ticks)
-    _boundary(axis, data.limit, data.Ts)
+            # 1, 2, 5, 10 … in place of powers, which overlap where an axis spans one or two decades.
+            ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ticks.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+            ticks.set_minor_formatter(NullFormatter())
+    finite = np.isfinite(data.limit.values)
+    _outlined(axis, data.limit.values[finite], data.Ts.values[finite])
     if operating is not None:
         alpha, Ts, margin = operating
         axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
-        axis.annotate(
-            f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}",
-            (alpha, Ts),
-            xytext=(-7, -7),
-            ha="right",
-            va="top",
-            textcoords="offset points",
-            fontsize=6.5,
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-            zorder=6,
-        )
-    axis.set_xlim(float(data.alpha[0]), float(data.alpha[-1]))
-    axis.set_ylim(float(data.Ts[0]), float(data.Ts[-1]))
+        place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
+        box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+        words = f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}"
+        axis.annotate(words, (alpha, Ts), fontsize=6.5, bbox=box, **place)
+    axis.set(xlim=data.alpha.values[[0, -1]], ylim=data.Ts.values[[0, -1]])
     return figure
 
 
@@ -103,16 +94,14 @@ def passes(panels):
     Args:
       panels: {title: Dataset from `cnclik.stability.passes_map`}.
     """
-    figure, axes = plt.subplots(1, len(panels), figsize=(look.PAGE, 2.6), sharey=True, squeeze=False)
+    figure, axes = plt.subplots(1, len(panels), figsize=(style.PAGE, 2.6), sharey=True, squeeze=False)
     for axis, (title, data) in zip(axes[0], panels.items(), strict=True):
         rows = np.arange(data.sizes["M"])
         mesh = _cells(axis, data.z, rows, data)
         for row, limit in zip(rows, data.limit.values, strict=True):
             if np.isfinite(limit):
-                for color, width in (("white", 2.4), ("black", 1.1)):
-                    axis.plot([limit, limit], [row - 0.5, row + 0.5], color=color, linewidth=width, zorder=4)
-        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values)
-        axis.set_xlim(float(data.z[0]), float(data.z[-1]))
+                _outlined(axis, [limit, limit], [row - 0.5, row + 0.5])
+        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values, xlim=data.z.values[[0, -1]])
     axes[0, 0].set_ylabel("passes M")
     figure.colorbar(mesh, ax=axes[0, -1], label="error × per step (measured)", fraction=0.05)
     _legend(figure, panels.values())
@@ -139,21 +128,7 @@ def _legend(figure, several, *, columns=4):
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=6, columnspacing=1.0)
 
 
-def _boundary(axis, x, y):
-    finite = np.isfinite(x.values)
-    if finite.any():
-        axis.plot(x.values[finite], y.values[finite], color="white", linewidth=2.4, zorder=4)
-        axis.plot(x.values[finite], y.values[finite], color="black", linewidth=1.1, zorder=5)
-
-
-def _widens(values):
-    """Whether steps grow along a coordinate, as those of a geometric one do."""
-    steps = np.diff(values)
-    return len(steps) > 1 and steps[-1] > 1.5 * steps[0]
-
-
-def _plain_ticks(axis):
-    """1, 2, 5, 10 … in place of powers, which overlap where an axis spans one or two decades."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axis.set_minor_formatter(NullFormatter())
+def _outlined(axis, x, y):
+    """A black line with a white edge: seen on any colour."""
+    for color, width in (("white", 2.4), ("black", 1.1)):
+        axis.plot(x, y, color=color, linewidth=width, zorder=4)

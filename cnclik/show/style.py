@@ -1,6 +1,5 @@
 """One look for every figure: colour-blind safe, readable at column width, the same line for a method everywhere."""
 
-import contextlib
 import pathlib
 from typing import NamedTuple
 
@@ -11,19 +10,13 @@ COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column jou
 DPI = 300
 
 # Okabe & Ito (2008): distinguishable with any colour vision.
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
-    "#000000",
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#F0E442",
-    "#0072B2",
-    "#D55E00",
-    "#CC79A7",
-)
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
 
-COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)  # lines of one panel, in this order
-DASHES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+# Lines of one panel, in this order.
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)
+DASHES = ("-", DASH, DOT, DASHDOT, (0, (3, 1)), (0, (8, 2)))
 
 
 class Line(NamedTuple):
@@ -36,16 +29,14 @@ class Line(NamedTuple):
     linewidth: float = 1.2
 
 
-_DASH, _DASHDOT, _DOT = (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2))
-
 METHODS = {
-    "EE": Line(BLUE, _DASH, "o", 3.3),
-    "IE": Line(VERMILION, _DASHDOT, "s", 3.2),
+    "EE": Line(BLUE, DASH, "o", 3.3),
+    "IE": Line(VERMILION, DASHDOT, "s", 3.2),
     "CN": Line(BLACK, "-", "D", 3.1, 1.1),
     "TRAPEZOID": Line(GREEN, "-", "^", 3.4),
-    "HEUN": Line(ORANGE, _DASH, "v", 3.5),
-    "MIDPOINT": Line(SKY, _DASHDOT, "P", 3.6),
-    "RK4": Line(PURPLE, _DOT, "X", 3.7, 1.6),
+    "HEUN": Line(ORANGE, DASH, "v", 3.5),
+    "MIDPOINT": Line(SKY, DASHDOT, "P", 3.6),
+    "RK4": Line(PURPLE, DOT, "X", 3.7, 1.6),
 }
 
 GUIDE = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
@@ -86,25 +77,14 @@ _RC = {
 }
 
 
-@contextlib.contextmanager
 def style():
     """Context manager: every figure made inside has the project's look."""
-    with matplotlib.rc_context(_RC):
-        yield
+    return matplotlib.rc_context(_RC)
 
 
 def line(method: str, **changes) -> dict:
     """Keyword arguments of `plot` for a method: its colour, dashes and (hollow) marker."""
-    look = METHODS[method]
-    return {
-        "label": method,
-        "color": look.color,
-        "linestyle": look.linestyle,
-        "linewidth": look.linewidth,
-        "marker": look.marker,
-        "markerfacecolor": "white",
-        "zorder": look.zorder,
-    } | changes
+    return {"label": method, "markerfacecolor": "white"} | METHODS[method]._asdict() | changes
 
 
 def legend(figure, panel, columns=None) -> None:

@@ -8,8 +8,6 @@ from cnclik.show import style
 _LEAST = 1e-16
 _BEFORE = {"color": "0.55", "linewidth": 1.2, "label": "before"}
 _AFTER = {"color": style.BLUE, "linewidth": 1.2, "label": "after"}
-_COLORS = (style.BLUE, style.VERMILION, style.GREEN, style.ORANGE, style.PURPLE, style.SKY)
-_DASHES = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 
 
 def history(tuned):
@@ -22,10 +20,8 @@ def history(tuned):
     upper.set_title(tuned.loss, loc="left")
     lower.plot(count, 100 * np.clip(violation, -1, 1), color=style.VERMILION)
     lower.axhline(0.0, **style.GUIDE)
-    lower.annotate(
-        "bound", (1, 0.0), xytext=(0, 2), textcoords="offset points", ha="right",
-        xycoords=("axes fraction", "data"), fontsize=6.5, color="0.35",
-    )  # fmt: skip
+    above = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right"}
+    lower.annotate("bound", (1, 0.0), xycoords=("axes fraction", "data"), **above, **style.NOTE)
     lower.set_ylabel("worst constraint,\nbeyond its bound [%]")
     lower.set_xlabel("evaluations with gradient")
     return figure
@@ -33,20 +29,13 @@ def history(tuned):
 
 def error(tuned):
     """Norm of position and orientation error before and after."""
-    task = tuned.law.task
-    count = len(task.position)
-    parts = [
-        (name, part)
-        for name, part, size in (
-            ("position error [m]", slice(0, count), count),
-            ("orientation error [rad]", slice(count, None), task.m - count),
-        )
-        if size
-    ]
-    figure, axes = plt.subplots(
-        len(parts), 1, figsize=(style.COLUMN, 0.6 + 1.5 * len(parts)), sharex=True, squeeze=False
-    )
-    for axis, (name, part) in zip(axes[:, 0], parts, strict=True):
+    count = len(tuned.law.task.position)
+    parts = {"position error [m]": slice(count)} if count else {}
+    if tuned.law.task.orientation:
+        parts["orientation error [rad]"] = slice(count, None)
+    size = (style.COLUMN, 0.6 + 1.5 * len(parts))
+    figure, axes = plt.subplots(len(parts), 1, figsize=size, sharex=True, squeeze=False)
+    for axis, (name, part) in zip(axes[:, 0], parts.items(), strict=True):
         for run, look in ((tuned.before.run, _BEFORE), (tuned.after.run, _AFTER)):
             norm = np.linalg.norm(np.asarray(run.e)[:, part], axis=1)
             shown = np.where(np.isfinite(norm) & (norm > _LEAST), norm, np.nan)
@@ -66,18 +55,13 @@ def operating(field, tuned):
     figure, axis = plt.subplots(figsize=(style.COLUMN, 2.8))
     levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
     shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.82"]
+    plane = field.alpha, field.Ts, field.radius
     axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades)
-    lines = axis.contour(
-        field.alpha, field.Ts, field.radius, levels=[0.2, 0.4, 0.6, 0.8], colors="0.35", linewidths=0.4
-    )
+    lines = axis.contour(*plane, levels=[0.2, 0.4, 0.6, 0.8], colors="0.35", linewidths=0.4)
     axis.clabel(lines, fontsize=6, fmt="%.1f")
-    axis.contour(field.alpha, field.Ts, field.radius, levels=[1.0], colors="black", linewidths=1.0)
-    bound = axis.contour(
-        field.alpha, field.Ts, field.radius, levels=[tuned.margin], colors=style.VERMILION, linewidths=1.0
-    )
-    bound.set_linestyle("--")
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    axis.contour(*plane, levels=[1.0], colors="black", linewidths=1.0)
+    axis.contour(*plane, levels=[tuned.margin], colors=style.VERMILION, linewidths=1.0, linestyles="--")
+    axis.set(xscale="log", yscale="log", xlabel=f"{field.attrs['gain']} [1/s]", ylabel="sampling time [s]")
     axis.grid(False)
     low, high = float(field.alpha[0]), float(field.alpha[-1])
     point = {"linestyle": "none", "markersize": 6, "markeredgecolor": "white", "zorder": 5, "clip_on": False}
@@ -94,8 +78,6 @@ def operating(field, tuned):
         if float(field.radius.min()) < level < float(field.radius.max()):
             axis.plot([], [], linewidth=1.0, label=label, **look)
     axis.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
-    axis.set_xlabel(f"{field.attrs['gain']} [1/s]")
-    axis.set_ylabel("sampling time [s]")
     return figure
 
 
@@ -118,7 +100,7 @@ def responses(data):
 
 def _lines(panel, one, values, marker):
     for i, name in enumerate(one.axis.values):
-        look = {"color": _COLORS[i % 6], "linestyle": _DASHES[i % 6], "marker": marker, "zorder": 2}
+        look = {"color": style.COLORS[i % 6], "linestyle": style.DASHES[i % 6], "marker": marker, "zorder": 2}
         panel.plot(one.time, values.sel(axis=name), label=name, **look)
 
 

@@ -5,28 +5,12 @@ data = sweeps.run_spec("sweeps/plane.toml", "sweep-plane")   # in a store that s
 print(sweeps.estimate("sweeps/plane.toml"))                # size, memory and time first
 """
 
-import importlib
+from cnclik.sweeps.cost import Estimate, estimate
+from cnclik.sweeps.spec import Spec
+from cnclik.sweeps.spec import read as read_spec
+from cnclik.sweeps.store import read as open_sweep
+from cnclik.sweeps.summary import export
+from cnclik.sweeps.summary import table as summarize
+from cnclik.sweeps.sweep import run_spec
 
-# name here -> module and name there; loaded when asked for.
-_PUBLIC = {
-    "Estimate": ("cost", "Estimate"),
-    "Spec": ("spec", "Spec"),
-    "estimate": ("cost", "estimate"),
-    "export": ("summary", "export"),
-    "open_sweep": ("store", "read"),
-    "read_spec": ("spec", "read"),
-    "run_spec": ("run", "run_spec"),
-    "summarize": ("summary", "table"),
-}
-__all__ = sorted(_PUBLIC)
-
-
-def __getattr__(name):
-    if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, there = _PUBLIC[name]
-    return getattr(importlib.import_module(f"{__name__}.{module}"), there)
-
-
-def __dir__():
-    return sorted({*globals(), *_PUBLIC})
+__all__ = ["Estimate", "Spec", "estimate", "export", "open_sweep", "read_spec", "run_spec", "summarize"]

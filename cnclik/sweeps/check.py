@@ -1,8 +1,9 @@
 """Check: a spec from what a TOML file holds; everything wrong with it is said before anything runs."""
 
 import dataclasses
-import difflib
+import functools
 import itertools
+import operator
 import pathlib
 
 import numpy as np
@@ -13,11 +14,12 @@ from cnclik.measure import metrics
 from cnclik.problem.options import DEFAULTS, OPTIONS
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import NAMES, known_keys, unknown_key
+from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
 from cnclik.sweeps.grid import Axis
 from cnclik.sweeps.spec import KEYS, LIMIT, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
+RESERVED = (LIMIT, "progress")  # what else stands in a store beside the axes
 FIGURES = {
     "heat": ("value", "x", "y", "boundary", "contours"),
     "best": ("value", "x", "y", "among", "boundary"),
@@ -27,7 +29,7 @@ FIGURES = {
     "work": ("value", "lines", "over"),
 }
 _EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", "log", "limits")
-_ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")  # keys of a figure that name an axis
+ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")  # keys of a figure that name an axis
 
 
 def _are_numbers(value, count=None):
@@ -84,9 +86,10 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     return dataclasses.replace(spec, figures=_figures(written.get("figure", []), spec))
 
 
-def axes_named(figure) -> set:
-    """The axes that a figure refers to."""
-    return {figure.get(k) for k in _ROLES} | set(figure.get("select", ()))
+def axes_named(figure) -> list:
+    """What a figure, checked or not, refers to as axes."""
+    selected = figure.get("select")
+    return [*map(figure.get, ROLES), *(selected if isinstance(selected, dict) else ())]
 
 
 # --- tables and names ---------------------------------------------------------------------------------
@@ -136,6 +139,9 @@ def _check_names(fixed, axes, bundles):
                 raise errors.fail(f"{where}.{name}", "not be given: it follows from method and stage", f"is {value!r}")
             if name in axes:
                 raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
+    for name in (*axes, *bundles):
+        if name in RESERVED or (name in axes and name in bundles):
+            raise errors.fail(f"axes.{name}", "have a name of its own", f"is called {name!r}")
     for (one, first), (two, second) in itertools.combinations(bundles.items(), 2):
         both = {n for table in first.values() for n in table} & {n for table in second.values() for n in table}
         if both:
@@ -149,9 +155,8 @@ def _check_names(fixed, axes, bundles):
             needs = set() if name in NAMES else expression.names(name, value)
             used |= needs
             for need in needs - everywhere - (set(table) if table is not fixed else set()):
-                near = difflib.get_close_matches(need, sorted(everywhere | set(table)), n=1, cutoff=0.4)
-                hint = f" (did you mean {near[0]!r}?)" if near else ""
-                raise errors.fail(name, "use names that have a value", f"uses {need!r}{hint}")
+                hint = meant(need, sorted(everywhere | set(table)))
+                raise errors.fail(name, "use names that have a value", f"uses {need!r} ({hint})")
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
             if name not in OPTIONS and name not in used:
@@ -160,19 +165,21 @@ def _check_names(fixed, axes, bundles):
         if name not in everywhere:
             lacking = next((where for where, table in tables.items() if name not in table), "fixed")
             raise errors.fail(lacking, f"give {name}", "does not (nor do [axes])")
-    for labels in itertools.product(*(labels.values() for labels in bundles.values())):
-        _check_cycles(fixed, labels)
+    for known in _given(fixed, bundles):
+        _check_cycles(known)
 
 
-def _check_cycles(fixed, tables):
-    known = dict(fixed)
-    for table in tables:
-        known |= table
+def _given(fixed, bundles):
+    """What is given for each combination of the bundles' labels."""
+    for tables in itertools.product(*(labels.values() for labels in bundles.values())):
+        yield functools.reduce(operator.or_, tables, fixed)
 
+
+def _check_cycles(known):
     def walk(name, seen):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
-        value = known.get(name)
+        value = "M" if name == LIMIT else known.get(name)  # method and stage follow from nothing
         if name not in NAMES and value is not None:
             for need in expression.names(name, value):
                 walk(need, [*seen, name])
@@ -183,18 +190,15 @@ def _check_cycles(fixed, tables):
 
 def _widest(fixed, axes, bundles) -> int:
     """Joints of the widest robot there may be: samples per joint are drawn for it, each arm takes its share."""
-    robots = axes.get("robot", [None])
+    robots = axes.get("robot")
+    robots = [{"robot": name} for name in robots] if isinstance(robots, list) else [{}]
     most = 0
-    for labels in itertools.product(*(labels.values() for labels in bundles.values())):
-        for robot in robots if isinstance(robots, list) else [None]:
-            known = dict(fixed)
-            for table in labels:
-                known |= table
-            known |= {"robot": robot} if robot else {}
-            lengths = known.get("lengths", axes.get("lengths"))
-            if isinstance(lengths, list):  # their number is all that counts
-                known["lengths"] = np.ones(np.shape(lengths)[-1])
-            most = max(most, joints_of(known, known.get))
+    for known, robot in itertools.product(_given(fixed, bundles), robots):
+        lengths = known.get("lengths", axes.get("lengths"))
+        # Their number is all that counts.
+        count = {"lengths": np.ones(np.shape(lengths)[-1])} if isinstance(lengths, list) else {}
+        known = known | robot | count
+        most = max(most, joints_of(known, known.get))
     return most
 
 
@@ -203,23 +207,21 @@ def _widest(fixed, axes, bundles) -> int:
 
 def _compiled_in(spec: Spec) -> dict:
     """Axes on which the number of steps depends run as one program per value."""
-    wanted, queue = set(), ["N", *NAMES]
-    tables = (spec.fixed, *(table for labels in spec.bundles.values() for table in labels.values()))
+    wanted, queue = set(), {"N", *NAMES}
     while queue:
         name = queue.pop()
         wanted.add(name)
-        queue += ["M"] if name == LIMIT and "M" not in wanted else []
-        for table in tables:
-            if name in table and name not in NAMES:
-                queue += [n for n in expression.names(name, table[name]) if n not in wanted]
-    out = {}
-    for name, one in spec.axes.items():
-        if one.inner and name in wanted:
-            if one.values.ndim != 1:
+        needs = {"M"} if name == LIMIT else set()
+        if name not in NAMES:
+            needs = needs.union(*(expression.names(name, t[name]) for t in spec.tables() if name in t))
+        queue |= needs - wanted
+    out = dict(spec.axes)
+    for name in wanted & out.keys():
+        if out[name].inner:
+            if out[name].values.ndim != 1:
                 raise errors.fail(f"axes.{name}", "hold single numbers where N depends on it", "holds vectors")
-            values = tuple(v.item() for v in one.values)
-            one = Axis(name, values, values)
-        out[name] = one
+            values = tuple(v.item() for v in out[name].values)
+            out[name] = Axis(name, values, values)
     return out
 
 
@@ -255,7 +257,7 @@ def _figures(figures, spec: Spec) -> tuple:
         known_keys(where, figure, (*_EVERY_FIGURE, *FIGURES[kind]))
         if "value" in figure:
             errors.one_of(f"{where}.value", figure["value"], spec.metrics)
-        for key in _ROLES:
+        for key in ROLES:
             if key in figure:
                 errors.one_of(f"{where}.{key}", figure[key], dims)
         for key in figure.get("select", {}):

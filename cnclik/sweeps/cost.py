@@ -15,33 +15,23 @@ _REST = 2**28  # bytes that the interpreter, JAX and the store take
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """What a sweep will take.
+    """What a sweep will take."""
 
-    Attributes:
-      loops: points of the grid; `axes` their number along each axis.
-      programs: how many are compiled, `compile_time` each [s].
-      blocks: pieces in which the grid is computed, of `block` loops each.
-      cores: blocks that run side by side.
-      memory: while it runs [bytes]; `block_memory` of them for blocks.
-      disk: of the store, before compression [bytes].
-      run_time: all blocks, compilation not counted [s].
-      time: all of it [s].
-    """
-
-    loops: int
-    axes: dict
-    programs: int
-    blocks: int
-    block: int
-    cores: int
-    memory: int
-    block_memory: int
-    disk: int
-    compile_time: float
-    run_time: float
+    loops: int  # points of the grid
+    axes: dict  # their number along each axis
+    programs: int  # how many are compiled
+    blocks: int  # pieces in which the grid is computed
+    block: int  # loops of each piece
+    cores: int  # blocks that run side by side
+    memory: int  # while it runs [bytes]
+    block_memory: int  # of that, for blocks [bytes]
+    disk: int  # of the store, before compression [bytes]
+    compile_time: float  # of one program [s]
+    run_time: float  # all blocks, compilation not counted [s]
 
     @property
     def time(self) -> float:
+        """All of it [s]."""
         return self.compile_time * self.programs + self.run_time
 
 

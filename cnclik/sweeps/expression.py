@@ -59,19 +59,22 @@ def names(name: str, value) -> set:
         return set().union(*(names(name, v) for v in value))
     if not isinstance(value, str):
         return set()
-    tree = parse(name, value)
-    called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
-    found = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called}
-    return found - set(_CONSTANTS)
+    found = {node.id for node in ast.walk(parse(name, value)) if isinstance(node, ast.Name)}
+    return found - _FUNCTIONS - set(_CONSTANTS)
 
 
 def evaluate(name: str, value, known):
     """A value with its expressions worked out; `known` looks up a name. Lists become arrays."""
     if isinstance(value, (list, tuple)):
         parts = [evaluate(name, v, known) for v in value]
-        if all(errors.concrete(p) for p in parts):
-            return np.array(parts, float)
-        return jnp.stack([jnp.asarray(p, float) for p in parts])
+        try:
+            if any(isinstance(p, bool) for p in parts):
+                raise TypeError
+            if all(errors.concrete(p) for p in parts):
+                return np.array(parts, float)
+            return jnp.stack([jnp.asarray(p, float) for p in parts])
+        except (TypeError, ValueError):
+            raise errors.fail(name, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
         return value
 
@@ -89,7 +92,10 @@ def evaluate(name: str, value, known):
                 return _call(found, *map(walk, arguments))
 
     try:
-        return walk(parse(name, value))
+        found = walk(parse(name, value))
+        if isinstance(found, complex):
+            raise ValueError("the result is complex")
+        return found
     except (ArithmeticError, ValueError) as error:
         raise errors.fail(name, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
 

@@ -36,63 +36,56 @@ class Axis(NamedTuple):
         return self.labels is None
 
 
-def axis(name: str, values) -> Axis:
+def axis(name: str, values, where=None) -> Axis:
     """Read one axis.
 
     Numbers, in a list or an array, run inside one program: in float64 where they are floats or stand in a list, as
     integers where they are M, a range or an array of integers. Compiled in, one program each, are N, names, named
     objects such as methods, and whatever a dict {label: value} holds.
 
+    Args:
+      where: what the user calls it, for messages; the name, if not given.
+
     Raises: ArgumentError for what is none of these, empty or not finite.
     """
+    where = where or name
     if isinstance(values, Axis):
         return values
     if isinstance(values, Mapping):
-        return _checked(Axis(name, tuple(values.values()), tuple(values)))
-    if not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
-        raise errors.fail(name, "be an axis: an array, a list, or a dict of labelled values", f"is {values!r}")
-    numbers = _numbers(name, values)
-    if numbers is None:
-        values = tuple(values)
+        found = Axis(name, tuple(values.values()), tuple(values))
+    elif not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
+        raise errors.fail(where, "be an axis: an array, a list, or a dict of labelled values", f"is {values!r}")
+    elif (numbers := _numbers(name, where, values)) is None:
         labels = tuple(v if isinstance(v, (str, bool)) else getattr(v, "name", None) for v in values)
-        if any(v is None for v in labels):
+        if None in labels:
             words = "hold numbers, names or named objects, or be a dict {label: value}"
-            raise errors.fail(name, words, f"is {values!r}")
-        return _checked(Axis(name, values, labels))
-    if _quantity(name) in COMPILED_IN and len(numbers):
-        whole = tuple(errors.integer(name, v.item() if v.ndim == 0 else v, at_least=0) for v in numbers)
-        return Axis(name, whole, whole)
-    return _checked(Axis(name, numbers, None))
-
-
-def _quantity(name):
-    """What an axis is of: "N" for the "axes.N" of a file."""
-    return name.rpartition(".")[2]
-
-
-def _numbers(name, values):
-    """The numbers or vectors of an axis as one array, or None where they are something else."""
-    if isinstance(values, range) or getattr(values, "dtype", np.dtype(object)).kind in "fiub":
-        found = np.asarray(values)
-        return found.astype(float) if found.dtype.kind == "f" else found
-    values = tuple(values)
-    if any(isinstance(v, (list, tuple, np.ndarray, jax.Array)) for v in values):
-        shapes = {np.shape(v) for v in values}
-        if len(shapes) != 1:
-            raise errors.fail(name, "hold values of one shape", f"holds shapes {sorted(shapes)}")
-    elif not all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in values):
-        return None
-    found = np.asarray(values)
-    counted = _quantity(name) in COUNTED + COMPILED_IN and found.dtype.kind == "i"
-    return found if counted else found.astype(float)
-
-
-def _checked(found: Axis) -> Axis:
+            raise errors.fail(where, words, f"is {values!r}")
+        found = Axis(name, tuple(values), labels)
+    elif name in COMPILED_IN:
+        whole = tuple(errors.integer(where, v.item() if v.ndim == 0 else v, at_least=0) for v in numbers)
+        found = Axis(name, whole, whole)
+    else:
+        found = Axis(name, numbers, None)
     if not len(found):
-        raise errors.fail(found.name, "hold at least one value", "is empty")
+        raise errors.fail(where, "hold at least one value", "is empty")
     if found.inner and not np.all(np.isfinite(found.values)):
-        raise errors.fail(found.name, "hold finite values", "does not")
+        raise errors.fail(where, "hold finite values", "does not")
     return found
+
+
+def _numbers(name, where, values):
+    """The numbers or vectors of an axis as one array, or None where they are something else."""
+    typed = isinstance(values, (range, np.ndarray, jax.Array))
+    if not typed and any(isinstance(v, (str, bool)) for v in values):
+        return None
+    try:
+        found = np.asarray(values)
+    except ValueError:
+        raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
+    if found.dtype.kind not in "fiub":
+        return None
+    whole = found.dtype.kind != "f" and (typed or name in COUNTED + COMPILED_IN)
+    return found if whole else found.astype(float)
 
 
 class Block(NamedTuple):
@@ -152,18 +145,14 @@ class Grid:
 
     def blocks(self) -> list:
         """All blocks, program by program."""
-        counts = [range(-(-n // b)) for n, b in zip(self.shape, self.block, strict=True)]
-        outer = [i for i, a in enumerate(self.axes) if not a.inner]
-        inner = [i for i, a in enumerate(self.axes) if a.inner]
+        sizes = zip(self.shape, self.block, strict=True)
+        cuts = [[slice(first, min(first + b, n)) for first in range(0, n, b)] for n, b in sizes]
+        order = sorted(range(len(cuts)), key=lambda i: self.axes[i].inner)  # the outer axes first
+        of_one = math.prod(len(c) for c, a in zip(cuts, self.axes, strict=True) if a.inner)
         out = []
-        for program, fixed in enumerate(itertools.product(*(counts[i] for i in outer))):
-            for moving in itertools.product(*(counts[i] for i in inner)):
-                place = dict(zip(outer + inner, fixed + moving, strict=True))
-                region = tuple(
-                    slice(place[i] * b, min((place[i] + 1) * b, n))
-                    for i, (b, n) in enumerate(zip(self.block, self.shape, strict=True))
-                )
-                out.append(Block(len(out), program, region))
+        for number, chosen in enumerate(itertools.product(*(cuts[i] for i in order))):
+            region = tuple(cut for _, cut in sorted(zip(order, chosen, strict=True), key=lambda pair: pair[0]))
+            out.append(Block(number, number // of_one, region))
         return out
 
     def lane_values(self, block: Block) -> dict:

@@ -1,8 +1,15 @@
-"""Labels: units, symbols and provenance of what a sweep holds. Figures and tables read them from the data."""
+"""Labels: units, symbols and provenance of what a sweep holds, in memory and in a store alike.
+
+Figures and tables read them from the data.
+"""
+
+import json
 
 import numpy as np
 
-from cnclik.sweeps.grid import Axis
+from cnclik.measure.dataset import provenance
+from cnclik.sweeps.grid import Grid
+from cnclik.sweeps.limits import linear_limit
 
 # Units of axes and of results that bring none.
 UNITS = {
@@ -12,26 +19,51 @@ UNITS = {
 SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ"}
 
 
-def coordinates(one: Axis, units) -> dict:
-    """Coordinates of an axis: its values; for an axis of vectors their numbers, and the values beside them.
+def coordinates(of: Grid, units) -> dict:
+    """Coordinates of all axes: their values; of an axis of vectors their numbers, and the values beside them.
 
     Returns: {name: (dimensions, values, attributes)}.
     """
-    about = {"units": units.get(one.name, ""), "long_name": SYMBOLS.get(one.name, one.name.replace("_", " "))}
-    if not one.inner:
-        return {one.name: (one.name, np.asarray(one.labels), about | {"units": units.get(one.name, "1")})}
-    if one.values.ndim == 1:
-        return {one.name: (one.name, one.values, about)}
-    parts = tuple(f"{one.name}_{i}" for i in range(one.values.ndim - 1))
-    return {
-        one.name: (one.name, np.arange(len(one)), about | {"units": "1"}),
-        f"{one.name}_value": ((one.name, *parts), one.values, about),
-    }
+    found = {}
+    for name, values, labels in of.axes:
+        about = {"units": units.get(name, ""), "long_name": SYMBOLS.get(name, name.replace("_", " "))}
+        if labels is not None:
+            found[name] = (name, np.asarray(labels), about | {"units": units.get(name, "1")})
+        elif values.ndim == 1:
+            found[name] = (name, values, about)
+        else:
+            parts = (f"{name}_{i}" for i in range(values.ndim - 1))
+            found[name] = (name, np.arange(len(values)), about | {"units": "1"})
+            found[f"{name}_value"] = ((name, *parts), values, about)
+    return found
 
 
 def environment(dtype=np.float64) -> dict:
     """What the numbers depend on beside the configuration: versions, dtype, device."""
-    from cnclik.measure.dataset import provenance
+    return {name: value for name, value in provenance(dtype).items() if name != "commit"}
 
-    found = provenance(dtype)
-    return {name: found[name] for name in ("cnclik", "jax", "numpy", "dtype", "device")}
+
+def coordinates_of(spec, of: Grid) -> dict:
+    """Every coordinate of a spec's data, {name: (dimensions, values, attributes)}: its axes, and the linear limit."""
+    return coordinates(of, spec.all_units()) | linear_limit(spec, of)
+
+
+def attributes(spec, of: Grid, outputs, **more) -> dict:
+    """Attributes of a spec's data: what was asked, and in `config` all that the numbers depend on."""
+    asked = {"question": spec.question, "expectation": spec.expectation}
+    config = fingerprint(spec) | {
+        "lanes": of.lanes,
+        "variables": [o.name for o in outputs],
+        "axes": [[a.name, len(a), a.inner] for a in of.axes],
+    }
+    written = {"name": spec.name} | asked | spec.data() | {"figures": spec.figures}
+    return (
+        {"commit": provenance(float)["commit"]}
+        | asked
+        | {"spec": json.dumps(written, ensure_ascii=False), "config": json.dumps(config | more, ensure_ascii=False)}
+    )
+
+
+def fingerprint(spec) -> dict:
+    """What a block's numbers depend on: as JSON gives it back."""
+    return json.loads(json.dumps({"data": spec.data(), "environment": environment()}))

@@ -19,7 +19,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import cores
 from cnclik.integrate.lanes import lanes, options
-from cnclik.measure.metrics import Metrics
+from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
 
@@ -33,7 +33,7 @@ class Output(NamedTuple):
     shape: tuple
     dtype: np.dtype
     dims: tuple
-    unit: str
+    about: dict  # attributes: units, and a long_name where there is one
 
 
 class Program(NamedTuple):
@@ -62,6 +62,10 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         result = study(**fixed, **values)
         named = {name: jnp.asarray(v) for name, v in _named(result).items()}
         found["outputs"] = tuple(_output(name, v, result) for name, v in named.items())
+        taken = {*named, *(dim for o in found["outputs"] for dim in o.dims)}
+        for one in of.axes:
+            if one.name in taken:
+                raise errors.fail("axes", "have names of their own", f"{one.name!r} is in the results too")
         return named
 
     def alone(values):  # all axes are outer: one lane
@@ -92,11 +96,13 @@ def _named(result) -> dict:
 
 
 def _output(name, v, result) -> Output:
-    unit = getattr(result, "units", {}).get(name, UNITS.get(name, ""))
+    about = {"units": getattr(result, "units", {}).get(name, UNITS.get(name, ""))}
+    if isinstance(result, Metrics) and name in METRICS:
+        about["long_name"] = METRICS[name].label
     dims = getattr(result, "dims", {}).get(name) or _DIMS.get(name, ())
     if len(dims) != v.ndim:
         dims = tuple(f"{name}_{i}" for i in range(v.ndim))
-    return Output(name, v.shape, np.dtype(v.dtype), tuple(dims), unit)
+    return Output(name, v.shape, np.dtype(v.dtype), tuple(dims), about)
 
 
 def fit(study, of: Grid, memory=MEMORY):
@@ -118,31 +124,22 @@ def run_blocks(study, of: Grid, blocks, first: Program | None = None):
     waiting = collections.deque()
     for number, group in itertools.groupby(blocks, key=lambda b: b.program):
         program = first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
-        if first is not None and _layout(program.outputs) != _layout(first.outputs):
+        if first is not None and [o[:3] for o in program.outputs] != [o[:3] for o in first.outputs]:
             raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
         with ThreadPoolExecutor(workers) as pool:
             for block in group:
-                waiting.append((block, pool.submit(_compute, program, of, block)))
+                waiting.append(pool.submit(_compute, program, of, block))
                 if len(waiting) > workers + 1:
-                    yield _done(waiting.popleft())
+                    yield waiting.popleft().result()
             while waiting:
-                yield _done(waiting.popleft())
+                yield waiting.popleft().result()
 
 
 def _compute(program, of, block):
     results = program.run(of.lane_values(block))
-    return {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
-
-
-def _done(pair):
-    block, future = pair
-    return block, future.result()
+    return block, {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
 
 
 def blocks_at_once() -> int:
     """How many blocks run side by side: one per core; a single one on an accelerator, which it keeps busy."""
     return cores() if jax.default_backend() == "cpu" else 1
-
-
-def _layout(outputs):
-    return [(o.name, o.shape, o.dtype) for o in outputs]

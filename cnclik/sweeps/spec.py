@@ -9,7 +9,8 @@ stable z for the loop's method and stage: alpha = "0.5*limit/Ts".
 
 import dataclasses
 import functools
-import json
+import math
+import operator
 import pathlib
 import tomllib
 import zlib
@@ -58,14 +59,15 @@ class Spec:
         """The grid over the cases, the other bundles and the axes, in the order written."""
         axes = [axis(name, {label: label for label in labels}) for name, labels in self.bundles.items()]
         found = Grid((*axes, *self.axes.values()), 1)
-        size = int(np.prod([len(a) for a in found.inner])) if found.inner else 1
+        size = math.prod(len(a) for a in found.inner)
         # Blocks of a power of two that long loops make smaller.
-        steps = max((self._steps(p) for p in found.programs), default=1)
+        steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
         lanes = self.lanes or 2 ** int(np.clip(np.log2(2**21 / max(steps, 1)), 6, 16))
         return dataclasses.replace(found, lanes=min(lanes, size))
 
-    def _steps(self, program):
-        return int(self.values(**program, **self.first())["N"])
+    def tables(self) -> list:
+        """[fixed], and the tables of all bundles."""
+        return [self.fixed, *(table for labels in self.bundles.values() for table in labels.values())]
 
     def first(self, last=False) -> dict:
         """The first, or last, value of every numeric axis."""
@@ -74,20 +76,17 @@ class Spec:
     def lookup(self, **values):
         """(all that is known of one loop, a function of a name that gives its value, expressions worked out)."""
         chosen = [labels[values.pop(name)] for name, labels in self.bundles.items() if name in values]
-        known = DEFAULTS | self.fixed | functools.reduce(dict.__or__, chosen, {}) | values
-        found = {}
+        known = functools.reduce(operator.or_, chosen, DEFAULTS | self.fixed) | values
 
+        @functools.cache
         def look(name):
-            if name not in found:
-                if name == LIMIT:
-                    value = self._limit(look)
-                else:
-                    value = known[name]
-                    value = value if name in NAMES else expression.evaluate(name, value, look)
-                    if per_joint(name, self.written.get(name)):  # samples are as wide as the widest arm
-                        value = value[: joints_of(known, look)]
-                found[name] = value
-            return found[name]
+            if name == LIMIT:
+                return self._limit(look)
+            if name in NAMES:
+                return known[name]
+            value = expression.evaluate(name, known[name], look)
+            # Samples are as wide as the widest arm.
+            return value[: joints_of(known, look)] if per_joint(name, self.written.get(name)) else value
 
         return known, look
 
@@ -153,8 +152,7 @@ class Spec:
             "cases": self.bundles.get("case", {}),
         }
         bundles = {name: labels for name, labels in self.bundles.items() if name != "case"}
-        tables = [self.fixed, *(table for labels in self.bundles.values() for table in labels.values())]
-        named = [table[name] for table in tables for name in ("robot", "reference") if name in table]
+        named = [table[name] for table in self.tables() for name in ("robot", "reference") if name in table]
         named += [v for name in ("robot", "reference") if name in self.axes for v in self.axes[name].values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
@@ -204,39 +202,36 @@ def read(path, changes=()) -> Spec:
 
 
 def _change(written, change):
-    name, equals, text = change.partition("=")
-    name = name.strip()
+    name, equals, text = map(str.strip, change.partition("="))
     if not equals or not name:
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
-        value = text.strip()  # a bare word, such as CN, or an expression
-    head, *rest = name.split(".")
-    depth = {"fixed": 1, "axes": 1, "units": 1, "cases": 2, "bundles": 3}.get(head)
-    if rest and len(rest) == depth:
-        table = written.setdefault(head, {})
-        for key in rest[:-1]:
-            table = table.setdefault(key, {})
-        table[rest[-1]] = value
-        room, name = head, rest[-1]
-    elif name in KEYS or name in TABLES:
-        written[name] = value
-        return
-    else:
-        room = "axes" if name in written.get("axes", {}) and isinstance(value, (list, dict)) else "fixed"
-        written.setdefault(room, {})[name] = value
-    if room in ("fixed", "axes"):
-        taken = written.get("axes" if room == "fixed" else "fixed", {}).pop(name, None)
-        if room == "fixed" and taken is not None and isinstance(written.get("figure"), list):
-            # Figures over an axis that is gone go with it.
-            from cnclik.sweeps.check import axes_named
+        value = text  # a bare word, such as CN, or an expression
+    fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))
+    *path, key = name.split(".")
+    if not path or len(path) != {"fixed": 1, "axes": 1, "units": 1, "cases": 2, "bundles": 3}.get(path[0]):
+        if name in (*KEYS, *TABLES):
+            written[name] = value
+            return
+        varied = name in axes and isinstance(value, (list, dict))
+        path, key = ["axes" if varied else "fixed"], name
+    table = written
+    for part in path:
+        table = _inner(table, part)
+    table[key] = value
+    if path == ["axes"]:
+        fixed.pop(key, None)
+    elif path == ["fixed"] and axes.pop(key, None) and isinstance(written.get("figure"), list):
+        # Figures over an axis that is gone go with it.
+        from cnclik.sweeps.check import axes_named
 
-            gone = [f for f in written["figure"] if isinstance(f, dict) and name in axes_named(f)]
-            written["figure"] = [f for f in written["figure"] if f not in gone]
+        written["figure"] = [f for f in written["figure"] if not isinstance(f, dict) or key not in axes_named(f)]
 
 
-def to_json(spec: Spec) -> str:
-    """The spec as one line of JSON, for a dataset's attributes."""
-    about = {"name": spec.name, "question": spec.question, "expectation": spec.expectation}
-    return json.dumps(about | spec.data() | {"figures": spec.figures}, ensure_ascii=False)
+def _inner(table, name) -> dict:
+    inner = table.setdefault(name, {})
+    if not isinstance(inner, dict):
+        raise errors.fail(name, "be a table", f"is {inner!r}")
+    return inner

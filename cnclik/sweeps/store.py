@@ -18,11 +18,9 @@ import zlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.measure import metrics
 from cnclik.sweeps import program
-from cnclik.sweeps.about import attributes, coordinates_of, fingerprint
 from cnclik.sweeps.grid import Axis, Grid
-from cnclik.sweeps.labels import environment
+from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
 
 DATA = "data.zarr"
@@ -83,7 +81,12 @@ class Store:
 
     def damaged_coordinates(self) -> list:
         """Names of the coordinates that are not what was written."""
-        return [name for name, wanted in self._checked.items() if _stored_checksum(self.group, name) != wanted]
+        damaged = dict(self._checked)
+        for name, wanted in self._checked.items():
+            with contextlib.suppress(KeyError, *_UNREADABLE):
+                if _coordinate_checksum(self.group[name][...]) == wanted:
+                    del damaged[name]
+        return list(damaged)
 
     def repair(self, spec: Spec) -> None:
         """Write damaged coordinates anew: they follow from the spec."""
@@ -99,13 +102,6 @@ _UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chun
 def _storable(values):
     """Names as variable-length strings: zarr has no settled form for others."""
     return values.astype(object) if values.dtype.kind == "U" else values
-
-
-def _stored_checksum(group, name):
-    try:
-        return _coordinate_checksum(group[name][...])
-    except (KeyError, *_UNREADABLE):
-        return None
 
 
 def _coordinate_checksum(values) -> int:
@@ -137,16 +133,10 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
                 dtype=o.dtype,
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
                 dimension_names=dims + o.dims,
-                attributes={"units": o.unit, "long_name": metrics.METRICS[o.name].label},
+                attributes=o.about,
             )
-        group.create_group("progress").create_array(
-            "checksum",
-            shape=(len(of.blocks()),),
-            chunks=(1,),
-            dtype="int64",
-            fill_value=_NOT_DONE,
-            dimension_names=("block",),
-        )
+        checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
+        group.create_group("progress").create_array("checksum", **checksums, dimension_names=("block",))
         zarr.consolidate_metadata(building)
     building.rename(folder / DATA)
 
@@ -174,11 +164,8 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     found = {k: store.config[k] for k in ("data", "environment")}
     where = _difference(found, fingerprint(spec))
     if where:
-        raise errors.fail(
-            "out",
-            "hold results of this very spec (--fresh starts over, another --out keeps both)",
-            f"differs in {where}",
-        )
+        words = "hold results of this very spec (--fresh starts over, another --out keeps both)"
+        raise errors.fail("out", words, f"differs in {where}")
     with _disk(folder):
         for left in path.rglob("*.partial"):  # of a write that was cut off
             left.unlink(missing_ok=True)

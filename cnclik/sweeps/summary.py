@@ -10,8 +10,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.files import save_netcdf
 
-_STATISTICS = ("min", "q10", "median", "q90", "max", "mean", "finite")
-
 
 def table(data):
     """Statistics of every scalar metric over the numeric axes, for each combination of the others.
@@ -37,9 +35,9 @@ def _statistics(values):
     finite = np.isfinite(values)
     known = values[finite]
     ranked = values[~np.isnan(values)]  # infinite ones count as large, undefined ones not at all
-    quantiles = np.quantile(ranked, [0, 0.1, 0.5, 0.9, 1], method="lower") if ranked.size else [np.nan] * 5
-    mean = known.mean() if known.size else np.nan
-    return dict(zip(_STATISTICS, (*map(float, quantiles), float(mean), float(finite.mean())), strict=True))
+    quantiles = np.quantile(ranked, [0, 0.1, 0.5, 0.9, 1], method="lower") if ranked.size else np.full(5, np.nan)
+    found = dict(zip(("min", "q10", "median", "q90", "max"), quantiles.tolist(), strict=True))
+    return found | {"mean": float(known.mean()) if known.size else np.nan, "finite": float(finite.mean())}
 
 
 def write(data, folder) -> list:
@@ -50,15 +48,14 @@ def write(data, folder) -> list:
     writer = csv.DictWriter(lines, dict.fromkeys(name for row in rows for name in row), lineterminator="\n")
     writer.writeheader()
     writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    config = {**data.attrs, "spec": json.loads(data.attrs["spec"]), "config": json.loads(data.attrs["config"])}
-    config = {k: v for k, v in config.items() if k not in ("question", "expectation")}
-    texts = {
-        "summary.csv": lines.getvalue(),
-        "config.json": json.dumps(config, indent=1, ensure_ascii=False) + "\n",
-    }
-    for name, text in texts.items():
-        (folder / name).write_text(text)
-    return [folder / name for name in texts]
+    config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
+    config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
+    paths = folder / "summary.csv", folder / "config.json"
+    for path, text in zip(
+        paths, (lines.getvalue(), json.dumps(config, indent=1, ensure_ascii=False) + "\n"), strict=True
+    ):
+        path.write_text(text, encoding="utf-8")
+    return list(paths)
 
 
 def export(data, folder, kind: str) -> pathlib.Path:
@@ -74,5 +71,7 @@ def export(data, folder, kind: str) -> pathlib.Path:
     for dim in [d for d in data.dims if f"{d}_value" in data.coords]:
         columns = data[f"{dim}_value"].values.reshape(data.sizes[dim], -1).T
         data = data.drop_vars(f"{dim}_value").assign({f"{dim}[{i}]": (dim, c) for i, c in enumerate(columns)})
+    if not data.dims:
+        data = data.expand_dims("loop")
     data.to_dataframe().to_csv(target)
     return target

@@ -1,4 +1,4 @@
-"""sweep: one study over a labelled grid, as an xarray.Dataset in memory."""
+"""sweep and run_spec: one study over a labelled grid, or a spec's question, as an xarray.Dataset."""
 
 import json
 
@@ -6,9 +6,11 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.sweeps import store
 from cnclik.sweeps.grid import Grid, grid
-from cnclik.sweeps.labels import UNITS, coordinates, environment
+from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of, environment
 from cnclik.sweeps.program import fit, run_blocks
+from cnclik.sweeps.spec import Spec, read
 
 
 def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
@@ -37,11 +39,38 @@ def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
     if not callable(study):
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
     of, outputs, arrays = collect(study, grid(axes, lanes), progress)
-    coords = {}
-    for one in of.axes:
-        coords |= coordinates(one, UNITS | (units or {}))
-    attrs = {"config": _described(study, of), "lanes": of.lanes} | (attrs or {})
-    return dataset(of, outputs, arrays, coords, units=units, attrs=attrs)
+    units = units or {}
+    for o in outputs:
+        o.about["units"] = units.get(o.name, o.about["units"])
+    config = {
+        "study": getattr(study, "__qualname__", type(study).__name__),
+        "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
+    }
+    attrs = {"config": json.dumps(config), "lanes": of.lanes} | (attrs or {})
+    return dataset(of, outputs, arrays, coordinates(of, UNITS | units), attrs)
+
+
+def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
+    """Run a spec, from its TOML file to the labelled data, in float64 whatever JAX's own precision is.
+
+    Args:
+      spec: a `Spec`, or the path of its TOML file.
+      out: folder for a store, `data.zarr`, which goes on where an interrupted run ended; None keeps the data in
+        memory.
+      set: strings "name=value" that override what the file says, as --set of `cnclik sweep`.
+      fresh: start over, even where `out` holds results.
+      progress: called with (points done, points to do).
+
+    Returns: `xarray.Dataset` with the axes as dimensions and, where linear theory has one for the spec's laws, the
+    coordinate `limit`, the largest stable z = alpha·Ts; from a store, loaded on use.
+    Raises: ArgumentError for what can't be run, or a folder that holds something else.
+    """
+    spec = spec if isinstance(spec, Spec) else read(spec, set)
+    if out is not None:
+        store.run(spec, out, fresh=fresh, progress=progress)
+        return store.read(out)
+    of, outputs, arrays = collect(spec.study, spec.grid(), progress)
+    return dataset(of, outputs, arrays, coordinates_of(spec, of), attributes(spec, of, outputs))
 
 
 def collect(study, of: Grid, progress=None):
@@ -58,28 +87,17 @@ def collect(study, of: Grid, progress=None):
     return of, first.outputs, arrays
 
 
-def dataset(of: Grid, outputs, arrays, coords, *, units=None, labels=None, attrs=None):
+def dataset(of: Grid, outputs, arrays, coords, attrs):
     """Arrays over the grid as a labelled `xarray.Dataset`.
 
     Args:
       coords: {name: (dimensions, values, attributes)}.
-      units, labels: {name: unit} and {name: long name} of variables.
       attrs: of the dataset, beside versions, dtype and device.
     """
     import xarray
 
-    units, labels = units or {}, labels or {}
     names = tuple(a.name for a in of.axes)
-    data = {}
-    for o in outputs:
-        about = {"units": units.get(o.name, o.unit)} | ({"long_name": labels[o.name]} if o.name in labels else {})
-        data[o.name] = (names + o.dims, arrays[o.name], about)
+    data = {o.name: (names + o.dims, arrays[o.name], o.about) for o in outputs}
     floats = [o.dtype for o in outputs if jax.numpy.issubdtype(o.dtype, np.floating)]
     dtype = min(floats, key=lambda d: d.itemsize, default=np.dtype(float))
-    return xarray.Dataset(data, coords, attrs=environment(dtype) | (attrs or {}))
-
-
-def _described(study, of: Grid) -> str:
-    name = getattr(study, "__qualname__", type(study).__name__)
-    axes = {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes}
-    return json.dumps({"study": name, "axes": axes})
+    return xarray.Dataset(data, coords, attrs=environment(dtype) | attrs)

@@ -10,7 +10,10 @@ from cnclik.bench import timing as bench
 from cnclik.bench.lines import Line
 
 
-@pytest.mark.parametrize("robot, method, stage", [("planar2", ck.TRAPEZOID, ck.chord(2)), ("ur5", ck.EE, ck.picard(5))])
+@pytest.mark.parametrize(
+    "robot, method, stage",
+    [("planar2", ck.TRAPEZOID, ck.chord(2)), pytest.param("ur5", ck.EE, ck.picard(5), marks=pytest.mark.slow)],
+)
 def test_final_is_the_end_of_solve(robot, method, stage):
     case = loops.ROBOTS[robot]()
     q0, *target = (values[1] for values in loops.inputs(case, 2, "float64").values())
@@ -23,7 +26,7 @@ def test_final_is_the_end_of_solve(robot, method, stage):
     np.testing.assert_allclose(loss, np.mean(np.linalg.norm(whole.e, axis=1) ** 2), rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("robot", ["planar5", "ur5", "chain30"])
+@pytest.mark.parametrize("robot", ["planar5", "ur5", pytest.param("chain30", marks=pytest.mark.slow)])
 def test_targets_can_be_reached_and_starts_differ(robot):
     case = loops.ROBOTS[robot]()
     given = loops.inputs(case, 5000, "float32")

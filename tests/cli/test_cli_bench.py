@@ -23,6 +23,7 @@ def run(*args):
     return subprocess.run(command, env=environment, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_json_is_all_there_is_on_stdout():
     one = "--robot planar2 --method CN --stage picard --M 2 --dtype float64 --batch 3 --cores 1 --N 4 --seconds 0"
     done = run(*one.split(), "--json")

@@ -5,6 +5,7 @@ and singular configurations are only other numbers in it.
 """
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -72,11 +73,14 @@ def prepare(method, inverse, p):
     return x, *programs(method, inverse, tuple((k, v.shape) for k, v in sorted(p.items())))
 
 
-QUICK = ("EE", "CN", "TRAPEZOID")  # each method is three compilations: one explicit, both kinds of implicit stages
+# Each pair is three compilations: quick are one explicit method and both kinds of implicit stages.
+QUICK = {("TRAPEZOID", "ordinary"), *itertools.product(("EE", "CN", "TRAPEZOID"), ("singular", "singular, at rest"))}
 
 
-@pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("method", [m if m in QUICK else pytest.param(m, marks=pytest.mark.slow) for m in ck.METHODS])
+@pytest.mark.parametrize(
+    ("method", "case"),
+    [pytest.param(*p, marks=[] if p in QUICK else pytest.mark.slow) for p in itertools.product(ck.METHODS, CASES)],
+)
 def test_damped_loops(method, case):
     x, values, forward, reverse = prepare(method, "damped", arguments(**CASES[case]))
     wanted = central_differences(values, x)
@@ -100,7 +104,13 @@ def test_pseudoinverse_at_a_singularity_is_never_nan(case):
     assert np.all(np.isfinite(forward(x))) and np.all(np.isfinite(reverse(x)))
 
 
-@pytest.mark.parametrize("alpha", [[4.0, 2.0], [[4.0, 1.0], [-0.5, 2.0]]], ids=["per axis", "matrix"])
+@pytest.mark.parametrize(
+    "alpha",
+    [
+        pytest.param([4.0, 2.0], id="per axis", marks=pytest.mark.slow),
+        pytest.param([[4.0, 1.0], [-0.5, 2.0]], id="matrix"),
+    ],
+)
 def test_other_gains(alpha):
     x, values, forward, reverse = prepare("EE", "damped", arguments(alpha=alpha))
     wanted = central_differences(values, x)
@@ -134,8 +144,11 @@ AT = np.concatenate([np.linspace(-0.4, 0.5, 9), AXES, [0.1, 0.2, 0.9]])
 
 @pytest.mark.parametrize(
     ("turn", "q0"),
-    [([0.9, 0.1, -0.3, 0.2], [0.3, 0.8, -0.4]), ([0.9, 0.1, -0.3, 0.2], [0.3, 0, 0.2]), ([1, 0, 0, 0], [0, 0, 0])],
-    ids=["ordinary", "singular", "singular, nothing to turn"],
+    [
+        pytest.param([0.9, 0.1, -0.3, 0.2], [0.3, 0.8, -0.4], id="ordinary", marks=pytest.mark.slow),
+        pytest.param([0.9, 0.1, -0.3, 0.2], [0.3, 0, 0.2], id="singular"),
+        pytest.param([1, 0, 0, 0], [0, 0, 0], id="singular, nothing to turn"),
+    ],
 )
 def test_orientation_loop(turn, q0):
     x = np.concatenate([AT, turn / np.linalg.norm(turn), q0, [3.0]])

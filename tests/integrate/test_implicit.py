@@ -123,7 +123,7 @@ def end_point(z, stage):
     return ck.step(ck.Law(ARM, ck.position("xy"), alpha=z / Ts), TARGET, Q, 0.0, Ts, ck.IE, stage).q
 
 
-@pytest.mark.parametrize("stage", [ck.chord(2), ck.newton(1)])
+@pytest.mark.parametrize("stage", [pytest.param(ck.chord(2), marks=pytest.mark.slow), ck.newton(1)])
 def test_unrolled_derivative_is_that_of_the_passes(stage):
     z, d = jnp.asarray(1.5), 1e-5
     numeric = (end_point(z + d, stage) - end_point(z - d, stage)) / (2 * d)
@@ -131,7 +131,7 @@ def test_unrolled_derivative_is_that_of_the_passes(stage):
     np.testing.assert_allclose(jax.jacrev(end_point)(z, stage), numeric, atol=1e-8)
 
 
-@pytest.mark.parametrize("make", [ck.chord, ck.newton])
+@pytest.mark.parametrize("make", [ck.chord, pytest.param(ck.newton, marks=pytest.mark.slow)])
 def test_implicit_derivative_is_that_of_the_root(make):
     z, d, exact = jnp.asarray(1.5), 1e-5, ck.newton(8)
     truth = (end_point(z + d, exact) - end_point(z - d, exact)) / (2 * d)

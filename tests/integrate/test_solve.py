@@ -155,6 +155,7 @@ def test_no_new_compilation_for_new_numbers():
     assert len(traced) > once
 
 
+@pytest.mark.slow
 def test_hints_change_nothing_but_speed():
     plain = {}
     for method in ("CN", "RK4"):

@@ -48,7 +48,7 @@ def cases(shape):
 
 SHAPES = [(m, n) for m in range(1, 7) for n in range(1, 8)]
 # One compilation each: every number of rows, wide, square and tall, and the sizes real arms have.
-QUICK = {(1, 1), (1, 7), (2, 2), (2, 3), (2, 5), (3, 3), (3, 7), (4, 2), (4, 6), (5, 6), (6, 1), (6, 6), (6, 7), (6, 4)}
+QUICK = {(1, 1), (1, 7), (2, 2), (2, 3), (2, 5), (3, 3), (3, 7), (4, 2), (4, 6), (6, 1), (6, 7), (6, 4)}
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_rolled_against_numpy(shape):
         close(found.T, wanted, atol=1e-12 * max(1e-300, np.abs(wanted).max()) * 10)
 
 
-@pytest.mark.parametrize("shape", [(2, 5), (6, 7), (4, 2)], ids=str)
+@pytest.mark.parametrize("shape", [(2, 5), (3, 4), (4, 2)], ids=str)
 def test_rolled_as_unrolled(shape):
     """The least singular value as well, estimated or exact, and derivatives."""
     a = cases(shape)
@@ -81,7 +81,9 @@ def test_rolled_as_unrolled(shape):
     close(one, two, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("shape", [(2, 5), (3, 3), (6, 7), (6, 6), (4, 2)], ids=str)
+@pytest.mark.parametrize(
+    "shape", [(2, 5), (3, 3), (6, 7), pytest.param((6, 6), marks=pytest.mark.slow), (4, 2)], ids=str
+)
 def test_least_singular_value(shape):
     """Exact with two rows or columns, and where rows are nearly dependent; else from below, within √m."""
     a = cases(shape)
@@ -94,7 +96,7 @@ def test_least_singular_value(shape):
     assert np.all(found >= least / np.sqrt(min(shape)) - 1e-14)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_the_quick_way_is_as_good_as_any(dtype):
     """Conditions from 1 to where J J^T loses all digits: the error of J# stays a small multiple of eps times κ."""
     draw, eps = np.random.default_rng(3), np.finfo(dtype).eps
@@ -138,7 +140,9 @@ def derivatives(shape):
     return jax.jit(jax.vmap(flat)), jax.jit(jax.jacfwd(flat)), jax.jit(jax.jacrev(flat)), jax.jit(second)
 
 
-@pytest.mark.parametrize("shape", [(1, 3), (2, 2), (2, 5), (3, 3), (4, 2)], ids=str)
+@pytest.mark.parametrize(
+    "shape", [(1, 3), (2, 2), pytest.param((2, 5), marks=pytest.mark.slow), (3, 3), (4, 2)], ids=str
+)
 def test_derivative_at_full_rank(shape):
     many, forward, reverse, second = derivatives(shape)
     rng, k = np.random.default_rng(1), min(shape)

@@ -43,7 +43,7 @@ def largest_share(j, task, low, high):
     return -found.fun if found.status == 0 else None
 
 
-@pytest.mark.parametrize("m", [3, 6])
+@pytest.mark.parametrize("m", [3, pytest.param(6, marks=pytest.mark.slow)])
 def test_saturation_keeps_the_task_where_it_can_be_kept(m):
     j, task, q = lanes(m, seed=m)
     qdot, held = act(ck.saturation(RATE), j, task, q)

@@ -132,10 +132,9 @@ def test_how_far_beyond_a_limit():
 @pytest.mark.parametrize(
     "links, task, target",
     [
-        ([1.0, 0.8, 0.5], ck.position("xy"), [0.9, 1.2]),
-        ([1.0, 0.8, 0.5], ck.pose_task("xy", "z"), [0.9, 1.2]),
+        pytest.param([1.0, 0.8, 0.5], ck.position("xy"), [0.9, 1.2], id="position, redundant", marks=pytest.mark.slow),
+        pytest.param([1.0, 0.8, 0.5], ck.pose_task("xy", "z"), [0.9, 1.2], id="pose"),
     ],
-    ids=["position, redundant", "pose"],
 )
 def test_a_float32_run_has_the_metrics_of_the_float64_one(links, task, target):
     def metrics():

@@ -8,10 +8,11 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+import cnclik as ck
 from cnclik import paper
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
-from cnclik.paper import claims, story
+from cnclik.paper import claims, readings, story
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
 from tests.paper.conftest import COMMITTED, load
@@ -36,7 +37,7 @@ def ours(fresh):
 
 def decided(trajectories):
     """Runs that rounding does not decide, as a mask."""
-    return trajectories.spread < claims.UNDETERMINED
+    return trajectories.spread < readings.UNDETERMINED
 
 
 @pytest.mark.parametrize(
@@ -87,7 +88,8 @@ def test_committed_claims_follow_from_committed_data(results):
     judged = json.loads((COMMITTED / "claims.json").read_text())
     again = claims.judge(results.trajectories, results.passes)
     assert [r["mean_error"] for r in judged["rows"]] == [r["mean_error"] for r in again["rows"]]
-    text = story.story(judged, results.trajectories, results.methods, READING, pictures.captions(*results, READING))
+    captions = {name: about["Title"] for name, (_, about) in pictures.figures(*results, READING).items()}
+    text = story.story(judged, results.trajectories, results.methods, READING, captions)
     assert text == (COMMITTED / "claims.md").read_text(encoding="utf-8")
 
 
@@ -121,6 +123,26 @@ def test_fingerprint_sees_the_last_bit(results):
 def test_readme_shows_the_committed_picture():
     text = (COMMITTED.parents[1] / "README.md").read_text(encoding="utf-8")
     assert "](results/paper/overview.png)" in text and "](results/paper/claims.md)" in text
+
+
+class OneRun(dict):
+    """The same run, whose last error is not a number, wherever one is asked for."""
+
+    def __missing__(self, key):
+        n, N = readings.ARMS[key[0]].n, readings.N
+        names = ("residual", "contraction", "status")
+        e = np.where(np.arange(N + 1) < N, 1.0, np.nan)[:, None] * [1.0, 0.0]
+        return ck.Trajectory(
+            t=readings.TS * np.arange(N + 1), q=np.zeros((N + 1, n)), x=e, e=e, qdot=np.zeros((N, n)),
+            evaluations=np.asarray(N), **{name: np.zeros(N, int) for name in names},
+        )  # fmt: skip
+
+
+def test_a_run_that_ends_in_nan_has_no_mean():
+    data = paper_data.trajectories(readings.Found(OneRun(), {}))
+    for name in ("mean_error", "final_error"):
+        assert np.isnan(data[name]).all()
+    assert np.isnan(data.error_norm).sum() == data.mean_error.size
 
 
 # --- what goes wrong ----------------------------------------------------------------------------------

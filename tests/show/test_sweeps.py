@@ -263,6 +263,14 @@ def test_each_kind_is_drawn_with_units(table, x, y, tmp_path):
         assert words == "EE IE CN"
 
 
+@pytest.mark.parametrize("dtype", [bool, int])
+@pytest.mark.parametrize("kind", ["heat", "best", "slices", "distribution", "work"])
+def test_counts_and_verdicts_are_drawn_too(kind, dtype):
+    found = data(**PLANE)
+    found["ok"] = (found.max_error < 0.5).astype(dtype)
+    assert drawn(found, {"kind": kind, "value": "ok"})
+
+
 def test_curves_hold_the_datas_numbers():
     found = data(**PLANE)
     (figure,) = drawn(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 5.0}}).values()

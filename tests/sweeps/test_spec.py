@@ -97,6 +97,13 @@ def test_changes_on_the_command_line(tmp_path):
     s = spec.read(path, ["z=0.25", "axes.M=[5]", "method=RK4", "lift={linspace=[0, 1, 9]}", "tolerance=0.5"])
     assert list(s.axes) == ["lift", "M"] or list(s.axes) == ["M", "lift"]
     assert s.fixed["z"] == 0.25 and s.fixed["method"] == "RK4" and s.tolerance == 0.5 and len(s.axes["lift"]) == 9
+    for changes, words in (
+        (["cases={a=3}", "cases.a.N=2"], "`a` must be a table"),
+        (["axes=3", "z=1"], "`axes` must be a table"),
+        (["figure=[{kind='heat', x=['z'], select=3}]", "z=1"], r"`figure\[0\].x` must be a name"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            spec.read(path, changes)
 
 
 def same(one, other):
@@ -245,7 +252,16 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"axes__damping": [0.1, -0.1]}, "`axes.damping` must hold values that are positive, but holds -0.1"),
         ({"axes__period": [1.0, 0.0]}, "`axes.period` must hold values that are other than 0, but holds 0"),
         ({"fixed__limit": 2.0}, "`fixed.limit` must not be given"),
+        ({"fixed__alpha": "limit/Ts", "axes__limit": [1.0]}, "`axes.limit` must have a name of its own"),
+        ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
+        ({"fixed__q0": ["(-1)**0.5", 0]}, "the result is complex"),
+        ({"fixed__q0": [[0], [0, 0]]}, "`q0` must hold numbers or vectors of one length"),
+        ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
+        ({"fixed__q0": None, "axes__q0": {"samples": 2, "low": [0, 0], "high": [1, 1, 1]}}, "must have low ≤ high"),
+        ({"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}}, "must have low ≤ high"),
+        ({"axes__z": {"linspace": [{}, 1, 3]}}, "`axes.z` must hold numbers"),
         ({"bundles": {"law": {"a": {"dampin": 0.1}}}}, "`bundles.law.a` must hold known keys, but holds 'dampin'"),
+        ({"bundles": {"z": {"a": {}}}}, "`axes.z` must have a name of its own"),
         ({"bundles": {"law": {}}}, "`bundles.law` must hold tables"),
         ({"bundles": {"alpha": {"a": {}}}}, "`bundles.alpha` must have a name of its own"),
         ({"bundles": {"law": {"a": {"z": 1.0}}}}, "`axes.z` must not be in [bundles.law.a] as well"),

@@ -31,12 +31,6 @@ TEXT = reaching(
 )
 
 
-def _assert_same(a, b):
-    """Bit-identical but for the commit: an installed copy in another folder doesn't know it."""
-    a, b = (d.assign_attrs(commit="") for d in (a, b))
-    xarray.testing.assert_identical(a, b)
-
-
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     """The spec as a file."""
@@ -54,9 +48,9 @@ def undisturbed(path, tmp_path_factory):
 
 
 def assert_same(folder, other):
-    """Bit for bit: values, dtypes, labels, attributes."""
-    a, b = store.read(folder).load(), store.read(other).load()
-    _assert_same(a, b)
+    """Bit for bit: values, dtypes, labels, attributes; but for the commit, which an installed copy doesn't know."""
+    a, b = (store.read(f).load().assign_attrs(commit="") for f in (folder, other))
+    xarray.testing.assert_identical(a, b)
     for name in a.variables:
         if a[name].dtype.kind != "O":
             assert a[name].values.tobytes() == b[name].values.tobytes(), name
@@ -243,18 +237,18 @@ def command(path, out, *more):
     return [sys.executable, "-m", "cnclik", "sweep", str(path), "--out", str(out), "--no-figures", *more]
 
 
-def environment():
-    # Blocks slowed down, so that a kill falls among them and not into compilation.
-    return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1"}
+ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1"}
+
+
+def blocks_done(folder):
+    chunks = folder / "data.zarr" / "progress" / "checksum" / "c"
+    return len(os.listdir(chunks)) if chunks.is_dir() else 0
 
 
 def wait_for(folder, count, process, limit=300):
     """Until `count` blocks are done, or the process is."""
-    chunks = folder / "data.zarr" / "progress" / "checksum" / "c"
     end = time.monotonic() + limit
-    while process.poll() is None and time.monotonic() < end:
-        if chunks.is_dir() and len(os.listdir(chunks)) >= count:
-            return
+    while process.poll() is None and time.monotonic() < end and blocks_done(folder) < count:
         time.sleep(0.001)
 
 
@@ -262,21 +256,19 @@ def kill_and_resume(path, tmp_path, undisturbed, kills, seed):
     dice = random.Random(seed)
     died = 0
     for _ in range(kills):
-        process = subprocess.Popen(
-            command(path, tmp_path), env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        chunks = tmp_path / "data.zarr" / "progress" / "checksum" / "c"
-        done = len(os.listdir(chunks)) if chunks.is_dir() else 0
-        wait_for(tmp_path, done + dice.randint(1, 2), process)
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        process = subprocess.Popen(command(path, tmp_path), env=ENVIRONMENT, **quiet)
+        wait_for(tmp_path, blocks_done(tmp_path) + dice.randint(1, 2), process)
         time.sleep(dice.random() * 0.02)
         process.send_signal(signal.SIGKILL)
         died += process.wait() == -signal.SIGKILL
     assert died >= min(kills, 5)
-    subprocess.run(command(path, tmp_path), env=environment(), check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command(path, tmp_path), env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
     assert_same(tmp_path, undisturbed)
     assert (tmp_path / "summary.csv").exists() and (tmp_path / "config.json").exists()
 
 
+@pytest.mark.slow
 def test_two_kills(path, undisturbed, tmp_path):
     kill_and_resume(path, tmp_path, undisturbed, 2, seed=1)
 
@@ -291,16 +283,8 @@ def start_together(path, out, count):
         s.bind(("localhost", 0))
         port = s.getsockname()[1]
     shared = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", str(count), "--process"]
-    return [
-        subprocess.Popen(
-            command(path, out, *shared, str(i)),
-            env=environment(),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        for i in range(count)
-    ]
+    heard = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return [subprocess.Popen(command(path, out, *shared, str(i)), env=ENVIRONMENT, **heard) for i in range(count)]
 
 
 def finish(processes):

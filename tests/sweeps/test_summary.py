@@ -71,5 +71,8 @@ def test_exports_hold_every_number(data, tmp_path):
         rows = list(csv.DictReader(file))
     np.testing.assert_array_equal([float(r["final_error"] or "nan") for r in rows], data.final_error.values.ravel())
     np.testing.assert_array_equal([float(r["q0[1]"]) for r in rows[:5]], data.q0_value.values[:, 1])
+    one = data.isel(case=0, M=0, alpha=0, q0=0)[["final_error"]]
+    with export(one, tmp_path, "csv").open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == 1  # no axis at all
     with pytest.raises(ArgumentError, match="`export` must be one of nc, csv"):
         export(data, tmp_path, "xlsx")

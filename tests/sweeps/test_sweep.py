@@ -61,6 +61,7 @@ def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
             )
 
 
+@pytest.mark.slow
 def test_long_histories_and_every_metric_of_them():
     def study(alpha):
         law = ck.Law(ARM, ck.position("xy"), alpha=alpha)
@@ -200,6 +201,13 @@ def test_axes_that_are_none(axes, words):
         sweep(cheap, **axes)
     with pytest.raises(ArgumentError, match="be a function"):
         sweep(3, alpha=[1.0])
+
+
+@pytest.mark.parametrize("name", ["value", "value_0"])
+def test_an_axis_must_not_be_called_as_a_result(name):
+    """It is said before anything is computed."""
+    with pytest.raises(ArgumentError, match=f"names of their own, but '{name}' is in the results"):
+        sweep(lambda **axes: jnp.stack([*axes.values()]), **{name: [1.0, 2.0]})
 
 
 def test_programs_must_agree_on_what_they_return():

@@ -54,9 +54,7 @@ def distribution(view, layout):
             ax.step(sample[shown], share[shown], where="post", **look | {"marker": None})
         if log if layout.log is None else layout.log:
             ax.set_xscale("log")
-        ax.set_ylim(0, 1)
-        if layout.limits:
-            ax.set_xlim(*layout.limits)
+        ax.set(ylim=(0, 1), xlim=layout.limits)
     return grid.finish(axis_label(value), "share of loops at or below")
 
 

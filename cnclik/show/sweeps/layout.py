@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.show.sweeps.panels import COLORS, text
+from cnclik.show import style
+from cnclik.show.sweeps.panels import text
+from cnclik.sweeps.check import ROLES
 
 HISTORY = ("time", "step")
 LONGEST = 8  # a dimension of more values gets no panels and no figures of its own
-ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")
 
 
 class Layout(NamedTuple):
@@ -61,18 +62,20 @@ def _main_value(data):
 def defaults(data) -> list:
     """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
     axes, starts, value = numeric(data), samples(data), _main_value(data)
-    out = []
-    if value and len(axes) >= 2:
-        out.append({"kind": "heat", "value": value, "x": axes[0], "y": axes[1]})
-        if "method" in data.dims and data.sizes["method"] > 1:
-            out.append({"kind": "best", "value": value, "x": axes[0], "y": axes[1]})
-    elif value and axes:
-        out.append({"kind": "slices", "value": value, "x": axes[0]})
-    if value and starts:
-        out.append({"kind": "distribution", "value": value, "over": starts[0]})
+    methods = data.sizes.get("method", 1)
     costs = data["evaluations"].values if "evaluations" in scalars(data) else np.zeros(1)
-    if value and "Ts" in data.dims and len(np.unique(costs)) > data.sizes.get("method", 1):
+    out = []
+    if len(axes) >= 2:
+        kinds = ("heat", "best") if methods > 1 else ("heat",)
+        out += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
+    elif axes:
+        out.append({"kind": "slices", "value": value, "x": axes[0]})
+    if starts:
+        out.append({"kind": "distribution", "value": value, "over": starts[0]})
+    if "Ts" in data.dims and len(np.unique(costs)) > methods:
         out.append({"kind": "work", "value": value})
+    if value is None:  # nothing but histories
+        out = []
     if "error" in data.data_vars:
         out.append({"kind": "convergence", "value": "error"})
     return out
@@ -104,7 +107,6 @@ def arrange(data, table: dict) -> Layout:
     _choose_axes(kind, roles, axes, starts)
     if kind == "best":
         errors.one_of("figure.among", roles["among"], dims)
-
     free = [d for d in dims if d not in roles.values()]
     summed = tuple(d for d in free if d in starts)
     reduced = () if kind == "convergence" else summed  # a history is shown with its spread
@@ -112,7 +114,7 @@ def arrange(data, table: dict) -> Layout:
     free = sorted((d for d in free if d not in summed), key=lambda d: (d not in ("method", "stage"), d != "M"))
     places = [("panels", LONGEST), ("rows", LONGEST)]
     if kind in ("slices", "convergence", "work", "distribution"):
-        places.insert(0, ("lines", len(COLORS)))
+        places.insert(0, ("lines", len(style.COLORS)))
     for role, most in places:
         if roles[role] is None:
             roles[role] = next((d for d in free if data.sizes[d] <= most), None)
@@ -126,22 +128,23 @@ def arrange(data, table: dict) -> Layout:
 def _choose_axes(kind, roles, axes, starts):
     """Fill in the axes that a kind of figure needs."""
     first = next(iter(axes), None)
+    usual = {
+        "best": ("among", "method"),
+        "slices": ("x", first),
+        "work": ("over", "Ts"),
+        "distribution": ("over", next(iter(starts), first)),
+    }
+    if kind in usual:
+        role, dim = usual[kind]
+        roles[role] = roles[role] or dim
     if kind in ("heat", "best"):
         liked = [d for d in ("Ts", "alpha", *axes) if d in axes]
         for role, other in (("x", "y"), ("y", "x")):
             roles[role] = roles[role] or next((d for d in liked if d != roles[other]), None)
         if None in (roles["x"], roles["y"]):
             raise errors.fail("figure", f"have two numeric axes for the kind {kind!r}", f"has {axes}")
-    if kind == "best":
-        roles["among"] = roles["among"] or "method"
-    if kind == "slices":
-        roles["x"] = roles["x"] or first
-        if roles["x"] is None:
-            raise errors.fail("figure", "have a numeric axis for the kind 'slices'", "has none")
-    if kind == "work":
-        roles["over"] = roles["over"] or "Ts"
-    if kind == "distribution":
-        roles["over"] = roles["over"] or next(iter(starts), first)
+    if kind == "slices" and roles["x"] is None:
+        raise errors.fail("figure", "have a numeric axis for the kind 'slices'", "has none")
 
 
 def views(data, layout: Layout) -> list:

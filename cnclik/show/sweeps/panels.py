@@ -5,13 +5,10 @@ import math
 
 import numpy as np
 from matplotlib import colors, figure
+from matplotlib.artist import setp
 
 from cnclik.show import style
 
-COLORS = (
-    *(style.BLUE, style.VERMILION, style.GREEN, style.PURPLE),
-    *(style.ORANGE, style.SKY, style.BLACK, style.YELLOW),
-)
 MOST_IN_A_ROW = 5
 
 
@@ -43,10 +40,8 @@ class Panels:
 
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
-        for ax in self.axes[-1]:
-            ax.set_xlabel(x)
-        for ax in self.axes[:, 0]:
-            ax.set_ylabel(y)
+        setp(self.axes[-1], xlabel=x)
+        setp(self.axes[:, 0], ylabel=y)
         lines = self.layout.lines
         handles, labels = self.axes[0, 0].get_legend_handles_labels()
         if lines and len(labels) > 1:
@@ -61,11 +56,11 @@ class Panels:
 def lines(part, dim):
     """(look, data) of each line along a dimension; one line where there is none."""
     if not dim or dim not in part.dims:
-        yield {"color": COLORS[0], "label": "", "linewidth": 1.2}, part
+        yield {"color": style.COLORS[0], "label": "", "linewidth": 1.2}, part
         return
     for i, value in enumerate(part[dim].values):
         known = dim == "method" and str(value) in style.METHODS
-        look = style.line(str(value)) if known else {"color": COLORS[i % len(COLORS)], "label": text(value)}
+        look = style.line(str(value)) if known else {"color": style.COLORS[i % 8], "label": text(value)}
         yield {"linewidth": 1.2} | look, part.isel({dim: i})
 
 
@@ -106,8 +101,9 @@ def norm(values, layout):
         return colors.Normalize(0, 1)
     positive = known[known > 0]
     log = layout.log
-    if log is None:
-        log = known.min() >= 0 and positive.size and np.quantile(positive, 0.98) > 50 * np.quantile(positive, 0.02)
+    if log is None and positive.size and known.min() >= 0:
+        low, high = np.quantile(positive, [0.02, 0.98])
+        log = high > 50 * low
     if log and positive.size:
         # Values at rounding would waste the colours on twelve empty decades.
         low, high = layout.limits or (max(positive.min(), positive.max() * 1e-9), positive.max())
@@ -115,10 +111,10 @@ def norm(values, layout):
     return colors.Normalize(*(layout.limits or (known.min(), known.max())))
 
 
-def axis_scales(ax, x=None, y=None):
+def axis_scales(ax, x, y=()):
     """Logarithmic axes for values in geometric progression."""
     for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
-        if values is not None and geometric(values):
+        if geometric(values):
             scale("log")
 
 
@@ -136,8 +132,8 @@ def value_scale(ax, values, layout):
     known = values[np.isfinite(values)]
     positive = known[known > 0]
     log = layout.log
-    if log is None:
-        log = bool(positive.size and known.min() >= 0 and positive.max() > 50 * positive.min())
+    if log is None and positive.size:
+        log = known.min() >= 0 and positive.max() > 50 * positive.min()
     if log and positive.size:
         ax.set_yscale("log")
         ax.set_ylim(bottom=0.7 * max(positive.min(), positive.max() * 1e-16))

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib import colors, patches, ticker
 
 from cnclik.show import style
-from cnclik.show.sweeps.panels import COLORS, Panels, axis_label, axis_scales, norm, text
+from cnclik.show.sweeps.panels import Panels, axis_label, axis_scales, lines, norm, text
 
-BOUNDARY = {"color": style.VERMILION, "linewidth": 1.2, "linestyle": (0, (4, 2))}
+BOUNDARY = style.LIMIT | {"linewidth": 1.2}
 ISOLINES = (0.1, 0.5, 1.0, 2.0)  # of z = alpha·Ts
 ROUGH = 0.15  # decades by which log10 of a value may bend from cell to cell before it counts as chance
 _LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
@@ -16,7 +16,7 @@ _LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 
 def heat(view, layout):
     """A value's colours over a plane, contours, and the linear theory's limit where the data carry one."""
-    value = view[layout.value]
+    value = view[layout.value].astype(float)  # counts and verdicts too
     grid = Panels(view, layout)
     scale = norm(value.values, layout)
     counts = any(view[d].dtype.kind == "i" for d in (layout.x, layout.y))
@@ -30,8 +30,8 @@ def heat(view, layout):
         mesh = _mesh(ax, x, y, shown, norm=scale)
         if levels is not False:
             _contours(ax, x, y, shown, scale, levels)
-        lines = boundary(ax, part, layout) if layout.boundary else []
-        bounded = bounded or lines
+        drawn = boundary(ax, part, layout) if layout.boundary else []
+        bounded = bounded or drawn
     if bounded:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend(bounded, [words], loc="outside lower center")
@@ -46,8 +46,7 @@ def best(view, layout):
     value, among = view[layout.value], layout.among
     names = [text(v) for v in value[among].values]
     grid = Panels(view, layout)
-    known = among == "method" and all(n in style.METHODS for n in names)
-    looks = [style.METHODS[n].color if known else COLORS[i % len(COLORS)] for i, n in enumerate(names)]
+    looks = [look["color"] for look, _ in lines(value, among)]
     for ax, part in grid.each(value):
         x, y, z = _plane(part, layout, among)
         finite = np.where(np.isfinite(z), z, np.inf)
