@@ -167,6 +167,23 @@ def _rotate(a, b, n):
     )
 
 
+@opaque
+def least_squared(rows):
+    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector by one-sided Jacobi.
+
+    With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
+    """
+    left, turned = orthogonal_rows(lax.stop_gradient(rows))
+    columns = sp.transpose(left)
+    u, least = columns[0], sp.dot(turned[0], turned[0])
+    for column, row in zip(columns[1:], turned[1:], strict=True):
+        squared = sp.dot(row, row)
+        u = sp.each(functools.partial(jnp.where, squared < least), column, u)
+        least = jnp.minimum(least, squared)
+    back = sp.combine(u, rows)
+    return sp.dot(back, back)
+
+
 def pinv(rows):
     """Moore-Penrose pseudoinverse, as the m rows of its transpose, and the least singular value.
 

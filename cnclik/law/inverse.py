@@ -4,7 +4,6 @@ An inverse is a record that, called with the rows of J, factors them once and re
 function to apply J# to any number of task velocities, and what the factorisation says of singularity.
 """
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -75,7 +74,7 @@ class SingularDamped:
     def __call__(self, rows) -> Factored:
         thin = sp.thin(rows)
         tiny = tiny_shift(thin)
-        squared = _least_squared(thin)
+        squared = dense.least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
         shift = jnp.maximum(share * self.damping * self.damping, tiny)
         return Factored(damped_apply(rows, shift)[0], jnp.sqrt(lax.stop_gradient(squared)), shift)
@@ -96,23 +95,6 @@ def tiny_shift(rows):
     """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
     trace = sp.squares(rows)
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6))
-
-
-@opaque
-def _least_squared(rows):
-    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector by one-sided Jacobi.
-
-    With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
-    """
-    left, turned = dense.orthogonal_rows(lax.stop_gradient(rows))
-    columns = sp.transpose(left)
-    u, least = columns[0], sp.dot(turned[0], turned[0])
-    for column, row in zip(columns[1:], turned[1:], strict=True):
-        squared = sp.dot(row, row)
-        u = sp.each(functools.partial(jnp.where, squared < least), column, u)
-        least = jnp.minimum(least, squared)
-    back = sp.combine(u, rows)
-    return sp.dot(back, back)
 
 
 @record

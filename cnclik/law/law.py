@@ -60,8 +60,8 @@ class Law:
     near_singular: object = 0.01
 
     def __post_init__(self):
-        m = _checked("task", self.task, Task).m
-        n = _checked("chain", self.chain, Chain).n
+        m = _checked("task", self.task, (Task,)).m
+        n = _checked("chain", self.chain, (Chain, RolledChain)).n
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")
@@ -104,9 +104,9 @@ def _not_negative(alpha):
     return alpha
 
 
-def _checked(name, value, kind):
-    if not isinstance(value, kind):
-        raise errors.fail(name, f"be a {kind.__name__}", f"is {type(value).__name__}")
+def _checked(name, value, kinds):
+    if not isinstance(value, kinds):
+        raise errors.fail(name, f"be a {kinds[0].__name__}", f"is {type(value).__name__}")
     return value
 
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.integrate.status import Status
@@ -23,6 +22,7 @@ from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import PRISMATIC
+from cnclik.robot.rolled import in_form
 
 
 @jax.tree_util.register_pytree_node_class
@@ -205,16 +205,13 @@ def chatter(qdot, *, settled=0.5):
 
 
 def _least_singular_value(loop):
-    """σ_min = ‖uᵀJ‖ with u its left singular vector held fixed: so dσ = uᵀ dJ v, without a decomposition's."""
-    columns = tuple(loop.run.q[:, i] for i in range(loop.law.chain.n))
-    rows = jax.vmap(lambda t, q: evaluate(loop.law, loop.reference, t, q).rows)(loop.run.t, columns)
-    if len(rows) > len(rows[0]):
-        rows = sp.transpose(rows)
-    u, w = lax.stop_gradient(dense.orthogonal_rows(rows))
-    squares = jnp.stack([sp.dot(row, row) for row in w])
-    least = jnp.argmin(squares, axis=0)
-    vector = tuple(jnp.take_along_axis(jnp.stack(row), least[None], axis=0)[0] for row in u)
-    sigma = sp.safe_norm(sp.matvec(sp.transpose(rows), vector))
+    """σ_min, its derivative that of the Rayleigh quotient and not of a decomposition."""
+
+    def one(t, q):
+        law, q = in_form(loop.law, q)
+        return sp.safe_sqrt(dense.least_squared(sp.thin(evaluate(law, loop.reference, t, q).rows)))
+
+    sigma = jax.vmap(one)(loop.run.t, loop.run.q)
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 

@@ -19,6 +19,7 @@ from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
 from cnclik.record import record
 from cnclik.robot import spatial as sp
+from cnclik.robot.rolled import RolledChain, in_form
 
 
 class Ending(enum.IntEnum):
@@ -92,6 +93,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
       scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
     """
     method = named(method)
+    law, start = in_form(law, q0)
     law, reference, Ts, tolerance = cast((law, reference, Ts, tolerance), q0.dtype)
     Ts = jnp.asarray(Ts, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)
@@ -126,8 +128,8 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     # compile than it costs to run.
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
-    start = _Seen(
-        q=tuple(q0),
+    seen = _Seen(
+        q=start,
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,
@@ -137,7 +139,8 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         grown=never,
         singular_first=never,
     )
-    seen = one_function(loop)((law, reference, Ts, stage, tolerance, given), start, k)
+    run = loop if isinstance(law.chain, RolledChain) else one_function(loop)
+    seen = run((law, reference, Ts, stage, tolerance, given), seen, k)
     scale, largest = seen.scale, seen.largest
     ending = classify(largest, seen.least_before, seen.largest_before, scale, tolerance, seen.singular_first)
     converged = ending == Ending.CONVERGED

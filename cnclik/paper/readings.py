@@ -24,6 +24,7 @@ from cnclik.law.task import position
 from cnclik.record import stack
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import planar_arm
+from cnclik.robot.rolled import in_form, sooner
 
 # Settings of Section V.
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
@@ -184,10 +185,10 @@ def _program(laws, references, q0, Ts, M, *, N_max):
         h = TS if Ts_reading == "once" else TS * TS  # where the next slope is taken: θ + h·slope
 
         def passes(law, reference, q, t):
-            q = tuple(q)
+            law, q = in_form(law, q)
 
             def one(slope, _):
-                ahead = tuple(a + h * v for a, v in zip(q, slope, strict=True))
+                ahead = sp.vadd(q, sp.scale(h, slope))
                 new = evaluate(law, reference, t + TS, ahead).qdot
                 return new, TS * sp.safe_norm(sp.vsub(new, slope))
 
@@ -221,14 +222,15 @@ def run_arm(arm: str) -> Found:
     """All runs of one arm, by one compiled program."""
     nudges = np.zeros((NUDGES + 1, ARMS[arm].n))
     nudges[1:] = NUDGE * np.random.default_rng(0).standard_normal((NUDGES, ARMS[arm].n))
-    runs, residuals = _program(
-        stack([law(arm, lane.rotation) for lane in LANES]),
-        stack([path(arm, lane.case, lane.feedforward) for lane in LANES]),
-        jnp.stack([start(arm) + nudges[lane.nudge] for lane in LANES]),
-        jnp.array([TS / 2**lane.halving for lane in LANES]),
-        jnp.array([lane.M for lane in LANES]),
-        N_max=max(lane.N for lane in LANES),
-    )
+    with sooner():
+        runs, residuals = _program(
+            stack([law(arm, lane.rotation) for lane in LANES]),
+            stack([path(arm, lane.case, lane.feedforward) for lane in LANES]),
+            jnp.stack([start(arm) + nudges[lane.nudge] for lane in LANES]),
+            jnp.array([TS / 2**lane.halving for lane in LANES]),
+            jnp.array([lane.M for lane in LANES]),
+            N_max=max(lane.N for lane in LANES),
+        )
     runs, residuals = jax.device_get((runs, residuals))
     return Found(
         {

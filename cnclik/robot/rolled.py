@@ -10,13 +10,15 @@ and cosine of its value and in the value itself,
 so it is known from four of its values, and these come from the unrolled form's own code.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import form, in_a_kernel, use_hints
+from cnclik.hints import form, in_a_kernel, use_form, use_hints
 from cnclik.record import kept, mapped, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
@@ -63,7 +65,31 @@ def in_form(law, q, evaluations=None):
 
 def roll(tree):
     """The tree with every `Chain` in it rolled."""
-    return kept(tree, "_rolled", lambda tree: mapped(tree, Chain, _rolled))
+    if not hasattr(tree, "__dataclass_fields__"):
+        return mapped(tree, Chain, roll)
+    return kept(tree, "_rolled", _rolled if isinstance(tree, Chain) else lambda tree: mapped(tree, Chain, roll))
+
+
+def sooner():
+    """Context manager: programs of a question that is asked once, in the rolled form unless `use_form` differs."""
+    return use_form(form() or "rolled")
+
+
+def one_off(fn=None, **options):
+    """`jax.jit`, with its arguments, for programs that are run `sooner`.
+
+    Chains among the arguments are rolled before the call, so that one program serves all robots of a shape.
+    """
+    if fn is None:
+        return functools.partial(one_off, **options)
+    jitted = jax.jit(fn, **options)
+
+    @functools.wraps(fn)
+    def call(*args, **named):
+        with sooner():
+            return jitted(*(map(roll, args) if pays(1) else args), **named)
+
+    return call
 
 
 def _rolled(chain: Chain) -> RolledChain:

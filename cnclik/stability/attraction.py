@@ -4,7 +4,6 @@ The certificate is sufficient, not necessary: inside it every loop of explicit E
 outside it most still do, which is what the measurement is for.
 """
 
-import functools
 import math
 
 import jax
@@ -19,6 +18,7 @@ from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values, jacobian
+from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked
 from cnclik.stability.maps import endings_about
 from cnclik.stability.spectrum import hold_at
@@ -127,7 +127,7 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
     )
 
 
-@functools.partial(jax.jit, static_argnames=("N", "method", "tolerance"))
+@one_off(static_argnames=("N", "method", "tolerance"))
 def _targets(law, q0, moves, Ts, stage, *, N, method, tolerance):
     def one(move):
         return outcome(law, hold_at(law, q0, move), q0, Ts, N, method, stage, tolerance=tolerance)

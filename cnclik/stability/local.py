@@ -1,9 +1,4 @@
-"""The one-step map at any instant of a run, by central differences of the step itself.
-
-A verdict wants a loop's eigenvalues where a run ended, with the error there being what it is, and at several gains.
-Differences need the step compiled only as it is, a fraction of what its derivative costs; they are good to 1e-8, which
-tells what shakes from what settles, but not a null-space eigenvalue from 1 (that is what `spectrum` is for).
-"""
+"""The one-step map at any instant of a run: a loop's eigenvalues where it is, the error being what it is there."""
 
 from typing import NamedTuple
 
@@ -11,16 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.hints import quick_jit
-from cnclik.integrate.solve import advance, cast
 from cnclik.law import reference as ref
-from cnclik.record import replace
-from cnclik.stability.spectrum import task_radius, task_rows
+from cnclik.robot.rolled import one_off
+from cnclik.stability.spectrum import step_maps, task_radius
 
-GAINS = 32  # looked at together: one shape, one program
+GAINS = 256  # looked at together
 LEAST = 1e-15  # share of the gain down to which a stable one is looked for
-_STEP = 1e-6  # of the differences [rad, m]
-_NOISE = 1e-6  # of the eigenvalues that come of it
+_NOISE = 1e-6  # of eigenvalues: one that is 1 may come out larger by less
 
 
 class Instant(NamedTuple):
@@ -30,7 +22,7 @@ class Instant(NamedTuple):
     reference: ref.Reference
 
 
-@quick_jit
+@one_off
 def targets(reference, task, t):
     """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...)."""
 
@@ -42,27 +34,9 @@ def targets(reference, task, t):
     return position, rotation, jnp.stack([jnp.broadcast_to(v, t.shape) for v in velocity], -1)
 
 
-@quick_jit(static_argnames=("method",))
-def _moved(law, reference, q, scale, Ts, stage, *, method):
-    """q one step on (L, n) and the rows of J (L, m, n), for gains scale·alpha (L,)."""
-    law, reference, Ts = cast((law, reference, Ts), q.dtype)
-    zero = jnp.zeros_like(Ts)
-
-    def one(q, scale):
-        gained = replace(law, alpha=law.alpha * scale)
-        return jnp.stack(advance(gained, reference, tuple(q), zero, Ts, method, stage).q), task_rows(law, reference, q)
-
-    return jax.vmap(one)(q, scale)
-
-
 def maps(law, at: Instant, scale, Ts, method, stage):
-    """∂q[k+1]/∂q[k] at an instant for gains scale·alpha (GAINS, n, n), and J (m, n)."""
-    n = len(at.q)
-    near = at.q + _STEP * np.concatenate([np.eye(n), -np.eye(n), np.zeros((1, n))])
-    q, scales = np.tile(near, (len(scale), 1)), np.repeat(np.asarray(scale, float), 2 * n + 1)
-    moved, rows = _moved(law, at.reference, q, scales, np.asarray(Ts, float), stage, method=method)
-    moved = np.asarray(moved).reshape(len(scale), 2 * n + 1, n)
-    return (moved[:, :n] - moved[:, n:-1]).transpose(0, 2, 1) / (2 * _STEP), np.asarray(rows[-1])
+    """∂q[k+1]/∂q[k] at an instant for gains scale·alpha (k, n, n), and J (m, n)."""
+    return step_maps(law, at.reference, at.q, scale, np.full(len(scale), float(Ts)), method, stage)
 
 
 def stable_share(law, at: Instant, Ts, method, stage) -> float:

@@ -15,12 +15,12 @@ from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.robot.rolled import one_off, pays
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.recommend import recommend
 from cnclik.stability.spectrum import check_loop, largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-MIN_EVALUATIONS_FOR_LANES = 10_000_000  # fewer don't win back what `lanes` takes longer to compile, up to 20 s
 BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
@@ -91,7 +91,7 @@ def outcomes(
         return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    run = lanes(one, block=BLOCK) if evaluations > MIN_EVALUATIONS_FOR_LANES else jax.jit(jax.vmap(one))
+    run = one_off(jax.vmap(one)) if pays(evaluations) else lanes(one, block=BLOCK)
     done = []
     for i in range(0, count, chunk):
         part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import quick_jit
 from cnclik.integrate.method import EE
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
@@ -14,6 +13,7 @@ from cnclik.law.shifted import shifted
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 
@@ -35,7 +35,7 @@ class _Probe:
         return jnp.where(self.omega > 0, jnp.sin(self.omega * t), jnp.ones_like(t))
 
 
-@quick_jit(static_argnames=("N", "method"))
+@one_off(static_argnames=("N", "method"))
 def _responses(law, curve, q, Ts, stage, units, omega, *, N, method):
     def one(unit, omega):
         probe = _Probe(unit=unit, omega=omega)

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import quick_jit, use_hints
 from cnclik.integrate.method import EE, IE, Method
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
@@ -18,9 +17,10 @@ from cnclik.law import reference as ref
 from cnclik.law.law import Law, evaluate
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
+from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values, pose
 from cnclik.robot.posture import arm_length
-from cnclik.robot.spatial import safe_sqrt
+from cnclik.robot.rolled import in_form, one_off
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
@@ -32,19 +32,15 @@ LANES = 1024  # gains and sampling times looked at together: one shape for every
 
 def one_step(law, reference, q, Ts, method, stage):
     """∂q[k+1]/∂q[k] of the step from t = 0 (n, n), and the rows of the weighted task Jacobian at q (m, n). Pure."""
+    law, _ = in_form(law, q)
     law, reference, Ts = cast((law, reference, Ts), q.dtype)
-    zero = jnp.zeros_like(Ts)
 
     def move(q):
-        return jnp.stack(advance(law, reference, tuple(q), zero, Ts, method, stage).q)
+        made = advance(law, reference, in_form(law, q)[1], jnp.zeros_like(Ts), Ts, method, stage)
+        return sp.packed(made.q)
 
-    return jax.jacfwd(move)(q), task_rows(law, reference, q)
-
-
-def task_rows(law, reference, q):
-    """Rows of the weighted task Jacobian at q and t = 0 (m, n)."""
-    rows = evaluate(law, reference, jnp.zeros((), q.dtype), tuple(q)).rows
-    return jnp.stack([jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in rows])
+    rows = evaluate(law, reference, jnp.zeros_like(Ts), in_form(law, q)[1]).rows
+    return jax.jacfwd(move)(q), sp.packed(rows, q.dtype)
 
 
 def step_maps(law, reference, q, scale, Ts, method, stage):
@@ -59,7 +55,7 @@ def step_maps(law, reference, q, scale, Ts, method, stage):
     return np.concatenate([np.asarray(moved) for moved, _ in parts])[:count], np.asarray(parts[0][1])
 
 
-@quick_jit(static_argnames=("method",))
+@one_off(static_argnames=("method",))
 def _tile(law, reference, q, scale, Ts, method, stage):
     def one(scale, Ts):
         return one_step(replace(law, alpha=law.alpha * scale), reference, q, Ts, method, stage)
@@ -100,7 +96,7 @@ def spectral_radius(law, reference, q, Ts, method: Method = EE, stage=picard(5))
     method, stage = checked(method, stage)
     held = at_rest(law, reference, q)
     found = jnp.linalg.eigvals(task_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
-    radius = safe_sqrt(jnp.max(found.real**2 + found.imag**2))
+    radius = sp.safe_sqrt(jnp.max(found.real**2 + found.imag**2))
     return np.float64(radius) if errors.concrete(radius) else radius
 
 
@@ -242,9 +238,10 @@ def rest_tolerance(chain):
     return REST * (1 + arm_length(chain))
 
 
-@jax.jit
+@one_off
 def _error(law, reference, q):
-    return jnp.linalg.norm(jnp.stack(evaluate(law, reference, jnp.zeros((), q.dtype), tuple(q)).e))
+    law, q = in_form(law, q)
+    return jnp.linalg.norm(sp.packed(evaluate(law, reference, jnp.zeros_like(q[0]), q).e))
 
 
 @in_float64
@@ -258,8 +255,7 @@ def settle(law, reference, q0, *, N=200):
     """
     check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")
-    with use_hints(False):  # ready sooner, and few steps
-        run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
+    run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
     size = float(jnp.linalg.norm(run.e[-1]))
     if not size < rest_tolerance(law.chain):
         found = f"leaves an error of {size:.3g} after {N} steps"

@@ -23,7 +23,7 @@ from cnclik.record import record
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
 from cnclik.stability.linear import checked
-from cnclik.stability.local import GAINS, Instant, fastest_share, maps, stable_share, targets
+from cnclik.stability.local import Instant, fastest_share, maps, stable_share, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
 from cnclik.stability.spectrum import at_rest, check_loop, null_radius, spectrum_of
 
@@ -135,7 +135,7 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
         return Instant(q[at[k]], ref.with_feedforward(ref.hold(position, rotation), velocity))
 
     end = instant(-2)
-    moved, rows = maps(law, end, np.ones(GAINS), Ts, method, stage)
+    moved, rows = maps(law, end, np.ones(1), Ts, method, stage)
     task, radius, across = np.full(1, np.inf), np.inf, np.inf
     if np.isfinite(moved[0]).all():
         found = spectrum_of(moved[0], rows)
@@ -288,7 +288,7 @@ def _lower(case):
     law, (_, method, stage) = case.law, case.loop
     ends = [at for at in (case.end, case.start) if np.isfinite(at.q).all() and np.abs(at.q).max() <= WILD]
     ends = [Instant(at.q, at_rest(law, None, at.q)) for at in ends]
-    across = [null_radius(*maps(law, at, np.ones(GAINS), *case.loop))[0] for at in ends if callable(law.null_velocity)]
+    across = [null_radius(*maps(law, at, np.ones(1), *case.loop))[0] for at in ends if callable(law.null_velocity)]
     if any(radius > UNSTABLE for radius in across):
         return _LESS_NULL
     share = min((stable_share(law, at, *case.loop) for at in ends), default=1.0)

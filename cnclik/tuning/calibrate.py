@@ -11,6 +11,7 @@ from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames
+from cnclik.robot.rolled import in_form
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
 
@@ -26,7 +27,7 @@ class PositionObjective:
 
     def __call__(self, values):
         chain = self.build(*values)
-        found = jax.vmap(lambda q: sp.packed(frames(chain, tuple(q)).position, q.dtype))(self.q)
+        found = jax.vmap(lambda q: sp.packed(frames(*in_form(chain, q)).position, q.dtype))(self.q)
         return jnp.mean(jnp.sum((found - self.measured) ** 2, axis=-1)), jnp.zeros((0,), found.dtype)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import quick_jit
 from cnclik.record import record
+from cnclik.robot.rolled import one_off
 from cnclik.tuning.parameters import values_of
 
 FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a reverse one a few runs and their memory
@@ -107,7 +107,7 @@ def begin(optimizer, u, constraints: int) -> Carry:
     )
 
 
-@quick_jit(static_argnames=("steps", "optimizer", "mode"))
+@one_off(static_argnames=("steps", "optimizer", "mode"))
 def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
     """`steps` evaluations from each of S starts, with fixed multipliers.
 

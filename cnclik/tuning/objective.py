@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import quick_jit
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
 from cnclik.record import record
+from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import check_loop
 from cnclik.tuning import linear
@@ -181,7 +181,7 @@ def _corrections(maps):
     return jnp.eye(maps.shape[-1], dtype=maps.dtype) - maps
 
 
-@quick_jit
+@one_off
 def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
 

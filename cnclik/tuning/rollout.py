@@ -14,6 +14,7 @@ from cnclik.law.task import coordinates, error_and_rows
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames
+from cnclik.robot.rolled import in_form
 from cnclik.tuning.parameters import Adjustable, scheduled
 
 
@@ -48,9 +49,12 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
     dtype = scenario.q0.dtype
     loop, scenario = cast((loop, scenario), dtype)
     law, reference, Ts = loop.law, scenario.reference, loop.Ts
-    true_law = law if scenario.plant is None else replace(law, chain=scenario.plant)
+    law, q0 = in_form(law, scenario.q0)
+    plant = None if scenario.plant is None else in_form(scenario.plant, scenario.q0)[0]
+    true_law = law if plant is None else replace(law, chain=plant)
+    loop = replace(loop, law=law)
     horizon = N * Ts if horizon is None else horizon
-    first, _ = _error(true_law, reference, jnp.zeros((), dtype), tuple(scenario.q0))
+    first, _ = _error(true_law, reference, jnp.zeros((), dtype), q0)
 
     def one(carry, k):
         q, past = carry
@@ -68,7 +72,6 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
         return (made.q, late[:delay]), replace(made, q=q, x=x, e=e)
 
     k = jnp.arange(N + 1).astype(dtype)
-    q0 = tuple(scenario.q0)
     found = instants(one, (q0, (first,) * delay), k, q0, law.task.m)
     return assemble(k * Ts, found, N * evaluations_per_step(method, stage, law.chain.n))
 
