@@ -43,14 +43,15 @@ def main(argv=None) -> None:
 
 
 def _run(verb, *options) -> None:
-    _prepare()
     from cnclik import errors
     from cnclik.cli import arguments
     from cnclik.show.output import FigureError
 
     try:
         module = importlib.import_module(f"cnclik.cli.{verb}")
-        module.run(arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb]))
+        args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
+        _prepare()
+        module.run(args)
     except errors.ArgumentError as error:
         _leave(2, error)
     except FigureError as error:

@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 import tyro
 
 from cnclik import errors
-from cnclik.bench import lines, loops, timing
+from cnclik.bench import lines
 from cnclik.cli import progress
-from cnclik.integrate.method import METHODS
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -19,12 +18,12 @@ class Args:
     A filter takes one value or several, and runs all lines with them; axes without a filter then take all their
     values, except M (5), stage (chord for TRAPEZOID, else picard) and cores (all)."""
 
-    robot: tuple[Literal[tuple(loops.ROBOTS)], ...] = ()
+    robot: tuple[Literal[lines.ROBOTS], ...] = ()
     """planar2 and planar5 are the paper's arms (position, J#); panda, ur5 and chain30 have a whole pose to reach
     (damped least squares)."""
-    method: tuple[Literal[tuple(METHODS)], ...] = ()
+    method: tuple[Literal[lines.METHODS], ...] = ()
     """Method of the step."""
-    stage: tuple[Literal[tuple(loops.STAGES)], ...] = ()
+    stage: tuple[Literal[lines.STAGES], ...] = ()
     """How implicit stages are solved; explicit methods don't use it."""
     M: Annotated[tuple[int, ...], tyro.conf.arg(name="M")] = ()
     """Passes of the implicit stage."""
@@ -48,6 +47,8 @@ class Args:
 
 def run(args: Args) -> None:
     """Measure the chosen lines one after another; exit code 1 if one of them could not be measured."""
+    from cnclik.bench import timing
+
     errors.number("seconds", args.seconds, at_least=0)
     chosen, records = asked(args), []
     with progress.bar("lines", total=len(chosen)) as report:

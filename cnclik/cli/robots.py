@@ -7,8 +7,6 @@ from typing import Annotated
 
 import tyro
 
-from cnclik.robot.urdf import read_urdf
-
 
 @dataclasses.dataclass(kw_only=True)
 class Args:
@@ -19,6 +17,8 @@ class Args:
 
 
 def run(args: Args) -> None:
+    from cnclik.robot.urdf import read_urdf
+
     tree = read_urdf(args.file)
     from rich.console import Console
     from rich.table import Table

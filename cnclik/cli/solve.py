@@ -5,8 +5,6 @@ import dataclasses
 import time
 from pathlib import Path
 
-import numpy as np
-
 from cnclik.cli import progress
 from cnclik.cli.problem import ProblemOptions, problem, table
 
@@ -112,6 +110,7 @@ def _figures(data, made) -> dict:
 
 
 def _summary(made, trajectory, seconds):
+    import numpy as np
     from rich.table import Table
 
     from cnclik.integrate.status import count

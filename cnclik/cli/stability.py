@@ -5,7 +5,6 @@ import pathlib
 import time
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from cnclik import errors
@@ -91,6 +90,7 @@ def _advice(args, found, rest):
 
 def _tell(args, advised):
     """What is safe, and how far the operating point is from what is not."""
+    import numpy as np
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -157,6 +157,8 @@ def _plane(args, out):
 
 
 def _map(args, out):
+    import numpy as np
+
     from cnclik.measure.dataset import as_json, provenance
     from cnclik.measure.files import save_netcdf
     from cnclik.show import stability as show

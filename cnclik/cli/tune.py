@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from cnclik import errors
@@ -122,6 +121,8 @@ def _asked(args) -> dict:
 
 
 def _problem(args):
+    import numpy as np
+
     from cnclik.record import replace
 
     errors.one_of("shape", args.shape, _SHAPES)

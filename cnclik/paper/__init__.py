@@ -4,8 +4,8 @@ run = paper.experiment("5dof", "track", "CN")     # one of its runs
 found = paper.reproduce("reproduced")             # all of them, with data, claims and figures in a folder
 """
 
-from cnclik.paper import readings
-from cnclik.paper.readings import DEFAULT, READINGS, experiment, reading
+from cnclik.paper import choices
+from cnclik.paper.choices import DEFAULT, READINGS, reading
 
 __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
 
@@ -24,7 +24,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
     """
     from cnclik.paper.data import everything
 
-    shown = str(readings.reading(reading))
+    shown = str(choices.reading(reading))
     if out is None:
         return everything(progress)
     from cnclik.paper import figures
@@ -53,8 +53,10 @@ def _write(folder, found, shown) -> None:
 
 
 def __getattr__(name):
-    if name != "judge":
+    if name == "judge":
+        from cnclik.paper.claims import judge as found  # loads xarray
+    elif name == "experiment":
+        from cnclik.paper.readings import experiment as found  # loads JAX
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from cnclik.paper.claims import judge  # loads xarray
-
-    return judge
+    return found
