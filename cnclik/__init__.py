@@ -12,6 +12,7 @@ from cnclik.version import __version__
 
 if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type checkers
     from cnclik import bench, measure, paper, problem, show, stability, sweeps, tuning
+    from cnclik.compilation import use_cache
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_hints
     from cnclik.integrate.lanes import lanes
@@ -47,8 +48,9 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
 # Where each name is: nothing is loaded before it is asked for, so that the command line answers at once where no
 # number is asked of it.
 _ROOMS = ("bench", "measure", "paper", "problem", "show", "stability", "sweeps", "tuning")
-_INNER = ("errors", "hints", "integrate", "law", "precision", "record", "robot", "version")
+_INNER = ("compilation", "errors", "hints", "integrate", "law", "precision", "record", "robot", "version")
 _ON_USE = {
+    "compilation": "use_cache",
     "errors": "ArgumentError",
     "hints": "use_hints",
     "integrate.lanes": "lanes",
@@ -90,8 +92,8 @@ __all__ = [
     *("measure", "measure_run", "newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot"),
     *("pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "recommend", "replace"),
     *("require_ok", "saturation", "settle", "show", "singular_damped", "solve", "spectral_radius", "stability"),
-    *("stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_hints"),
-    *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
+    *("stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache"),
+    *("use_hints", "velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
 ]
 
 

@@ -4,13 +4,16 @@ A verb's module holds a dataclass `Args` (its options, read by tyro) and `run(ar
 in `VERBS`.
 """
 
+import contextlib
 import difflib
 import importlib
 import os
 import sys
+import time
 
 from cnclik.version import __version__
 
+_BEGUN = time.time()
 VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
     "robots": "show a URDF file: its tree, joints, limits and candidate tips",
@@ -50,8 +53,11 @@ def _run(verb, *options) -> None:
     try:
         module = importlib.import_module(f"cnclik.cli.{verb}")
         args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
-        _prepare()
-        module.run(args)
+        with _watched(args) as spans:
+            _prepare(args.cache)
+            module.run(args)
+            if spans is not None:
+                print(spans)
     except errors.ArgumentError as error:
         _leave(2, error)
     except FigureError as error:
@@ -68,12 +74,27 @@ def _leave(code, message) -> None:
     sys.exit(code)
 
 
-def _prepare() -> None:
+def _watched(args):
+    """Context manager that yields the spans of what takes time, where they are asked for, else None."""
+    if not getattr(args, "timings", False):
+        return contextlib.nullcontext()
+    from cnclik.cli import timings
+
+    return timings.watch(_BEGUN)
+
+
+def _prepare(cache: bool) -> None:
     """Float64 and no window: the command line is for numbers that are quoted and figures that are saved."""
     os.environ.setdefault("MPLBACKEND", "agg")
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if cache:
+        from cnclik.compilation import use_cache
+
+        use_cache()
+    else:
+        jax.config.update("jax_enable_compilation_cache", False)
 
 
 def _overview() -> str:

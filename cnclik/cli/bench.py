@@ -10,10 +10,11 @@ import tyro
 from cnclik import errors
 from cnclik.bench import lines
 from cnclik.cli import progress
+from cnclik.cli.common import CacheOption
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(CacheOption):
     """Without a filter: the lines through Panda, EE, float32, batch 4096 along each axis of the table, and a few more.
     A filter takes one value or several, and runs all lines with them; axes without a filter then take all their
     values, except M (5), stage (chord for TRAPEZOID, else picard) and cores (all)."""

@@ -6,9 +6,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from cnclik.cli.common import CacheOption
+
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(CacheOption):
     folder: Annotated[pathlib.Path, tyro.conf.Positional]
     """Folder of a sweep, with its data.zarr."""
     spec: pathlib.Path | None = None

@@ -7,9 +7,11 @@ from typing import Annotated
 
 import tyro
 
+from cnclik.cli.common import CacheOption
+
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(CacheOption):
     """Show a robot's tree, joints and limits."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]

@@ -6,13 +6,14 @@ import time
 from pathlib import Path
 
 from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import ProblemOptions, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ProblemOptions):
+class Args(ComputeOptions, ProblemOptions):
     """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
 
     out: Path = Path("solved")

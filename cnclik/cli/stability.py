@@ -9,11 +9,12 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(LoopOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
     target: Numbers = None

@@ -9,13 +9,15 @@ from typing import Annotated
 import tyro
 
 from cnclik import errors
+from cnclik.cli import common
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import Number, ProblemOptions, problem, table
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ProblemOptions):
+class Args(ComputeOptions, ProblemOptions):
     """Tune the loop that these options describe: tuned.json, figures, summary.md."""
 
     N: int = 200
@@ -156,5 +158,5 @@ def _loss(words):
 def _config(args) -> dict:
     """Every option that has a part in the numbers, as it was set."""
     own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
-    given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures")}
+    given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures", *common.NAMES)}
     return table(args) | {name.rstrip("_"): v for name, v in given.items()}
