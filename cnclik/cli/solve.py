@@ -29,9 +29,11 @@ def run(args: Args) -> None:
 
     from cnclik.measure.dataset import to_dataset
     from cnclik.measure.files import save_netcdf
-    from cnclik.show.output import draw, output_folder
+    from cnclik.show.output import draw, load_ahead, output_folder
     from cnclik.stability.verdict import verdict
 
+    if args.figures:
+        load_ahead()
     made = problem(args)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     with output_folder(args.out) as folder:

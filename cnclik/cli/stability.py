@@ -43,12 +43,13 @@ class Args(ComputeOptions, LoopOptions, TaskOptions, RobotOptions):
 
 def run(args: Args) -> None:
     """Numbers on the terminal; figures and labelled data in the folder, the data first."""
-    from cnclik.show.output import draw, output_folder
+    from cnclik.show.output import draw, load_ahead, output_folder
 
     _check(args)
     if not (args.plane or args.map):
         _tell(args, _advice(args, *_loop(args)))
         return
+    load_ahead()
     figures = {}
     with output_folder(args.out) as out:
         if args.plane:

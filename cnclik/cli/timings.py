@@ -2,6 +2,7 @@
 
 import builtins
 import contextlib
+import threading
 import time
 
 from cnclik.show.output import DRAWING
@@ -80,17 +81,19 @@ def watch(begun: float):
 
 @contextlib.contextmanager
 def _imports(spans):
-    """Modules are loaded all along a command: those that take a while are spans, too."""
-    load, depth = builtins.__import__, 0
+    """Modules are loaded all along a command: those that take a while, and are waited for, are spans, too."""
+    load, depth, here = builtins.__import__, 0, threading.current_thread()
 
     def timed(*args, **kwargs):
         nonlocal depth
-        start, depth = time.time(), depth + 1
+        if depth or threading.current_thread() is not here:
+            return load(*args, **kwargs)
+        start, depth = time.time(), 1
         try:
             return load(*args, **kwargs)
         finally:
-            depth -= 1
-            if not depth and (end := time.time()) - start > 1e-3:
+            depth = 0
+            if (end := time.time()) - start > 1e-3:
                 spans.add("importing", start, end)
 
     builtins.__import__ = timed

@@ -64,9 +64,10 @@ def run(args: Args) -> None:
     made, asked = _problem(args), _asked(args)
     from cnclik import tuning
     from cnclik.cli import progress
-    from cnclik.show.output import draw, output_folder
-    from cnclik.show.tuning import drawings
+    from cnclik.show.output import draw, load_ahead, output_folder
 
+    if args.figures:
+        load_ahead()
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
@@ -84,7 +85,7 @@ def run(args: Args) -> None:
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-        drawn = drawings(found) if args.figures else {}
+        drawn = _drawings(found) if args.figures else {}
         text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
         (folder / "summary.md").write_text(text, encoding="utf-8")
     print(text.split("\n## Figures")[0])
@@ -93,6 +94,12 @@ def run(args: Args) -> None:
     with progress.bar("figures") as report:
         written = ["tuned.json", "summary.md", *draw(figures, args.out, progress=report)]
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
+
+
+def _drawings(found):
+    from cnclik.show.tuning import drawings
+
+    return drawings(found)
 
 
 def _asked(args) -> dict:

@@ -1,9 +1,11 @@
 """Writing results so that nothing half-written looks whole, and no figure costs the data it was drawn from."""
 
 import contextlib
+import importlib
 import os
 import shutil
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -58,6 +60,11 @@ def output_folder(path, *, name="out"):
         for folder in created:  # deepest first; only what is still empty goes
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+
+def load_ahead() -> None:
+    """Load what draws in a thread of its own, for who will `draw` after waiting for a compiler."""
+    threading.Thread(target=importlib.import_module, args=("cnclik.show.style",), daemon=True).start()
 
 
 def draw(figures, path, *, name="out", again="", progress=None) -> list:
