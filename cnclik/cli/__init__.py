@@ -47,14 +47,15 @@ def main(argv=None) -> None:
 
 def _run(verb, *options) -> None:
     from cnclik import errors
-    from cnclik.cli import arguments
+    from cnclik.cli import arguments, common
     from cnclik.show.output import FigureError
 
     try:
         module = importlib.import_module(f"cnclik.cli.{verb}")
         args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         with _watched(args) as spans:
-            _prepare(args.cache)
+            if isinstance(args, common.ComputeOptions):
+                _prepare(args.cache)
             module.run(args)
             if spans is not None:
                 print(spans)
@@ -84,7 +85,7 @@ def _watched(args):
 
 
 def _prepare(cache: bool) -> None:
-    """Float64 and no window: the command line is for numbers that are quoted and figures that are saved."""
+    """Float64, no window, programs kept: for numbers that are quoted and figures that are saved."""
     os.environ.setdefault("MPLBACKEND", "agg")
     import jax
 

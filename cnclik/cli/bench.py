@@ -88,11 +88,9 @@ def _cold(args: Args) -> None:
         if file is not None and not file.is_file():
             raise errors.fail(name, "be a file", f"is {str(file)!r}")
     every = cold.table(args.spec)
-    chosen = [line for line in every if not args.only or line.name.startswith(args.only)]
+    chosen = [line for line in every if not args.only or any(part in line.name for part in args.only)]
     if not chosen:
-        raise errors.fail(
-            "only", f"begin one of {', '.join(line.name for line in every)}", f"is {' '.join(args.only)!r}"
-        )
+        raise errors.fail("only", "be part of a line's name, such as solve or tune", f"is {' '.join(args.only)!r}")
     records = []
     with progress.bar("lines", total=len(chosen)) as report:
         for done, line in enumerate(chosen):

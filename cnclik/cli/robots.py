@@ -19,7 +19,7 @@ class Args(CacheOption):
 
 
 def run(args: Args) -> None:
-    from cnclik.robot.urdf import read_urdf
+    from cnclik.robot.tree import read_urdf
 
     tree = read_urdf(args.file)
     from rich.console import Console

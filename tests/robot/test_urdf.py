@@ -13,7 +13,8 @@ import pytest
 import cnclik as ck
 from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.kinematics import frames, jacobian_rows, stack
-from cnclik.robot.urdf import chain, read_urdf
+from cnclik.robot.tree import read_urdf
+from cnclik.robot.urdf import chain
 
 pin = pytest.importorskip("pinocchio")
 
