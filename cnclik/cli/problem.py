@@ -68,6 +68,8 @@ def table(args) -> dict:
 
 def problem(args):
     """The `Problem` that a verb's options describe. Raises ArgumentError."""
+    from cnclik.cli import progress
     from cnclik.problem.build import problem_from
 
-    return problem_from(**table(args))
+    with progress.bar("start and path"):
+        return problem_from(**table(args))

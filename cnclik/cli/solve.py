@@ -43,7 +43,8 @@ def run(args: Args) -> None:
         save_netcdf(data, folder / "trajectory.nc")
         if args.csv:
             _write_csv(folder / "trajectory.csv", data)
-    told = verdict(made.law, made.reference, trajectory, Ts=made.Ts, method=made.method, stage=made.stage)
+    with progress.bar("verdict"):
+        told = verdict(made.law, made.reference, trajectory, Ts=made.Ts, method=made.method, stage=made.stage)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
     Console().print(_summary(made, trajectory, seconds))
     print(f"{told.sentence[0].upper()}{told.sentence[1:]}")

@@ -81,13 +81,15 @@ def _loop(args):
     from cnclik.stability.spectrum import settle
 
     found = problem(args)
-    return found, settle(found.law, found.reference, found.q0)
+    with progress.bar("rest"):
+        return found, settle(found.law, found.reference, found.q0)
 
 
 def _advice(args, found, rest):
     from cnclik.stability.recommend import advise
 
-    return found, advise(found.law, found.reference, rest, Ts=found.Ts, method=found.method, stage=found.stage)
+    with progress.bar("advice"):
+        return found, advise(found.law, found.reference, rest, Ts=found.Ts, method=found.method, stage=found.stage)
 
 
 def _tell(args, advised):
@@ -136,7 +138,6 @@ def _plane(args, out):
 
     from cnclik.measure.dataset import as_json, provenance
     from cnclik.measure.files import save_netcdf
-    from cnclik.show import stability as show
     from cnclik.stability.plane import limit_tables, plane, plane_page
 
     with progress.bar("limits") as report:
@@ -152,6 +153,8 @@ def _plane(args, out):
         for row in rows:
             shown.add_row(*row)
         Console().print(shown)
+    from cnclik.show import stability as show
+
     return {"plane.png": (lambda: show.plane(data), {"Title": "stability regions"})}
 
 
@@ -163,7 +166,6 @@ def _map(args, out):
 
     from cnclik.measure.dataset import as_json, provenance
     from cnclik.measure.files import save_netcdf
-    from cnclik.show import stability as show
     from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
 
@@ -185,6 +187,8 @@ def _map(args, out):
     attributes = provenance(float) | {"config": config}
     data = data.assign_attrs(attributes)
     save_netcdf(data, out / "map.nc")
+    from cnclik.show import stability as show
+
     title = f"{_name(found)}, N = {args.N}"
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)

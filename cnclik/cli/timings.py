@@ -7,7 +7,7 @@ import time
 
 from cnclik.show.output import DRAWING
 
-_EVENTS = {
+EVENTS = {  # of jax.monitoring, which tells of beginnings as scalars and of ends as spans of time
     "/jax/core/compile/jaxpr_trace_duration": "tracing",
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
     "/jax/core/compile/backend_compile_duration": "compiling",
@@ -64,8 +64,8 @@ def watch(begun: float):
         from jax import monitoring
 
         def span(event, start, end, **_):
-            if event in _EVENTS:
-                spans.add(_EVENTS[event], start, end)
+            if event in EVENTS:
+                spans.add(EVENTS[event], start, end)
 
         def happened(event, **_):
             spans.hits += event == "/jax/compilation_cache/cache_hits"

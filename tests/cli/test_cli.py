@@ -1,6 +1,7 @@
 """The command line's frame: verbs, help, one line for what is wrong; and what importing cnclik loads."""
 
 import dataclasses
+import pathlib
 import subprocess
 import sys
 import typing
@@ -90,6 +91,9 @@ def test_right_options_pass():
     assert args == Args(Ts=0.5, pair=(3, 4), gain=2.0)
 
 
+ROOT = pathlib.Path(__file__).parents[2]
+
+
 def run(code):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout.strip()
@@ -135,6 +139,18 @@ heavy = "jax numpy scipy matplotlib xarray optax rich yourdfpy".split()
 print([name for name in heavy if name in sys.modules])
 """
     assert run(code) == "[]"
+
+
+def test_a_file_is_shown_without_jax():
+    code = """
+import contextlib, io, sys
+from cnclik.cli import main
+with contextlib.redirect_stdout(io.StringIO()) as said:
+    main(["robots", "sweeps/arm3.urdf"])
+print([name for name in ("jax", "numpy", "yourdfpy") if name in sys.modules], "Tips" in said.getvalue())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[] True"
 
 
 def test_words_are_those_that_are_built():
