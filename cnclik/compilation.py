@@ -71,9 +71,9 @@ def machine() -> str:
 
 
 def cut(folder: pathlib.Path, most_bytes: int) -> None:
-    """Remove the files of a folder that were used longest ago, until the rest fits."""
+    """Remove the programs in a folder that were used longest ago, until the rest fits; nothing else there is touched."""
     found = []
-    for path in folder.rglob("*"):
+    for path in folder.glob("jaxlib-*/*-cache"):
         with contextlib.suppress(OSError):  # another process may be at it, too
             if path.is_file():
                 about = path.stat()

@@ -92,13 +92,18 @@ def test_where_and_the_switches(tmp_path, monkeypatch):
         jax.experimental.compilation_cache.compilation_cache.reset_cache()
 
 
-def test_the_oldest_makes_room(tmp_path):
-    for age, name in enumerate("abcd"):
-        path = tmp_path / name / "program"
-        path.parent.mkdir()
+def test_the_oldest_makes_room_and_nothing_else_is_touched(tmp_path):
+    def write(folder, name, age):
+        path = tmp_path / folder / name
+        path.parent.mkdir(exist_ok=True)
         path.write_bytes(b"x" * 100)
         os.utime(path, (1e9 - age, 1e9 - age))
-    compilation.cut(tmp_path, 250)
-    assert {path.parent.name for path in tmp_path.rglob("program")} == {"a", "b"}
-    compilation.cut(tmp_path, 250)
-    assert len(list(tmp_path.rglob("program"))) == 2
+
+    for age, name in enumerate("abcd"):
+        write(f"jaxlib-{name}", "program-cache", age)
+    write("mine", "program-cache", 9)
+    write("jaxlib-a", "mine", 9)
+    for _ in range(2):
+        compilation.cut(tmp_path, 250)
+        assert {path.parent.name for path in tmp_path.glob("*/program-cache")} == {"jaxlib-a", "jaxlib-b", "mine"}
+    assert (tmp_path / "jaxlib-a" / "mine").exists()
