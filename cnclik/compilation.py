@@ -71,7 +71,7 @@ def machine() -> str:
 
 
 def cut(folder: pathlib.Path, most_bytes: int) -> None:
-    """Remove the programs in a folder that were used longest ago, until the rest fits; nothing else there is touched."""
+    """Remove the programs in a folder that were used longest ago, until the rest fits, and nothing else."""
     found = []
     for path in folder.glob("jaxlib-*/*-cache"):
         with contextlib.suppress(OSError):  # another process may be at it, too
