@@ -8,33 +8,34 @@ through everything.
 import importlib
 from typing import TYPE_CHECKING
 
-from cnclik.errors import ArgumentError
-from cnclik.hints import use_form, use_hints
-from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
-from cnclik.integrate.solve import Step, solve, step
-from cnclik.integrate.stage import chord, newton, picard
-from cnclik.integrate.status import Status, StepError, require_ok
-from cnclik.integrate.trajectory import Trajectory
-from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, singular_damped, transpose
-from cnclik.law.law import Law
-from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
-from cnclik.law.null import maximize_manipulability, posture
-from cnclik.law.reference import Reference, circle, hold, line, lissajous, path, waypoints, with_feedforward
-from cnclik.law.task import Task, orientation, position
-from cnclik.law.task import pose as pose_task
-from cnclik.record import replace
-from cnclik.robot.builtin import panda, ur5
-from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
-from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
-from cnclik.robot.urdf import load_urdf
 from cnclik.version import __version__
 
-if TYPE_CHECKING:  # what is loaded on use, for editors and type checkers
+if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type checkers
     from cnclik import bench, measure, paper, problem, show, stability, sweeps, tuning
+    from cnclik.compilation import use_cache
+    from cnclik.errors import ArgumentError
+    from cnclik.hints import use_form, use_hints
+    from cnclik.integrate.lanes import lanes
+    from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
+    from cnclik.integrate.solve import Step, solve, step
+    from cnclik.integrate.stage import chord, newton, picard
+    from cnclik.integrate.status import Status, StepError, require_ok
+    from cnclik.integrate.trajectory import Trajectory
+    from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, singular_damped, transpose
+    from cnclik.law.law import Law
+    from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
+    from cnclik.law.null import maximize_manipulability, posture
+    from cnclik.law.reference import Reference, circle, hold, line, lissajous, path, waypoints, with_feedforward
+    from cnclik.law.task import Task, orientation, position
+    from cnclik.law.task import pose as pose_task
     from cnclik.measure.dataset import to_dataset
     from cnclik.measure.metrics import Metrics, measure_run
     from cnclik.problem.build import problem_from
+    from cnclik.record import replace
+    from cnclik.robot.builtin import panda, ur5
+    from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
+    from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
+    from cnclik.robot.urdf import load_urdf
     from cnclik.show.run import plot
     from cnclik.stability.linear import stability_limit
     from cnclik.stability.recommend import margin, recommend
@@ -44,24 +45,44 @@ if TYPE_CHECKING:  # what is loaded on use, for editors and type checkers
     from cnclik.tuning.calibrate import calibrate
     from cnclik.tuning.tune import tune
 
-# Rooms, and names of theirs, that a newcomer's first loop doesn't need: loaded when they are first asked for.
+# Where each name is: nothing is loaded before it is asked for, so that the command line answers at once where no
+# number is asked of it.
 _ROOMS = ("bench", "measure", "paper", "problem", "show", "stability", "sweeps", "tuning")
+_INNER = ("compilation", "errors", "hints", "integrate", "law", "precision", "record", "robot", "version")
 _ON_USE = {
-    "Metrics": "measure.metrics",
-    "calibrate": "tuning.calibrate",
-    "margin": "stability.recommend",
-    "measure_run": "measure.metrics",
-    "plot": "show.run",
-    "problem_from": "problem.build",
-    "recommend": "stability.recommend",
-    "settle": "stability.spectrum",
-    "spectral_radius": "stability.spectrum",
-    "stability_limit": "stability.linear",
-    "sweep": "sweeps.sweep",
-    "to_dataset": "measure.dataset",
-    "tune": "tuning.tune",
-    "verdict": "stability.verdict",
+    "compilation": "use_cache",
+    "errors": "ArgumentError",
+    "hints": "use_form use_hints",
+    "integrate.lanes": "lanes",
+    "integrate.method": "CN EE HEUN IE METHODS MIDPOINT RK4 TRAPEZOID Method",
+    "integrate.solve": "Step solve step",
+    "integrate.stage": "chord newton picard",
+    "integrate.status": "Status StepError require_ok",
+    "integrate.trajectory": "Trajectory",
+    "law.inverse": "damped manipulability_damped pseudoinverse singular_damped transpose",
+    "law.law": "Law",
+    "law.limits": "saturation velocity_scaling weighted_least_norm",
+    "law.null": "maximize_manipulability posture",
+    "law.reference": "Reference circle hold line lissajous path waypoints with_feedforward",
+    "law.task": "Task orientation position",
+    "measure.dataset": "to_dataset",
+    "measure.metrics": "Metrics measure_run",
+    "problem.build": "problem_from",
+    "record": "replace",
+    "robot.builtin": "panda ur5",
+    "robot.chain": "Chain from_dh from_screws planar_arm with_tool",
+    "robot.kinematics": "Pose jacobian manipulability pose",
+    "robot.urdf": "load_urdf",
+    "show.run": "plot",
+    "stability.linear": "stability_limit",
+    "stability.recommend": "margin recommend",
+    "stability.spectrum": "settle spectral_radius",
+    "stability.verdict": "verdict",
+    "sweeps.sweep": "sweep",
+    "tuning.calibrate": "calibrate",
+    "tuning.tune": "tune",
 }
+_MODULE = {name: module for module, names in _ON_USE.items() for name in names.split()} | {"pose_task": "law.task"}
 
 __all__ = [
     *("CN", "EE", "HEUN", "IE", "METHODS", "MIDPOINT", "RK4", "TRAPEZOID", "ArgumentError", "Chain", "Law", "Method"),
@@ -71,17 +92,18 @@ __all__ = [
     *("measure", "measure_run", "newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot"),
     *("pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "recommend", "replace"),
     *("require_ok", "saturation", "settle", "show", "singular_damped", "solve", "spectral_radius", "stability"),
-    *("stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_hints"),
-    *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
+    *("stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache"),
+    *("use_form", "use_hints", "velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward"),
+    "with_tool",
 ]
 
 
 def __getattr__(name):
-    if name in _ROOMS:
+    if name in (*_ROOMS, *_INNER):
         return importlib.import_module(f"cnclik.{name}")
-    if name not in _ON_USE:
+    if name not in _MODULE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(importlib.import_module(f"cnclik.{_ON_USE[name]}"), name)
+    found = getattr(importlib.import_module(f"cnclik.{_MODULE[name]}"), "pose" if name == "pose_task" else name)
     globals()[name] = found
     return found
 

@@ -1,14 +1,12 @@
 """User errors, in one grammar: "Argument `Ts` must be positive, but is -0.1."
 
-Shapes are always checked; values only where they are concrete (never a tracer).
+Shapes are always checked; values only where they are concrete (never a tracer). Neither JAX nor NumPy
+is loaded for a message.
 """
 
 import difflib
 import math
-
-import jax
-import jax.numpy as jnp
-import numpy as np
+import sys
 
 
 class ArgumentError(ValueError):
@@ -22,11 +20,14 @@ def fail(name: str, must: str, found) -> ArgumentError:
 
 def concrete(value) -> bool:
     """Whether the value is known now, and may be looked at."""
-    return not isinstance(value, jax.core.Tracer)
+    jax = sys.modules.get("jax")  # where it isn't loaded nothing is traced
+    return jax is None or not isinstance(value, jax.core.Tracer)
 
 
 def number(name: str, value, *, positive=False, at_least=None):
     """A finite real number (or a traced scalar); returned as it came."""
+    import numpy as np
+
     if type(value) is not float and (np.ndim(value) != 0 or isinstance(value, (str, bytes)) or value is None):
         raise fail(name, "be a number", f"is {value!r}")
     if concrete(value):
@@ -45,6 +46,8 @@ def number(name: str, value, *, positive=False, at_least=None):
 
 def integer(name: str, value, *, at_least: int) -> int:
     """A Python integer not below `at_least`."""
+    import numpy as np
+
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise fail(name, "be an integer", f"is {value!r}")
     if value < at_least:
@@ -54,6 +57,9 @@ def integer(name: str, value, *, at_least: int) -> int:
 
 def array(name: str, value, *shapes, finite=True):
     """A real array of one of the shapes (None matches any length); returned as an array of floats."""
+    import jax
+    import numpy as np
+
     try:
         found = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
         if found.dtype.kind not in "iuf":
@@ -72,6 +78,10 @@ def array(name: str, value, *shapes, finite=True):
 
 def _gather(value):
     """Nested sequences as one array; entries may be traced."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
     if any(not concrete(v) for v in jax.tree.leaves(value)):
         return jnp.asarray(value)
     found = np.asarray(value)

@@ -4,12 +4,11 @@ import dataclasses
 import itertools
 
 from cnclik import errors
-from cnclik.bench.loops import ROBOTS, STAGES
-from cnclik.hints import cores as here
-from cnclik.integrate.method import METHODS
+from cnclik.problem.words import METHODS, STAGES
 
+ROBOTS = ("planar2", "planar5", "panda", "ur5", "chain30")  # `loops` says what they are
 AXES = {  # None: the usual one
-    "robot": tuple(ROBOTS),
+    "robot": ROBOTS,
     "method": ("EE", "IE", "CN", "TRAPEZOID"),
     "stage": (None,),
     "M": (5,),
@@ -36,7 +35,7 @@ class Line:
     def __str__(self):
         """In words: "panda CN picard(5) float32 batch 4096"."""
         cores = "" if self.cores is None else f" cores {self.cores}"
-        return f"{self.robot} {self.method} {STAGES[self.stage](self.M)} {self.dtype} batch {self.batch}{cores}"
+        return f"{self.robot} {self.method} {self.stage}({self.M}) {self.dtype} batch {self.batch}{cores}"
 
     def __post_init__(self):
         errors.one_of("robot", self.robot, ROBOTS)
@@ -48,6 +47,8 @@ class Line:
         if self.N is not None:
             errors.integer("N", self.N, at_least=1)
         if self.cores is not None:
+            from cnclik.hints import cores as here
+
             errors.integer("cores", self.cores, at_least=1)
             if self.cores > here():
                 raise errors.fail("cores", f"be at most {here()} on this machine", f"is {self.cores}")
@@ -63,6 +64,8 @@ def table() -> list[Line]:
 
     The whole product would take most of an hour, mostly for compiling.
     """
+
+    from cnclik.hints import cores as here
 
     def line(robot="panda", method="EE", **rest):
         return Line(robot=robot, method=method, stage=stage_of(method), **rest)

@@ -3,28 +3,29 @@
 import dataclasses
 import json
 import sys
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from cnclik import errors
-from cnclik.bench import lines, loops, timing
+from cnclik.bench import lines
 from cnclik.cli import progress
-from cnclik.integrate.method import METHODS
+from cnclik.cli.common import CacheOption
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(CacheOption):
     """Without a filter: the lines through Panda, EE, float32, batch 4096 along each axis of the table, and a few more.
     A filter takes one value or several, and runs all lines with them; axes without a filter then take all their
     values, except M (5), stage (chord for TRAPEZOID, else picard) and cores (all)."""
 
-    robot: tuple[Literal[tuple(loops.ROBOTS)], ...] = ()
+    robot: tuple[Literal[lines.ROBOTS], ...] = ()
     """planar2 and planar5 are the paper's arms (position, J#); panda, ur5 and chain30 have a whole pose to reach
     (damped least squares)."""
-    method: tuple[Literal[tuple(METHODS)], ...] = ()
+    method: tuple[Literal[lines.METHODS], ...] = ()
     """Method of the step."""
-    stage: tuple[Literal[tuple(loops.STAGES)], ...] = ()
+    stage: tuple[Literal[lines.STAGES], ...] = ()
     """How implicit stages are solved; explicit methods don't use it."""
     M: Annotated[tuple[int, ...], tyro.conf.arg(name="M")] = ()
     """Passes of the implicit stage."""
@@ -42,12 +43,26 @@ class Args:
     """Measure value and gradient too; by default where a filter is given, and on a few lines of the table."""
     seconds: float = 1.0
     """Time for the repeated runs of each program."""
+    cold: bool = False
+    """Measure instead how long first answers take: commands in fresh processes, with nothing compiled before, and
+    again; one Markdown table."""
+    only: tuple[str, ...] = ()
+    """With --cold: only lines whose name holds one of these, such as solve."""
+    urdf: Path | None = None
+    """With --cold: the robot; a file of seven joints by default."""
+    spec: Path | None = None
+    """With --cold: a sweep, as a line of its own."""
     json: bool = False
     """Print a list of records on stdout, and nothing else there."""
 
 
 def run(args: Args) -> None:
     """Measure the chosen lines one after another; exit code 1 if one of them could not be measured."""
+    if args.cold:
+        _cold(args)
+        return
+    from cnclik.bench import timing
+
     errors.number("seconds", args.seconds, at_least=0)
     chosen, records = asked(args), []
     with progress.bar("lines", total=len(chosen)) as report:
@@ -62,6 +77,30 @@ def run(args: Args) -> None:
     if args.json:
         print(json.dumps(records, indent=1))
     if len(records) < len(chosen):
+        sys.exit(1)
+
+
+def _cold(args: Args) -> None:
+    from cnclik.bench import cold
+
+    for name in ("urdf", "spec"):
+        file = getattr(args, name)
+        if file is not None and not file.is_file():
+            raise errors.fail(name, "be a file", f"is {str(file)!r}")
+    every = cold.table(args.spec)
+    chosen = [line for line in every if not args.only or any(part in line.name for part in args.only)]
+    if not chosen:
+        raise errors.fail("only", "be part of a line's name, such as solve or tune", f"is {' '.join(args.only)!r}")
+    records = []
+    with progress.bar("lines", total=len(chosen)) as report:
+        for done, line in enumerate(chosen):
+            report(done, len(chosen), line.name)
+            records.append(cold.measure(line, robot=args.urdf, spec=args.spec))
+    failed = [record for record in records if "error" in record]
+    for record in failed:
+        print(f"{record['name']}: not measured: {record['error']}", file=sys.stderr)
+    print(json.dumps(records, indent=1) if args.json else cold.page(records), end="\n" if args.json else "")
+    if failed:
         sys.exit(1)
 
 

@@ -6,9 +6,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from cnclik.cli.common import ComputeOptions
+
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(ComputeOptions):
     folder: Annotated[pathlib.Path, tyro.conf.Positional]
     """Folder of a sweep, with its data.zarr."""
     spec: pathlib.Path | None = None

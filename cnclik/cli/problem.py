@@ -10,7 +10,6 @@ from typing import Annotated
 
 import tyro
 
-from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.options import INTEGER, NAME, NUMBER, NUMBERS, OPTIONS, PATH
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
@@ -67,6 +66,10 @@ def table(args) -> dict:
     return {name: value for name, value in given.items() if value is not None}
 
 
-def problem(args) -> Problem:
-    """The problem that a verb's options describe. Raises ArgumentError."""
-    return problem_from(**table(args))
+def problem(args):
+    """The `Problem` that a verb's options describe. Raises ArgumentError."""
+    from cnclik.cli import progress
+    from cnclik.problem.build import problem_from
+
+    with progress.bar("start and path"):
+        return problem_from(**table(args))

@@ -4,6 +4,8 @@ import contextlib
 import sys
 import time
 
+from cnclik.cli.timings import EVENTS
+
 _BETWEEN_LINES = 10.0  # [s]
 
 
@@ -11,7 +13,8 @@ _BETWEEN_LINES = 10.0  # [s]
 def bar(unit: str, total=None, quiet=False):
     """Yields report(done, total, note=""), the one form of progress that every function of the library takes.
 
-    Until something is done it shows "compiling" with the seconds that have passed, or the note.
+    Until something is done a terminal shows what is being waited for (tracing, compiling, running) with the seconds
+    that have passed, or the note.
 
     Args:
       unit: what is counted.
@@ -34,19 +37,50 @@ def bar(unit: str, total=None, quiet=False):
             progress.TimeRemainingColumn(elapsed_when_finished=True),
         )
         with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-            task, clock = shown.add_task(f"compiling, {unit}", total=total), _Clock()
+            task, clock, last = shown.add_task(f"compiling, {unit}", total=total), _Clock(), [0, total]
 
             def report(done, total, note=""):
+                last[:] = [done, total, note]
                 text = words(unit, done, total, clock(total), note)
                 shown.update(task, completed=done, total=total or None, description=text)
 
-            yield report
+            def wait(phase):
+                if not last[0]:
+                    shown.update(task, description=words(unit, *last[:2], 0.0, *last[2:], phase=phase))
+
+            with _phases(wait):
+                yield report
 
 
-def words(unit, done, total, seconds, note="") -> str:
+@contextlib.contextmanager
+def _phases(tell):
+    """Call tell("tracing"), tell("compiling") and tell("running") as JAX goes from one to the next."""
+    if "jax" not in sys.modules:  # then nothing is going to be compiled here
+        yield
+        return
+    from jax import monitoring
+
+    def begun(event, value, **_):
+        if event in EVENTS:
+            tell(EVENTS[event])
+
+    def ended(event, start, end, **_):
+        if EVENTS.get(event) == "compiling":
+            tell("running")
+
+    monitoring.register_scalar_listener(begun)
+    monitoring.register_event_time_span_listener(ended)
+    try:
+        yield
+    finally:
+        monitoring.unregister_scalar_listener(begun)
+        monitoring.unregister_event_time_span_listener(ended)
+
+
+def words(unit, done, total, seconds, note="", phase="compiling") -> str:
     """What a report says: "120 of 4,000 loops, 60/s, EE"."""
     counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
-    parts = [counted if done else "" if note else f"compiling, {unit}"]
+    parts = [counted if done else "" if note else f"{phase}, {unit}"]
     if done and seconds > 0 and done / seconds >= 1:
         parts.append(f"{done / seconds:,.0f}/s")
     return ", ".join(part for part in (*parts, note) if part)

@@ -5,10 +5,11 @@ from pathlib import Path
 
 from cnclik import paper
 from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
 
 
-@dataclass(frozen=True, kw_only=True)
-class Args:
+@dataclass(kw_only=True)
+class Args(ComputeOptions):
     """Run the experiments of Drexler (2016), Section V, under all eight readings of its text."""
 
     out: Path = Path("reproduced")

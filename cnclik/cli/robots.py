@@ -7,11 +7,11 @@ from typing import Annotated
 
 import tyro
 
-from cnclik.robot.urdf import read_urdf
+from cnclik.cli.common import CacheOption
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(CacheOption):
     """Show a robot's tree, joints and limits."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
@@ -19,6 +19,8 @@ class Args:
 
 
 def run(args: Args) -> None:
+    from cnclik.robot.tree import read_urdf
+
     tree = read_urdf(args.file)
     from rich.console import Console
     from rich.table import Table

@@ -5,16 +5,15 @@ import dataclasses
 import time
 from pathlib import Path
 
-import numpy as np
-
 from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import ProblemOptions, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ProblemOptions):
+class Args(ComputeOptions, ProblemOptions):
     """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
 
     out: Path = Path("solved")
@@ -30,9 +29,11 @@ def run(args: Args) -> None:
 
     from cnclik.measure.dataset import to_dataset
     from cnclik.measure.files import save_netcdf
-    from cnclik.show.output import draw, output_folder
+    from cnclik.show.output import draw, load_ahead, output_folder
     from cnclik.stability.verdict import verdict
 
+    if args.figures:
+        load_ahead()
     made = problem(args)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     with output_folder(args.out) as folder:
@@ -42,7 +43,8 @@ def run(args: Args) -> None:
         save_netcdf(data, folder / "trajectory.nc")
         if args.csv:
             _write_csv(folder / "trajectory.csv", data)
-    told = verdict(made.law, made.reference, trajectory, Ts=made.Ts, method=made.method, stage=made.stage)
+    with progress.bar("verdict"):
+        told = verdict(made.law, made.reference, trajectory, Ts=made.Ts, method=made.method, stage=made.stage)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
     Console().print(_summary(made, trajectory, seconds))
     print(f"{told.sentence[0].upper()}{told.sentence[1:]}")
@@ -112,6 +114,7 @@ def _figures(data, made) -> dict:
 
 
 def _summary(made, trajectory, seconds):
+    import numpy as np
     from rich.table import Table
 
     from cnclik.integrate.status import count

@@ -5,16 +5,16 @@ import pathlib
 import time
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(LoopOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
     target: Numbers = None
@@ -43,12 +43,13 @@ class Args(LoopOptions, TaskOptions, RobotOptions):
 
 def run(args: Args) -> None:
     """Numbers on the terminal; figures and labelled data in the folder, the data first."""
-    from cnclik.show.output import draw, output_folder
+    from cnclik.show.output import draw, load_ahead, output_folder
 
     _check(args)
     if not (args.plane or args.map):
         _tell(args, _advice(args, *_loop(args)))
         return
+    load_ahead()
     figures = {}
     with output_folder(args.out) as out:
         if args.plane:
@@ -80,17 +81,20 @@ def _loop(args):
     from cnclik.stability.spectrum import settle
 
     found = problem(args)
-    return found, settle(found.law, found.reference, found.q0)
+    with progress.bar("rest"):
+        return found, settle(found.law, found.reference, found.q0)
 
 
 def _advice(args, found, rest):
     from cnclik.stability.recommend import advise
 
-    return found, advise(found.law, found.reference, rest, Ts=found.Ts, method=found.method, stage=found.stage)
+    with progress.bar("advice"):
+        return found, advise(found.law, found.reference, rest, Ts=found.Ts, method=found.method, stage=found.stage)
 
 
 def _tell(args, advised):
     """What is safe, and how far the operating point is from what is not."""
+    import numpy as np
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -134,7 +138,6 @@ def _plane(args, out):
 
     from cnclik.measure.dataset import as_json, provenance
     from cnclik.measure.files import save_netcdf
-    from cnclik.show import stability as show
     from cnclik.stability.plane import limit_tables, plane, plane_page
 
     with progress.bar("limits") as report:
@@ -150,6 +153,8 @@ def _plane(args, out):
         for row in rows:
             shown.add_row(*row)
         Console().print(shown)
+    from cnclik.show import stability as show
+
     return {"plane.png": (lambda: show.plane(data), {"Title": "stability regions"})}
 
 
@@ -157,9 +162,10 @@ def _plane(args, out):
 
 
 def _map(args, out):
+    import numpy as np
+
     from cnclik.measure.dataset import as_json, provenance
     from cnclik.measure.files import save_netcdf
-    from cnclik.show import stability as show
     from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
 
@@ -181,6 +187,8 @@ def _map(args, out):
     attributes = provenance(float) | {"config": config}
     data = data.assign_attrs(attributes)
     save_netcdf(data, out / "map.nc")
+    from cnclik.show import stability as show
+
     title = f"{_name(found)}, N = {args.N}"
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)

@@ -9,10 +9,11 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args:
+class Args(ComputeOptions):
     spec: Annotated[pathlib.Path, tyro.conf.Positional]
     """The spec, a TOML file (see docs/sweeps.md and sweeps/)."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = dataclasses.field(default_factory=list)

@@ -6,17 +6,18 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from cnclik import errors
+from cnclik.cli import common
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import Number, ProblemOptions, problem, table
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ProblemOptions):
+class Args(ComputeOptions, ProblemOptions):
     """Tune the loop that these options describe: tuned.json, figures, summary.md."""
 
     N: int = 200
@@ -63,9 +64,10 @@ def run(args: Args) -> None:
     made, asked = _problem(args), _asked(args)
     from cnclik import tuning
     from cnclik.cli import progress
-    from cnclik.show.output import draw, output_folder
-    from cnclik.show.tuning import drawings
+    from cnclik.show.output import draw, load_ahead, output_folder
 
+    if args.figures:
+        load_ahead()
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
@@ -83,7 +85,7 @@ def run(args: Args) -> None:
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-        drawn = drawings(found) if args.figures else {}
+        drawn = _drawings(found) if args.figures else {}
         text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
         (folder / "summary.md").write_text(text, encoding="utf-8")
     print(text.split("\n## Figures")[0])
@@ -92,6 +94,12 @@ def run(args: Args) -> None:
     with progress.bar("figures") as report:
         written = ["tuned.json", "summary.md", *draw(figures, args.out, progress=report)]
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
+
+
+def _drawings(found):
+    from cnclik.show.tuning import drawings
+
+    return drawings(found)
 
 
 def _asked(args) -> dict:
@@ -122,6 +130,8 @@ def _asked(args) -> dict:
 
 
 def _problem(args):
+    import numpy as np
+
     from cnclik.record import replace
 
     errors.one_of("shape", args.shape, _SHAPES)
@@ -155,5 +165,5 @@ def _loss(words):
 def _config(args) -> dict:
     """Every option that has a part in the numbers, as it was set."""
     own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
-    given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures")}
+    given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures", *common.NAMES)}
     return table(args) | {name.rstrip("_"): v for name, v in given.items()}

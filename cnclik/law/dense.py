@@ -242,7 +242,8 @@ def _pinv_by_decomposition(rows):
     if len(rows) > 2:
         size, inverse = jnp.sum(sigma**2), jnp.sum(1.0 / sigma**2)
         least = jnp.where(size * inverse <= eps ** (-2 / 3), 1.0 / jnp.sqrt(inverse), least)
-    return sp.matmul(u * inverses, vt), least
+    first = sp.matmul(u * inverses, vt)
+    return jnp.where(jnp.all(keep), _refined(rows, first), first), least
 
 
 def _pinv_by_elimination(rows):
@@ -261,8 +262,11 @@ def _pinv_by_elimination(rows):
 
 @opaque
 def _refined(rows, p):
-    left = [[2.0 * (i == k) - sp.dot(row, column) for i, row in enumerate(rows)] for k, column in enumerate(p)]
-    return tuple(sp.combine(weights, p) for weights in left)
+    product = sp.products(p, rows)
+    if not sp.unrolled(rows):
+        return 2.0 * p - sp.matmul(product, p)
+    left = [[2.0 * (i == k) - x for i, x in enumerate(row)] for k, row in enumerate(product)]
+    return sp.matmul(left, p)
 
 
 def _pinv_by_rotations(rows):

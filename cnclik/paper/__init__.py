@@ -4,9 +4,8 @@ run = paper.experiment("5dof", "track", "CN")     # one of its runs
 found = paper.reproduce("reproduced")             # all of them, with data, claims and figures in a folder
 """
 
-from cnclik.paper import readings
-from cnclik.paper.claims import judge
-from cnclik.paper.readings import DEFAULT, READINGS, experiment, reading
+from cnclik.paper import choices
+from cnclik.paper.choices import DEFAULT, READINGS, reading
 
 __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
 
@@ -25,7 +24,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
     """
     from cnclik.paper.data import everything
 
-    shown = str(readings.reading(reading))
+    shown = str(choices.reading(reading))
     if out is None:
         return everything(progress)
     from cnclik.paper import figures
@@ -44,6 +43,7 @@ def _write(folder, found, shown, captions) -> None:
 
     from cnclik.measure.files import save_netcdf
     from cnclik.paper import story
+    from cnclik.paper.claims import judge
 
     for name, data in found._asdict().items():
         save_netcdf(data, folder / f"{name}.nc")
@@ -52,3 +52,13 @@ def _write(folder, found, shown, captions) -> None:
     (folder / "claims.json").write_text(json.dumps(judged, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     text = story.story(judged, found.trajectories, found.methods, shown, captions)
     (folder / "claims.md").write_text(text, encoding="utf-8")
+
+
+def __getattr__(name):
+    if name == "judge":
+        from cnclik.paper.claims import judge as found  # loads xarray
+    elif name == "experiment":
+        from cnclik.paper.readings import experiment as found  # loads JAX
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return found

@@ -6,7 +6,6 @@ eight on both arms and both cases, and beside the paper's methods the textbook o
 """
 
 import functools
-import itertools
 from typing import NamedTuple
 
 import jax
@@ -21,6 +20,9 @@ from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
 from cnclik.law.reference import Reference, line, with_feedforward
 from cnclik.law.task import position
+from cnclik.paper.choices import DEFAULT, Reading
+from cnclik.paper.choices import READINGS as READINGS
+from cnclik.paper.choices import reading as reading
 from cnclik.record import stack
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import planar_arm
@@ -46,30 +48,6 @@ class Arm(NamedTuple):
 
 ARMS = {"2dof": Arm(2, (1.0, 0.0), (1.0, 1.0)), "5dof": Arm(5, (3.0, 1.0), (4.0, 1.0))}
 CASES = ("reach", "track")  # Case I, Case II
-
-
-class Reading(NamedTuple):
-    """One way to read the paper where its text leaves a choice."""
-
-    rotation: str
-    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
-    Ts: str
-    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
-    feedforward: str
-    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
-
-    def __str__(self):
-        return "/".join(self)
-
-
-_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
-READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
-DEFAULT = READINGS["on-path/once/consistent"]
-
-
-def reading(name) -> Reading:
-    """The reading of that name, such as "on-path/once/consistent"; ArgumentError suggests the nearest."""
-    return READINGS[errors.one_of("reading", str(name), READINGS)]
 
 
 # --- one experiment -----------------------------------------------------------------------------------

@@ -1,22 +1,27 @@
 """A loop in plain names: one vocabulary and one builder."""
 
-from cnclik.problem.build import Problem, problem_from
-from cnclik.problem.names import inverse_from, limits_from, method_from, robot_from, stage_from, start_from, task_from
-from cnclik.problem.options import DEFAULTS, OPTIONS
-from cnclik.problem.reference import REFERENCES, reference_from
+import importlib
 
-__all__ = [
-    "DEFAULTS",
-    "OPTIONS",
-    "REFERENCES",
-    "Problem",
-    "inverse_from",
-    "limits_from",
-    "method_from",
-    "problem_from",
-    "reference_from",
-    "robot_from",
-    "stage_from",
-    "start_from",
-    "task_from",
-]
+# On use: the command line reads the options without loading JAX.
+_ROOM = {
+    "DEFAULTS": "options",
+    "OPTIONS": "options",
+    "REFERENCES": "reference",
+    "Problem": "build",
+    "inverse_from": "names",
+    "limits_from": "names",
+    "method_from": "names",
+    "problem_from": "build",
+    "reference_from": "reference",
+    "robot_from": "names",
+    "stage_from": "names",
+    "start_from": "names",
+    "task_from": "names",
+}
+__all__ = list(_ROOM)
+
+
+def __getattr__(name):
+    if name not in _ROOM:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_ROOM[name]}"), name)

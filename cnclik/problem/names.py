@@ -1,4 +1,4 @@
-"""Names: what a user may write, and what it stands for. To add a name, add its line to a table.
+"""Names: what a user may write, and what it stands for. To add a name, add its line here and in `words`.
 
 A `Choice` says how a name is built and which options it takes, so that nothing is left out that it needs and
 nothing is given that it would silently drop.
@@ -17,6 +17,7 @@ from cnclik import errors
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import named
 from cnclik.law import inverse, limits, null, task
+from cnclik.problem import words
 from cnclik.robot import builtin
 from cnclik.robot.chain import Chain, planar_arm
 from cnclik.robot.posture import is_planar, start_posture
@@ -35,25 +36,36 @@ class Choice(NamedTuple):
         return (*self.needs, *self.takes)
 
 
-ROBOTS = {
-    "panda": Choice(builtin.panda),
-    "ur5": Choice(builtin.ur5),
-    "planar": Choice(planar_arm, needs=("lengths",)),
-    "planar-clockwise": Choice(functools.partial(planar_arm, clockwise=True), needs=("lengths",)),
-}
-URDF = Choice(load_urdf, takes=("tip", "base"))
+def choices(builders: dict, options: dict) -> dict:
+    """{name: Choice} of what builds each name and, in `words`, what it takes."""
+    return {name: Choice(build, *options[name]) for name, build in builders.items()}
+
+
+ROBOTS = choices(
+    {
+        "panda": builtin.panda,
+        "ur5": builtin.ur5,
+        "planar": planar_arm,
+        "planar-clockwise": functools.partial(planar_arm, clockwise=True),
+    },
+    words.ROBOTS,
+)
+URDF = Choice(load_urdf, *words.URDF)
 TASKS = {
     "pose": task.pose,
     "position": lambda where, turn: task.position(where),
     "orientation": lambda where, turn: task.orientation(turn),
 }
-INVERSES = {
-    "pseudoinverse": Choice(inverse.pseudoinverse),
-    "damped": Choice(inverse.damped, needs=("damping",)),
-    "transpose": Choice(inverse.transpose),
-    "manipulability-damped": Choice(inverse.manipulability_damped, needs=("damping", "threshold")),
-    "singular-damped": Choice(inverse.singular_damped, needs=("damping", "threshold")),
-}
+INVERSES = choices(
+    {
+        "pseudoinverse": inverse.pseudoinverse,
+        "damped": inverse.damped,
+        "transpose": inverse.transpose,
+        "manipulability-damped": inverse.manipulability_damped,
+        "singular-damped": inverse.singular_damped,
+    },
+    words.INVERSES,
+)
 LIMITS = {  # of the rate [1/s] at which a joint may near its limit
     "none": lambda rate: None,
     "velocity-scaling": lambda rate: limits.velocity_scaling(),

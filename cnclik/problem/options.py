@@ -6,13 +6,8 @@ built.
 
 from typing import NamedTuple
 
-import numpy as np
-
 from cnclik import errors
-from cnclik.integrate.method import METHODS
-from cnclik.law.inverse import ManipulabilityDamped
-from cnclik.problem.names import INVERSES, LIMITS, ROBOTS, STAGES, TASKS
-from cnclik.problem.reference import REFERENCES
+from cnclik.problem.words import INVERSES, LIMITS, METHODS, REFERENCES, ROBOTS, STAGES, TASKS
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -92,8 +87,7 @@ _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other tha
 def check_values(where: str, name: str, values) -> None:
     """Raise ArgumentError unless all numbers of an array are ones that the option may have."""
     must = OPTIONS[name].must if name in OPTIONS else ""
-    wrong = ~_FITS[must](values) if must else np.zeros(1, bool)
-    if wrong.any():
+    if must and (wrong := ~_FITS[must](values)).any():
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
 
@@ -103,6 +97,8 @@ def units(law, width=None) -> dict:
     Args:
       width: numbers of a point; beyond a position they are a quaternion's, without unit.
     """
+    from cnclik.law.inverse import ManipulabilityDamped  # here: the table itself is read without JAX
+
     joints = dict.fromkeys("rad" if j.kind == "revolute" else "m" for j in law.chain.joints)
     point = ["m"] if law.task.position else []
     if not point or (law.task.orientation and (width or 0) > 3):

@@ -10,7 +10,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import use_hints
 from cnclik.law import reference as ref
-from cnclik.problem.names import Choice, fitting
+from cnclik.problem import words
+from cnclik.problem.names import Choice, choices, fitting
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import frames
 from cnclik.robot.posture import arm_length
@@ -97,12 +98,7 @@ def _lissajous(scene, period, center=None, amplitude=None, frequency=None, phase
     return ref.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
 
 
-REFERENCES = {
-    "hold": Choice(_hold, takes=("target",)),
-    "line": Choice(_line, takes=("from", "to", "period")),
-    "circle": Choice(_circle, takes=("center", "radius", "normal", "phase", "period")),
-    "lissajous": Choice(_lissajous, takes=("center", "amplitude", "frequency", "phase", "period")),
-}
+REFERENCES = choices({"hold": _hold, "line": _line, "circle": _circle, "lissajous": _lissajous}, words.REFERENCES)
 
 
 def _needs_position(name, task):

@@ -1,24 +1,29 @@
 """The robot: chains and the ways to build one, where the tip is and how it moves."""
 
-from cnclik.robot.builtin import panda, ur5
-from cnclik.robot.chain import Chain, Joint, Offset, assemble, from_dh, from_screws, planar_arm, with_tool
-from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
-from cnclik.robot.urdf import load_urdf
+import importlib
 
-__all__ = [
-    "Chain",
-    "Joint",
-    "Offset",
-    "Pose",
-    "assemble",
-    "from_dh",
-    "from_screws",
-    "jacobian",
-    "load_urdf",
-    "manipulability",
-    "panda",
-    "planar_arm",
-    "pose",
-    "ur5",
-    "with_tool",
-]
+# On use: a URDF file is read and shown without loading JAX.
+_ROOM = {
+    "Chain": "chain",
+    "Joint": "chain",
+    "Offset": "chain",
+    "Pose": "kinematics",
+    "assemble": "chain",
+    "from_dh": "chain",
+    "from_screws": "chain",
+    "jacobian": "kinematics",
+    "load_urdf": "urdf",
+    "manipulability": "kinematics",
+    "panda": "builtin",
+    "planar_arm": "chain",
+    "pose": "kinematics",
+    "ur5": "builtin",
+    "with_tool": "chain",
+}
+__all__ = list(_ROOM)
+
+
+def __getattr__(name):
+    if name not in _ROOM:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_ROOM[name]}"), name)

@@ -1,14 +1,18 @@
 """Writing results so that nothing half-written looks whole, and no figure costs the data it was drawn from."""
 
 import contextlib
+import importlib
 import os
 import shutil
 import tempfile
+import threading
+import time
 from pathlib import Path
 
 from cnclik import errors
 
 _PARTIAL = ".partial-"
+DRAWING = "/cnclik/drawing"  # the event by which `draw` tells jax.monitoring how long it took
 
 
 class FigureError(RuntimeError):
@@ -58,6 +62,11 @@ def output_folder(path, *, name="out"):
                 folder.rmdir()
 
 
+def load_ahead() -> None:
+    """Load what draws in a thread of its own, for who will `draw` after waiting for a compiler."""
+    threading.Thread(target=importlib.import_module, args=("cnclik.show.style",), daemon=True).start()
+
+
 def draw(figures, path, *, name="out", again="", progress=None) -> list:
     """Draw figures in the project's style and save them in `path`, once the data lie there; names of those written.
 
@@ -69,9 +78,11 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
 
     Raises: FigureError at the end, naming the figures that could not be drawn; the others are there.
     """
+    from jax import monitoring
+
+    begun, failed = time.time(), {}
     from cnclik.show import style
 
-    failed = {}
     with output_folder(path, name=name) as folder, style.style():
         for done, (file, (make, about)) in enumerate(figures.items()):
             if progress is not None:
@@ -81,6 +92,7 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
             except Exception as error:  # some mistakes, as in a title's mathematics, show only when it is saved
                 (folder / file).unlink(missing_ok=True)
                 failed[file] = error
+    monitoring.record_event_time_span(DRAWING, begun, time.time())
     if failed:
         what = ", ".join(f"{file} ({_reason(error)})" for file, error in failed.items())
         again = f", `{again}` draws again" if again else ""

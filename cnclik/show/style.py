@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import matplotlib
 import matplotlib.pyplot as plt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
@@ -105,5 +106,10 @@ def save(figure, path, about: dict) -> None:
     dated = {".pdf": "CreationDate", ".svg": "Date"}.get(pathlib.Path(path).suffix)
     if dated:
         plain = {"Title": plain.get("Title", ""), dated: None}
-    figure.savefig(path, metadata=plain, dpi=DPI)
+    if pathlib.Path(path).suffix == ".png":
+        # Not savefig, which draws twice: once to lay out, and once more at the resolution of the file.
+        figure.set_dpi(DPI)
+        FigureCanvasAgg(figure).print_png(path, metadata=plain)
+    else:
+        figure.savefig(path, metadata=plain, dpi=DPI)
     plt.close(figure)

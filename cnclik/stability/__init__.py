@@ -18,7 +18,7 @@ from cnclik.stability.linear import (
     stability_limit,
     stability_region,
 )
-from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map, starts
+from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map
 from cnclik.stability.plane import plane
 from cnclik.stability.recommend import Advice, Margin, Recommendation, advise, margin, recommend
 from cnclik.stability.responses import responses
@@ -42,4 +42,4 @@ __all__ += ["advise", "agreement", "amplification", "at_rest", "attraction_radiu
 __all__ += ["curvature_bound", "delay_limit", "delayed_radius", "gain_per_second", "gain_per_step", "largest_rate"]
 __all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "real_axis_limits", "recommend"]
 __all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
-__all__ += ["stability_map", "stability_region", "starts", "step_maps", "task_map", "task_radius", "verdict"]
+__all__ += ["stability_map", "stability_region", "step_maps", "task_map", "task_radius", "verdict"]

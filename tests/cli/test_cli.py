@@ -91,6 +91,9 @@ def test_right_options_pass():
     assert args == Args(Ts=0.5, pair=(3, 4), gain=2.0)
 
 
+ROOT = pathlib.Path(__file__).parents[2]
+
+
 def run(code):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout.strip()
@@ -121,23 +124,58 @@ def test_names_loaded_on_use_are_public_and_light():
     assert run(OTHERS + "from cnclik import measure_run; print(hasattr(ck, 'sweeep'))") == "False"
 
 
-def test_overview_version_and_a_wrong_verb_need_no_jax():
-    """The command line's own share: the package around it is left out."""
-    package = pathlib.Path(errors.__file__).parent
-    code = f"""
-import sys, types
-package = types.ModuleType("cnclik")
-package.__path__ = [{str(package)!r}]
-sys.modules["cnclik"] = package
-from cnclik.cli import main
-for argv in ["--version"], ["--help"], [], ["solv"]:
+def test_answers_that_hold_no_number_need_no_jax():
+    """Help, version, a wrong verb and a wrong option load nothing that takes long."""
+    code = """
+import contextlib, io, sys
+from cnclik.cli import VERBS, main
+for argv in ["--version"], ["--help"], [], ["solv"], *([v, o] for v in VERBS for o in ("--help", "--bogus")):
     try:
-        main(argv)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            main(argv)
     except SystemExit as left:
-        assert left.code == 2
-print([name for name in ("jax", "numpy", "tyro", "matplotlib") if name in sys.modules])
+        assert left.code == (0 if "--help" in argv else 2)
+heavy = "jax numpy scipy matplotlib xarray optax rich yourdfpy".split()
+print([name for name in heavy if name in sys.modules])
 """
-    assert run(code).splitlines()[-1] == "[]"
+    assert run(code) == "[]"
+
+
+def test_a_file_is_shown_without_jax():
+    code = """
+import contextlib, io, sys
+from cnclik.cli import main
+with contextlib.redirect_stdout(io.StringIO()) as said:
+    main(["robots", "sweeps/arm3.urdf"])
+print([name for name in ("jax", "numpy", "yourdfpy") if name in sys.modules], "Tips" in said.getvalue())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[] True"
+
+
+def test_words_are_those_that_are_built():
+    """The command line's names are read without the functions behind them."""
+    from cnclik.bench import lines, loops
+    from cnclik.integrate.method import METHODS
+    from cnclik.problem import names, reference, words
+
+    for table in ("ROBOTS", "TASKS", "INVERSES", "LIMITS", "STAGES"):
+        assert tuple(getattr(names, table)) == tuple(getattr(words, table))
+    assert tuple(METHODS) == words.METHODS and tuple(reference.REFERENCES) == tuple(words.REFERENCES)
+    assert tuple(loops.ROBOTS) == lines.ROBOTS and tuple(loops.STAGES) == words.STAGES
+
+
+def test_names_may_be_asked_for_first_inside_a_program():
+    """What a module makes of arrays when it is loaded must not belong to the program that was being traced."""
+    code = """
+import jax, jax.numpy as jnp, cnclik as ck
+def end(x):
+    law = ck.Law(ck.planar_arm([1.0, x]), ck.position("xy"), alpha=5.0)
+    return ck.solve(law, ck.hold(jnp.array([1.0, 1.0])), jnp.array([0.3, 0.5]), 0.01, 3, ck.CN, ck.picard(2)).q[-1]
+first = jax.jit(end)(1.0)
+print(bool(jnp.allclose(first, end(1.0), rtol=1e-5)), float(jax.jit(jax.grad(lambda x: end(x)[0]))(1.0)) != 0)
+"""
+    assert run(code) == "True True"
 
 
 def test_one_bad_line_from_a_shell():

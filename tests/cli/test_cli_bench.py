@@ -93,3 +93,43 @@ def test_bad_values_are_one_line_and_exit_2():
     done = run("--robot", "panda", "--batch", "0")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "cnclik: Argument `batch` must be at least 1, but is 0.\n"
+
+
+def test_cold_starts_are_one_table():
+    done = run("--cold", "--only", "version", "robots")
+    assert (done.returncode, done.stderr) == (0, "")
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in done.stdout.splitlines()]
+    assert [row[0] for row in rows[2:]] == ["`--version`", "`robots ROBOT`"]
+    assert all(0 < float(row[i].split()[0]) < 10 for row in rows[2:] for i in (1, 2))
+    assert all(float(row[3]) < 100 for row in rows[2:])  # of the command, not of who measures
+
+
+@pytest.mark.slow
+def test_first_calls_in_python_are_timed_by_themselves():
+    from cnclik.bench import cold
+
+    (line,) = (line for line in cold.table() if line.name == "ck.step")
+    found = cold.measure(line)
+    assert 0 < found["again_s"] < found["cold_s"] and found["cold_mib"] > 100
+
+
+def test_a_cold_start_that_fails_is_told(monkeypatch, capsys):
+    from cnclik.bench import cold
+
+    monkeypatch.setattr(
+        cold, "table", lambda spec: [cold.Line("solv", ("solv",), 1, 1), cold.Line("x", ("--version",))]
+    )
+    with pytest.raises(SystemExit) as left:
+        cli.run(cli.Args(cold=True, json=True))
+    out, err = capsys.readouterr()
+    first, second = json.loads(out)
+    assert left.value.code == 1 and first["cold_s"] is None and second["again_s"] > 0
+    assert "did you mean 'solve'" in first["error"] and "solv: not measured: " in err
+    monkeypatch.setattr(cold, "MOST_SECONDS", 0.01)
+    assert "cut off" in cold.measure(cold.Line("x", ("--version",)))["error"]
+
+
+@pytest.mark.parametrize("option", [("--only", "nothing"), ("--urdf", "no.urdf")])
+def test_bad_options_of_cold_starts(option):
+    done = run("--cold", *option)
+    assert (done.returncode, done.stdout) == (2, "") and done.stderr.count("\n") == 1

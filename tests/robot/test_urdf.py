@@ -14,7 +14,8 @@ import cnclik as ck
 from cnclik.robot import spatial as sp
 from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.urdf import chain, read_urdf
+from cnclik.robot.tree import read_urdf
+from cnclik.robot.urdf import chain
 
 pin = pytest.importorskip("pinocchio")
 

@@ -56,3 +56,22 @@ def test_other_forms_are_reproducible_too(tmp_path, form):
     if form == "pdf":
         assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
     assert b"<dc:date>" not in (tmp_path / f"a.{form}").read_bytes()
+
+
+def test_a_figure_is_drawn_once_and_is_that_of_savefig(tmp_path):
+    def figure():
+        made, panels = plt.subplots(2, 1, sharex=True, figsize=(style.COLUMN, 3.0))
+        for panel in panels:
+            panel.plot(np.linspace(0, 7, 50), np.sin(np.linspace(0, 7, 50)), label="$e_x$")
+        style.legend(made, panels[0])
+        return made
+
+    with style.style():
+        first, second = figure(), figure()
+        drawn = []
+        first.axes[0].draw = lambda renderer, draw=first.axes[0].draw: (drawn.append(1), draw(renderer))
+        style.save(first, tmp_path / "once.png", {"Title": "x"})
+        second.savefig(tmp_path / "twice.png", metadata={"Software": "cnclik", "Title": "x"}, dpi=style.DPI)
+        plt.close(second)
+    assert len(drawn) == 1
+    assert (tmp_path / "once.png").read_bytes() == (tmp_path / "twice.png").read_bytes()

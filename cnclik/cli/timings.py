@@ -1,0 +1,103 @@
+"""Where a command's time goes: importing, tracing, compiling, drawing, and the rest, which is running."""
+
+import builtins
+import contextlib
+import threading
+import time
+
+from cnclik.show.output import DRAWING
+
+EVENTS = {  # of jax.monitoring, which tells of beginnings as scalars and of ends as spans of time
+    "/jax/core/compile/jaxpr_trace_duration": "tracing",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
+    "/jax/core/compile/backend_compile_duration": "compiling",
+    DRAWING: "drawing",
+}
+_ORDER = ("compiling", "tracing", "importing", "drawing")  # where spans overlap, the first of these counts
+
+
+class Spans:
+    """Spans of time by what was done in them; threads may overlap, and one thing may be inside another."""
+
+    def __init__(self, begun: float):
+        self.begun, self.found, self.hits = begun, {name: [] for name in _ORDER}, 0
+
+    def add(self, what, start, end):
+        self.found[what].append((start, end))
+
+    def seconds(self, now=None) -> dict:
+        """{what: seconds}, each instant counted once, and the rest as "running"."""
+        spans, before, made = [], 0.0, {}
+        for name in _ORDER:
+            spans += self.found[name]
+            covered = length(spans)
+            made[name], before = covered - before, covered
+        whole = (time.time() if now is None else now) - self.begun
+        return made | {"running": max(whole - before, 0.0)}
+
+    def __str__(self):
+        """ "Time 3.2 s: importing 1.1, tracing 0.3, compiling 1.2 (7 programs, 5 from the cache), …"."""
+        found, programs = self.seconds(), len(self.found["compiling"])
+        about = f" ({programs} program{'s' * (programs != 1)}, {self.hits} from the cache)"
+        parts = [
+            f"{name} {found[name]:.1f}" + about * (name == "compiling")
+            for name in ("importing", "tracing", "compiling", "running", "drawing")
+        ]
+        return f"Time {sum(found.values()):.1f} s: {', '.join(parts)}."
+
+
+def length(spans) -> float:
+    """Length of the union of some spans."""
+    total, reached = 0.0, float("-inf")
+    for start, end in sorted(spans):
+        total += max(end - max(start, reached), 0.0)
+        reached = max(reached, end)
+    return total
+
+
+@contextlib.contextmanager
+def watch(begun: float):
+    """Yields the `Spans` of what happens inside; they began at `begun` (`time.time()`), with importing until now."""
+    spans = Spans(begun)
+    spans.add("importing", begun, time.time())
+    with _imports(spans):
+        from jax import monitoring
+
+        def span(event, start, end, **_):
+            if event in EVENTS:
+                spans.add(EVENTS[event], start, end)
+
+        def happened(event, **_):
+            spans.hits += event == "/jax/compilation_cache/cache_hits"
+
+        monitoring.register_event_time_span_listener(span)
+        monitoring.register_event_listener(happened)
+        try:
+            yield spans
+        finally:
+            monitoring.unregister_event_time_span_listener(span)
+            monitoring.unregister_event_listener(happened)
+
+
+@contextlib.contextmanager
+def _imports(spans):
+    """Modules are loaded all along a command: those that take a while, and are waited for, are spans, too."""
+    load, depth, here = builtins.__import__, 0, threading.current_thread()
+
+    def timed(*args, **kwargs):
+        nonlocal depth
+        if depth or threading.current_thread() is not here:
+            return load(*args, **kwargs)
+        start, depth = time.time(), 1
+        try:
+            return load(*args, **kwargs)
+        finally:
+            depth = 0
+            if (end := time.time()) - start > 1e-3:
+                spans.add("importing", start, end)
+
+    builtins.__import__ = timed
+    try:
+        yield
+    finally:
+        builtins.__import__ = load

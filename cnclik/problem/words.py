@@ -1,0 +1,43 @@
+"""Words: every name that an option may have, and the options that it takes. Read without loading JAX.
+
+`cnclik.problem.names` and `.reference` say what each name builds; to add one, add its line here and there.
+"""
+
+from typing import NamedTuple
+
+
+class Takes(NamedTuple):
+    """The options of a name."""
+
+    needs: tuple = ()  # options that must be given
+    takes: tuple = ()  # options that may be
+
+    @property
+    def options(self) -> tuple:
+        return (*self.needs, *self.takes)
+
+
+ROBOTS = {
+    "panda": Takes(),
+    "ur5": Takes(),
+    "planar": Takes(needs=("lengths",)),
+    "planar-clockwise": Takes(needs=("lengths",)),
+}
+URDF = Takes(takes=("tip", "base"))
+TASKS = ("pose", "position", "orientation")
+INVERSES = {
+    "pseudoinverse": Takes(),
+    "damped": Takes(needs=("damping",)),
+    "transpose": Takes(),
+    "manipulability-damped": Takes(needs=("damping", "threshold")),
+    "singular-damped": Takes(needs=("damping", "threshold")),
+}
+LIMITS = ("none", "velocity-scaling", "weighted-least-norm", "saturation")
+REFERENCES = {
+    "hold": Takes(takes=("target",)),
+    "line": Takes(takes=("from", "to", "period")),
+    "circle": Takes(takes=("center", "radius", "normal", "phase", "period")),
+    "lissajous": Takes(takes=("center", "amplitude", "frequency", "phase", "period")),
+}
+METHODS = ("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4")
+STAGES = ("picard", "chord", "newton")

@@ -1,0 +1,264 @@
+"""The kinematic tree of a URDF file: links, joints, limits. Read without loading JAX.
+
+Meshes, inertias and plugin sections are passed over, so nothing has to be found next to the file.
+"""
+
+import dataclasses
+import functools
+import math
+import os
+import pathlib
+from typing import NamedTuple
+
+from cnclik import errors
+
+MOVING = ("revolute", "continuous", "prismatic")
+NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Edge:
+    """A joint of the tree, as the file has it."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin: tuple  # position [m], rows of the rotation
+    axis: tuple
+    lower: float  # [rad, m], −inf where the file gives none
+    upper: float
+    velocity: float  # [rad/s, m/s], inf where the file gives none
+    mimic: tuple | None  # (joint name, multiplier, offset)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tree:
+    """What a URDF file says of its kinematics: one root, every other link the child of one joint."""
+
+    file: str
+    name: str
+    root: str
+    links: tuple
+    edges: tuple  # of Edge, in the file's order
+
+    @functools.cached_property
+    def above(self) -> dict:
+        """Link name -> the joint it hangs on."""
+        return {e.child: e for e in self.edges}
+
+    @functools.cached_property
+    def below(self) -> dict:
+        """Link name -> the joints that hang on it."""
+        found = {link: [] for link in self.links}
+        for e in self.edges:
+            found[e.parent].append(e)
+        return found
+
+    @property
+    def leaves(self) -> tuple:
+        return tuple(link for link in self.links if not self.below[link])
+
+    def way(self, tip, base=None) -> tuple | None:
+        """The joints from base (by default the root) to tip, or None where tip does not hang on base."""
+        found, link = [], tip
+        while link != (base or self.root):
+            if link not in self.above:
+                return None
+            found.append(self.above[link])
+            link = found[-1].parent
+        return tuple(reversed(found))
+
+    def tips(self, base=None) -> tuple:
+        """Leaf links that some joint moves against the base: the candidates for a tip."""
+        ways = {leaf: self.way(leaf, base) for leaf in self.leaves}
+        return tuple(leaf for leaf, way in ways.items() if way and any(e.type != "fixed" for e in way))
+
+
+def read_urdf(path) -> Tree:
+    """The whole kinematic tree of a URDF file. Raises ArgumentError as `load_urdf`."""
+    try:
+        path = pathlib.Path(path)
+    except TypeError:
+        raise errors.fail("path", "be a file name", f"is {path!r}") from None
+    if path.is_dir() or not path.exists():
+        raise errors.fail("path", "name a URDF file", f"{os.fspath(path)!r} is {_absent(path)}")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise errors.fail("path", "name a file that can be read", f"{path.name}: {error.strerror}") from None
+    root = _root(path.name, data)
+    try:
+        links = tuple(element.attrib["name"] for element in root.findall("link"))
+        joints = [_written(element) for element in root.findall("joint")]
+    except (KeyError, AttributeError, ValueError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise errors.fail(
+            "path", "name a valid URDF file", f"{path.name} has a bad or missing entry: {reason}"
+        ) from None
+    return _tree(path.name, root.get("name", path.name), links, joints)
+
+
+def _absent(path):
+    return "a folder" if path.is_dir() else "not there"
+
+
+def _root(file, data):
+    """The file's outermost element, <robot>.
+
+    Well-formedness is checked strictly; prefixes need not be declared, as ROS tools write undeclared ones.
+    """
+    from xml.etree import ElementTree
+    from xml.parsers import expat
+
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes)
+    parser.EndElementHandler = builder.end
+    try:
+        parser.Parse(data, True)
+        root = builder.close()
+    except (expat.ExpatError, ValueError, AssertionError) as error:
+        empty = not data.strip()
+        what = "is empty" if empty else f"is not well-formed XML: {error}"
+        raise errors.fail("path", "name a URDF file", f"{file} {what}") from None
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
+        raise errors.fail("path", "name a plain URDF file", f"{file} is xacro: run `xacro {file} -o robot.urdf` first")
+    if root.tag != "robot":
+        raise errors.fail("path", "name a URDF file", f"{file} holds <{root.tag}>, not <robot>")
+    return root
+
+
+class _Written(NamedTuple):
+    """A joint as the file has it, read but not judged."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin: tuple | None  # position, and the angles roll, pitch, yaw about the fixed axes
+    axis: tuple
+    limit: tuple | None  # lower, upper, velocity; None what isn't given
+    mimic: tuple | None
+
+
+def _written(element) -> _Written:
+    origin, axis, limit, mimic = (element.find(part) for part in ("origin", "axis", "limit", "mimic"))
+
+    def number(part, name, default=None):
+        text = part.get(name)
+        return default if text is None else float(text)
+
+    return _Written(
+        name=element.attrib["name"],
+        type=element.get("type"),
+        parent=element.find("parent").get("link"),
+        child=element.find("child").get("link"),
+        origin=None if origin is None else (_three(origin, "xyz"), _three(origin, "rpy")),
+        axis=(1.0, 0.0, 0.0) if axis is None else tuple(map(float, axis.get("xyz", "1 0 0").split())),
+        limit=None if limit is None else tuple(number(limit, name) for name in ("lower", "upper", "velocity")),
+        mimic=None
+        if mimic is None
+        else (mimic.get("joint"), number(mimic, "multiplier", 1.0), number(mimic, "offset", 0.0)),
+    )
+
+
+def _three(element, name):
+    x, y, z = map(float, element.get(name, "0 0 0").split())
+    return x, y, z
+
+
+def _rotation(roll, pitch, yaw):
+    """Rows of Rz(yaw)·Ry(pitch)·Rx(roll)."""
+    (a, b, c), (d, e, f) = ([turn(angle) for angle in (roll, pitch, yaw)] for turn in (math.sin, math.cos))
+    return (
+        (f * e, f * b * a - c * d, f * b * d + c * a),
+        (c * e, c * b * a + f * d, c * b * d - f * a),
+        (-b, e * a, e * d),
+    )
+
+
+def _tree(file, name, links, joints) -> Tree:
+    """The robot as a checked tree: names unique, links known, one root, no loop."""
+
+    def bad(what):
+        return errors.fail("path", "name a robot that is a tree of links", f"{file} {what}")
+
+    if not links:
+        raise bad("has no links")
+    for kind, names in (("link", links), ("joint", [j.name for j in joints])):
+        twice = sorted({n for n in names if list(names).count(n) > 1})
+        if twice:
+            raise bad(f"has more than one {kind} {twice[0]!r}")
+    parent = {}
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise bad(f"has no link {link!r}, which joint {joint.name!r} connects")
+        if joint.child in parent:
+            raise bad(f"has a loop: link {joint.child!r} hangs on {parent[joint.child].name!r} and {joint.name!r}")
+        parent[joint.child] = joint
+    for link in links:  # up from every link: more steps than links is a circle
+        seen = [link]
+        while seen[-1] in parent:
+            seen.append(parent[seen[-1]].parent)
+            if len(seen) > len(links):
+                raise bad(f"has a loop through link {seen[-1]!r}")
+    roots = [link for link in links if link not in parent]
+    if len(roots) > 1:
+        raise bad(f"has {len(roots)} roots: {', '.join(roots)}")
+    edges = tuple(_edge(file, joint) for joint in joints)
+    return Tree(file=file, name=name, root=roots[0], links=links, edges=edges)
+
+
+def _edge(file, joint) -> Edge:
+    def bad(what):
+        return errors.fail("path", "name a valid URDF file", f"joint {joint.name!r} of {file} {what}")
+
+    origin, axis = NO_OFFSET, (1.0, 0.0, 0.0)
+    if joint.origin is not None:
+        position, angles = joint.origin
+        if not all(map(math.isfinite, (*position, *angles))):
+            raise bad("has an origin that is not finite")
+        origin = _snapped(position), tuple(map(_snapped, _rotation(*angles)))
+    lower, upper, velocity, mimic = -math.inf, math.inf, math.inf, None
+    if joint.type not in (*MOVING, "fixed", "floating", "planar"):
+        raise bad(f"has type {joint.type!r}")
+    if joint.type in MOVING:
+        vector = joint.axis
+        length = math.hypot(*vector)
+        if len(vector) != 3 or not math.isfinite(length) or length == 0:
+            raise bad(f"has axis {' '.join(f'{x:g}' for x in vector)}")
+        axis = _snapped(x / length for x in vector)
+        if joint.limit is None and joint.type != "continuous" and joint.mimic is None:
+            raise bad(f"is {joint.type} and has no <limit>")
+        if joint.limit is not None:
+            low, high, velocity = joint.limit
+            if joint.type != "continuous" and (low, high) != (None, None):
+                lower, upper = low or 0.0, high or 0.0  # one of the two omitted is 0, says the format
+            velocity = velocity if velocity is None or math.isnan(velocity) else abs(velocity) or math.inf
+            velocity = math.inf if velocity is None else velocity
+        if math.isnan(lower) or math.isnan(upper) or math.isnan(velocity):
+            raise bad("has a limit that is not a number")
+        if lower > upper:
+            raise bad(f"has lower limit {lower:g} above upper limit {upper:g}")
+        if joint.mimic is not None:
+            mimic = joint.mimic
+            if not all(math.isfinite(x) for x in mimic[1:]):
+                raise bad("has a mimic multiplier or offset that is not finite")
+    return Edge(
+        name=joint.name,
+        type=joint.type,
+        parent=joint.parent,
+        child=joint.child,
+        origin=origin,
+        axis=axis,
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        mimic=mimic,
+    )
+
+
+def _snapped(values):
+    """Rounding dust of sines and cosines made exact, so that literal zeros and ones fold away."""
+    return tuple(float(round(x)) if abs(x - round(x)) < 1e-15 else x for x in values)

@@ -1,0 +1,109 @@
+"""Programs kept between runs: where, whose, how many; and the second process compiles none of them."""
+
+import os
+import pathlib
+import re
+import stat
+import subprocess
+import sys
+
+import pytest
+
+from cnclik import compilation
+
+ROOT = pathlib.Path(__file__).parents[2]
+SOLVE = ["solve", "planar:1,1", "--N", "3", "--no-figures", "--timings"]
+
+
+def run(folder, *argv, **more):
+    """A command with `folder` as the user's cache folder: what it printed; nothing on stderr."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
+    environment |= {"XDG_CACHE_HOME": str(folder), "HOME": str(folder), "PYTHONPATH": str(ROOT)} | more
+    done = subprocess.run(
+        [sys.executable, "-m", "cnclik", *argv], env=environment, capture_output=True, text=True, cwd=folder
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def programs(said):
+    """(compiled or taken from the cache, taken from the cache) of what --timings tells."""
+    return tuple(map(int, re.search(r"\((\d+) programs?, (\d+) from the cache\)", said).groups()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the folder of Linux")
+def test_the_second_process_compiles_nothing(tmp_path):
+    first, hits = programs(run(tmp_path, *SOLVE))
+    (place,) = (tmp_path / "cnclik").iterdir()
+    kept = {path: path.stat().st_mtime_ns for path in place.iterdir()}
+    assert first >= len(kept) > 0 and hits < first / 2
+    assert stat.S_IMODE((tmp_path / "cnclik").stat().st_mode) == stat.S_IMODE(place.stat().st_mode) == 0o700
+    again = programs(run(tmp_path, *SOLVE))
+    assert again == (first, first)
+    assert kept == {path: path.stat().st_mtime_ns for path in place.iterdir()}
+    # Switched off, nothing is read; and JAX's own switches have the last word.
+    assert programs(run(tmp_path, *SOLVE, "--no-cache"))[1] == 0
+    elsewhere = tmp_path / "elsewhere"
+    assert programs(run(tmp_path, *SOLVE, JAX_COMPILATION_CACHE_DIR=str(elsewhere)))[1] < first
+    assert any(elsewhere.iterdir())
+    # What is damaged is compiled again, and no word of it.
+    for path in kept:
+        path.write_bytes(b"damaged")
+    assert programs(run(tmp_path, *SOLVE))[1] == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the folder of Linux")
+@pytest.mark.parametrize("why", ["is a file", "others may write"])
+def test_a_folder_that_is_no_good_is_no_error(tmp_path, why):
+    if why == "is a file":
+        (tmp_path / "cnclik").write_text("")
+    else:
+        (tmp_path / "cnclik").mkdir()
+        (tmp_path / "cnclik").chmod(0o777)
+    code = "import jax, cnclik as ck; print(ck.use_cache(), jax.config.jax_compilation_cache_dir)"
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPILATION")}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("None None\n", "")
+
+
+def test_where_and_the_switches(tmp_path, monkeypatch):
+    import jax
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    if sys.platform != "darwin":
+        assert compilation.user_folder() == tmp_path / "cnclik"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    assert compilation.user_folder().is_absolute()
+    monkeypatch.setattr(compilation.sys, "platform", "darwin")
+    assert compilation.user_folder().parts[-3:] == ("Library", "Caches", "cnclik")
+    named = jax.config.jax_compilation_cache_dir
+    least = jax.config.jax_persistent_cache_min_compile_time_secs
+    try:
+        assert compilation.use_cache() == pathlib.Path(named)  # the environment's
+        assert compilation.use_cache(tmp_path / "mine").parent == tmp_path / "mine"
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine" / compilation.machine())
+        jax.config.update("jax_enable_compilation_cache", False)
+        assert compilation.use_cache(tmp_path / "other") is None and not (tmp_path / "other").exists()
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+        jax.config.update("jax_compilation_cache_dir", named)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
+        jax.experimental.compilation_cache.compilation_cache.reset_cache()
+
+
+def test_the_oldest_makes_room_and_nothing_else_is_touched(tmp_path):
+    def write(folder, name, age):
+        path = tmp_path / folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"x" * 100)
+        os.utime(path, (1e9 - age, 1e9 - age))
+
+    for age, name in enumerate("abcd"):
+        write(f"jaxlib-{name}", "program-cache", age)
+    write("mine", "program-cache", 9)
+    write("jaxlib-a", "mine", 9)
+    for _ in range(2):
+        compilation.cut(tmp_path, 250)
+        assert {path.parent.name for path in tmp_path.glob("*/program-cache")} == {"jaxlib-a", "jaxlib-b", "mine"}
+    assert (tmp_path / "jaxlib-a" / "mine").exists()
