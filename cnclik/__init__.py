@@ -8,6 +8,7 @@ through everything.
 import importlib
 from typing import TYPE_CHECKING
 
+from cnclik.lazy import on_use
 from cnclik.version import __version__
 
 if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type checkers
@@ -64,7 +65,7 @@ _ON_USE = {
     "law.limits": "saturation velocity_scaling weighted_least_norm",
     "law.null": "maximize_manipulability posture",
     "law.reference": "Reference circle hold line lissajous path waypoints with_feedforward",
-    "law.task": "Task orientation position",
+    "law.task": "Task orientation pose_task=pose position",
     "measure.dataset": "to_dataset",
     "measure.metrics": "Metrics measure_run",
     "problem.build": "problem_from",
@@ -82,8 +83,6 @@ _ON_USE = {
     "tuning.calibrate": "calibrate",
     "tuning.tune": "tune",
 }
-_MODULE = {name: module for module, names in _ON_USE.items() for name in names.split()} | {"pose_task": "law.task"}
-
 __all__ = [
     *("CN", "EE", "HEUN", "IE", "METHODS", "MIDPOINT", "RK4", "TRAPEZOID", "ArgumentError", "Chain", "Law", "Method"),
     *("Metrics", "Pose", "Reference", "Status", "Step", "StepError", "Task", "Trajectory", "__version__", "bench"),
@@ -98,14 +97,13 @@ __all__ = [
 ]
 
 
+_of_modules, _ = on_use(__name__, _ON_USE)
+
+
 def __getattr__(name):
     if name in (*_ROOMS, *_INNER):
         return importlib.import_module(f"cnclik.{name}")
-    if name not in _MODULE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(importlib.import_module(f"cnclik.{_MODULE[name]}"), "pose" if name == "pose_task" else name)
-    globals()[name] = found
-    return found
+    return _of_modules(name)
 
 
 def __dir__():

@@ -67,6 +67,17 @@ def keeps_history() -> bool:
     return _lanes.value >= 0
 
 
+def as_here(fn):
+    """The function with the caller's switch, form and precision, for another thread, which knows nothing of them."""
+    wide, switch, form = jax.config.jax_enable_x64, switched_on(), _form.value
+
+    def there(*args):
+        with jax.enable_x64(wide), _context(switch), _form(form):
+            return fn(*args)
+
+    return there
+
+
 def on_cpu() -> bool:
     """Whether what is traced is a program for a CPU."""
     return jax.default_backend() == "cpu" and _lanes.value >= 0

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
-GROUND = ("errors", "record", "hints", "precision", "compilation", "version")
+GROUND = ("errors", "record", "hints", "precision", "compilation", "lazy", "version")
 ROOMS = ("robot", "law", "integrate", "problem", "measure", "stability", "sweeps", "tuning", "show", "paper", "bench")
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
 MOST_LINES = 400

@@ -1,6 +1,11 @@
 """What this machine does in a second: `bench.measure_apart(bench.Line(robot="panda", method="EE", stage="picard"))`."""
 
-from cnclik.bench.lines import Line, product, table
-from cnclik.bench.timing import LineError, measure, measure_apart
+from cnclik.lazy import on_use
 
-__all__ = ["Line", "LineError", "measure", "measure_apart", "product", "table"]
+__getattr__, __all__ = on_use(
+    __name__,
+    {
+        "lines": "Line product table",
+        "timing": "LineError measure measure_apart",
+    },
+)

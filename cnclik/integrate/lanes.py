@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import Recent, few_lanes, is_wide, known_options, switched_on, use_hints
+from cnclik.hints import Recent, as_here, few_lanes, form, is_wide, known_options, switched_on
 from cnclik.hints import cores as available
 from cnclik.integrate import kernel
 
@@ -79,7 +79,7 @@ def _hinted(fn):
     hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
 
     def call(*args):
-        key = switched_on(), _signature(*jax.tree.flatten(args))
+        key = switched_on(), form(), _signature(*jax.tree.flatten(args))
         made = found.get(key)
         if made is None:
             made = found[key] = hinted() if options(plain.trace(*args)) else plain
@@ -185,17 +185,15 @@ def _tiled(fn, tile, *args):
 def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     """Run blocks side by side; each result is copied into place as soon as it is there."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
-    key = block, switched_on(), _signature(leaves, treedef)
+    key = block, switched_on(), form(), _signature(leaves, treedef)
 
-    wide, switch = jax.config.jax_enable_x64, switched_on()
-
+    @as_here
     def run(start):
-        with jax.enable_x64(wide), use_hints(switch):  # a thread of the pool knows nothing of the caller's contexts
-            part = [_take(leaf, start, block) for leaf in leaves]
-            device = workers[start // block % len(workers)]
-            if device is not None:
-                part = jax.device_put(part, device)
-            return start, jax.block_until_ready(compiled(*jax.tree.unflatten(treedef, part)))
+        part = [_take(leaf, start, block) for leaf in leaves]
+        device = workers[start // block % len(workers)]
+        if device is not None:
+            part = jax.device_put(part, device)
+        return start, jax.block_until_ready(compiled(*jax.tree.unflatten(treedef, part)))
 
     starts = list(range(0, size, block))
     whole = None

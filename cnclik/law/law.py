@@ -125,12 +125,7 @@ class Evaluation(NamedTuple):
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
     """f(q, t) for q a tuple of n scalars."""
-    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
-    if not sp.unrolled(q):
-        position_d, xdot_d = sp.packed(position_d, q.dtype), sp.packed(xdot_d, q.dtype)
-        rotation_d = None if rotation_d is None else sp.packed(rotation_d, q.dtype)
-    at = frames(law.chain, q)
-    e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
+    e, x, rows, xdot_d = seen(law, reference, t, q)
     velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, clamped(law, e)))
     rows, velocity = _weigh(law.task, rows), _weigh(law.task, velocity)
     wanted, held = null_velocity(law, q), False
@@ -145,13 +140,24 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
     return Evaluation(
         qdot=qdot,
         e=e,
-        x=lambda: coordinates(law.task, at.position, at.rotation),
+        x=x,
         rows=rows,
         apply=made.apply,
         least=made.least,
         correct=lambda h, r: correct(law, q, rows, made, h, r),
         held=held,
     )
+
+
+def seen(law: Law, reference, t, q):
+    """What the law sees at q: the error (m,), a function that gives x (m,), the rows of J, and ẋ_d (m,)."""
+    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
+    if not sp.unrolled(q):
+        position_d, xdot_d = sp.packed(position_d, q.dtype), sp.packed(xdot_d, q.dtype)
+        rotation_d = None if rotation_d is None else sp.packed(rotation_d, q.dtype)
+    at = frames(law.chain, q)
+    e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
+    return e, lambda: coordinates(law.task, at.position, at.rotation), rows, xdot_d
 
 
 def correct(law: Law, q, rows, made, h, r):

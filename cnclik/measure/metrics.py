@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.status import Status
@@ -20,9 +19,10 @@ from cnclik.law import reference as ref
 from cnclik.law.law import Law, evaluate
 from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
+from cnclik.record import cast
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import PRISMATIC
-from cnclik.robot.rolled import in_form
+from cnclik.robot.rolled import in_form, one_off
 
 
 @jax.tree_util.register_pytree_node_class
@@ -180,7 +180,7 @@ def _rms_qddot(loop):
 
 def _limit_distance(loop):
     q = loop.run.q
-    below, above = q - np.asarray(loop.law.chain.lower), np.asarray(loop.law.chain.upper) - q
+    below, above = q - jnp.asarray(loop.law.chain.lower), jnp.asarray(loop.law.chain.upper) - q
     return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
@@ -268,7 +268,7 @@ METRICS = {
         lambda of: jnp.sum(_norms(jnp.diff(of.run.q, axis=0))), "q", "length of the joint path, Σ‖Δq‖"
     ),
     "velocity_ratio": Metric(
-        lambda of: _max(_finite(jnp.abs(of.run.qdot) / np.asarray(of.law.chain.velocity_limit))),
+        lambda of: _max(_finite(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit))),
         "1",
         "largest |q̇ᵢ| over its limit",
     ),
@@ -320,9 +320,14 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
     """
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
-    loop = Measured(run, law, reference, tolerance)
-    values = [METRICS[name].fn(loop) for name in names]
+    values = _values(run, law, reference, jnp.asarray(tolerance, run.e.dtype), names=tuple(names))
     return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
+
+
+@one_off(static_argnames=("names",))
+def _values(run, law, reference, tolerance, *, names):
+    loop = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
+    return [METRICS[name].fn(loop) for name in names]
 
 
 def check(names, law: Law) -> None:

@@ -4,9 +4,11 @@ run = paper.experiment("5dof", "track", "CN")     # one of its runs
 found = paper.reproduce("reproduced")             # all of them, with data, claims and figures in a folder
 """
 
+from cnclik.lazy import on_use
 from cnclik.paper import choices
 from cnclik.paper.choices import DEFAULT, READINGS, reading
 
+__getattr__, _ = on_use(__name__, {"claims": "judge", "readings": "experiment"})
 __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
 
 
@@ -52,13 +54,3 @@ def _write(folder, found, shown, captions) -> None:
     (folder / "claims.json").write_text(json.dumps(judged, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     text = story.story(judged, found.trajectories, found.methods, shown, captions)
     (folder / "claims.md").write_text(text, encoding="utf-8")
-
-
-def __getattr__(name):
-    if name == "judge":
-        from cnclik.paper.claims import judge as found  # loads xarray
-    elif name == "experiment":
-        from cnclik.paper.readings import experiment as found  # loads JAX
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return found

@@ -1,27 +1,13 @@
 """A loop in plain names: one vocabulary and one builder."""
 
-import importlib
+from cnclik.lazy import on_use
 
-# On use: the command line reads the options without loading JAX.
-_ROOM = {
-    "DEFAULTS": "options",
-    "OPTIONS": "options",
-    "REFERENCES": "reference",
-    "Problem": "build",
-    "inverse_from": "names",
-    "limits_from": "names",
-    "method_from": "names",
-    "problem_from": "build",
-    "reference_from": "reference",
-    "robot_from": "names",
-    "stage_from": "names",
-    "start_from": "names",
-    "task_from": "names",
-}
-__all__ = list(_ROOM)
-
-
-def __getattr__(name):
-    if name not in _ROOM:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_ROOM[name]}"), name)
+__getattr__, __all__ = on_use(
+    __name__,
+    {
+        "options": "DEFAULTS OPTIONS",
+        "reference": "REFERENCES reference_from",
+        "build": "Problem problem_from",
+        "names": "inverse_from limits_from method_from robot_from stage_from start_from task_from",
+    },
+)

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import use_hints
 from cnclik.law import reference as ref
 from cnclik.problem import words
 from cnclik.problem.names import Choice, choices, fitting
+from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.frames import frames
+from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import arm_length
 
 
@@ -86,7 +86,7 @@ def _circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
     at, rotation = _point("center", center, scene.task, scene.here)
     if center is None:
         first = ref.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve(0.0)[0]
-        at = at - _stacked(first)
+        at = at - _known(sp.packed(first))
     return ref.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
 
 
@@ -110,18 +110,13 @@ def _needs_position(name, task):
 
 
 def _tip(chain, q):
-    with use_hints(False):
-        at = frames(chain, tuple(_known(q)))
-    return _stacked(at.position), _stacked([_stacked(row) for row in at.rotation])
+    at = pose(chain, q)
+    return _known(at.position), _known(at.rotation)
 
 
 def _known(values):
     """Numbers as a NumPy array; what is traced stays as it is, so that a sweep can vary it."""
     return np.asarray(values, float) if errors.concrete(values) else values
-
-
-def _stacked(values):
-    return np.array(values, float) if all(map(errors.concrete, values)) else jnp.stack([jnp.asarray(v) for v in values])
 
 
 def _away(scene):

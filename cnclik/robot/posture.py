@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import use_hints
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.rolled import in_form, one_off
 
 
 def arm_length(chain: Chain):
@@ -38,14 +38,18 @@ def is_planar(chain: Chain) -> bool:
 
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
-
-    def one(q):
-        return sp.packed(jacobian_rows(chain, frames(chain, tuple(q)), task.linear, task.angular), q.dtype)
-
-    with use_hints(False):  # run as written: compiling the chain for one look at it would take seconds
-        j = np.array(jax.vmap(one)(jnp.asarray(postures)))
+    j = np.array(_jacobians(chain, jnp.asarray(postures), linear=task.linear, angular=task.angular))
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
+
+
+@one_off(static_argnames=("linear", "angular"))
+def _jacobians(chain, postures, *, linear, angular):
+    def one(q):
+        own, q = in_form(chain, q)
+        return sp.packed(jacobian_rows(own, frames(own, q), linear, angular), postures.dtype)
+
+    return jax.vmap(one)(postures)
 
 
 def start_posture(chain: Chain, task):

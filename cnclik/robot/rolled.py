@@ -75,19 +75,22 @@ def sooner():
     return use_form(form() or "rolled")
 
 
-def one_off(fn=None, **options):
+def one_off(fn=None, *, as_given=False, **options):
     """`jax.jit`, with its arguments, for programs that are run `sooner`.
 
-    Chains among the arguments are rolled before the call, so that one program serves all robots of a shape.
+    Chains among the arguments are rolled before the call, so that one program serves all robots of a shape; unless
+    they are wanted `as_given`, by a function that changes their links or has one for each lane.
     """
     if fn is None:
-        return functools.partial(one_off, **options)
+        return functools.partial(one_off, as_given=as_given, **options)
     jitted = jax.jit(fn, **options)
 
     @functools.wraps(fn)
     def call(*args, **named):
+        if not all(map(errors.concrete, jax.tree.leaves((args, named)))):
+            return jitted(*args, **named)  # part of another program, whose form it takes
         with sooner():
-            return jitted(*(map(roll, args) if pays(1) else args), **named)
+            return jitted(*(map(roll, args) if pays(1) and not as_given else args), **named)
 
     return call
 

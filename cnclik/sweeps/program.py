@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import cores
+from cnclik.hints import as_here, cores
 from cnclik.integrate.lanes import lanes, options
 from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid
@@ -122,8 +122,9 @@ def run_blocks(study, of: Grid, blocks, first: Program | None = None):
     """
     workers = blocks_at_once()
     waiting = collections.deque()
-    for number, group in itertools.groupby(blocks, key=lambda b: b.program):
-        program = first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
+    groups = [(number, list(group)) for number, group in itertools.groupby(blocks, key=lambda b: b.program)]
+    compiled = _compiled(study, of, [number for number, _ in groups], first)
+    for (number, group), program in zip(groups, compiled, strict=True):
         if first is not None and [o[:3] for o in program.outputs] != [o[:3] for o in first.outputs]:
             raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
         with ThreadPoolExecutor(workers) as pool:
@@ -133,6 +134,21 @@ def run_blocks(study, of: Grid, blocks, first: Program | None = None):
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
+
+
+def _compiled(study, of, numbers, first):
+    """The programs of these numbers in their order, the next ones compiled while one is in use."""
+    todo = iter([number for number in numbers if first is None or number != 0])
+    make = as_here(lambda number: compile_program(study, of.programs[number], of))
+    with ThreadPoolExecutor(cores()) as pool:
+        ahead = collections.deque(pool.submit(make, number) for number in itertools.islice(todo, cores()))
+        for number in numbers:
+            if first is not None and number == 0:
+                yield first
+                continue
+            program = ahead.popleft().result()
+            ahead.extend(pool.submit(make, more) for more in itertools.islice(todo, 1))
+            yield program
 
 
 def _compute(program, of, block):

@@ -20,12 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import form, use_form
 from cnclik.integrate.method import named
 from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.measure import metrics
 from cnclik.problem.build import problem_from
 from cnclik.problem.names import robot_from, stage_from
 from cnclik.problem.options import DEFAULTS, OPTIONS, units
+from cnclik.robot.rolled import pays
 from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, per_joint
@@ -124,14 +126,15 @@ class Spec:
     def study(self, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
         law, reference, q0, Ts, N, method, stage = self.build(**values)
-        run = solve(law, reference, q0, Ts, N, method, stage)
-        return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
+        work = _evaluations(law, N, method, stage) * math.prod(len(a) for a in self.axes.values() if a.inner)
+        with use_form(form() or ("rolled" if pays(work) else None)):
+            run = solve(law, reference, q0, Ts, N, method, stage)
+            return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""
         law, _, _, _, N, method, stage = self.build(**program, **self.first(last=True))
-        stage = dataclasses.replace(stage, M=getattr(stage, "maximum", stage.M))
-        return N * float(evaluations_per_step(method, stage, law.chain.n))
+        return _evaluations(law, N, method, stage)
 
     def all_units(self) -> dict:
         """Units of the axes, given or known."""
@@ -156,6 +159,11 @@ class Spec:
         named += [v for name in ("robot", "reference") if name in self.axes for v in self.axes[name].values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
+
+
+def _evaluations(law, N, method, stage) -> float:
+    stage = dataclasses.replace(stage, M=getattr(stage, "maximum", stage.M))
+    return N * float(evaluations_per_step(method, stage, law.chain.n))
 
 
 def joints_of(known, look) -> int:

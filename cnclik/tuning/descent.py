@@ -107,7 +107,7 @@ def begin(optimizer, u, constraints: int) -> Carry:
     )
 
 
-@one_off(static_argnames=("steps", "optimizer", "mode"))
+@one_off(as_given=True, static_argnames=("steps", "optimizer", "mode"))
 def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
     """`steps` evaluations from each of S starts, with fixed multipliers.
 

@@ -181,7 +181,7 @@ def _corrections(maps):
     return jnp.eye(maps.shape[-1], dtype=maps.dtype) - maps
 
 
-@one_off
+@one_off(as_given=True)
 def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
 

@@ -8,12 +8,10 @@ import jax.numpy as jnp
 
 from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
-from cnclik.law import reference as ref
+from cnclik.law.law import seen
 from cnclik.law.shifted import shifted
-from cnclik.law.task import coordinates, error_and_rows
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames
 from cnclik.robot.rolled import in_form
 from cnclik.tuning.parameters import Adjustable, scheduled
 
@@ -43,42 +41,33 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
       delay: samples by which the measured error is late; before the first one is there it is taken as e[0].
       horizon: [s] over which a gain schedule is spread, N·Ts by default.
     """
-    plain = delay == 0 and loop.schedule is None and scenario.noise is None and scenario.plant is None
-    if plain:
+    differs = scenario.plant is not None
+    if delay == 0 and loop.schedule is None and scenario.noise is None and not differs:
         return solve(loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage)
     dtype = scenario.q0.dtype
-    loop, scenario = cast((loop, scenario), dtype)
+    law, q0 = in_form(loop.law, scenario.q0)
+    plant = in_form(scenario.plant, scenario.q0)[0] if differs else law.chain
+    loop, plant, scenario = cast((replace(loop, law=law), plant, replace(scenario, plant=None)), dtype)
     law, reference, Ts = loop.law, scenario.reference, loop.Ts
-    law, q0 = in_form(law, scenario.q0)
-    plant = None if scenario.plant is None else in_form(scenario.plant, scenario.q0)[0]
-    true_law = law if plant is None else replace(law, chain=plant)
-    loop = replace(loop, law=law)
+    true_law = replace(law, chain=plant)
     horizon = N * Ts if horizon is None else horizon
-    first, _ = _error(true_law, reference, jnp.zeros((), dtype), q0)
+    first = seen(true_law, reference, jnp.zeros((), dtype), q0)[0]
 
     def one(carry, k):
         q, past = carry
         t = k * Ts
-        e, x = _error(true_law, reference, t, q)
+        e, x, *_ = seen(true_law, reference, t, q)
         late = (e, *past)
         measured = late[delay]
         if scenario.noise is not None:
             row = scenario.noise[k.astype(int)]
-            measured = tuple(v + row[i] for i, v in enumerate(measured))
-        model = e if scenario.plant is None else _error(law, reference, t, q)[0]
+            measured = sp.vadd(measured, sp.like(measured, row))
+        model = seen(law, reference, t, q)[0] if differs else e
         told = shifted(reference, law.task, sp.vsub(measured, model))
         length = jnp.where(k < N, Ts, 0.0)  # see `instants`
         made = advance(scheduled(loop, t / horizon), told, q, t, length, method, stage)
-        return (made.q, late[:delay]), replace(made, q=q, x=x, e=e)
+        return (made.q, late[:delay]), replace(made, q=q, x=x(), e=e)
 
     k = jnp.arange(N + 1).astype(dtype)
     found = instants(one, (q0, (first,) * delay), k, q0, law.task.m)
     return assemble(k * Ts, found, N * evaluations_per_step(method, stage, law.chain.n))
-
-
-def _error(law, reference, t, q):
-    """The error and the task coordinates at q."""
-    position, rotation, _ = ref.sample(reference, law.task, t)
-    at = frames(law.chain, q)
-    e, _ = error_and_rows(law.task, law.chain, at, position, rotation)
-    return e, coordinates(law.task, at.position, at.rotation)

@@ -34,7 +34,6 @@ from cnclik.show import style
 from cnclik.sweeps.sweep import sweep
 from cnclik.tuning import Descent, judge, loop_objective, tune
 from cnclik.tuning import parameters as pm
-from cnclik.tuning.objective import along
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "tuning"
 HAND = 5.0  # [1/s], Drexler (2016), Section V
@@ -95,7 +94,7 @@ def rivals(case: str, gain: str, *, method="EE", margin=0.9, steps=100, progress
     ways = {
         "hand-picked α = 5": lambda: (law.alpha, 1),
         "grid": lambda: _by_grid(objective, made, law, steps),
-        "Nelder-Mead": lambda: _by_simplex(along(objective, by_hand), law.alpha, steps),
+        "Nelder-Mead": lambda: _by_simplex(replace(objective, postures=by_hand.postures), law.alpha, steps),
         "gradient": by_tune,
     }
     rows = []

@@ -14,6 +14,8 @@ from cnclik.show import sweeps
 from cnclik.sweeps import cost, estimate, open_sweep, run_spec
 from tests.specs import reaching
 
+pytestmark = pytest.mark.form("unrolled")  # as the sweep that the fixture makes
+
 TEXT = reaching(
     metrics=["final_error", "max_qdot", "evaluations", "error"],
     N=6,

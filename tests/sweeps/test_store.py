@@ -22,6 +22,8 @@ from cnclik.errors import ArgumentError
 from cnclik.sweeps import run_spec, spec, store
 from tests.specs import reaching
 
+pytestmark = pytest.mark.form("unrolled")  # rolled, blocks of other sizes give other roundings
+
 TEXT = reaching(
     metrics=["final_error", "ok", "error"],
     more="lanes = 16",

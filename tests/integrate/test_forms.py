@@ -1,0 +1,154 @@
+"""The rolled form gives what the unrolled form gives: every inverse, limit, null-space term, method and stage."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.robot.rolled import ROLLED, RolledChain, in_form, pays
+from tests.oracles import close
+
+LIMITS = {"lower": (-3.0, -2.0, -3.0, -2.0), "upper": (3.0, 0.9, 3.0, 2.0), "velocity_limit": (2.0, 2.0, np.inf, 1.0)}
+ARM = ck.replace(ck.planar_arm([1.0, 0.8, 0.6, 0.4]), **LIMITS)
+Q0 = np.array([0.3, 0.5, -0.4, 0.9])
+TASKS = {
+    "position": ck.position("xy"),
+    "pose": ck.pose_task("xy", "z"),
+    "weighted": ck.position("xy", weights=[1.0, 3.0]),
+}
+INVERSES = {
+    "pseudoinverse": ck.pseudoinverse(),
+    "damped": ck.damped(0.1),
+    "transpose": ck.transpose(),
+    "manipulability": ck.manipulability_damped(0.1, 2.0),
+    "singular": ck.singular_damped(0.1, 2.0),
+}
+KEPT = {
+    "free": None,
+    "scaled": ck.velocity_scaling(),
+    "weighted": ck.weighted_least_norm(),
+    "saturated": ck.saturation(),
+}
+NULL = {
+    "none": lambda task: None,
+    "constant": lambda task: np.array([0.1, 0.0, -0.1, 0.2]),
+    "posture": lambda task: ck.posture([0.0, 0.3, 0.3, 0.3], 2.0),
+    "manipulability": lambda task: ck.maximize_manipulability(ARM, task, 0.5),
+    "function": lambda task: lambda q: -0.3 * jnp.sin(q),
+}
+METHODS = (
+    (ck.EE, ck.picard(0)),
+    (ck.IE, ck.picard(3)),
+    (ck.CN, ck.chord(2)),
+    (ck.TRAPEZOID, ck.newton(2)),
+    (ck.HEUN, ck.picard(0)),
+    (ck.RK4, ck.picard(0)),
+    (ck.IE, ck.chord(2, implicit=True)),
+)
+QUICK = [  # every part once
+    ("position", "damped", "saturated", "none", 0),
+    ("pose", "pseudoinverse", "free", "posture", 1),
+    ("weighted", "transpose", "scaled", "constant", 2),
+    ("position", "manipulability", "free", "function", 3),
+    ("weighted", "singular", "weighted", "none", 4),
+    ("position", "damped", "free", "manipulability", 5),
+    ("position", "pseudoinverse", "scaled", "none", 6),
+]
+WHOLE = [  # every inverse with every limit
+    pytest.param(list(TASKS)[i % 3], *pair, list(NULL)[i % 5], i % 7, marks=pytest.mark.slow)
+    for i, pair in enumerate(itertools.product(INVERSES, KEPT))
+]
+
+
+def loop(task, inverse, kept, null, number):
+    task, (method, stage) = TASKS[task], METHODS[number]
+    law = ck.Law(
+        ARM,
+        task,
+        alpha=np.diag([4.0] * task.m) + 0.5 if number % 3 == 0 else 4.0,
+        inverse=INVERSES[inverse],
+        limits=KEPT[kept],
+        null_velocity=NULL[null](task),
+        error_clamp=(0.2, 0.5) if number % 2 else None,
+    )
+    turn = {"rotation": np.array([np.cos(0.4), 0, 0, np.sin(0.4)])} if task.orientation else {}
+    return law, ck.line([-1.0, 1.5], [-1.3, 1.0], duration=0.6, **turn), method, stage
+
+
+def end(law, reference, method, stage, alpha, q0):
+    run = ck.solve(ck.replace(law, alpha=law.alpha * alpha), reference, q0, 0.05, 6, method, stage)
+    return run.e[-1], run
+
+
+@pytest.mark.parametrize("task, inverse, kept, null, number", [*QUICK, *WHOLE])
+def test_both_forms_agree(task, inverse, kept, null, number):
+    made, given = {}, loop(task, inverse, kept, null, number)
+    for form in ("rolled", "unrolled"):
+        with ck.use_form(form):
+            value = jax.jit(lambda alpha, q0: end(*given, alpha, q0)[1])(1.0, jnp.asarray(Q0))
+            slopes = jax.jit(jax.jacfwd(lambda alpha, q0: end(*given, alpha, q0)[0], (0, 1)))(1.0, jnp.asarray(Q0))
+            made[form] = value, slopes
+    (one, d_one), (two, d_two) = made["rolled"], made["unrolled"]
+    for name in ("q", "x", "e", "qdot", "residual"):
+        close(getattr(one, name), getattr(two, name), atol=1e-10, rtol=1e-9)
+    np.testing.assert_array_equal(one.status, two.status)
+    assert np.all(np.isfinite(d_one[1]))
+    for a, b in zip(d_one, d_two, strict=True):
+        close(a, b, atol=1e-7, rtol=1e-7)
+
+
+def test_reverse_gradients_agree():
+    given = loop("position", "damped", "free", "posture", 0)
+
+    def loss(q0):
+        return jnp.sum(end(*given, 1.0, q0)[0] ** 2)
+
+    found = {}
+    for form in ("rolled", "unrolled"):
+        with ck.use_form(form):
+            found[form] = jax.jit(jax.grad(loss))(jnp.asarray(Q0))
+    close(found["rolled"], found["unrolled"], atol=1e-11)
+
+
+def test_a_whole_pose_of_a_real_arm():
+    arm, q0 = ck.panda(), np.array([0.0, -0.3, 0.1, -2.0, 0.0, 1.8, 0.5])
+    to = ck.pose(arm, q0 + 0.1)
+    law = ck.Law(arm, ck.pose_task(), alpha=5.0, limits=ck.saturation(), inverse=ck.damped(0.05))
+    runs = {}
+    for form in ("rolled", "unrolled"):
+        with ck.use_form(form):
+            runs[form] = ck.solve(law, ck.hold(to), q0, 0.01, 20)
+    for name in ("q", "x", "e", "qdot"):
+        close(getattr(runs["rolled"], name), getattr(runs["unrolled"], name), atol=1e-12)
+    np.testing.assert_array_equal(runs["rolled"].status, runs["unrolled"].status)
+
+
+@pytest.mark.form(None)
+def test_the_form_follows_from_the_work():
+    assert pays(1) and pays(ROLLED) and not pays(ROLLED + 1) and not pays(None)
+    with ck.use_form("unrolled"):
+        assert not pays(1)
+    with ck.use_form("rolled"):
+        assert pays(None)
+    law, q = in_form(ck.Law(ARM, TASKS["position"], alpha=1.0), jnp.asarray(Q0), 10)
+    assert isinstance(law.chain, RolledChain) and q.shape == (4,)
+    with pytest.raises(ck.ArgumentError, match="Argument `form` must be"):
+        ck.use_form("round")
+
+
+def test_robots_of_one_shape_share_a_program():
+    from cnclik.integrate.solve import _solve
+
+    runs = []
+    before = None
+    for length in (1.0, 1.1, 1.2):
+        arm = ck.planar_arm([length, 0.8, 0.5])  # literals: unrolled, each would be a program of its own
+        law = ck.Law(arm, ck.position("xy"), alpha=2.0)
+        runs.append(ck.solve(law, ck.hold([0.5, 1.0]), [0.3, 0.4, 0.5], 0.1, 7))
+        size = _solve._cache_size()
+        assert before in (None, size)
+        before = size
+    assert float(jnp.abs(runs[0].q[-1] - runs[1].q[-1]).max()) > 1e-3
