@@ -14,7 +14,7 @@ from cnclik.show import sweeps
 from cnclik.sweeps import cost, estimate, open_sweep, run_spec
 from tests.specs import reaching
 
-pytestmark = pytest.mark.form("unrolled")  # as the sweep that the fixture makes
+pytestmark = pytest.mark.form(None)  # as in the processes and module fixtures that these tests start
 
 TEXT = reaching(
     metrics=["final_error", "max_qdot", "evaluations", "error"],

@@ -22,7 +22,7 @@ from cnclik.errors import ArgumentError
 from cnclik.sweeps import run_spec, spec, store
 from tests.specs import reaching
 
-pytestmark = pytest.mark.form("unrolled")  # rolled, blocks of other sizes give other roundings
+pytestmark = pytest.mark.form(None)  # as in the processes and module fixtures that these tests start
 
 TEXT = reaching(
     metrics=["final_error", "ok", "error"],
