@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import alone, few_lanes, keeps_history, one_function
+from cnclik.hints import alone, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate.method import EE, Method, named
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import flags, growing
@@ -154,9 +154,10 @@ def solve(
         Ts, t0 = _number(Ts, q0.dtype), _number(t0, q0.dtype)
         return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
     law, _ = in_form(law, q0, N * evaluations_per_step(method, stage, law.chain.n))
+    run = _solve_soon if isinstance(law.chain, RolledChain) else _solve
     law, reference, stage = placed(law), placed(reference), placed(stage)
     with few_lanes(1):
-        return _solve(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
+        return run(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
 
 
 def step(
@@ -180,6 +181,8 @@ def step(
     check_time("t", t, Ts, q.dtype)
     if all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts)))):
         law, _ = in_form(law, q, evaluations_per_step(method, stage, law.chain.n))
+        run = _step_soon if isinstance(law.chain, RolledChain) else _step
+        return run(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
     return _step(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
 
 
@@ -237,8 +240,7 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-@functools.partial(jax.jit, static_argnames=("N", "method"))
-def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
+def _run(law, reference, q0, Ts, t0, stage, *, N, method):
     check(reference, law.task)  # shapes only: once, while tracing
     # Alone, the trajectory is put together in the loop's own function; else what nobody asks for shall vanish.
     small = not isinstance(law.chain, RolledChain)
@@ -267,10 +269,17 @@ def _solve(law, reference, q0, Ts, t0, stage, *, N, method):
     return run(law, reference, q0, Ts, t0, stage)
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
-def _step(law, reference, q, t, Ts, stage, *, method):
+_solve = jax.jit(_run, static_argnames=("N", "method"))
+_solve_soon = quick_jit(_run, static_argnames=("N", "method"))
+
+
+def _one_step(law, reference, q, t, Ts, stage, *, method):
     check(reference, law.task)
     law, start = in_form(law, q)
     law, reference = cast((law, reference), q.dtype)
     made = advance(law, reference, start, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
     return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")})
+
+
+_step = jax.jit(_one_step, static_argnames=("method",))
+_step_soon = quick_jit(_one_step, static_argnames=("method",))

@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import form, in_a_kernel, use_form, use_hints
+from cnclik.hints import form, in_a_kernel, quick_jit, use_form, use_hints
 from cnclik.record import kept, mapped, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
@@ -83,14 +83,16 @@ def one_off(fn=None, *, as_given=False, **options):
     """
     if fn is None:
         return functools.partial(one_off, as_given=as_given, **options)
-    jitted = jax.jit(fn, **options)
+    jitted, quick = jax.jit(fn, **options), quick_jit(fn, **options)
 
     @functools.wraps(fn)
     def call(*args, **named):
         if not all(map(errors.concrete, jax.tree.leaves((args, named)))):
             return jitted(*args, **named)  # part of another program, whose form it takes
         with sooner():
-            return jitted(*(map(roll, args) if pays(1) and not as_given else args), **named)
+            if not pays(1):
+                return jitted(*args, **named)
+            return quick(*(args if as_given else map(roll, args)), **named)
 
     return call
 

@@ -140,7 +140,7 @@ def test_the_form_follows_from_the_work():
 
 
 def test_robots_of_one_shape_share_a_program():
-    from cnclik.integrate.solve import _solve
+    from cnclik.integrate.solve import _solve_soon
 
     runs = []
     before = None
@@ -148,7 +148,7 @@ def test_robots_of_one_shape_share_a_program():
         arm = ck.planar_arm([length, 0.8, 0.5])  # literals: unrolled, each would be a program of its own
         law = ck.Law(arm, ck.position("xy"), alpha=2.0)
         runs.append(ck.solve(law, ck.hold([0.5, 1.0]), [0.3, 0.4, 0.5], 0.1, 7))
-        size = _solve._cache_size()
+        size = _solve_soon._cache_size()
         assert before in (None, size)
         before = size
     assert float(jnp.abs(runs[0].q[-1] - runs[1].q[-1]).max()) > 1e-3

@@ -37,7 +37,7 @@ def test_one_program_for_all_types_of_numbers(dtype):
     for make in NUMBERS.values():
         run = ck.solve(LAW, WAVE, q, make(1), 3, t0=make(2))
         one = ck.step(LAW, WAVE, q, make(2), make(1))
-        counts.append((solving._solve._cache_size(), solving._step._cache_size()))
+        counts.append((solving._solve_soon._cache_size(), solving._step_soon._cache_size()))
         found.append(np.concatenate([run.q[-1], one.q]))
     assert len(set(counts)) == 1
     assert len({tuple(v) for v in found}) == 1
@@ -45,10 +45,10 @@ def test_one_program_for_all_types_of_numbers(dtype):
 
 def test_a_control_loop_of_mixed_types_compiles_once():
     ck.step(LAW, WAVE, Q32, 0, 0.1)
-    before = solving._step._cache_size()
+    before = solving._step_soon._cache_size()
     for t in [*np.arange(0, 1, 0.1), *range(3), 0.25]:
         ck.step(LAW, WAVE, Q32, t, 0.1)
-    assert solving._step._cache_size() == before
+    assert solving._step_soon._cache_size() == before
 
 
 @pytest.mark.parametrize(
