@@ -162,9 +162,16 @@ def quick_jit(fn=None, **options):
     def now():
         return compiled(switched_on(), jax.default_backend())
 
+    plain = jax.jit(fn, **options)
+
     @functools.wraps(fn)
     def call(*args, **kwargs):
-        return now()(*args, **kwargs)
+        try:
+            return now()(*args, **kwargs)
+        except ValueError as error:
+            if "compiler_options" not in str(error):
+                raise
+            return plain(*args, **kwargs)  # called while another program is traced, which has options of its own
 
     call._cache_size = lambda: now()._cache_size()
     return call

@@ -242,23 +242,23 @@ def _eps(dtype):
 
 def _run(law, reference, q0, Ts, t0, stage, *, N, method):
     check(reference, law.task)  # shapes only: once, while tracing
+    law, start = in_form(law, q0)
+    dtype, unrolled = q0.dtype, sp.unrolled(start)
     # Alone, the trajectory is put together in the loop's own function; else what nobody asks for shall vanish.
-    small = not isinstance(law.chain, RolledChain)
-    short = alone() and 0 < N <= SHORT and small
+    short = unrolled and alone() and 0 < N <= SHORT
 
-    def loop(law, reference, q0, Ts, t0, stage, k):
+    def loop(law, reference, start, Ts, t0, stage, k):
         def one(q, k):
             made = advance(law, reference, q, t0 + k * Ts, jnp.where(k < N, Ts, 0.0), method, stage)
             return made.q, replace(made, q=q)
 
-        return instants(jax.checkpoint(one, prevent_cse=False), q0, k, q0, law.task.m)
+        return instants(jax.checkpoint(one, prevent_cse=False), start, k, start, law.task.m)
 
-    def whole(law, reference, q0, Ts, t0, stage):
-        law, start = in_form(law, q0)
-        law, reference = cast((law, reference), q0.dtype)
-        Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-        k = jnp.arange(N + 1).astype(q0.dtype)
-        run = loop if short or N == 0 or not small else one_function(loop)
+    def whole(law, reference, start, Ts, t0, stage):
+        law, reference = cast((law, reference), dtype)
+        Ts, t0 = jnp.asarray(Ts, dtype), jnp.asarray(t0, dtype)
+        k = jnp.arange(N + 1).astype(dtype)
+        run = one_function(loop) if unrolled and N and not short else loop
         steps = run(law, reference, start, Ts, t0, stage, k)
         run = assemble(t0 + k * Ts, steps, N * evaluations_per_step(method, stage, law.chain.n))
         if not keeps_history():
@@ -266,7 +266,7 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
         return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
 
     run = one_function(whole) if short else whole
-    return run(law, reference, q0, Ts, t0, stage)
+    return run(law, reference, start, Ts, t0, stage)
 
 
 _solve = jax.jit(_run, static_argnames=("N", "method"))

@@ -49,11 +49,14 @@ class RolledChain:
 def pays(evaluations) -> bool:
     """Whether a call of so many evaluations of f, None for unknown, should run in the rolled form.
 
-    `cnclik.use_form` overrides it. A GPU's kernel is always unrolled: it has no arrays to index.
+    `cnclik.use_form` overrides it. A GPU's kernel is always unrolled, as it has no arrays to index, and so is what runs
+    on one unasked: small operations one after the other are what it is slow at.
     """
     if in_a_kernel():
         return False
-    return form() == "rolled" if form() else evaluations is not None and evaluations <= ROLLED
+    if form():
+        return form() == "rolled"
+    return evaluations is not None and evaluations <= ROLLED and jax.default_backend() == "cpu"
 
 
 def in_form(law, q, evaluations=None):
@@ -125,7 +128,7 @@ def _rolled(chain: Chain) -> RolledChain:
         turning=turning,
         mimic=mimic,
         tip=matrix(chain.tip.position, chain.tip.rotation),
-        **{name: np.asarray(getattr(chain, name), float) for name in ("lower", "upper", "velocity_limit")},
+        **{name: xp.asarray(getattr(chain, name), float) for name in ("lower", "upper", "velocity_limit")},
     )
 
 

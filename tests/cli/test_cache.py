@@ -41,13 +41,20 @@ def test_the_second_process_compiles_nothing(tmp_path):
     again = programs(run(tmp_path, *SOLVE))
     assert again == (first, first)
     assert kept == {path: path.stat().st_mtime_ns for path in place.iterdir()}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the folder of Linux")
+def test_switches_and_damage(tmp_path):
+    first, _ = programs(run(tmp_path, *SOLVE))
+    (place,) = (tmp_path / "cnclik").iterdir()
     # Switched off, nothing is read; and JAX's own switches have the last word.
     assert programs(run(tmp_path, *SOLVE, "--no-cache"))[1] == 0
     elsewhere = tmp_path / "elsewhere"
     assert programs(run(tmp_path, *SOLVE, JAX_COMPILATION_CACHE_DIR=str(elsewhere)))[1] < first
     assert any(elsewhere.iterdir())
     # What is damaged is compiled again, and no word of it.
-    for path in kept:
+    for path in place.iterdir():
         path.write_bytes(b"damaged")
     assert programs(run(tmp_path, *SOLVE))[1] == 0
 
