@@ -211,14 +211,12 @@ def _pinv(rows):
 
 @opaque
 def _pinv_value(rows):
-    if not sp.unrolled(rows):
-        return _pinv_by_decomposition(rows)
     if len(rows) <= 2 or not on_cpu():  # two rows need one rotation; a GPU's kernel has no loop of unknown length
         return _pinv_by_rotations(rows)
     quick, least, trusted = _pinv_by_elimination(rows)
 
     def choose(a, b):
-        return tuple(sp.each(lambda x, y: jnp.where(trusted, x, y), *pair) for pair in zip(a, b, strict=True))
+        return _with(lambda x, y: sp.each(functools.partial(jnp.where, trusted), x, y), a, b)
 
     # Where rows are nearly dependent, a lane carries J into the loop in the place of J# (cf. `robot.trig`): the loop
     # runs once if some lane needs it, else not at all, and no lane's result depends on its neighbours.
@@ -232,20 +230,6 @@ def _pinv_value(rows):
     return state, least
 
 
-def _pinv_by_decomposition(rows):
-    """The same from singular values: what elimination makes where it is trusted, and what rotations make elsewhere."""
-    u, sigma, vt = jnp.linalg.svd(rows, full_matrices=False)
-    eps = jnp.finfo(sigma.dtype).eps
-    keep = sigma > 10 * max(rows.shape) * eps * sigma[0]
-    inverses = jnp.where(keep, 1.0 / jnp.where(keep, sigma, 1.0), 0.0)
-    least = sigma[-1]
-    if len(rows) > 2:
-        size, inverse = jnp.sum(sigma**2), jnp.sum(1.0 / sigma**2)
-        least = jnp.where(size * inverse <= eps ** (-2 / 3), 1.0 / jnp.sqrt(inverse), least)
-    first = sp.matmul(u * inverses, vt)
-    return jnp.where(jnp.all(keep), _refined(rows, first), first), least
-
-
 def _pinv_by_elimination(rows):
     """Jᵀ (J Jᵀ)⁻¹ =: P once refined, the least singular value from below within √m, and whether to trust them.
 
@@ -254,8 +238,11 @@ def _pinv_by_elimination(rows):
     """
     factor = ldl(gram(rows, 0.0))
     size, inverse = sp.squares(rows), inverse_trace(factor)
-    first = sp.transpose(tuple(ldl_solve(factor, column) for column in sp.transpose(rows)))
-    definite = functools.reduce(jnp.minimum, factor[2]) > 0
+    if sp.unrolled(rows):
+        first = sp.transpose(tuple(ldl_solve(factor, column) for column in sp.transpose(rows)))
+    else:
+        first = ldl_solve(factor, rows)
+    definite = sp.smallest(factor[2]) > 0
     trusted = definite & (size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3))
     return _refined(rows, first), 1.0 / jnp.sqrt(jnp.where(definite, inverse, 1.0)), trusted
 
@@ -271,13 +258,20 @@ def _refined(rows, p):
 
 def _pinv_by_rotations(rows):
     u, w = orthogonal_rows(rows)
-    squares = [sp.dot(row, row) for row in w]
-    largest, least = functools.reduce(jnp.maximum, squares), functools.reduce(jnp.minimum, squares)
+    if sp.unrolled(rows):
+        squares = tuple(sp.dot(row, row) for row in w)
+        largest = functools.reduce(jnp.maximum, squares)
+    else:
+        squares = jnp.sum(w * w, axis=1)
+        largest = jnp.max(squares)
     tiny = 10 * max(len(rows), len(rows[0])) * jnp.finfo(largest.dtype).eps
-    keep = [s > tiny * tiny * largest for s in squares]
-    inverses = [jnp.where(k, 1.0, 0.0) / jnp.where(k, s, 1.0) for k, s in zip(keep, squares, strict=True)]
-    scaled = tuple(map(sp.scale, inverses, w))
-    return tuple(sp.combine(row, scaled) for row in u), jnp.sqrt(least)
+
+    def inverse(s):
+        keep = s > tiny * tiny * largest
+        return jnp.where(keep, 1.0, 0.0) / jnp.where(keep, s, 1.0)
+
+    scaled = sp.transpose(sp.rescale(sp.transpose(w), sp.each(inverse, squares)))
+    return sp.matmul(u, scaled), jnp.sqrt(sp.smallest(squares))
 
 
 @_pinv.defjvp
@@ -295,13 +289,10 @@ def _pinv_tangent(j, dj, p):
     """
     a, g, t = sp.products(dj, p), sp.products(j, p), sp.matmul(sp.products(p, p), dj)  # t holds the rows of Tᵀ
     at, back = sp.transpose(a), sp.products(j, t)
-    inner = functools.reduce(_minus, (at, sp.matmul(at, g), a, back))
-    return _plus(t, sp.matmul(sp.transpose(inner), p))
+    inner = functools.reduce(functools.partial(_with, sp.vsub), (at, sp.matmul(at, g), a, back))
+    return _with(sp.vadd, t, sp.matmul(sp.transpose(inner), p))
 
 
-def _minus(a, b):
-    return tuple(map(sp.vsub, a, b)) if sp.unrolled(a) else a - b
-
-
-def _plus(a, b):
-    return tuple(map(sp.vadd, a, b)) if sp.unrolled(a) else a + b
+def _with(fn, a, b):
+    """fn of vectors, for two matrices row by row."""
+    return tuple(map(fn, a, b)) if sp.unrolled(a) else fn(a, b)

@@ -24,7 +24,10 @@ from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import Frames, frames, jacobian_rows, link
 
-ROLLED = 1 << 17  # evaluations of f in one call up to which the rolled form is the sooner one, compiling included
+# Evaluations of f up to which the rolled form is the sooner one, compiling included, for each joint and each task
+# coordinate: so many by lanes side by side, and one of a lane that is alone counts for as many as it takes longer.
+ROLLED = 1 << 17
+ALONE = 8
 
 
 @record
@@ -46,8 +49,8 @@ class RolledChain:
         return self.lower.shape[-1]
 
 
-def pays(evaluations) -> bool:
-    """Whether a call of so many evaluations of f, None for unknown, should run in the rolled form.
+def pays(evaluations, law=None, *, alone=True) -> bool:
+    """Whether a call of so many evaluations of a law's f, None for unknown, should run in the rolled form.
 
     `cnclik.use_form` overrides it. A GPU's kernel is always unrolled, as it has no arrays to index, and so is what runs
     on one unasked: small operations one after the other are what it is slow at.
@@ -56,14 +59,17 @@ def pays(evaluations) -> bool:
         return False
     if form():
         return form() == "rolled"
-    return evaluations is not None and evaluations <= ROLLED and jax.default_backend() == "cpu"
+    if evaluations is None or jax.default_backend() != "cpu":
+        return False
+    size = law.chain.n * law.task.m if hasattr(law, "task") else 1
+    return evaluations * (ALONE if alone else 1) <= ROLLED * size
 
 
 def in_form(law, q, evaluations=None):
     """A law, or a chain, and q (n,) in the form that pays: rolled, or unrolled with a tuple for q."""
     if isinstance(getattr(law, "chain", law), RolledChain):
         return law, q
-    return (roll(law), q) if pays(evaluations) else (law, tuple(q))
+    return (roll(law), q) if pays(evaluations, law) else (law, tuple(q))
 
 
 def roll(tree):

@@ -91,7 +91,7 @@ def outcomes(
         return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    run = one_off(jax.vmap(one)) if pays(evaluations) else lanes(one, block=BLOCK)
+    run = one_off(jax.vmap(one)) if pays(evaluations, law, alone=False) else lanes(one, block=BLOCK)
     done = []
     for i in range(0, count, chunk):
         part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]

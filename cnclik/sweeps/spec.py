@@ -127,7 +127,7 @@ class Spec:
         """One loop: its metrics. What the sweep batches."""
         law, reference, q0, Ts, N, method, stage = self.build(**values)
         work = _evaluations(law, N, method, stage) * math.prod(len(a) for a in self.axes.values() if a.inner)
-        with use_form(form() or ("rolled" if pays(work) else None)):
+        with use_form(form() or ("rolled" if pays(work, law, alone=False) else None)):
             run = solve(law, reference, q0, Ts, N, method, stage)
             return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
 
