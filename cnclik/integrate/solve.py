@@ -24,7 +24,7 @@ from cnclik.law.reference import Reference, check
 from cnclik.record import cast, placed, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.rolled import RolledChain, in_form
+from cnclik.robot.rolled import in_form, pays, roll
 
 SHORT = 200  # steps up to which the trajectory is put together in the same native function as the loop
 
@@ -150,12 +150,14 @@ def solve(
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
     # Called with numbers, no vmap is around this loop: it may become one native function.
-    if not all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q0, Ts, t0)))):
+    known = placed(law), placed(reference), placed(stage)
+    if None in known or not all(map(errors.concrete, (q0, Ts, t0))):
         Ts, t0 = _number(Ts, q0.dtype), _number(t0, q0.dtype)
         return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
-    law, _ = in_form(law, q0, N * evaluations_per_step(method, stage, law.chain.n))
-    run = _solve_soon if isinstance(law.chain, RolledChain) else _solve
-    law, reference, stage = placed(law), placed(reference), placed(stage)
+    run = _solve
+    if pays(N * evaluations_per_step(method, stage, law.chain.n), law):
+        known, run = (placed(roll(law)), *known[1:]), _solve_soon
+    law, reference, stage = known
     with few_lanes(1):
         return run(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
 
@@ -179,11 +181,11 @@ def step(
     q, method = check_arguments(law, reference, q, Ts, method, stage, name="q")
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
-    if all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts)))):
-        law, _ = in_form(law, q, evaluations_per_step(method, stage, law.chain.n))
-        run = _step_soon if isinstance(law.chain, RolledChain) else _step
-        return run(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
-    return _step(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
+    run = _step
+    known = all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts))))
+    if known and pays(evaluations_per_step(method, stage, law.chain.n), law):
+        law, run = roll(law), _step_soon
+    return run(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
 
 
 def _number(value, dtype):

@@ -19,7 +19,7 @@ from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
 from cnclik.record import record
 from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import RolledChain, in_form
+from cnclik.robot.rolled import in_form
 
 
 class Ending(enum.IntEnum):
@@ -139,7 +139,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         grown=never,
         singular_first=never,
     )
-    run = loop if isinstance(law.chain, RolledChain) else one_function(loop)
+    run = one_function(loop) if sp.unrolled(seen.q) else loop
     seen = run((law, reference, Ts, stage, tolerance, given), seen, k)
     scale, largest = seen.scale, seen.largest
     ending = classify(largest, seen.least_before, seen.largest_before, scale, tolerance, seen.singular_first)

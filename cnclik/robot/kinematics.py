@@ -9,7 +9,7 @@ from cnclik.record import cast, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import in_form, pays, roll
+from cnclik.robot.rolled import in_form, one_off
 
 
 @record
@@ -26,13 +26,7 @@ def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     return q if isinstance(q, jax.Array) else jnp.asarray(q)
 
 
-def _ready(chain, q):
-    """q, checked, and the chain in the form for one call with numbers."""
-    q = as_joint_values(chain, q)
-    return (roll(chain) if all(map(errors.concrete, jax.tree.leaves((chain, q)))) and pays(1) else chain), q
-
-
-@jax.jit
+@one_off
 def _pose(chain, q):
     chain, start = in_form(chain, q)
     chain = cast(chain, q.dtype)
@@ -40,7 +34,7 @@ def _pose(chain, q):
     return Pose(position=sp.packed(at.position, q.dtype), rotation=sp.packed(at.rotation, q.dtype))
 
 
-@jax.jit
+@one_off
 def _jacobian(chain, q):
     chain, start = in_form(chain, q)
     chain = cast(chain, q.dtype)
@@ -55,7 +49,7 @@ def pose(chain: Chain, q: ArrayLike) -> Pose:
     Returns: `Pose`: position (3,) [m] and rotation (3, 3).
     Raises: ArgumentError if q does not have shape (n,).
     """
-    return _pose(*_ready(chain, q))
+    return _pose(chain, as_joint_values(chain, q))
 
 
 def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
@@ -68,7 +62,7 @@ def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
       q: (n,) joint values [rad, m].
     Raises: ArgumentError if q does not have shape (n,).
     """
-    return _jacobian(*_ready(chain, q))
+    return _jacobian(chain, as_joint_values(chain, q))
 
 
 def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
@@ -78,11 +72,10 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
       q: (n,) joint values [rad, m].
       task: a task from `cnclik.law`; by default the whole 6-row geometric Jacobian.
     """
-    chain, q = _ready(chain, q)
-    return _manipulability(chain, task, q)
+    return _manipulability(chain, task, as_joint_values(chain, q))
 
 
-@jax.jit
+@one_off
 def _manipulability(chain, task, q):
     chain, start = in_form(chain, q)
     chain = cast(chain, q.dtype)
