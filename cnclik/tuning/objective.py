@@ -105,6 +105,12 @@ class LoopObjective:
     method: object
     stage: object
 
+    @property
+    def constraints(self) -> int:
+        """How many constraints there are: known without tracing them."""
+        kinds = 2 + callable(self.loop.law.null_velocity)
+        return kinds * len(self.postures) + len(self.joints)
+
     def _runs(self, loop):
         def run(scenario):
             return rollout(loop, scenario, self.N, self.method, self.stage, delay=self.delay, horizon=self.horizon)

@@ -8,7 +8,6 @@ was found.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -92,7 +91,7 @@ def tune(
         objective,
         np.stack([c.u for c in begun]),
         1.0 / np.where(sizes > 0, sizes, 1.0),
-        constraints=jax.eval_shape(objective, tuple(jnp.asarray(v) for v in own))[1].shape[0],
+        constraints=objective.constraints,
         descent=descent,
         progress=progress,
     )
