@@ -71,9 +71,9 @@ def as_here(fn):
     """The function with the caller's switch, form and precision, for another thread, which knows nothing of them."""
     wide, switch, form = jax.config.jax_enable_x64, switched_on(), _form.value
 
-    def there(*args):
+    def there(*args, **named):
         with jax.enable_x64(wide), _context(switch), _form(form):
-            return fn(*args)
+            return fn(*args, **named)
 
     return there
 

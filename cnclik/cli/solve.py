@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import time
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -27,24 +28,28 @@ class Args(ComputeOptions, ProblemOptions):
 def run(args: Args) -> None:
     from rich.console import Console
 
-    from cnclik.measure.dataset import to_dataset
+    from cnclik.hints import as_here
     from cnclik.measure.files import save_netcdf
     from cnclik.show.output import draw, load_ahead, output_folder
-    from cnclik.stability.verdict import verdict
+    from cnclik.stability.verdict import prepare, verdict
 
-    if args.figures:
-        load_ahead()
     made = problem(args)
+    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
+    asked = dict(Ts=made.Ts, method=made.method, stage=made.stage)
+    beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     with output_folder(args.out) as folder:
         with progress.bar("steps") as report:
             trajectory, seconds = _march(made, report)
+        from cnclik.measure.dataset import to_dataset
+
         data = to_dataset(trajectory, made.law, config=config)
         save_netcdf(data, folder / "trajectory.nc")
         if args.csv:
             _write_csv(folder / "trajectory.csv", data)
     with progress.bar("verdict"):
-        told = verdict(made.law, made.reference, trajectory, Ts=made.Ts, method=made.method, stage=made.stage)
+        wait([beside])
+        told = verdict(made.law, made.reference, trajectory, **asked)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
     Console().print(_summary(made, trajectory, seconds))
     print(f"{told.sentence[0].upper()}{told.sentence[1:]}")

@@ -49,7 +49,7 @@ def run(args: Args) -> None:
     if not (args.plane or args.map):
         _tell(args, _advice(args, *_loop(args)))
         return
-    load_ahead()
+    load_ahead("cnclik.show.style")
     figures = {}
     with output_folder(args.out) as out:
         if args.plane:

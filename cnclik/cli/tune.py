@@ -67,7 +67,7 @@ def run(args: Args) -> None:
     from cnclik.show.output import draw, load_ahead, output_folder
 
     if args.figures:
-        load_ahead()
+        load_ahead("cnclik.show.style")
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:

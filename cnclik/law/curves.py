@@ -1,6 +1,7 @@
-"""Curves: functions of time that return a target, a position (tuple of scalars) and a rotation (rows), or None for one.
+"""Curves: functions of time that return a target, a position and a rotation, or None for one.
 
 They are records, so that points, periods and durations are parameters; `cnclik.law.reference` builds and samples them.
+Targets are tuples of scalars, or arrays where `unrolled` is false (cf. `robot.spatial`).
 """
 
 import math
@@ -20,9 +21,8 @@ class Hold:
     position: object
     rotation: object
 
-    def __call__(self, t):
-        # Through `t`, so that target and velocity have the loop's dtype.
-        return vector(self.position), rows(self.rotation)
+    def __call__(self, t, unrolled=True):
+        return vector(self.position, unrolled), rows(self.rotation, unrolled)
 
 
 @record
@@ -33,14 +33,16 @@ class Line:
     turn: object  # rotation vector from the first to the last orientation, in the base frame
     duration: object
 
-    def __call__(self, t):
+    def __call__(self, t, unrolled=True):
         s = _progress(t, self.duration)
         position = None
         if self.start is not None:
-            position = tuple(a + s * (b - a) for a, b in zip(vector(self.start), vector(self.end), strict=True))
-        rotation = rows(self.rotation)
+            ends = vector(self.start, unrolled), vector(self.end, unrolled)
+            position = sp.each(lambda a, b: a + s * (b - a), *ends)
+        rotation = rows(self.rotation, unrolled)
         if self.turn is not None:
-            rotation = sp.matmul(sp.exp_so3(tuple(s * w for w in vector(self.turn))), rotation)
+            turned = sp.exp_so3(sp.scale(s, vector(self.turn)))
+            rotation = sp.matmul(turned if unrolled else sp.packed(turned), rotation)
         return position, rotation
 
 
@@ -53,10 +55,11 @@ class Lissajous:
     rotation: object
     period: object
 
-    def __call__(self, t):
+    def __call__(self, t, unrolled=True):
         omega = 2 * math.pi / self.period
-        parts = zip(*(vector(v) for v in (self.center, self.amplitude, self.frequency, self.phase)), strict=True)
-        return tuple(c + a * jnp.sin(f * omega * t + p) for c, a, f, p in parts), rows(self.rotation)
+        parts = (vector(v, unrolled) for v in (self.center, self.amplitude, self.frequency, self.phase))
+        position = sp.each(lambda c, a, f, p: c + a * jnp.sin(f * omega * t + p), *parts)
+        return position, rows(self.rotation, unrolled)
 
 
 @record
@@ -67,11 +70,11 @@ class Circle:
     rotation: object
     period: object
 
-    def __call__(self, t):
+    def __call__(self, t, unrolled=True):
         angle = 2 * math.pi / self.period * t
         c, s = jnp.cos(angle), jnp.sin(angle)
-        parts = zip(*(vector(v) for v in (self.center, self.first, self.second)), strict=True)
-        return tuple(o + c * u + s * v for o, u, v in parts), rows(self.rotation)
+        parts = (vector(v, unrolled) for v in (self.center, self.first, self.second))
+        return sp.each(lambda o, u, v: o + c * u + s * v, *parts), rows(self.rotation, unrolled)
 
 
 @record
@@ -82,7 +85,7 @@ class Spline:
     rotation: object  # constant rotation, or None
     closed: bool
 
-    def __call__(self, t):
+    def __call__(self, t, unrolled=True):
         if self.closed:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
         k = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, self.times.shape[0] - 2)
@@ -91,15 +94,14 @@ class Spline:
         dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
 
         def at(c):
-            return tuple(
-                c[0, k, i] + dt * (c[1, k, i] + dt * (c[2, k, i] + dt * c[3, k, i])) for i in range(c.shape[-1])
-            )
+            powers = (vector(c[i, k], unrolled) for i in range(4))
+            return sp.each(lambda a, b, c, d: a + dt * (b + dt * (c + dt * d)), *powers)
 
-        rotation = rows(self.rotation)
+        rotation = rows(self.rotation, unrolled)
         if self.quaternion is not None:
             q = at(self.quaternion)
-            length = jnp.sqrt(sp.dot(q, q))
-            rotation = sp.rotation_from_quaternion(tuple(x / length for x in q))
+            rotation = sp.rotation_from_quaternion(sp.scale(1 / jnp.sqrt(sp.dot(q, q)), q))
+            rotation = rotation if unrolled else sp.packed(rotation)
         return (None if self.position is None else at(self.position)), rotation
 
 
@@ -107,22 +109,24 @@ class Spline:
 class Path:
     fn: object
 
-    def __call__(self, t):
+    def __call__(self, t, unrolled=True):
         target, dtype = self.fn(t), jnp.result_type(t)
+        rotation = None
         if isinstance(target, Pose):
-            return vector(jnp.asarray(target.position, dtype)), rows(jnp.asarray(target.rotation, dtype))
+            target, rotation = target.position, rows(jnp.asarray(target.rotation, dtype), unrolled)
         if isinstance(target, (tuple, list)):
-            return tuple(jnp.asarray(v, dtype) for v in target), None
-        return vector(jnp.asarray(target, dtype)), None
+            target = tuple(jnp.asarray(v, dtype) for v in target)
+            return (target if unrolled else jnp.stack(target)), rotation
+        return vector(jnp.asarray(target, dtype), unrolled), rotation
 
 
-def vector(array):
-    """An array (d,) as a tuple of scalars."""
-    return None if array is None else tuple(array[i] for i in range(array.shape[0]))
+def vector(array, unrolled=True):
+    """An array (d,), or None, as a tuple of scalars, or as it is."""
+    return tuple(array[i] for i in range(array.shape[0])) if unrolled and array is not None else array
 
 
-def rows(rotation):
-    return None if rotation is None else tuple(vector(rotation[i]) for i in range(3))
+def rows(rotation, unrolled=True):
+    return tuple(vector(rotation[i]) for i in range(3)) if unrolled and rotation is not None else rotation
 
 
 def _progress(t, duration):

@@ -151,10 +151,7 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
 
 def seen(law: Law, reference, t, q):
     """What the law sees at q: the error (m,), a function that gives x (m,), the rows of J, and ẋ_d (m,)."""
-    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
-    if not sp.unrolled(q):
-        position_d, xdot_d = sp.packed(position_d, q.dtype), sp.packed(xdot_d, q.dtype)
-        rotation_d = None if rotation_d is None else sp.packed(rotation_d, q.dtype)
+    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t, sp.unrolled(q))
     at = frames(law.chain, q)
     e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
     return e, lambda: coordinates(law.task, at.position, at.rotation), rows, xdot_d

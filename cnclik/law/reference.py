@@ -38,31 +38,33 @@ class Reference:
 # --- sampling -----------------------------------------------------------------------------------------
 
 
-def sample(reference: Reference, task: Task, t):
-    """Target and task velocity at time t: (position, rotation, xdot_d), in the task's coordinates.
+def sample(reference: Reference, task: Task, t, unrolled=True):
+    """Target and task velocity at time t in the task's coordinates: (position, rotation, xdot_d), in either form.
 
     xdot_d holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
     t = jnp.asarray(t)
-    (position, rotation), (dposition, drotation) = jax.jvp(reference.curve, (t,), (jnp.ones_like(t),))
-    position = _pick(task, position)
+
+    def curve(t):
+        position, rotation = reference.curve(t, unrolled)
+        return _pick(task, position, unrolled), rotation
+
+    (position, rotation), (xdot_d, drotation) = jax.jvp(curve, (t,), (jnp.ones_like(t),))
     if reference.feedforward is not None:
-        return position, rotation, tuple(reference.feedforward[i] for i in range(task.m))
-    xdot_d = _pick(task, dposition)
+        return position, rotation, vector(reference.feedforward, unrolled)
     if task.orientation:
         spin = sp.matmul(drotation, sp.transpose(rotation))
-        omega = (spin[2][1], spin[0][2], spin[1][0])
-        xdot_d += tuple(omega[i] for i in task.angular)
+        entries = [((2, 1), (0, 2), (1, 0))[i] for i in task.angular]
+        omega = tuple(spin[i][j] for i, j in entries) if unrolled else spin[tuple(np.transpose(entries))]
+        xdot_d = sp.join(xdot_d, omega)
     return position, rotation, xdot_d
 
 
-def _pick(task, position):
+def _pick(task, position, unrolled=True):
     """The task's components of a position: given as such, or as x, y, z."""
     if not task.position:
-        return ()
-    if len(position) == len(task.position):
-        return tuple(position)
-    return tuple(position[i] for i in task.linear)
+        return () if unrolled else jnp.zeros(0)
+    return position if len(position) == len(task.position) else sp.pick(position, task.linear)
 
 
 def motion(reference: Reference, task: Task, t):

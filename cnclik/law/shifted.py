@@ -14,7 +14,7 @@ class Shifted:
     task: object
     w: object
 
-    def __call__(self, t):
+    def __call__(self, t, unrolled=True):
         w = self.w(t) if callable(self.w) else self.w
         w = tuple(w[i] for i in range(self.task.m))
         position, rotation = self.base(t)
@@ -26,7 +26,11 @@ class Shifted:
         if self.task.orientation:
             about = dict(zip(self.task.angular, turn, strict=True))
             rotation = sp.matmul(sp.exp_so3(tuple(about.get(i, 0.0) for i in range(3))), rotation)
-        return position, rotation
+        return (position, rotation) if unrolled else (_whole(position), _whole(rotation))
+
+
+def _whole(part):
+    return None if part is None else sp.packed(part)
 
 
 def shifted(reference: Reference, task: Task, w) -> Reference:

@@ -11,6 +11,7 @@ import itertools
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO = (0.0, 0.0, 0.0)
@@ -118,7 +119,7 @@ def matmul(a, b):
 
 
 def _product(a, b):
-    return jnp.matmul(a, b, precision="highest")  # a GPU would round to fewer digits otherwise
+    return lax.dot(a, b, precision="highest")  # a GPU would round to fewer digits otherwise
 
 
 def combine(weights, rows):
@@ -275,7 +276,7 @@ def quaternion_from_rotation(r):
             largest = jnp.where(better, rows[k][k], largest)
     else:
         constant, slopes = (part.astype(r.dtype) for part in _FOUR_QQ)
-        rows = constant + _product(slopes, r.reshape(9))
+        rows = constant + _product(slopes, r.reshape(9)).reshape(4, 4)
         diagonal = jnp.diagonal(rows)
         row, largest = rows[jnp.argmax(diagonal)], jnp.max(diagonal)
     factor = 0.5 / jnp.sqrt(largest)
@@ -293,9 +294,9 @@ def _four_qq(r):
 
 
 def _affine(fn):
-    """An affine map of 3×3 matrices as its value at 0 and its matrix: fn(R) = first + second · vec R."""
+    """An affine map of 3×3 matrices as its value at 0 and its matrix: vec fn(R) = vec first + second · vec R."""
     zero = np.array(fn(np.zeros((3, 3))))
-    return zero, np.stack([np.array(fn(unit)) - zero for unit in np.eye(9).reshape(9, 3, 3)], axis=-1)
+    return zero, np.stack([np.array(fn(unit)) - zero for unit in np.eye(9).reshape(9, 3, 3)], -1).reshape(-1, 9)
 
 
 _FOUR_QQ = _affine(_four_qq)

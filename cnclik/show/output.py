@@ -62,9 +62,14 @@ def output_folder(path, *, name="out"):
                 folder.rmdir()
 
 
-def load_ahead() -> None:
-    """Load what draws in a thread of its own, for who will `draw` after waiting for a compiler."""
-    threading.Thread(target=importlib.import_module, args=("cnclik.show.style",), daemon=True).start()
+def load_ahead(*modules) -> None:
+    """Load modules in a thread of its own, such as what will draw, while the compiler is at work."""
+
+    def load():
+        for name in modules:
+            importlib.import_module(name)
+
+    threading.Thread(target=load, daemon=True).start()
 
 
 def draw(figures, path, *, name="out", again="", progress=None) -> list:
@@ -78,6 +83,8 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
 
     Raises: FigureError at the end, naming the figures that could not be drawn; the others are there.
     """
+    if not figures:
+        return []
     from jax import monitoring
 
     begun, failed = time.time(), {}

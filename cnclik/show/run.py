@@ -142,8 +142,9 @@ def _per_joint(data, draw, per=""):
     n = data.sizes["joint"]
     columns = 1 if n <= 3 else 2
     rows = -(-n // columns)
-    width = style.COLUMN if columns == 1 else style.PAGE
-    figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=(width, 0.5 + 0.95 * rows))
+    size = (style.COLUMN if columns == 1 else style.PAGE, 0.5 + 0.95 * rows)
+    fixed = {} if "method" in data.dims else style.fixed_grid(*size, rows, columns)
+    figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size, **fixed)
     panels = grid.T.ravel()
     for i, panel in enumerate(panels):
         if i >= n:  # an odd joint's neighbour: only its time axis, so that the rows stay even
@@ -154,12 +155,14 @@ def _per_joint(data, draw, per=""):
         draw(panel, i)
         panel.set_title(str(data.joint.values[i]), loc="left", pad=2)
         panel.set_ylabel(f"[{data.joint_unit.values[i]}{per}]")
+        if fixed:
+            panel.yaxis.set_label_coords(style.LABEL_AT, 0.5)
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
         panel.margins(x=0.01, y=0.12)
         if i % rows == rows - 1:
             panel.set_xlabel(_TIME)
-    figure.align_ylabels(grid[:, 0])
     if "method" in data.dims:
+        figure.align_ylabels(grid)
         style.legend(figure, panels[0])
     return figure
 

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik.law import reference as ref
@@ -27,11 +26,10 @@ def targets(reference, task, t):
     """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...)."""
 
     def one(t):
-        position, rotation, velocity = ref.sample(reference, task, t)
-        return jnp.stack(position) if position else None, jnp.asarray(rotation) if rotation else None, velocity
+        position, rotation, velocity = ref.sample(reference, task, t, unrolled=False)
+        return position if len(position) else None, rotation, velocity
 
-    position, rotation, velocity = jax.vmap(one)(t)
-    return position, rotation, jnp.stack([jnp.broadcast_to(v, t.shape) for v in velocity], -1)
+    return jax.vmap(one)(t)
 
 
 def maps(law, at: Instant, scale, Ts, method, stage):

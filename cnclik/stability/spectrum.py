@@ -24,7 +24,7 @@ from cnclik.robot.rolled import in_form, one_off
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
-LANES = 1024  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
+LANES = 128  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
 
 
 # --- the map ------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ REVERSING = 0.15  # share of the joint speed that the next step takes back, from
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
 UNSTABLE = 1.01  # spectral radius beyond which a loop that seems to rest doesn't: smaller excess is the error's own
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
+LOOKED_AT = 9  # instants of the last quarter whose target is looked at
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
 
 
@@ -102,6 +103,13 @@ def verdict(law, reference, run, *, Ts, method=EE, stage=picard(5)) -> Verdict:
     )
 
 
+@in_float64
+def prepare(law, reference, q, *, Ts, method=EE, stage=picard(5)) -> None:
+    """Compile what `verdict` will ask of such a run: beside other work, for who is going to ask."""
+    _, (_, at, _) = _instants(law, reference, np.tile(q, (LOOKED_AT + 1, 1)), np.zeros(LOOKED_AT + 1))
+    maps(law, at, np.ones(1), float(Ts), *checked(method, stage))
+
+
 class _Case(NamedTuple):
     """A run, the loop behind it, and what its step does where the run ended."""
 
@@ -126,15 +134,9 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
     t, q, e = (np.asarray(v, float) for v in (run.t, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
     last = 0 if wild else len(run.residual)
-    some = np.linspace(max(last - len(seen.late) + 1, 0), last, 9).round().astype(int)
+    some = np.linspace(max(last - len(seen.late) + 1, 0), last, LOOKED_AT).round().astype(int)
     at = np.append(some, 0)  # the last quarter, its end, the start
-    wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t[at])]
-
-    def instant(k):
-        position, rotation, velocity = (v if v is None else v[k] for v in wanted)
-        return Instant(q[at[k]], ref.with_feedforward(ref.hold(position, rotation), velocity))
-
-    end = instant(-2)
+    wanted, (*_, end, start) = _instants(law, reference, q[at], t[at])
     moved, rows = maps(law, end, np.ones(1), Ts, method, stage)
     task, radius, across = np.full(1, np.inf), np.inf, np.inf
     if np.isfinite(moved[0]).all():
@@ -151,7 +153,7 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
         seen=seen,
         t=t,
         end=end,
-        start=instant(-1),
+        start=start,
         target=None if wanted[0] is None else wanted[0][-2],
         behind=rms(np.linalg.norm(wanted[2][:-1], axis=1)) * Ts,
         rows=rows,
@@ -161,6 +163,17 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
         e=e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float),
         size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
     )
+
+
+def _instants(law, reference, q, t):
+    """What is wanted at times t (k,), and the instants of a run that is at q (k, n) then."""
+    wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t)]
+
+    def instant(k):
+        position, rotation, velocity = (v if v is None else v[k] for v in wanted)
+        return Instant(q[k], ref.with_feedforward(ref.hold(position, rotation), velocity))
+
+    return wanted, [instant(k) for k in range(len(t))]
 
 
 # --- what the run did, first match first: (kind, what it did, remedy) -----------------------------------
