@@ -201,7 +201,7 @@ def _scalar(value, dtype):
 @functools.lru_cache(maxsize=64)
 def _scalar_in(value, dtype, *_):
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(dtype.type(value))
+        return jax.device_put(dtype.type(value))
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):

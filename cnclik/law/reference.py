@@ -197,7 +197,8 @@ def circle(
         u = np.cross(np.eye(3)[1] if abs(w[1]) < 0.9 else np.eye(3)[2], w)
         u = u / np.linalg.norm(u)
         v = np.cross(w, u)
-    c, s = jnp.cos(phase), jnp.sin(phase)
+    xp = np if errors.concrete(phase) else jnp  # NumPy compiles nothing
+    c, s = xp.cos(phase), xp.sin(phase)
     curve = Circle(
         center=center,
         first=radius * (c * u + s * v),

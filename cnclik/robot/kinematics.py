@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
@@ -9,7 +10,7 @@ from cnclik.record import cast, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.rolled import in_form, one_off, roll
 
 
 @record
@@ -23,22 +24,35 @@ class Pose:
 def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     """q as a floating array (n,), checked."""
     q = errors.array(name, q, (chain.n,), finite=finite)
-    return q if isinstance(q, jax.Array) else jnp.asarray(q)
+    return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
 
 
-@one_off
+def _computed(fn):
+    """fn(chain, q) in either form: rolled in NumPy, which compiles nothing, where all are numbers, else one program."""
+
+    @jax.jit
+    def program(chain, q):
+        found = fn(*in_form(cast(chain, q.dtype), q))
+        return jax.tree.map(lambda v: sp.packed(v, q.dtype), found, is_leaf=sp.unrolled)
+
+    def call(chain, q):
+        if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
+            return program(chain, q)
+        found = fn(roll(chain), np.asarray(q, float))
+        return jax.tree.map(lambda v: jax.device_put(v.astype(q.dtype)), found)
+
+    return call
+
+
+@_computed
 def _pose(chain, q):
-    chain, start = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    at = frames(chain, start)
-    return Pose(position=sp.packed(at.position, q.dtype), rotation=sp.packed(at.rotation, q.dtype))
+    at = frames(chain, q)
+    return Pose(position=at.position, rotation=at.rotation)
 
 
-@one_off
+@_computed
 def _jacobian(chain, q):
-    chain, start = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    return sp.packed(jacobian_rows(chain, frames(chain, start), (0, 1, 2), (0, 1, 2)), q.dtype)
+    return jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))
 
 
 def pose(chain: Chain, q: ArrayLike) -> Pose:

@@ -5,7 +5,6 @@ A task is anything with `linear` and `angular`, the components of the tip's velo
 
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,7 +12,7 @@ from cnclik import errors
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.rolled import roll
 
 
 def arm_length(chain: Chain):
@@ -38,18 +37,10 @@ def is_planar(chain: Chain) -> bool:
 
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
-    j = np.array(_jacobians(chain, jnp.asarray(postures), linear=task.linear, angular=task.angular))
+    rolled = roll(chain)  # in NumPy, which compiles nothing
+    j = np.stack([jacobian_rows(rolled, frames(rolled, q), task.linear, task.angular) for q in np.asarray(postures)])
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
-
-
-@one_off(static_argnames=("linear", "angular"))
-def _jacobians(chain, postures, *, linear, angular):
-    def one(q):
-        own, q = in_form(chain, q)
-        return sp.packed(jacobian_rows(own, frames(own, q), linear, angular), postures.dtype)
-
-    return jax.vmap(one)(postures)
 
 
 def start_posture(chain: Chain, task):

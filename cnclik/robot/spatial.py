@@ -119,7 +119,8 @@ def matmul(a, b):
 
 
 def _product(a, b):
-    return lax.dot(a, b, precision="highest")  # a GPU would round to fewer digits otherwise
+    # A GPU would round to fewer digits otherwise.
+    return a @ b if library(a, b) is np else lax.dot(a, b, precision="highest")
 
 
 def combine(weights, rows):
@@ -142,6 +143,11 @@ def squares(rows):
     return total(dot(row, row) for row in rows) if unrolled(rows) else jnp.sum(rows * rows)
 
 
+def library(*arrays):
+    """NumPy, which compiles nothing, where all of some arrays are its own, else JAX's."""
+    return np if all(isinstance(v, (np.ndarray, np.generic)) for v in arrays) else jnp
+
+
 def thin(rows):
     """The matrix, or its transpose, whichever has fewer rows."""
     return rows if len(rows) <= len(rows[0]) else transpose(rows)
@@ -151,14 +157,16 @@ def pick(v, indices):
     """Some entries of a vector."""
     if unrolled(v):
         return tuple(v[i] for i in indices)
-    return v[: len(indices)] if tuple(indices) == tuple(range(len(indices))) else jnp.stack([v[i] for i in indices])
+    indices = tuple(indices)
+    in_order = indices == tuple(range(len(indices)))
+    return v[: len(indices)] if in_order else library(v).stack([v[i] for i in indices])
 
 
 def join(a, b):
     """The entries of two vectors, one after the other."""
     if unrolled(a):
         return (*a, *b)
-    return jnp.concatenate([a, b]) if len(a) else b
+    return library(a, b).concatenate([a, b]) if len(a) else b
 
 
 def packed(v, dtype=None, axis=0):

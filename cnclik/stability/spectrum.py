@@ -213,13 +213,14 @@ def at_rest(law, reference, q):
     q = as_joint_values(law.chain, q, finite=True)
     if reference is not None and errors.concrete(q):
         _require_rest(law, reference, q)
-    return replace(hold_at(law, q), feedforward=jnp.zeros(law.task.m, q.dtype))
+    return replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
 
 
 def hold_at(law, q, move=0.0):
     """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
     at = pose(law.chain, q)
-    position = at.position[jnp.array(law.task.linear)] + move if law.task.position else None
+    at = jax.tree.map(np.asarray, at) if errors.concrete(at.position) else at  # NumPy compiles nothing
+    position = sp.pick(at.position, law.task.linear) + move if law.task.position else None
     return ref.hold(position, at.rotation if law.task.orientation else None)
 
 
@@ -256,11 +257,11 @@ def settle(law, reference, q0, *, N=200):
     check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")
     run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
-    size = float(jnp.linalg.norm(run.e[-1]))
+    size = float(np.linalg.norm(np.asarray(run.e)[-1]))
     if not size < rest_tolerance(law.chain):
         found = f"leaves an error of {size:.3g} after {N} steps"
         raise errors.fail("target", "be one the loop comes to rest on", found)
-    return np.asarray(run.q[-1])
+    return np.asarray(run.q)[-1]
 
 
 def largest_rate(alpha) -> float:
