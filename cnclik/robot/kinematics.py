@@ -28,18 +28,19 @@ def as_joint_values(chain: Chain, q, name="q", *, finite=False):
 
 
 def _computed(fn):
-    """fn(chain, q) in either form: rolled in NumPy, which compiles nothing, where all are numbers, else one program."""
+    """The vectors and matrices of fn(chain, q), in a list, as arrays.
+
+    Rolled in NumPy, which compiles nothing, where all are numbers; else one program, in either form.
+    """
 
     @jax.jit
     def program(chain, q):
-        found = fn(*in_form(cast(chain, q.dtype), q))
-        return jax.tree.map(lambda v: sp.packed(v, q.dtype), found, is_leaf=sp.unrolled)
+        return [sp.packed(v, q.dtype) for v in fn(*in_form(cast(chain, q.dtype), q))]
 
     def call(chain, q):
         if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
             return program(chain, q)
-        found = fn(roll(chain), np.asarray(q, float))
-        return jax.tree.map(lambda v: jax.device_put(v.astype(q.dtype)), found)
+        return [jax.device_put(v.astype(q.dtype)) for v in fn(roll(chain), np.asarray(q, float))]
 
     return call
 
@@ -47,12 +48,12 @@ def _computed(fn):
 @_computed
 def _pose(chain, q):
     at = frames(chain, q)
-    return Pose(position=at.position, rotation=at.rotation)
+    return at.position, at.rotation
 
 
 @_computed
 def _jacobian(chain, q):
-    return jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))
+    return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
 
 
 def pose(chain: Chain, q: ArrayLike) -> Pose:
@@ -63,7 +64,8 @@ def pose(chain: Chain, q: ArrayLike) -> Pose:
     Returns: `Pose`: position (3,) [m] and rotation (3, 3).
     Raises: ArgumentError if q does not have shape (n,).
     """
-    return _pose(chain, as_joint_values(chain, q))
+    position, rotation = _pose(chain, as_joint_values(chain, q))
+    return Pose(position=position, rotation=rotation)
 
 
 def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
@@ -76,7 +78,7 @@ def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
       q: (n,) joint values [rad, m].
     Raises: ArgumentError if q does not have shape (n,).
     """
-    return _jacobian(chain, as_joint_values(chain, q))
+    return _jacobian(chain, as_joint_values(chain, q))[0]
 
 
 def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
