@@ -116,6 +116,22 @@ class Path:
         return vector(jnp.asarray(target, dtype)), None
 
 
+@record
+class Tangent:
+    t: object  # where it touches the path that it stands for
+    position: tuple
+    velocity: tuple
+    rotation: object  # rows, or None
+    spin: object  # angular velocity in the base frame, or None
+
+    def __call__(self, t):
+        on = t - self.t
+        position = tuple(x + on * v for x, v in zip(self.position, self.velocity, strict=True))
+        if self.spin is None:
+            return position, self.rotation
+        return position, sp.matmul(sp.exp_so3(sp.scale(on, self.spin)), self.rotation)
+
+
 def vector(array):
     """An array (d,) as a tuple of scalars."""
     return None if array is None else tuple(array[i] for i in range(array.shape[0]))

@@ -14,9 +14,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, cubic, rows, vector
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, rows, vector
 from cnclik.law.task import Task
-from cnclik.record import brief, leaf, record
+from cnclik.record import brief, leaf, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
 
@@ -29,10 +29,11 @@ class Reference:
 
     curve: object  # t -> (position tuple or None, rotation rows or None)
     feedforward: object = None  # None: the curve's own velocity; else (m,), held constant
+    known: bool = True  # whether a step may look at the target ahead of its start, see `causal`
 
     def __repr__(self):
         told = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
-        return f"Reference: {brief(self.curve)}{told}"
+        return f"Reference: {brief(self.curve)}{told}{'' if self.known else ', future unknown'}"
 
 
 # --- sampling -----------------------------------------------------------------------------------------
@@ -50,10 +51,28 @@ def sample(reference: Reference, task: Task, t):
         return position, rotation, tuple(reference.feedforward[i] for i in range(task.m))
     xdot_d = _pick(task, dposition)
     if task.orientation:
-        spin = sp.matmul(drotation, sp.transpose(rotation))
-        omega = (spin[2][1], spin[0][2], spin[1][0])
+        omega = _spin(rotation, drotation)
         xdot_d += tuple(omega[i] for i in task.angular)
     return position, rotation, xdot_d
+
+
+def _spin(rotation, drotation):
+    """Angular velocity vee(Ṙ Rᵀ)."""
+    spin = sp.matmul(drotation, sp.transpose(rotation))
+    return spin[2][1], spin[0][2], spin[1][0]
+
+
+def tangent(reference: Reference, task: Task, t) -> Reference:
+    """The reference as it is known at time t and no later: from there on at the velocity it has, or is said to have."""
+    (position, rotation), (dposition, drotation) = jax.jvp(reference.curve, (t,), (jnp.ones_like(t),))
+    position, told = _pick(task, position), reference.feedforward
+    velocity = _pick(task, dposition) if told is None else tuple(told[i] for i in range(len(position)))
+    spin = _spin(rotation, drotation) if task.orientation and told is None else None
+    if task.orientation and told is not None:
+        about = dict(zip(task.angular, range(len(position), task.m), strict=True))
+        spin = tuple(told[about[i]] if i in about else jnp.zeros_like(t) for i in range(3))
+    curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=spin)
+    return replace(reference, curve=curve)
 
 
 def _pick(task, position):
@@ -105,7 +124,17 @@ def with_feedforward(reference: Reference, velocity: ArrayLike) -> Reference:
     For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
     """
     velocity = errors.array("velocity", velocity, (None,))
-    return Reference(curve=reference.curve, feedforward=velocity)
+    return replace(reference, feedforward=velocity)
+
+
+def causal(reference: Reference) -> Reference:
+    """The same path for a controller that doesn't know its future, such as a person's hand before a camera.
+
+    A step then sees x_d and ẋ_d at its start alone, and takes the target to move on with that velocity.
+    """
+    if not isinstance(reference, Reference):
+        raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
+    return replace(reference, known=False)
 
 
 # --- builders -----------------------------------------------------------------------------------------

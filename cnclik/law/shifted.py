@@ -2,7 +2,7 @@
 
 from cnclik.law.reference import Reference
 from cnclik.law.task import Task
-from cnclik.record import record
+from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
 
 
@@ -36,4 +36,9 @@ def shifted(reference: Reference, task: Task, w) -> Reference:
       w: (m,) as an array or a tuple [m, rad]: the velocity stays the curve's own; or a record called with t, whose
         velocity adds to the curve's.
     """
-    return Reference(curve=Shifted(base=reference.curve, task=task, w=w), feedforward=reference.feedforward)
+    return replace(reference, curve=Shifted(base=reference.curve, task=task, w=w))
+
+
+def unshifted(reference: Reference) -> Reference:
+    """The reference without what `shifted` adds: where the target is, whatever a measurement makes of the error."""
+    return replace(reference, curve=reference.curve.base) if isinstance(reference.curve, Shifted) else reference

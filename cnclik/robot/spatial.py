@@ -318,7 +318,11 @@ def log_so3(r):
     same rotation; one of them is returned, with the derivative of its branch.
     """
     q = quaternion_from_rotation(r)
-    w, v = q[0], q[1:]
+    return log_quaternion(q[0], q[1:])
+
+
+def log_quaternion(w, v):
+    """Rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0."""
     squared = dot(v, v)  # sin²(θ/2)
     small = squared < 1e-4
     safe = jnp.where(small, 1.0, squared)
@@ -327,3 +331,24 @@ def log_so3(r):
     series = _series(squared, 2.0, 1 / 3, 3 / 20, 5 / 56, 35 / 576)
     factor = jnp.where(small, series, 2 * jnp.arctan2(sine, jnp.where(small, 1.0, w)) / sine)
     return scale(factor, v)
+
+
+def turn_from(a, b):
+    """log(exp(−a) exp(b)) of rotation vectors [rad]: exact relative to their size, however small they are."""
+    (wa, va), (wb, vb) = half_turn(a), half_turn(b)
+    across = cross(va, vb)
+    w = add(wa * wb, dot(va, vb))
+    v = vsub(vsub(scale(wa, vb), scale(wb, va)), across if unrolled(a) else packed(across))
+    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)  # the shorter way
+    return log_quaternion(sign * w, scale(sign, v))
+
+
+def half_turn(v):
+    """Unit quaternion (w, (x, y, z)) of a rotation vector [rad], finite with all derivatives at 0."""
+    squared = 0.25 * dot(v, v)
+    small = squared < 1e-4
+    safe = jnp.where(small, 1.0, squared)
+    half = jnp.sqrt(safe)
+    sine = jnp.where(small, _series(squared, 1, -1 / 6, 1 / 120, -1 / 5040), jnp.sin(half) / half)
+    cosine = jnp.where(small, _series(squared, 1, -1 / 2, 1 / 24, -1 / 720, 1 / 40320), jnp.cos(half))
+    return cosine, scale(0.5 * sine, v)
