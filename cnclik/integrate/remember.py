@@ -148,7 +148,7 @@ def _all(limit, q):
 
 
 def primed(law, reference, past, t, Ts, method, history: History) -> History:
-    """The history as if a loop had been at the joint values `past`, newest first, while the target was as it is at t."""
+    """The history of a loop that was at the joint values `past`, newest first, the target being as it is at t."""
     for q in reversed(past):
         at = look(law, reference, t, q)
         make = _exponential if method.exponential else _plain

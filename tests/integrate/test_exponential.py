@@ -43,8 +43,11 @@ def rate(coarse, fine):
 # --- decay --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["EXP-EE", "EXP-RK4", "EXP-AB2"])
-@pytest.mark.parametrize("alpha", [2.0, [2.0, 30.0], [[2.0, 1.0], [-1.0, 30.0]]], ids=["number", "axes", "matrix"])
+@pytest.mark.parametrize(
+    ("method", "alpha"),
+    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0]), ("EXP-AB2", [[2.0, 1.0], [-1.0, 30.0]])],
+    ids=["number", "axes", "matrix"],
+)
 def test_decays_by_the_exact_factor(method, alpha):
     import scipy.linalg
 
@@ -57,7 +60,7 @@ def test_decays_by_the_exact_factor(method, alpha):
 
 def test_a_posture_decays_by_its_own_factor():
     law = ck.Law(SLIDERS, ck.position("x"), alpha=3.0, null_velocity=ck.posture([0.0, 2.0], rate=1.5))
-    for method in ("EXP-RK4", "EXP-AB3"):
+    for method in ("EXP-MIDPOINT", "EXP-AB2"):
         for Ts in (0.1, 10.0):
             q = by_steps(law, ck.hold([1.0]), np.zeros(2), Ts, 3, method)[0]
             close(q[:, 1], 2 - 2 * np.exp(-1.5 * Ts * np.arange(4)), atol=1e-13)
@@ -100,6 +103,7 @@ def test_order_of_position_and_joint_path(method, order):
 
 WRIST = ck.from_dh([0.0, 0.0, 0.0], [np.pi / 2, -np.pi / 2, 0.0], [0.1, 0.0, 0.3])
 TURNED = np.array([0.2, 0.7, -0.3])
+HOME = np.asarray(ck.pose(WRIST, TURNED).rotation)
 
 
 def tumbling(t):
@@ -107,8 +111,7 @@ def tumbling(t):
     from cnclik.robot import spatial as sp
 
     v = (0.6 * jnp.sin(t), 0.5 * (1 - jnp.cos(t)), 0.4 * jnp.sin(2 * t))
-    home = np.asarray(ck.pose(WRIST, TURNED).rotation)
-    return ck.Pose(position=jnp.zeros(3), rotation=jnp.stack([jnp.stack(r) for r in sp.exp_so3(v)]) @ home)
+    return ck.Pose(position=jnp.zeros(3), rotation=jnp.stack([jnp.stack(r) for r in sp.exp_so3(v)]) @ HOME)
 
 
 @pytest.mark.parametrize(("method", "order"), [("EXP-EE", 1), ("EXP-MIDPOINT", 2), ("EXP-RK4", 4)])
@@ -129,9 +132,7 @@ PRINTED = {  # RMS of ‖e‖ over the second half, by a loop written with Pinoc
 }
 
 
-@pytest.mark.parametrize(
-    "method", [pytest.param(m, marks=[] if m == "EXP-EE" else pytest.mark.slow) for m in PRINTED]
-)
+@pytest.mark.parametrize("method", [pytest.param(m, marks=[] if m == "EXP-EE" else pytest.mark.slow) for m in PRINTED])
 def test_panda_as_pinocchio_has_it(method):
     """A circle of 0.1 m in 4 s with a rocking orientation."""
     arm = ck.load_urdf(str(robot_file("panda")), tip="panda_link8")
@@ -168,22 +169,25 @@ def test_a_causal_step_sees_the_targets_start_alone():
 
     law = ck.Law(SLIDERS, ck.position("xy"), alpha=2.0)
     q = np.array([0.2, 1.5])
-    for method in ("EE", "RK4", "EXP-MIDPOINT", "EXP-RK4"):
+    for method in ("MIDPOINT", "EXP-MIDPOINT"):
         one, other = (ck.step(law, ck.causal(ck.path(f)), q, 0.0, 0.1, method).q for f in (straight, bent))
         close(one, other, atol=1e-15)
         close(one, ck.step(law, ck.path(straight), q, 0.0, 0.1, method).q, atol=1e-15)
     e = np.array([0.1, 1.6]) - q
     told = ck.with_feedforward(ck.path(bent), [0.5, 0.25])
-    for method in ("EXP-EE", "EXP-RK4"):
-        close(ck.step(law, told, q, 0.0, 0.1, method).q, q + [0.05, 0.025] - np.expm1(-0.2) * e, atol=1e-14)
+    close(
+        ck.step(law, told, q, 0.0, 0.1, "EXP-MIDPOINT").q,
+        q + 0.1 * np.array([0.5, 0.25]) - np.expm1(-0.2) * e,
+        atol=1e-14,
+    )
 
 
 def test_causal_loops_are_of_order_one_and_a_memory_foretells():
-    """Error on the path, half the step: half of it with exponential Euler, a quarter with EXP-AB2."""
+    """Half the step, half the error with exponential Euler, a quarter of it with EXP-AB2."""
     hidden = ck.causal(CIRCLE)
     for method, order in (("EXP-EE", 1), ("EXP-AB2", 2)):
-        coarse, fine = (by_steps(LAW, hidden, START, 1 / N, N, method)[1][-1] for N in (20, 40))
-        assert rate(coarse, fine) == pytest.approx(order, abs=0.25)
+        coarse, fine = (by_steps(LAW, hidden, START, 1 / N, N, method)[1][-1] for N in (40, 80))
+        assert rate(coarse, fine) == pytest.approx(order, abs=0.2)
 
 
 def test_shifted_and_told_references_stay_causal():
