@@ -62,9 +62,9 @@ def attraction_radius(z, sigma, curvature):
 
 @in_float64
 def certified_radius(law, q0, *, Ts, method=EE) -> float:
-    """Largest ‖x_d − x(q0)‖ for which explicit or exponential Euler from q0 is certain to converge, nothing assumed [m].
+    """Largest ‖x_d − x(q0)‖ for which explicit or exponential Euler from q0 is certain to converge [m].
 
-    In float64.
+    Nothing is assumed; in float64.
 
     `attraction_radius` needs σ_min along the whole way. That way is bounded too: with s the least σ_min met, steps
     are at most z‖e‖/s long and errors shrink by ρ = |1 − z| + L_H z²‖e₀‖/(2s²), so the way is at most
