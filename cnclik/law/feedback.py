@@ -143,7 +143,10 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     return Ahead(mean, turn if whole else None)
 
 
-_log = opaque(sp.log_so3)
+@opaque
+def _log(turn):
+    q = sp.quaternion_from_rotation(turn)
+    return sp.log_quaternion(q[0], q[1:])
 
 
 def _formed(values, like):

@@ -8,6 +8,7 @@ makes small programs (see `robot.rolled`). What is written with the functions he
 
 import functools
 import itertools
+import math
 
 import jax.numpy as jnp
 import numpy as np
@@ -318,11 +319,7 @@ def log_so3(r):
     same rotation; one of them is returned, with the derivative of its branch.
     """
     q = quaternion_from_rotation(r)
-    return log_quaternion(q[0], q[1:])
-
-
-def log_quaternion(w, v):
-    """Rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0."""
+    w, v = q[0], q[1:]
     squared = dot(v, v)  # sin²(θ/2)
     small = squared < 1e-4
     safe = jnp.where(small, 1.0, squared)
@@ -331,6 +328,19 @@ def log_quaternion(w, v):
     series = _series(squared, 2.0, 1 / 3, 3 / 20, 5 / 56, 35 / 576)
     factor = jnp.where(small, series, 2 * jnp.arctan2(sine, jnp.where(small, 1.0, w)) / sine)
     return scale(factor, v)
+
+
+def log_quaternion(w, v):
+    """Rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0; smooth, without a branch.
+
+    From y = tan²(θ/8) ≤ 0.172, where the series of atan(√y)/√y is short: a third of the time of `log_so3`.
+    """
+    up = 1.0 / (1.0 + w)
+    x = dot(v, v) * up * up  # tan²(θ/4)
+    upper = 1.0 / (1.0 + jnp.sqrt(1.0 + x))
+    y = x * upper * upper
+    terms = 10 if jnp.finfo(jnp.result_type(y)).bits <= 32 else 22
+    return scale(8 * up * upper * _series(y, *((-1) ** k / (2 * k + 1) for k in range(terms))), v)
 
 
 def turn_from(a, b):
@@ -344,11 +354,9 @@ def turn_from(a, b):
 
 
 def half_turn(v):
-    """Unit quaternion (w, (x, y, z)) of a rotation vector [rad], finite with all derivatives at 0."""
+    """Unit quaternion (w, (x, y, z)) of a rotation vector no longer than 2π [rad], by series without a branch."""
     squared = 0.25 * dot(v, v)
-    small = squared < 1e-4
-    safe = jnp.where(small, 1.0, squared)
-    half = jnp.sqrt(safe)
-    sine = jnp.where(small, _series(squared, 1, -1 / 6, 1 / 120, -1 / 5040), jnp.sin(half) / half)
-    cosine = jnp.where(small, _series(squared, 1, -1 / 2, 1 / 24, -1 / 720, 1 / 40320), jnp.cos(half))
+    terms = 9 if jnp.finfo(jnp.result_type(squared)).bits <= 32 else 15
+    sine = _series(squared, *((-1) ** k / math.factorial(2 * k + 1) for k in range(terms)))
+    cosine = _series(squared, *((-1) ** k / math.factorial(2 * k) for k in range(terms)))
     return cosine, scale(0.5 * sine, v)
