@@ -39,7 +39,7 @@ class History:
     Attributes:
       entries: (p − 1) `Entry`s, the newest first.
       position, rotation: where the target was at the last step, in the task's coordinates, and as rows.
-      velocity: (m,) the target's own, there.
+      speed: norm of the target's own velocity, there.
       Ts: length of the last step [s].
       count: how many entries count.
       made: steps made since the start, up to p − 1: so many are made by the starting method.
@@ -48,7 +48,7 @@ class History:
     entries: tuple
     position: object
     rotation: object
-    velocity: object
+    speed: object
     Ts: object
     count: object
     made: object
@@ -77,7 +77,7 @@ def blank(law: Law, q, method):
         entries=(entry,) * (method.steps - 1),
         position=zeros(p) if p else q[:0],
         rotation=zeros(3, 3) if law.task.orientation else None,
-        velocity=zeros(m),
+        speed=zero,
         Ts=zero,
         count=none,
         made=none,
@@ -121,7 +121,7 @@ def _mapped(history, fn):
         return replace(rec, **{n: fn(v) for n in names if (v := getattr(rec, n)) is not None})
 
     entries = tuple(one(entry, Entry.__dataclass_fields__) for entry in history.entries)
-    return replace(one(history, ("position", "rotation", "velocity")), entries=entries)
+    return replace(one(history, ("position", "rotation")), entries=entries)
 
 
 def checked(history, method, law):
@@ -177,10 +177,10 @@ def valid(history: History, law: Law, at: Mark, Ts):
             turn = sp.matmul(now, sp.transpose(before))
             sines = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
             moved += [0.5 * sines[i] for i in law.task.angular]
-    explained = history.Ts * (sp.safe_norm(at.velocity) + sp.safe_norm(history.velocity))
-    size = sp.safe_norm(at.position) if law.task.position else 0.0
-    rounding = _SLACK * jnp.finfo(explained.dtype).eps * (1 + size)
-    jumped = sp.safe_norm(tuple(moved)) > explained + rounding
+    explained = history.Ts * (sp.safe_norm(at.velocity) + history.speed)
+    size = sp.total(sp.each(jnp.abs, at.position)) if law.task.position else 0.0
+    most = explained + _SLACK * jnp.finfo(explained.dtype).eps * (1 + size)
+    jumped = sp.total(x * x for x in moved) > most * most
     uneven = jnp.abs(Ts - history.Ts) > UNEVEN * history.Ts
     return jnp.where(jumped | uneven, 0, history.count)
 
@@ -202,7 +202,7 @@ def remember(history: History, law: Law, entry: Entry, at: Mark, Ts, count) -> H
         entries=(entry, *history.entries[:-1]),
         position=like(at.position, history.position) if law.task.position else history.position,
         rotation=like(at.rotation, history.rotation) if law.task.orientation else None,
-        velocity=like(at.velocity, history.velocity),
+        speed=jnp.asarray(sp.safe_norm(at.velocity), dtype),
         Ts=jnp.asarray(Ts, dtype),
         count=count.astype(jnp.int32),
         made=jnp.minimum(history.made + 1, len(history.entries)).astype(jnp.int32),

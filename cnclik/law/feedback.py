@@ -18,6 +18,7 @@ from cnclik.robot import spatial as sp
 
 HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
 _TERMS = 9  # of the series there
+_HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
 _NEAR = 0.01  # below this z the quotient's derivative would lose digits, and a series is exact
 
 
@@ -145,8 +146,10 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
 
 @opaque
 def _log(turn):
-    q = sp.quaternion_from_rotation(turn)
-    return sp.log_quaternion(q[0], q[1:])
+    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
+    w = 0.5 * jnp.sqrt(jnp.maximum(1 + turn[0][0] + turn[1][1] + turn[2][2], _HALF_TURN))
+    v = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
+    return sp.log_quaternion(w, sp.scale(0.25 / w, v if sp.unrolled(turn) else sp.packed(v)))
 
 
 def _formed(values, like):

@@ -255,6 +255,7 @@ def test_needs_a_reference():
         ck.causal(3.0)
 
 
+@pytest.mark.slow
 def test_transforms_go_through_a_step_of_no_length():
     """Derivatives of the instant after the last are finite."""
     law = ck.Law(WRIST, ck.orientation(), alpha=5.0)

@@ -60,7 +60,7 @@ def test_late_measurements_of_multistep_methods():
     assert np.isnan(linear.real_axis_limits("AB2").dead_beat)  # two real factors meet before they are 0
 
 
-@pytest.mark.parametrize("method", ["EXP-RK4", "EXP-AB3", "AB2", "ZNN4"])
+@pytest.mark.parametrize("method", [pytest.param("EXP-RK4", marks=pytest.mark.slow), "EXP-AB3", "AB2", "ZNN4"])
 def test_the_loops_own_step_has_the_factors_of_the_theory(method):
     found = spectrum(ck.replace(LAW, alpha=4.0), None, Q, 0.2, method)
     factors = np.sort_complex(np.repeat(linear.factors(method, None, 0.8), 2))
@@ -103,7 +103,11 @@ def test_measured_loops_agree_with_the_limit(method, z):
 
 @pytest.mark.parametrize(
     ("method", "delay", "limit"),
-    [("EXP-EE", 2, 0.962), pytest.param("AB2", 1, 0.828, marks=pytest.mark.slow), ("EXP-AB2", 1, np.inf)],
+    [
+        ("EXP-EE", 2, 0.962),
+        pytest.param("AB2", 1, 0.828, marks=pytest.mark.slow),
+        pytest.param("EXP-AB2", 1, np.inf, marks=pytest.mark.slow),
+    ],
 )
 def test_measured_loops_that_are_late_agree(method, delay, limit):
     method = ck.METHODS[method]
