@@ -10,6 +10,7 @@ import numpy as np
 from jax import lax
 
 from cnclik.hints import one_function
+from cnclik.integrate.history import blank
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, newton, picard
 from cnclik.law import reference as ref
@@ -84,10 +85,12 @@ def final(law, reference, q0, Ts, N, method, stage):
 
     @one_function
     def march(law, reference, q0, Ts, stage, k):
-        def one(q, k):
-            return advance(law, reference, q, k * Ts, Ts, method, stage).q, None
+        def one(state, k):
+            made = advance(law, reference, state[0], k * Ts, Ts, method, stage, state[1])
+            return (made.q, made.history), None
 
-        q, _ = lax.scan(one, tuple(q0), k[:-1])
+        q = tuple(q0)
+        (q, _), _ = lax.scan(one, (q, blank(law, q, method)), k[:-1])
         return q, evaluate(law, reference, k[-1] * Ts, q).e
 
     q, e = march(law, reference, q0, jnp.asarray(Ts, q0.dtype), stage, k)
