@@ -67,7 +67,7 @@ def _march(made, report):
     from cnclik.integrate.solve import solve
     from cnclik.integrate.trajectory import join, truncate
 
-    size = min(made.N, PIECE)
+    size = made.N if made.method.steps > 1 else min(made.N, PIECE)  # a memory would begin anew with every piece
     pieces = -(-made.N // size)  # the last one may run past N; what is beyond is cut off
 
     def piece(k, q):

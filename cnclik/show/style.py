@@ -39,6 +39,14 @@ METHODS = {
     "HEUN": Line(ORANGE, DASH, "v", 3.5),
     "MIDPOINT": Line(SKY, DASHDOT, "P", 3.6),
     "RK4": Line(PURPLE, DOT, "X", 3.7, 1.6),
+    "AB2": Line(ORANGE, DOT, "<", 3.2),
+    "EXP-EE": Line(BLUE, "-", "o", 3.4),
+    "EXP-HEUN": Line(ORANGE, "-", "v", 3.5),
+    "EXP-MIDPOINT": Line(SKY, "-", "P", 3.6),
+    "EXP-RK4": Line(PURPLE, "-", "X", 3.7),
+    "EXP-AB2": Line(VERMILION, "-", ">", 3.8),
+    "EXP-AB3": Line(GREEN, DOT, ">", 3.8),
+    "EXP-AB4": Line(BLACK, DOT, ">", 3.8),
 }
 OTHER = Line(BLACK, DASH, "o", 3.0)  # of a method without one of its own
 
@@ -86,8 +94,10 @@ def style():
 
 
 def line(method: str, **changes) -> dict:
-    """Keyword arguments of `plot` for a method: its colour, dashes and (hollow) marker."""
-    return {"label": method, "markerfacecolor": "white"} | METHODS.get(method, OTHER)._asdict() | changes
+    """Keyword arguments of `plot` for a method: its colour, dashes and marker, filled for exponential ones."""
+    look = METHODS.get(method, OTHER)
+    face = look.color if method.startswith("EXP-") else "white"
+    return {"label": method, "markerfacecolor": face} | look._asdict() | changes
 
 
 def legend(figure, panel, columns=None) -> None:

@@ -28,8 +28,8 @@ FIGURES = {
     "distribution": ("value", "over", "lines"),
     "work": ("value", "lines", "over"),
 }
-_EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", "log", "limits")
-ROLES = ("x", "y", "lines", "panels", "rows", "over", "among")  # keys of a figure that name an axis
+_EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", "across", "log", "limits")
+ROLES = ("x", "y", "lines", "panels", "rows", "over", "among", "across")  # keys of a figure that name an axis
 
 
 def _are_numbers(value, count=None):

@@ -27,6 +27,7 @@ class Layout(NamedTuple):
     rows: str | None
     over: str | None  # a dimension along which a line runs without an axis of its own
     among: str | None  # the dimension whose best is asked for
+    across: str | None  # a dimension summed up by `reduce`, as samples are
     reduced: tuple  # dimensions summed up, by `reduce`
     middle: tuple  # long dimensions without a role: shown at their middle
     apart: tuple  # short ones: a figure for each of their values
@@ -108,7 +109,7 @@ def arrange(data, table: dict) -> Layout:
     if kind == "best":
         errors.one_of("figure.among", roles["among"], dims)
     free = [d for d in dims if d not in roles.values()]
-    summed = tuple(d for d in free if d in starts)
+    summed = tuple(d for d in dims if d == roles["across"] or (d in free and d in starts))
     reduced = () if kind == "convergence" else summed  # a history is shown with its spread
     # The rest in the order of what differs most in kind.
     free = sorted((d for d in free if d not in summed), key=lambda d: (d not in ("method", "stage"), d != "M"))
