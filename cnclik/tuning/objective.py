@@ -149,7 +149,7 @@ class LoopObjective:
         radius = jax.vmap(lambda a: linear.radius_bound(linear.delayed(a, self.delay)))(maps)
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
         constraints = [radius / self.margin - 1.0, correction / self.largest_correction - 1.0]
-        if callable(loop.law.null_velocity):
+        if callable(self.loop.law.null_velocity):
             constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
         if self.joints:
             constraints.append(self._speed(runs) - 1.0)
@@ -176,7 +176,7 @@ class LoopObjective:
         null_radius, correction = largest(across), largest(_corrections(maps))
         speed = told(jnp.max(self._speed(runs))) if self.joints else jnp.zeros_like(radius)
         ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
-        asked = (True, jnp.isfinite(self.largest_correction), callable(loop.law.null_velocity), bool(self.joints))
+        asked = (True, jnp.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
         excess = jnp.where(jnp.array(asked), jnp.stack(ratios) - 1.0, -jnp.inf)
         run = jax.tree.map(lambda x: x[0], runs)
         return Judged(told(loss), radius, null_radius, correction, speed, excess, postures, run)
