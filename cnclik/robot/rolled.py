@@ -141,7 +141,7 @@ def _rolled(chain: Chain) -> RolledChain:
 @frames.register
 def _(chain: RolledChain, q) -> Frames:
     """All frames of the chain at q (n,), as arrays."""
-    values = q if chain.mimic is None else chain.mimic[0] @ q + chain.mimic[1]
+    values = q if chain.mimic is None else sp.matvec(chain.mimic[0], q) + chain.mimic[1]
     factors = (jnp.ones_like(values), jnp.sin(values), jnp.cos(values), values)
     own = sum(f[:, None, None] * part for f, part in zip(factors, chain.transforms, strict=True) if part is not None)
 
