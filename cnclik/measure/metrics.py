@@ -150,7 +150,7 @@ def _overshoot(loop):
     e, first = loop.run.e, loop.run.e[0]
     squared = _squares(first)
     beyond = _max(jnp.maximum(_finite(-jnp.sum(e * first, axis=-1)), 0.0))
-    return jnp.where(squared > 0, beyond / jnp.where(squared > 0, squared, 1.0), 0.0)
+    return jnp.where(squared > 0, _finite(beyond / jnp.where(squared > 0, squared, 1.0)), 0.0)
 
 
 def _rate(loop):
@@ -158,7 +158,7 @@ def _rate(loop):
     inside = norms <= loop.tolerance
     count = norms.shape[0]
     last = jnp.minimum(_first(inside), count - 1)
-    ratio = norms[last] / jnp.where(inside[0], 1.0, norms[0])
+    ratio = _finite(norms[last] / jnp.where(inside[0], 1.0, norms[0]))
     ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
     return jnp.where(inside[0] | (count == 1), jnp.nan, ratio ** (1.0 / jnp.maximum(last, 1)))
 
@@ -311,13 +311,14 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
     In float32 errors are those of float64 to some 10 roundings of the arm's length, velocities to that over Ts.
 
     Args:
-      run: `Trajectory` of solve(law, reference, ...), one lane.
+      run: `Trajectory` of solve(law, reference, ...), one lane; `jax.vmap` this for a batch.
       names: which metrics, see `METRICS`.
       tolerance: on ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
 
     Returns: `Metrics` in the order of `names`, with units.
-    Raises: ArgumentError for an unknown name (the nearest is suggested), or one the task has no part in.
+    Raises: ArgumentError for an unknown name (the nearest is suggested), one the task has no part in, or a batch.
     """
+    one_lane(run)
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
     values = _values(run, law, reference, jnp.asarray(tolerance, run.e.dtype), names=tuple(names))
@@ -328,6 +329,12 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
 def _values(run, law, reference, tolerance, *, names):
     loop = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
     return [METRICS[name].fn(loop) for name in names]
+
+
+def one_lane(run) -> None:
+    """Raise ArgumentError for a batch of runs."""
+    if jnp.ndim(run.residual) != 1:
+        raise errors.fail("run", "be one lane", f"has {jnp.ndim(run.residual) - 1} leading axes")
 
 
 def check(names, law: Law) -> None:

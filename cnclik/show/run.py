@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.measure.dataset import to_dataset
+from cnclik.measure.metrics import one_lane
 from cnclik.show import style
 
 _TIME = "time $t$ [s]"
@@ -32,8 +33,7 @@ def plot(run, law, kind="overview"):
     Raises: ArgumentError for another kind, or a batch of runs.
     """
     draw = _KINDS[errors.one_of("kind", kind, _KINDS)]
-    if np.ndim(run.residual) != 1:
-        raise errors.fail("run", "be one lane", f"has {np.ndim(run.residual) - 1} leading axes")
+    one_lane(run)
     with style.style():
         return draw(to_dataset(run, law), law.chain)
 
