@@ -24,16 +24,19 @@ def concrete(value) -> bool:
     return jax is None or not isinstance(value, jax.core.Tracer)
 
 
+_NO_NUMBERS = (str, bytes, list, tuple, type(None))
+
+
 def number(name: str, value, *, positive=False, at_least=None):
     """A finite real number (or a traced scalar); returned as it came."""
     import numpy as np
 
-    if type(value) is not float and (np.ndim(value) != 0 or isinstance(value, (str, bytes)) or value is None):
+    if type(value) is not float and (isinstance(value, _NO_NUMBERS) or np.ndim(value) != 0):
         raise fail(name, "be a number", f"is {value!r}")
     if concrete(value):
         try:
             known = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise fail(name, "be a number", f"is {value!r}") from None
         if not math.isfinite(known):
             raise fail(name, "be finite", f"is {known}")

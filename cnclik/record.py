@@ -89,7 +89,7 @@ def record(cls=None, *, kw_only=True):
     names = tuple(f.name for f in dataclasses.fields(cls))
 
     def flatten(self):
-        # A record never changes, so it is taken apart once for a setting of JAX; repeated jit calls find the answer here.
+        # A record never changes, so it is taken apart once for each precision; repeated jit calls find the answer here.
         key = "_flat" if jax.config.jax_enable_x64 else "_flat32"
         found = self.__dict__.get(key)
         if found is None:

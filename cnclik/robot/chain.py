@@ -196,6 +196,9 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
 
     lower = limits("lower", lower, -math.inf)
     upper = limits("upper", upper, math.inf)
+    velocity_limit = limits("velocity_limit", velocity_limit, math.inf)
+    if min(velocity_limit) < 0:
+        raise errors.fail("velocity_limit", "be at least 0", f"is {min(velocity_limit):g}")
     for i in range(n):
         if lower[i] > upper[i]:
             raise errors.fail("lower", "not exceed `upper`", f"is {lower[i]:g} > {upper[i]:g} at joint {names[i]}")
@@ -205,7 +208,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
         joint_names=names,
         lower=lower,
         upper=upper,
-        velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
+        velocity_limit=velocity_limit,
     )
 
 
@@ -269,6 +272,8 @@ def _offset(name, transform) -> Offset:
         r = np.array([[float(x) for x in row[:3]] for row in rows[:3]])
         if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
             raise errors.fail(name, "hold a rotation in its upper left 3×3 block", "does not")
+        if [float(x) for x in rows[3]] != [0.0, 0.0, 0.0, 1.0]:
+            raise errors.fail(name, "have the last row 0 0 0 1", f"has {' '.join(f'{float(x):g}' for x in rows[3])}")
     return Offset(position=tuple(row[3] for row in rows[:3]), rotation=tuple(row[:3] for row in rows[:3]))
 
 

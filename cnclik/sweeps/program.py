@@ -109,7 +109,7 @@ def fit(study, of: Grid, memory=MEMORY):
     """The grid with blocks cut so that one needs no more than `memory` bytes, and its first program."""
     program = compile_program(study, of.programs[0], of)
     while program.memory > memory and math.prod(of.block) > 1:
-        of = dataclasses.replace(of, lanes=max(1, int(of.lanes * memory / program.memory)))
+        of = dataclasses.replace(of, lanes=max(1, int(math.prod(of.block) * memory / program.memory)))
         program = compile_program(study, of.programs[0], of)
     return of, program
 
