@@ -152,6 +152,8 @@ def _loss(words):
     made = {}
     for word in words:
         name, _, weight = word.partition("=")
+        if name in made:
+            raise errors.fail("loss", "name each loss once", f"is {' '.join(words)!r}")
         try:
             made[name] = float(weight) if weight else 1.0
         except ValueError:

@@ -10,6 +10,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
+from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked
@@ -192,8 +193,9 @@ def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
 
 
+@in_float64
 def judge(objective, many, *, together: int = TOGETHER) -> list:
-    """`Judged` of each of many values (tuples, one entry per parameter), NumPy arrays in them.
+    """`Judged` of each of many values (tuples, one entry per parameter), NumPy arrays in them. In float64.
 
     Args: together: how many are judged in one go; fewer are filled up to it, so that there is one program.
     """
@@ -207,8 +209,9 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
     return found
 
 
+@in_float64
 def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **goal) -> LoopObjective:
-    """The objective that `tune` descends, for judging values found in other ways. Args: as for `tune`."""
+    """The objective that `tune` descends, for judging values found in other ways. In float64. Args: as for `tune`."""
     check_loop(law)
     goal = Goal(**goal)
     method, stage = checked(method, stage)

@@ -207,7 +207,7 @@ def _alpha(law, Ts):
 
 
 def _schedule(law, Ts):
-    return np.full(KNOTS, largest_rate(law.alpha)), 1e-3 / Ts, 10.0 / Ts
+    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` takes the matrix as symmetric
 
 
 def _damping(law, Ts):

@@ -146,6 +146,13 @@ def test_float32_as_float64():
     np.testing.assert_allclose(run.q, found.after.run.q, rtol=0, atol=1e-5)
 
 
+def test_values_found_in_other_ways_are_judged_in_float64():
+    wide = judge(loop_objective(LAW, LINE, Q0, **LOOP), [(np.array(5.0),)])[0]
+    with jax.enable_x64(False):
+        found = judge(loop_objective(LAW, LINE, Q0, **LOOP), [(np.array(5.0),)])[0]
+    assert found.loss.dtype == np.float64 and found.loss == wide.loss and found.radius == wide.radius
+
+
 @pytest.mark.slow
 def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     arm, q0 = ck.planar_arm([1.0, 0.8, 0.6]), POSTURE
@@ -338,6 +345,7 @@ def test_panda_on_a_circle_does_not_ring():
         ({"loss": {"tracking": -1.0}}, "weight of tracking"),
         ({"over": ("links", "tool")}, "links"),
         ({"over": "null_gain"}, "null_velocity"),
+        ({"over": "schedule", "law": ck.replace(LAW, alpha=np.array([[5.0, 0.0], [3.0, 5.0]]))}, "symmetric matrix"),
         ({"margin": 1.5}, "margin"),
         ({"bounds": {"alpha": (5, 1)}}, "increase"),
         ({"bounds": {"Ts": (1, 2)}}, "bounds"),
