@@ -11,7 +11,6 @@ from jax import lax
 
 from cnclik.hints import one_function
 from cnclik.integrate.solve import advance, cast, solve
-from cnclik.integrate.stage import chord, newton, picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import damped, pseudoinverse
 from cnclik.law.law import Law, evaluate
@@ -57,7 +56,6 @@ ROBOTS = {
     "ur5": lambda: _spatial(ur5(), (0.0, -1.2, 1.8, -2.2, -math.pi / 2, 0.0)),
     "chain30": lambda: _spatial(chain_of_30(), (0.3,) * 30),
 }
-STAGES = {"picard": picard, "chord": chord, "newton": newton}
 
 
 def inputs(case: Case, batch: int, dtype) -> dict:

@@ -26,19 +26,31 @@ def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     return q if isinstance(q, jax.Array) else jnp.asarray(q)
 
 
-@one_off
-def _pose(chain, q):
+def _frames(chain, q):
+    """The chain in the form that pays, and its frames at q (n,)."""
     chain, start = in_form(chain, q)
     chain = cast(chain, q.dtype)
-    at = frames(chain, start)
+    return chain, frames(chain, start)
+
+
+def _rows(chain, q, linear=(0, 1, 2), angular=(0, 1, 2)):
+    """Rows of the geometric Jacobian as an array, see `jacobian_rows`."""
+    return sp.packed(jacobian_rows(*_frames(chain, q), linear, angular), q.dtype)
+
+
+@one_off
+def _pose(chain, q):
+    _, at = _frames(chain, q)
     return Pose(position=sp.packed(at.position, q.dtype), rotation=sp.packed(at.rotation, q.dtype))
 
 
-@one_off
-def _jacobian(chain, q):
-    chain, start = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    return sp.packed(jacobian_rows(chain, frames(chain, start), (0, 1, 2), (0, 1, 2)), q.dtype)
+_jacobian = one_off(_rows)
+
+
+@one_off(static_argnames=("linear", "angular"))
+def jacobians(chain, postures, *, linear, angular):
+    """Chosen rows of the geometric Jacobian at each of (K, n) postures: (K, rows, n)."""
+    return jax.vmap(lambda q: _rows(chain, q, linear, angular))(postures)
 
 
 def pose(chain: Chain, q: ArrayLike) -> Pose:
@@ -77,10 +89,5 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
 
 @one_off
 def _manipulability(chain, task, q):
-    chain, start = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    at = frames(chain, start)
-    axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
-    j = sp.packed(jacobian_rows(chain, at, *axes), q.dtype)
-    rows = j if j.shape[0] <= j.shape[1] else j.T
-    return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))
+    rows = sp.thin(_rows(chain, q) if task is None else _rows(chain, q, task.linear, task.angular))
+    return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(sp.products(rows, rows)), 0.0))

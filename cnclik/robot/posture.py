@@ -5,15 +5,13 @@ A task is anything with `linear` and `angular`, the components of the tip's velo
 
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.kinematics import jacobians
 
 
 def arm_length(chain: Chain):
@@ -29,27 +27,17 @@ def arm_length(chain: Chain):
 
 def is_planar(chain: Chain) -> bool:
     """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
-    flat = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     return all(
-        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == flat
+        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == sp.IDENTITY
         for joint in chain.joints
     )
 
 
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
-    j = np.array(_jacobians(chain, jnp.asarray(postures), linear=task.linear, angular=task.angular))
+    j = np.array(jacobians(chain, jnp.asarray(postures), linear=task.linear, angular=task.angular))
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
-
-
-@one_off(static_argnames=("linear", "angular"))
-def _jacobians(chain, postures, *, linear, angular):
-    def one(q):
-        own, q = in_form(chain, q)
-        return sp.packed(jacobian_rows(own, frames(own, q), linear, angular), postures.dtype)
-
-    return jax.vmap(one)(postures)
 
 
 def start_posture(chain: Chain, task):

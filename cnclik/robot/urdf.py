@@ -52,7 +52,8 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
         if edge.type == "fixed":
             continue
         if edge.type not in _MOVING:
-            raise errors.fail("tip", "be reached by revolute, prismatic and fixed joints", _odd(edge))
+            odd = f"joint {edge.name!r} on the way is {edge.type!r}"
+            raise errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
         leader, multiplier, offset = _leader(tree, by_name, edge)
         if leader.name not in names:
             names.append(leader.name)
@@ -90,10 +91,6 @@ def _leader(tree, by_name, edge):
                 "path", "have mimic joints that follow a moving joint", f"{seen[-2]!r} follows {name!r}, which {what}"
             )
     return edge, multiplier, offset
-
-
-def _odd(edge):
-    return f"joint {edge.name!r} on the way is {edge.type!r}"
 
 
 def _link(tree, name, link):
