@@ -85,7 +85,11 @@ def run(args: Args) -> None:
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-        drawn = _drawings(found) if args.figures else {}
+        drawn = {}
+        if args.figures:
+            from cnclik.show.tuning import drawings
+
+            drawn = drawings(found)
         text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
         (folder / "summary.md").write_text(text, encoding="utf-8")
     print(text.split("\n## Figures")[0])
@@ -96,19 +100,12 @@ def run(args: Args) -> None:
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
 
 
-def _drawings(found):
-    from cnclik.show.tuning import drawings
-
-    return drawings(found)
-
-
 def _asked(args) -> dict:
     """What is asked of the loop, as `tune` takes it."""
     from cnclik.tuning import Conditions, Descent
 
-    bounds = {name: b for name, b in (("alpha", args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
-    if args.alpha_bounds is not None and "alpha" not in args.over and "schedule" in args.over:
-        bounds["schedule"] = bounds.pop("alpha")
+    gain = "schedule" if "schedule" in args.over and "alpha" not in args.over else "alpha"
+    bounds = {name: b for name, b in ((gain, args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
     limit = args.velocity_limit
     return dict(
         over=args.over,
@@ -117,14 +114,7 @@ def _asked(args) -> dict:
         margin=args.margin,
         ringing=args.ringing,
         velocity_limit="chain" if limit is None else None if limit == 0 else limit,
-        conditions=Conditions(
-            noise=args.noise,
-            delay=args.delay,
-            model_error=args.model_error,
-            draws=args.draws,
-            tolerance=args.tolerance,
-            seed=args.seed,
-        ),
+        conditions=Conditions(**{field.name: getattr(args, field.name) for field in dataclasses.fields(Conditions)}),
         descent=Descent(steps=args.steps, starts=args.starts),
     )
 

@@ -184,18 +184,14 @@ def _limit_distance(loop):
     return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
-def chatter(qdot, *, settled=0.5):
-    """RMS speed that is taken back in the next step, over the last part of a run [rad/s, m/s].
+def chatter(qdot):
+    """RMS speed that is taken back in the next step, over the second half of a run's (N, n) [rad/s, m/s].
 
     A joint that moves at a in one step and at −b in the next takes back min(a, b); one that slows down, however
     hard, takes back nothing. Alternation at ±a measures a·√n' for n' such joints, smooth motion 0.
-
-    Args:
-      qdot: (N, n) joint velocities of the steps.
-      settled: the part of the run that is looked at, counted from its end.
     """
     qdot = jnp.asarray(qdot)
-    late = qdot[int(len(qdot) * (1 - settled)) :]
+    late = qdot[len(qdot) // 2 :]
     if len(late) < 2:
         return jnp.zeros((), qdot.dtype)
     before, after = late[:-1], late[1:]

@@ -45,13 +45,7 @@ class Program(NamedTuple):
 
 
 # Dimensions of what `solve` returns, for a study that returns whole trajectories.
-_DIMS = {
-    "t": ("time",),
-    "q": ("time", "joint"),
-    "x": ("time", "axis"),
-    "e": ("time", "axis"),
-    "qdot": ("step", "joint"),
-} | {name: ("step",) for name in ("residual", "contraction", "status")}
+_DIMS = {name: metric.dims for name, metric in METRICS.items()} | dict.fromkeys(("residual", "contraction"), ("step",))
 
 
 def compile_program(study, fixed: dict, of: Grid) -> Program:
