@@ -96,10 +96,15 @@ def _gather(value):
 def one_of(name: str, value, names):
     """A name from a list; the nearest one is suggested."""
     if not isinstance(value, str) or value not in names:
-        near = difflib.get_close_matches(str(value), [str(n) for n in names], n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        raise fail(name, f"be one of {', '.join(str(n) for n in names)}", f"is {value!r}{hint}")
+        names = [str(n) for n in names]
+        raise fail(name, f"be one of {', '.join(names)}", f"is {value!r}{nearest(value, names)}")
     return value
+
+
+def nearest(value, names) -> str:
+    """ " (did you mean 'that'?)", or nothing."""
+    near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _fits(shape, wanted):

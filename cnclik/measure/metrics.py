@@ -21,7 +21,6 @@ from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.record import cast
 from cnclik.robot import spatial as sp
-from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.rolled import in_form, one_off
 
 
@@ -344,8 +343,7 @@ def check(names, law: Law) -> None:
 def unit(name: str, law: Law) -> str:
     """The unit of a metric for this law: that of its task and joints where it depends on them."""
     written = METRICS[name].unit
-    prismatic = {j.kind == PRISMATIC for j in law.chain.joints}
-    joints = [u for u, has in (("rad", False in prismatic), ("m", True in prismatic)) if has]
+    joints = sorted(set(law.chain.units), reverse=True)
     mine = {"e": list(dict.fromkeys(law.task.units)), "q": joints, "J": ["m"] if law.task.position else ["1"]}
     head, tail = written[:1], written[1:]
     if head not in mine or tail[:1].isalpha():

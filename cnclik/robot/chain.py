@@ -52,16 +52,20 @@ class Chain:
         """Number of joint coordinates."""
         return len(self.joint_names)
 
+    @property
+    def units(self) -> tuple:
+        """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
+        kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
+        return tuple("m" if kinds.get(i) == PRISMATIC else "rad" for i in range(self.n))
+
     def __repr__(self):
         kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
         return f"Chain({kinds}, joint_names={list(self.joint_names)})"
 
     def __str__(self):
         """A line per joint: its kind and limits."""
-        turning = {j.coordinate: j.kind == REVOLUTE for j in self.joints}
         lines = [f"Chain of {self.n} joints"]
-        for i, name in enumerate(self.joint_names):
-            unit = "rad" if turning.get(i, True) else "m"
+        for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
             low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
             kind = REVOLUTE if unit == "rad" else PRISMATIC
             room = f"{low:.5g} to {high:.5g} {unit}" if math.isfinite(low) or math.isfinite(high) else "no limits"

@@ -1,7 +1,5 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
-import difflib
-
 from cnclik import errors
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose
 from cnclik.robot.tree import Tree, read_urdf
@@ -95,7 +93,6 @@ def _leader(tree, by_name, edge):
 
 def _link(tree, name, link):
     if link not in tree.links:
-        near = difflib.get_close_matches(str(link), tree.links, n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = errors.nearest(link, tree.links)
         raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
     return link
