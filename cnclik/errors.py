@@ -102,7 +102,7 @@ def one_of(name: str, value, names):
 
 
 def nearest(value, names) -> str:
-    """ " (did you mean 'that'?)", or nothing."""
+    """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
     near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
     return f" (did you mean {near[0]!r}?)" if near else ""
 

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import functools
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
@@ -104,15 +105,13 @@ def _write_csv(path, data) -> None:
 def _figures(data, made) -> dict:
     from cnclik.show import run as pictures
 
-    chain = made.law.chain
-    drawn = {
-        "joints": lambda: pictures.joint_paths(data, chain),
-        "error": lambda: pictures.error(data),
-        "velocities": lambda: pictures.joint_velocities(data, chain),
-        "status": lambda: pictures.status(data),
+    return {
+        f"{kind}.png": (
+            functools.partial(pictures.KINDS[kind], data, made.law.chain),
+            {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
+        )
+        for kind in ("joints", "error", "velocities", "status")
     }
-    about = data.attrs["config"]
-    return {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
 
 
 def _summary(made, trajectory, seconds):

@@ -71,17 +71,8 @@ def run(args: Args) -> None:
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
-            found = tuning.tune(
-                made.law,
-                made.reference,
-                made.q0,
-                Ts=made.Ts,
-                N=made.N,
-                method=made.method,
-                stage=made.stage,
-                progress=report,
-                **asked,
-            )
+            loop = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage)
+            found = tuning.tune(made.law, made.reference, made.q0, **loop, progress=report, **asked)
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")

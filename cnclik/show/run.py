@@ -32,7 +32,7 @@ def plot(run, law, kind="overview"):
     Returns: a matplotlib Figure.
     Raises: ArgumentError for another kind, or a batch of runs.
     """
-    draw = _KINDS[errors.one_of("kind", kind, _KINDS)]
+    draw = KINDS[errors.one_of("kind", kind, KINDS)]
     one_lane(run)
     with style.style():
         return draw(to_dataset(run, law), law.chain)
@@ -115,7 +115,7 @@ def overview(data, chain):
     return figure
 
 
-_KINDS = {
+KINDS = {
     "overview": overview,
     "joints": joint_paths,
     "error": lambda data, chain: error(data),
