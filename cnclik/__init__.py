@@ -16,8 +16,10 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.compilation import use_cache
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
+    from cnclik.integrate.history import History
     from cnclik.integrate.lanes import lanes
-    from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
+    from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method, exponential
+    from cnclik.integrate.multistep import Multistep
     from cnclik.integrate.solve import Step, solve, step
     from cnclik.integrate.stage import chord, newton, picard
     from cnclik.integrate.status import Status, StepError, require_ok
@@ -26,7 +28,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.law.law import Law
     from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
     from cnclik.law.null import maximize_manipulability, posture
-    from cnclik.law.reference import Reference, circle, hold, line, lissajous, path, waypoints, with_feedforward
+    from cnclik.law.reference import Reference, causal, circle, hold, line, lissajous, path, waypoints, with_feedforward
     from cnclik.law.task import Task, orientation, position
     from cnclik.law.task import pose as pose_task
     from cnclik.measure.dataset import to_dataset
@@ -54,8 +56,10 @@ _ON_USE = {
     "compilation": "use_cache",
     "errors": "ArgumentError",
     "hints": "use_form use_hints",
+    "integrate.history": "History",
     "integrate.lanes": "lanes",
-    "integrate.method": "CN EE HEUN IE METHODS MIDPOINT RK4 TRAPEZOID Method",
+    "integrate.method": "CN EE HEUN IE METHODS MIDPOINT RK4 TRAPEZOID Method exponential",
+    "integrate.multistep": "Multistep",
     "integrate.solve": "Step solve step",
     "integrate.stage": "chord newton picard",
     "integrate.status": "Status StepError require_ok",
@@ -64,7 +68,7 @@ _ON_USE = {
     "law.law": "Law",
     "law.limits": "saturation velocity_scaling weighted_least_norm",
     "law.null": "maximize_manipulability posture",
-    "law.reference": "Reference circle hold line lissajous path waypoints with_feedforward",
+    "law.reference": "Reference causal circle hold line lissajous path waypoints with_feedforward",
     "law.task": "Task orientation pose_task=pose position",
     "measure.dataset": "to_dataset",
     "measure.metrics": "Metrics measure_run",
@@ -84,16 +88,16 @@ _ON_USE = {
     "tuning.tune": "tune",
 }
 __all__ = [
-    *("CN", "EE", "HEUN", "IE", "METHODS", "MIDPOINT", "RK4", "TRAPEZOID", "ArgumentError", "Chain", "Law", "Method"),
-    *("Metrics", "Pose", "Reference", "Status", "Step", "StepError", "Task", "Trajectory", "__version__", "bench"),
-    *("calibrate", "chord", "circle", "damped", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line"),
-    *("lissajous", "load_urdf", "manipulability", "manipulability_damped", "margin", "maximize_manipulability"),
-    *("measure", "measure_run", "newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot"),
-    *("pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "recommend", "replace"),
-    *("require_ok", "saturation", "settle", "show", "singular_damped", "solve", "spectral_radius", "stability"),
-    *("stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache"),
-    *("use_form", "use_hints", "velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward"),
-    "with_tool",
+    *("ArgumentError", "CN", "Chain", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method", "Metrics"),
+    *("Multistep", "Pose", "RK4", "Reference", "Status", "Step", "StepError", "TRAPEZOID", "Task", "Trajectory"),
+    *("__version__", "bench", "calibrate", "causal", "chord", "circle", "damped", "exponential", "from_dh"),
+    *("from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf", "manipulability"),
+    *("manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run", "newton", "orientation"),
+    *("panda", "paper", "path", "picard", "planar_arm", "plot", "pose", "pose_task", "position", "posture", "problem"),
+    *("problem_from", "pseudoinverse", "recommend", "replace", "require_ok", "saturation", "settle", "show"),
+    *("singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep", "sweeps"),
+    *("to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints", "velocity_scaling"),
+    *("verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
 ]
 
 

@@ -168,7 +168,7 @@ def placed(rec):
     if any(isinstance(v, jax.core.Tracer) for v in arrays):
         return None
     with jax.ensure_compile_time_eval():  # else, called while a user's function is traced, what is kept would be traced
-        made = jax.tree.unflatten(treedef, [jax.numpy.asarray(v) for v in arrays])
+        made = jax.tree.unflatten(treedef, [jax.device_put(v) for v in arrays])
     if not any(isinstance(v, np.ndarray) and v.flags.writeable for v in arrays):
         object.__setattr__(rec, "_placed", (key, made))
     return made
@@ -225,4 +225,5 @@ def stack(records):
         return tuple(stack(items) for items in zip(*records, strict=True))
     if is_literal(first) and all(type(r) is type(first) and r == first for r in records):
         return first
-    return jax.numpy.stack([jax.numpy.asarray(r) for r in records])
+    traced = any(isinstance(r, jax.core.Tracer) for r in records)
+    return jax.numpy.stack(records) if traced else np.stack(records)  # NumPy compiles nothing

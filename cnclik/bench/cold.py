@@ -93,7 +93,7 @@ def measure(line: Line, *, robot=None, spec=None) -> dict:
     """
     record = {"name": line.name, "cold_aim_s": line.cold, "again_aim_s": line.again}
     with tempfile.TemporaryDirectory() as folder:
-        files = {ROBOT: str(pathlib.Path(robot).absolute()) if robot else _arm(folder)}
+        files = {ROBOT: str(pathlib.Path(robot).absolute()) if robot else arm(folder)}
         files[SPEC] = str(pathlib.Path(spec).absolute()) if spec else ""
         for which in ("cold", "again"):
             seconds, mebibytes, error = _once(
@@ -149,9 +149,11 @@ def _wait(process, until):
         time.sleep(0.005)
 
 
-def _arm(folder) -> str:
+def arm(folder) -> str:
     """A URDF file of seven revolute joints, a little less than 1 m long."""
-    links = "".join(f'<link name="l{i}"/>' for i in range(8))
+    inertia = " ".join(f'i{a}="{0.01 * (a in ("xx", "yy", "zz"))}"' for a in ("xx", "yy", "zz", "xy", "xz", "yz"))
+    inertial = f'<inertial><mass value="1"/><inertia {inertia}/></inertial>'
+    links = "".join(f'<link name="l{i}">{inertial}</link>' for i in range(8))  # simulators want masses
     joints = "".join(
         f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/>'
         f'<origin xyz="{0.02 * (i % 3)} 0 0.13" rpy="{1.5707963267948966 * (-1) ** i} 0 0.1"/><axis xyz="0 0 1"/>'

@@ -3,7 +3,9 @@
 The functions `solve` and `lanes` are offered by `cnclik` itself: here these names are the modules they live in.
 """
 
-from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method
+from cnclik.integrate.history import History
+from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method, exponential
+from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.solve import Step, step
 from cnclik.integrate.stage import chord, newton, picard
 from cnclik.integrate.status import Status, StepError, require_ok
@@ -18,12 +20,15 @@ __all__ = [
     "MIDPOINT",
     "RK4",
     "TRAPEZOID",
+    "History",
     "Method",
+    "Multistep",
     "Status",
     "Step",
     "StepError",
     "Trajectory",
     "chord",
+    "exponential",
     "newton",
     "picard",
     "require_ok",

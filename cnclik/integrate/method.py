@@ -11,6 +11,7 @@ import dataclasses
 import jax
 
 from cnclik import errors
+from cnclik.integrate.multistep import AB2, AB3, AB4, IFD5, ZEAD4, ZNN4, ZNN6, Multistep
 
 
 @jax.tree_util.register_static
@@ -25,6 +26,7 @@ class Method:
       c: times of the slopes, in units of Ts.
       order: the order of accuracy on a moving target, stages solved exactly.
       source: where it comes from.
+      exponential: whether the error decays by its exact factor over the step, see `exponential`.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Method:
     c: tuple
     order: int
     source: str
+    exponential: bool = False
 
     def __repr__(self):
         return self.name
@@ -41,6 +44,11 @@ class Method:
     def implicit(self) -> bool:
         """Whether some slope depends on itself."""
         return any(row[i] != 0 for i, row in enumerate(self.A))
+
+    @property
+    def steps(self) -> int:
+        """How many instants it uses: the present one."""
+        return 1
 
 
 EE = Method(
@@ -110,9 +118,43 @@ RK4 = Method(
     source="Kutta (1901); R(z) = 1 − z + z²/2 − z³/6 + z⁴/24",
 )
 
-METHODS = {m.name: m for m in (EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4)}
 
-
-def named(method, argument="method") -> Method:
+def named(method, argument="method"):
     """The method, or the one of that name. Raises: ArgumentError, naming `argument`, where there is none."""
-    return method if isinstance(method, Method) else METHODS[errors.one_of(argument, method, METHODS)]
+    return method if isinstance(method, (Method, Multistep)) else METHODS[errors.one_of(argument, method, METHODS)]
+
+
+def exponential(method):
+    """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same price.
+
+    The law's exact solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). So e is measured once, at the
+    step's start, and decays by its exact factor; the tableau integrates what is not known in closed form, the joints'
+    path (an exponential integrating-factor step, after Lawson 1967):
+
+      kᵢ = J#(qᵢ) (ẋ_d(t + cᵢ·Ts) + w) + (I − J#J) q̇₀(qᵢ),   qᵢ = q + Ts Σⱼ Aᵢⱼ kⱼ,   q⁺ = q + Ts Σᵢ bᵢ kᵢ
+      w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)
+
+    R(z) = e^{−z} for every z and every tableau. See `cnclik.law.feedback` for rotations and gain matrices. Of an
+    Adams-Bashforth formula it is EXP-AB: one Jacobian a step and a memory, see `cnclik.integrate.remember`.
+
+    Args:
+      method: an explicit `Method` or an Adams-Bashforth `Multistep`, or its name.
+    Raises: ArgumentError for others.
+    """
+    method = named(method)
+    if method.implicit or method.exponential or getattr(method, "a", (1.0,)) != (1.0,):
+        raise errors.fail("method", "be an explicit tableau such as RK4, or AB2, AB3 or AB4", f"is {method}")
+    return dataclasses.replace(
+        method, name=f"EXP-{method}", exponential=True, source=f"exponential form of {method}; R(z) = exp(−z)"
+    )
+
+
+_PLAIN = (EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4)
+_OF_STEPS = (AB2, AB3, AB4, ZNN4, ZEAD4, ZNN6, IFD5)
+_EXPONENTIAL = tuple(map(exponential, (EE, HEUN, MIDPOINT, RK4, AB2, AB3, AB4)))
+METHODS = {m.name: m for m in (*_PLAIN, *_OF_STEPS, *_EXPONENTIAL)}
+
+
+def starter(method) -> Method:
+    """The one-step method that the first steps of a multistep one are made with: RK4, or EXP-RK4."""
+    return METHODS["EXP-RK4"] if method.exponential else RK4

@@ -1,12 +1,10 @@
 """step and solve: the loop in time.
 
-`march` is one step over any field in component form, `advance` one step of the loop; `solve` scans it over N
-steps. Everything is pure with static shapes: jit, vmap, jvp and grad go through for alpha, Ts, targets, q0,
-geometry and damping.
+`advance` is one step of the loop in component form; `solve` scans it over N steps. Everything is pure with static
+shapes: jit, vmap, jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
 """
 
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +13,16 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import alone, few_lanes, keeps_history, one_function, quick_jit
-from cnclik.integrate.method import EE, Method, named
+from cnclik.integrate import history as memory
+from cnclik.integrate.advance import Step, advance
+from cnclik.integrate.history import History
+from cnclik.integrate.method import EE, Method, Multistep, named, starter
 from cnclik.integrate.stage import picard
-from cnclik.integrate.status import flags, growing
+from cnclik.integrate.status import growing
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
-from cnclik.law.law import Law, evaluate
+from cnclik.law.law import Law
 from cnclik.law.reference import Reference, check
-from cnclik.record import cast, placed, record, replace
+from cnclik.record import cast, placed, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.rolled import in_form, pays, roll
@@ -29,88 +30,27 @@ from cnclik.robot.rolled import in_form, pays, roll
 SHORT = 200  # steps up to which the trajectory is put together in the same native function as the loop
 
 
-@record
-class Step:
-    """One step of the loop: q after it, x and e before it. Fields as in `Trajectory`, without the time axis."""
-
-    q: jax.Array
-    x: jax.Array
-    e: jax.Array
-    qdot: jax.Array
-    residual: jax.Array
-    contraction: jax.Array
-    status: jax.Array
-
-
-class Moved(NamedTuple):
-    """One step over any field: where it went, how, and what the field was at its start."""
-
-    q: tuple
-    qdot: tuple
-    first: object
-    residual: object
-    contraction: object
-
-
-def march(field, q, Ts, method: Method, stage) -> Moved:
-    """One step of the method over `field`, in component form.
-
-    field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n scalars) and, for stages that
-    use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one.
-    """
-    first = field(0.0, q)  # the explicit Euler slope: a stage of most methods, the start of implicit ones
-    slopes = []
-    residual = contraction = jnp.zeros_like(q[0])
-    for i, (row, c) in enumerate(zip(method.A, method.c, strict=True)):
-        base = _move(q, Ts, row[:i], slopes)
-        if row[i] == 0:
-            slopes.append(first.qdot if c == 0 and not any(row) else field(c, base).qdot)
-            continue
-        h = sp.mul(row[i], Ts)
-        ahead = sp.combine([w / row[i] for w in row[:i]], slopes) if any(row[:i]) else sp.each(lambda _: 0.0, q)
-
-        def g(k, c=c, base=base, h=h):
-            return field(c, _move(base, h, (1.0,), (k,)))
-
-        solved = stage(g, first, h, ahead)
-        slopes.append(solved.slope)
-        residual = jnp.maximum(residual, solved.residual)
-        contraction = jnp.maximum(contraction, solved.contraction)
-    qdot = sp.combine(method.b, slopes)
-    moved = _move(q, Ts, (1.0,), (qdot,))
-    return Moved(q=moved, qdot=qdot, first=first, residual=residual, contraction=contraction)
-
-
-def advance(law: Law, reference, q, t, Ts, method: Method, stage) -> Step:
-    """One step of the loop in component form; the fields of the result are tuples of scalars."""
-
-    def field(c, q):
-        return evaluate(law, reference, t + c * Ts if c else t, q)
-
-    made = march(field, q, Ts, method, stage)
-    status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
-    return Step(
-        q=made.q,
-        x=sp.each(lambda x: jnp.asarray(x, made.residual.dtype), made.first.x()),  # z of a planar arm is a number
-        e=made.first.e,
-        qdot=made.qdot,
-        residual=made.residual,
-        contraction=made.contraction,
-        status=status,
-    )
-
-
-def _move(q, h, weights, slopes):
-    """q + h Σ wᵢ kᵢ."""
-    return sp.vadd(q, sp.scale(h, sp.combine(weights, slopes))) if any(weights) else q
-
-
-def evaluations_per_step(method: Method, stage, n: int) -> object:
+def evaluations_per_step(method, stage, n: int) -> object:
     """Evaluations of f(q, t) that one step of n joints costs; an array where the stage's M is one."""
+    if method.steps > 1:
+        return 1
     explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
     implicit = len(method.A) - explicit
     start = 0 if method.A[0][0] == 0 else 1  # implicit stages start from the explicit Euler slope
     return explicit + start + (implicit * stage.evaluations(n) if implicit else 0)
+
+
+def evaluations_of(method, stage, n: int, N: int) -> object:
+    """Evaluations of f(q, t) in N steps of n joints, those of the starting method among them."""
+    several = N * evaluations_per_step(method, stage, n)
+    if method.steps == 1:
+        return several
+    return several + early_steps(method, N) * (evaluations_per_step(starter(method), stage, n) - 1)
+
+
+def early_steps(method, N: int) -> int:
+    """How many of N steps the starting method makes."""
+    return min(method.steps - 1, N)
 
 
 # --- public -------------------------------------------------------------------------------------------
@@ -122,7 +62,7 @@ def solve(
     q0: ArrayLike,
     Ts: ArrayLike,
     N: int,
-    method: Method | str = EE,
+    method: Method | Multistep | str = EE,
     stage=picard(5),
     *,
     t0: ArrayLike = 0.0,
@@ -138,7 +78,8 @@ def solve(
       q0: (n,) joint values at t0 [rad, m].
       Ts: sampling time [s], positive.
       N: number of steps, a Python integer.
-      method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4, or a `Method` of your own; also by name.
+      method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4, one of `METHODS`, or a `Method` or `Multistep` of your own;
+        also by name. A multistep method begins with RK4 (EXP-RK4) steps.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
 
@@ -168,24 +109,28 @@ def step(
     q: ArrayLike,
     t: ArrayLike,
     Ts: ArrayLike,
-    method: Method | str = EE,
+    method: Method | Multistep | str = EE,
     stage=picard(5),
+    history: History | None = None,
 ) -> Step:
     """One step, for use inside a control loop of one's own: from q(t) to q(t + Ts).
 
-    Call it once before the loop begins: the first call compiles, for seconds.
+    Call it once before the loop begins: the first call compiles, for seconds. A multistep method compiles once more
+    with its second step, the first that has a history; it is `step(..., history=made.history)` from then on, and
+    None starts it anew, with a step of RK4 (EXP-RK4).
 
     Args and raises: as `solve`, with q (n,) and t [s] in place of q0 and t0.
     Returns: `Step` with q (n,) after the step, qdot (n,) to send to the robot, e (m,) before the step.
     """
     q, method = check_arguments(law, reference, q, Ts, method, stage, name="q")
+    history = memory.checked(history, method, law)
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
     run = _step
-    known = all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts))))
+    known = all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts, history))))
     if known and pays(evaluations_per_step(method, stage, law.chain.n), law):
         law, run = roll(law), _step_soon
-    return run(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, method=method)
+    return run(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, history, method=method)
 
 
 def _number(value, dtype):
@@ -201,7 +146,7 @@ def _scalar(value, dtype):
 @functools.lru_cache(maxsize=64)
 def _scalar_in(value, dtype, *_):
     with jax.ensure_compile_time_eval():
-        return jnp.asarray(dtype.type(value))
+        return jax.device_put(dtype.type(value))
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
@@ -250,11 +195,15 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
     short = unrolled and alone() and 0 < N <= SHORT
 
     def loop(law, reference, start, Ts, t0, stage, k):
-        def one(q, k):
-            made = advance(law, reference, q, t0 + k * Ts, jnp.where(k < N, Ts, 0.0), method, stage)
-            return made.q, replace(made, q=q)
+        def one(starting, state, k):
+            q, past = state
+            length = jnp.where(k < N, Ts, 0.0)
+            made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
+            return (made.q, made.history), replace(made, q=q, history=None)
 
-        return instants(jax.checkpoint(one, prevent_cse=False), start, k, start, law.task.m)
+        begin, go_on = (jax.checkpoint(functools.partial(one, early), prevent_cse=False) for early in (True, False))
+        state = start, memory.blank(law, start, method)
+        return instants(go_on, state, k, start, law.task.m, first=begin, early=early_steps(method, N))
 
     def whole(law, reference, start, Ts, t0, stage):
         law, reference = cast((law, reference), dtype)
@@ -262,7 +211,7 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
         k = jnp.arange(N + 1).astype(dtype)
         run = one_function(loop) if unrolled and N and not short else loop
         steps = run(law, reference, start, Ts, t0, stage, k)
-        run = assemble(t0 + k * Ts, steps, N * evaluations_per_step(method, stage, law.chain.n))
+        run = assemble(t0 + k * Ts, steps, evaluations_of(method, stage, law.chain.n, N))
         if not keeps_history():
             return run
         return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
@@ -275,11 +224,24 @@ _solve = jax.jit(_run, static_argnames=("N", "method"))
 _solve_soon = quick_jit(_run, static_argnames=("N", "method"))
 
 
-def _one_step(law, reference, q, t, Ts, stage, *, method):
+def _one_step(law, reference, q, t, Ts, stage, history, *, method):
     check(reference, law.task)
     law, start = in_form(law, q)
-    law, reference = cast((law, reference), q.dtype)
-    made = advance(law, reference, start, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
+    law, reference, history = cast((law, reference, history), q.dtype)
+    t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)
+
+    def one(starting, past):
+        return advance(law, reference, start, t, Ts, method, stage, past, starting=starting)
+
+    if method.steps == 1:
+        made = one(False, None)
+    elif history is None:
+        made = one(True, memory.blank(law, start, method))
+    else:
+        past = memory.in_the_form_of(start, history)
+        begins = past.made < method.steps - 1
+        made = jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), past)
+    made = replace(made, history=memory.packed(made.history))
     return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")})
 
 

@@ -21,6 +21,7 @@ class Status(enum.IntFlag):
     OVER_VELOCITY = 16  # a joint faster than its velocity limit
     GROWING = 32  # the error grew by more than its target moved, see `growing`; `step` can't tell
     TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
+    RESTARTED = 128  # a multistep method dropped its memory: the target jumped, or a limit changed the step
 
 
 _REMEDY = {
@@ -52,12 +53,12 @@ def count(status) -> dict:
 
 
 def require_ok(trajectory, *, allow=Status.OK):
-    """The trajectory itself if no step has a status beyond `allow`; else StepError.
+    """The trajectory itself if no step has a status beyond `allow` and RESTARTED, which is no defect; else StepError.
 
     The message names the first bad step (and lane), its time, and the remedy. Values are looked at, so this
     can't be used under jit.
     """
-    status = np.asarray(trajectory.status) & ~int(allow)
+    status = np.asarray(trajectory.status) & ~int(allow | Status.RESTARTED)
     if not status.any():
         return trajectory
     # Earliest step over all lanes: the last axis is time.

@@ -60,7 +60,7 @@ class Trajectory:
         return "\n".join(lines)
 
 
-def instants(one, start, k, q, m: int):
+def instants(one, start, k, q, m: int, *, first=None, early: int = 0):
     """What a loop does at its N + 1 instants, k = 0 … N, in component form. Pure.
 
     The step after the last is made for what the last instant is like: with a length of 0, for `one` to see to, it
@@ -71,6 +71,7 @@ def instants(one, start, k, q, m: int):
       start: the state at first.
       k: (N + 1,).
       q, m: joint values, for their form, and the number of task coordinates.
+      first, early: what stands in the place of `one` for the first `early` steps.
     Returns: steps of N + 1, and (q, x, e) of the last alone: who asks for the end needs no history.
     """
 
@@ -80,7 +81,11 @@ def instants(one, start, k, q, m: int):
 
     none = sp.each(jnp.zeros_like, q)
     empty = (none[0],) * m if sp.unrolled(q) else jnp.zeros(m, q.dtype)
-    (_, last), steps = lax.scan(both, (start, (none, empty, empty)), k)
+    if early:
+        start, begun = lax.scan(first, start, k[:early])
+    (_, last), steps = lax.scan(both, (start, (none, empty, empty)), k[early:])
+    if early:
+        steps = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, steps)
     return steps, last
 
 

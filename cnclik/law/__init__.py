@@ -4,13 +4,14 @@ from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, sin
 from cnclik.law.law import Law
 from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
 from cnclik.law.null import maximize_manipulability, posture
-from cnclik.law.reference import Reference, circle, hold, line, lissajous, path, waypoints, with_feedforward
+from cnclik.law.reference import Reference, causal, circle, hold, line, lissajous, path, waypoints, with_feedforward
 from cnclik.law.task import Task, orientation, pose, position
 
 __all__ = [
     "Law",
     "Reference",
     "Task",
+    "causal",
     "circle",
     "damped",
     "hold",

@@ -120,6 +120,23 @@ class Path:
         return vector(jnp.asarray(target, dtype), unrolled), rotation
 
 
+@record
+class Tangent:
+    t: object  # where it touches the path that it stands for
+    position: tuple
+    velocity: tuple
+    rotation: object  # rows, or None
+    spin: object  # angular velocity in the base frame, or None
+
+    def __call__(self, t, unrolled=True):
+        on = t - self.t
+        position = tuple(x + on * v for x, v in zip(self.position, self.velocity, strict=True))
+        rotation = self.rotation
+        if self.spin is not None:
+            rotation = sp.matmul(sp.exp_so3(sp.scale(on, self.spin)), rotation)
+        return (position, rotation) if unrolled else (whole(position), whole(rotation))
+
+
 def vector(array, unrolled=True):
     """An array (d,), or None, as a tuple of scalars, or as it is."""
     return tuple(array[i] for i in range(array.shape[0])) if unrolled and array is not None else array
@@ -127,6 +144,11 @@ def vector(array, unrolled=True):
 
 def rows(rotation, unrolled=True):
     return tuple(vector(rotation[i]) for i in range(3)) if unrolled and rotation is not None else rotation
+
+
+def whole(part):
+    """A tuple, or rows, as an array; or None."""
+    return None if part is None else sp.packed(part)
 
 
 def _progress(t, duration):

@@ -74,6 +74,24 @@ def ldl_solve(factor, b):
 
 
 @opaque
+def ldl_rows(factor, rows):
+    """Solution X of L D Lᵀ X = B, from the rows of B."""
+    columns, inverses, _ = factor
+    if not sp.unrolled(columns):
+        return cho_solve((columns, True), rows)
+    x = list(rows)
+    m = len(x)
+    for j in range(m):
+        for i in range(j + 1, m):
+            x[i] = sp.vsub(x[i], sp.scale(columns[j][i - j - 1], x[j]))
+    x = [sp.scale(inverses[i], x[i]) for i in range(m)]
+    for j in reversed(range(m)):
+        for i in range(j + 1, m):
+            x[j] = sp.vsub(x[j], sp.scale(columns[j][i - j - 1], x[i]))
+    return tuple(x)
+
+
+@opaque
 def inverse_trace(factor):
     """Trace of (L D Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ² / dᵢ."""
     columns, inverses, _ = factor

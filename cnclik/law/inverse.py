@@ -4,6 +4,7 @@ An inverse is a record that, called with the rows of J, factors them once and re
 function to apply J# to any number of task velocities, and what the factorisation says of singularity.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ class Factored(NamedTuple):
     apply: Callable
     least: object  # estimate of the least singular value of J; no derivative
     shift: object = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
+    columns: Callable | None = None  # () to the m columns of J#, where there is a shorter way than `apply`
 
 
 @record
@@ -32,7 +34,7 @@ class Pseudoinverse:
 
     def __call__(self, rows) -> Factored:
         columns, least = dense.pinv(rows)
-        return Factored(lambda t: _apply(t, columns), lax.stop_gradient(least))
+        return Factored(lambda t: _apply(t, columns), lax.stop_gradient(least), columns=lambda: columns)
 
 
 @record
@@ -44,7 +46,9 @@ class Damped:
     def __call__(self, rows) -> Factored:
         shift = self.damping * self.damping
         apply, factor = damped_apply(rows, shift)
-        return Factored(apply, _least(factor, shift), shift)
+        wide = len(rows) <= len(rows[0])
+        columns = functools.partial(dense.ldl_rows, factor, rows) if wide else None
+        return Factored(apply, _least(factor, shift), shift, columns)
 
 
 @record

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse, damped_apply
@@ -22,7 +23,7 @@ from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.record import brief, leaf, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames
+from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.rolled import RolledChain
 
 
@@ -121,14 +122,25 @@ class Evaluation(NamedTuple):
     least: object  # estimate of the least singular value
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
     held: object = False  # whether a limit changed what the task asked for
+    asked: tuple = ()  # m task velocities, weighted
+    columns: Callable | None = None  # () to the m columns of J#, where there is a shorter way than `apply`
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
     """f(q, t) for q a tuple of n scalars."""
-    e, x, rows, xdot_d = seen(law, reference, t, q)
-    velocity = sp.vadd(sp.scale(law.feedforward, xdot_d), gain(law.alpha, clamped(law, e)))
-    rows, velocity = _weigh(law.task, rows), _weigh(law.task, velocity)
-    wanted, held = null_velocity(law, q), False
+    return respond(law, q, look(law, reference, t, q))
+
+
+def respond(law: Law, q, at) -> Evaluation:
+    """f at q, from what the law sees there."""
+    velocity = sp.vadd(sp.scale(law.feedforward, at.xdot_d), gain(law.alpha, clamped(law, at.e)))
+    return answer(law, q, at, velocity, null_velocity(law, q))
+
+
+def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
+    """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
+    rows, velocity = weigh(law, at.rows), weigh(law, velocity)
+    held = False
     if law.limits is None:
         made = law.inverse(rows)
         qdot = made.apply(velocity)
@@ -139,22 +151,61 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
         qdot, held = made.qdot, made.held
     return Evaluation(
         qdot=qdot,
-        e=e,
-        x=x,
+        e=at.e,
+        x=at.x,
         rows=rows,
         apply=made.apply,
         least=made.least,
         correct=lambda h, r: correct(law, q, rows, made, h, r),
         held=held,
+        asked=velocity,
+        columns=getattr(made, "columns", None),
     )
+
+
+class Seen(NamedTuple):
+    """What the law sees at an instant; of a stage that needs no error, the rows alone."""
+
+    rows: tuple  # of the task Jacobian, unweighted
+    e: tuple = None  # (m,)
+    x: Callable = None  # () to (m,)
+    xdot_d: tuple = None  # (m,)
+    position: tuple = None  # the target's, in the task's coordinates
+    rotation: tuple = None
 
 
 def seen(law: Law, reference, t, q):
     """What the law sees at q: the error (m,), a function that gives x (m,), the rows of J, and ẋ_d (m,)."""
-    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t, sp.unrolled(q))
+    at = look(law, reference, t, q)
+    return at.e, at.x, at.rows, at.xdot_d
+
+
+def look(law: Law, reference, t, q) -> Seen:
+    """All that the law sees at q and t."""
+    position_d, rotation_d, xdot_d = target(law, reference, t, q)
     at = frames(law.chain, q)
     e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
-    return e, lambda: coordinates(law.task, at.position, at.rotation), rows, xdot_d
+    return Seen(
+        rows=rows,
+        e=e,
+        x=lambda: coordinates(law.task, at.position, at.rotation),
+        xdot_d=xdot_d,
+        position=position_d,
+        rotation=rotation_d,
+    )
+
+
+def glance(law: Law, q) -> Seen:
+    """The rows of J alone."""
+    return Seen(rows=_rows(law.chain, frames(law.chain, q), law.task.linear, law.task.angular))
+
+
+_rows = opaque(jacobian_rows)
+
+
+def target(law: Law, reference, t, q):
+    """The target's position, rotation and velocity at t, as `cnclik.law.reference.sample`, in the form of q."""
+    return ref.sample(reference, law.task, t, sp.unrolled(q))
 
 
 def correct(law: Law, q, rows, made, h, r):
@@ -247,7 +298,9 @@ def clamped(law: Law, e):
 
 
 def gain(alpha, e):
-    """K e for a scalar, per-axis or matrix gain."""
+    """K e for a scalar, per-axis or matrix gain; a matrix as an array, or as rows."""
+    if sp.unrolled(alpha):
+        return sp.matvec(alpha, e)
     if not sp.unrolled(e):
         return alpha * e if alpha.ndim < 2 else sp.matvec(alpha, e)
     if alpha.ndim == 0:
@@ -271,12 +324,11 @@ def null_velocity(law: Law, q):
     return sp.like(q, values)
 
 
-def _weigh(task: Task, items):
-    """Rows or components times the task's weights."""
-    if task.weights is None:
+def weigh(law: Law, items):
+    """Rows or components times the task's weights: what J# takes."""
+    weights = law.task.weights
+    if weights is None:
         return items
     if not sp.unrolled(items):
-        return (task.weights * items.T).T
-    return tuple(
-        sp.scale(task.weights[i], x) if sp.unrolled(x) else sp.mul(task.weights[i], x) for i, x in enumerate(items)
-    )
+        return (weights * items.T).T
+    return tuple(sp.scale(weights[i], x) if sp.unrolled(x) else sp.mul(weights[i], x) for i, x in enumerate(items))

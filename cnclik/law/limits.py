@@ -39,6 +39,8 @@ class Limited(NamedTuple):
 class Scaled:
     """See `velocity_scaling`."""
 
+    positions = False  # are not looked at
+
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         factored = inverse(rows)
         qdot, held = _slow_down(chain, _through(factored.apply, rows, velocity, wanted))

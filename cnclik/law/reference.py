@@ -14,9 +14,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, cubic, rows, vector
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, rows, vector
 from cnclik.law.task import Task
-from cnclik.record import brief, leaf, record
+from cnclik.record import brief, leaf, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
 
@@ -29,10 +29,11 @@ class Reference:
 
     curve: object  # t -> (position tuple or None, rotation rows or None)
     feedforward: object = None  # None: the curve's own velocity; else (m,), held constant
+    known: bool = True  # whether a step may look at the target ahead of its start, see `causal`
 
     def __repr__(self):
         told = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
-        return f"Reference: {brief(self.curve)}{told}"
+        return f"Reference: {brief(self.curve)}{told}{'' if self.known else ', future unknown'}"
 
 
 # --- sampling -----------------------------------------------------------------------------------------
@@ -53,11 +54,27 @@ def sample(reference: Reference, task: Task, t, unrolled=True):
     if reference.feedforward is not None:
         return position, rotation, vector(reference.feedforward, unrolled)
     if task.orientation:
-        spin = sp.matmul(drotation, sp.transpose(rotation))
         entries = [((2, 1), (0, 2), (1, 0))[i] for i in task.angular]
+        spin = sp.matmul(drotation, sp.transpose(rotation))
         omega = tuple(spin[i][j] for i, j in entries) if unrolled else spin[tuple(np.transpose(entries))]
         xdot_d = sp.join(xdot_d, omega)
     return position, rotation, xdot_d
+
+
+def tangent(reference: Reference, task: Task, t) -> Reference:
+    """The reference as it is known at time t and no later: from there on at the velocity it has, or is said to have."""
+    (position, rotation), (dposition, drotation) = jax.jvp(reference.curve, (t,), (jnp.ones_like(t),))
+    position, told = _pick(task, position), reference.feedforward
+    velocity = _pick(task, dposition) if told is None else tuple(told[i] for i in range(len(position)))
+    spin = None
+    if task.orientation and told is None:
+        turning = sp.matmul(drotation, sp.transpose(rotation))
+        spin = turning[2][1], turning[0][2], turning[1][0]
+    elif task.orientation:
+        about = dict(zip(task.angular, range(len(position), task.m), strict=True))
+        spin = tuple(told[about[i]] if i in about else jnp.zeros_like(t) for i in range(3))
+    curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=spin)
+    return replace(reference, curve=curve)
 
 
 def _pick(task, position, unrolled=True):
@@ -107,7 +124,17 @@ def with_feedforward(reference: Reference, velocity: ArrayLike) -> Reference:
     For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
     """
     velocity = errors.array("velocity", velocity, (None,))
-    return Reference(curve=reference.curve, feedforward=velocity)
+    return replace(reference, feedforward=velocity)
+
+
+def causal(reference: Reference) -> Reference:
+    """The same path for a controller that doesn't know its future, such as a person's hand before a camera.
+
+    A step then sees x_d and ẋ_d at its start alone, and takes the target to move on with that velocity.
+    """
+    if not isinstance(reference, Reference):
+        raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
+    return replace(reference, known=False)
 
 
 # --- builders -----------------------------------------------------------------------------------------
@@ -197,7 +224,8 @@ def circle(
         u = np.cross(np.eye(3)[1] if abs(w[1]) < 0.9 else np.eye(3)[2], w)
         u = u / np.linalg.norm(u)
         v = np.cross(w, u)
-    c, s = jnp.cos(phase), jnp.sin(phase)
+    xp = np if errors.concrete(phase) else jnp  # NumPy compiles nothing
+    c, s = xp.cos(phase), xp.sin(phase)
     curve = Circle(
         center=center,
         first=radius * (c * u + s * v),

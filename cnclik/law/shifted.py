@@ -1,8 +1,9 @@
 """Shifted: a reference moved by a vector in the task's coordinates."""
 
+from cnclik.law.curves import whole
 from cnclik.law.reference import Reference
 from cnclik.law.task import Task
-from cnclik.record import record
+from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
 
 
@@ -26,11 +27,7 @@ class Shifted:
         if self.task.orientation:
             about = dict(zip(self.task.angular, turn, strict=True))
             rotation = sp.matmul(sp.exp_so3(tuple(about.get(i, 0.0) for i in range(3))), rotation)
-        return (position, rotation) if unrolled else (_whole(position), _whole(rotation))
-
-
-def _whole(part):
-    return None if part is None else sp.packed(part)
+        return (position, rotation) if unrolled else (whole(position), whole(rotation))
 
 
 def shifted(reference: Reference, task: Task, w) -> Reference:
@@ -40,4 +37,9 @@ def shifted(reference: Reference, task: Task, w) -> Reference:
       w: (m,) as an array or a tuple [m, rad]: the velocity stays the curve's own; or a record called with t, whose
         velocity adds to the curve's.
     """
-    return Reference(curve=Shifted(base=reference.curve, task=task, w=w), feedforward=reference.feedforward)
+    return replace(reference, curve=Shifted(base=reference.curve, task=task, w=w))
+
+
+def unshifted(reference: Reference) -> Reference:
+    """The reference without what `shifted` adds: where the target is, whatever a measurement makes of the error."""
+    return replace(reference, curve=reference.curve.base) if isinstance(reference.curve, Shifted) else reference

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.status import Status
@@ -316,7 +317,7 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
     one_lane(run)
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
-    values = _values(run, law, reference, jnp.asarray(tolerance, run.e.dtype), names=tuple(names))
+    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
     return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
 
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.hints import one_function
+from cnclik.integrate.history import blank
 from cnclik.integrate.method import EE, Method, named
 from cnclik.integrate.solve import advance, cast
 from cnclik.integrate.stage import picard
@@ -74,6 +75,7 @@ class _Seen(NamedTuple):
     """What is remembered of a loop while it runs."""
 
     q: tuple
+    history: object  # of a multistep method, or None
     scale: jax.Array  # the error to compare with
     last_above: jax.Array  # last step with an error above tolerance·scale
     least_before: jax.Array  # least and largest error in the third quarter
@@ -101,7 +103,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
 
     def one(own, seen, k):
         law, reference, Ts, stage, tolerance, given = own
-        made = advance(law, reference, seen.q, k * Ts, Ts, method, stage)
+        made = advance(law, reference, seen.q, k * Ts, Ts, method, stage, seen.history)
         size = sp.safe_norm(made.e)
         first = jnp.where(jnp.isfinite(size), size, jnp.nan)  # what begins nowhere arrives nowhere
         scale = jnp.where(k == 0, first, seen.scale) if given is None else seen.scale
@@ -112,6 +114,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         third = (k >= before) & (k < tail)
         return _Seen(
             q=made.q,
+            history=made.history,
             scale=scale,
             last_above=jnp.where(size <= tolerance * scale, seen.last_above, k),
             least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),
@@ -131,6 +134,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
     seen = _Seen(
         q=start,
+        history=blank(law, start, method),
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,

@@ -11,7 +11,6 @@ from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.problem import words
 from cnclik.problem.names import fitting
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import arm_length
@@ -85,8 +84,8 @@ def _circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
     phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
     at, rotation = _point("center", center, scene.task, scene.here)
     if center is None:
-        first = ref.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve(0.0)[0]
-        at = at - _known(sp.packed(first))
+        around = ref.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve
+        at = at - _known(around.first)
     return ref.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
 
 

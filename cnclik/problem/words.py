@@ -39,5 +39,8 @@ REFERENCES = {
     "circle": Takes(takes=("center", "radius", "normal", "phase", "period")),
     "lissajous": Takes(takes=("center", "amplitude", "frequency", "phase", "period")),
 }
-METHODS = ("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4")
+METHODS = (
+    *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "AB2", "AB3", "AB4", "ZNN4", "ZEAD4", "ZNN6", "IFD5"),
+    *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
+)
 STAGES = ("picard", "chord", "newton")

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
@@ -9,7 +10,7 @@ from cnclik.record import cast, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.rolled import in_form, one_off, roll
 
 
 @record
@@ -23,34 +24,36 @@ class Pose:
 def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     """q as a floating array (n,), checked."""
     q = errors.array(name, q, (chain.n,), finite=finite)
-    return q if isinstance(q, jax.Array) else jnp.asarray(q)
+    return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
 
 
-def _frames(chain, q):
-    """The chain in the form that pays, and its frames at q (n,)."""
-    chain, start = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    return chain, frames(chain, start)
+def _computed(fn):
+    """The vectors and matrices of fn(chain, q), in a list, as arrays.
+
+    Rolled in NumPy, which compiles nothing, where all are numbers; else one program, in either form.
+    """
+
+    @jax.jit
+    def program(chain, q):
+        return [sp.packed(v, q.dtype) for v in fn(*in_form(cast(chain, q.dtype), q))]
+
+    def call(chain, q):
+        if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
+            return program(chain, q)
+        return [jax.device_put(v.astype(q.dtype)) for v in fn(roll(chain), np.asarray(q, float))]
+
+    return call
 
 
-def _rows(chain, q, linear=(0, 1, 2), angular=(0, 1, 2)):
-    """Rows of the geometric Jacobian as an array, see `jacobian_rows`."""
-    return sp.packed(jacobian_rows(*_frames(chain, q), linear, angular), q.dtype)
-
-
-@one_off
+@_computed
 def _pose(chain, q):
-    _, at = _frames(chain, q)
-    return Pose(position=sp.packed(at.position, q.dtype), rotation=sp.packed(at.rotation, q.dtype))
+    at = frames(chain, q)
+    return at.position, at.rotation
 
 
-_jacobian = one_off(_rows)
-
-
-@one_off(static_argnames=("linear", "angular"))
-def jacobians(chain, postures, *, linear, angular):
-    """Chosen rows of the geometric Jacobian at each of (K, n) postures: (K, rows, n)."""
-    return jax.vmap(lambda q: _rows(chain, q, linear, angular))(postures)
+@_computed
+def _jacobian(chain, q):
+    return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
 
 
 def pose(chain: Chain, q: ArrayLike) -> Pose:
@@ -61,7 +64,8 @@ def pose(chain: Chain, q: ArrayLike) -> Pose:
     Returns: `Pose`: position (3,) [m] and rotation (3, 3).
     Raises: ArgumentError if q does not have shape (n,).
     """
-    return _pose(chain, as_joint_values(chain, q))
+    position, rotation = _pose(chain, as_joint_values(chain, q))
+    return Pose(position=position, rotation=rotation)
 
 
 def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
@@ -74,7 +78,7 @@ def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
       q: (n,) joint values [rad, m].
     Raises: ArgumentError if q does not have shape (n,).
     """
-    return _jacobian(chain, as_joint_values(chain, q))
+    return _jacobian(chain, as_joint_values(chain, q))[0]
 
 
 def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
@@ -89,5 +93,7 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
 
 @one_off
 def _manipulability(chain, task, q):
-    rows = sp.thin(_rows(chain, q) if task is None else _rows(chain, q, task.linear, task.angular))
+    chain, start = in_form(cast(chain, q.dtype), q)
+    axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
+    rows = sp.packed(sp.thin(jacobian_rows(chain, frames(chain, start), *axes)), q.dtype)
     return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(sp.products(rows, rows)), 0.0))

@@ -11,7 +11,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.kinematics import jacobians
+from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.rolled import roll
 
 
 def arm_length(chain: Chain):
@@ -35,7 +36,8 @@ def is_planar(chain: Chain) -> bool:
 
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
-    j = np.array(jacobians(chain, jnp.asarray(postures), linear=task.linear, angular=task.angular))
+    rolled = roll(chain)  # in NumPy, which compiles nothing
+    j = np.stack([jacobian_rows(rolled, frames(rolled, q), task.linear, task.angular) for q in np.asarray(postures)])
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
 

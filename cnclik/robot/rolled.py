@@ -11,11 +11,11 @@ so it is known from four of its values, and these come from the unrolled form's 
 """
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.hints import form, in_a_kernel, quick_jit, use_form, use_hints
@@ -140,27 +140,26 @@ def _rolled(chain: Chain) -> RolledChain:
 
 @frames.register
 def _(chain: RolledChain, q) -> Frames:
-    """All frames of the chain at q (n,), as arrays."""
+    """All frames of the chain at q (n,), as arrays: NumPy's where all are numbers."""
+    xp = sp.library(q, chain.tip)
     values = q if chain.mimic is None else sp.matvec(chain.mimic[0], q) + chain.mimic[1]
-    factors = (jnp.ones_like(values), jnp.sin(values), jnp.cos(values), values)
+    factors = (xp.ones_like(values), xp.sin(values), xp.cos(values), values)
     own = sum(f[:, None, None] * part for f, part in zip(factors, chain.transforms, strict=True) if part is not None)
 
-    def link(before, one):
-        after = sp.matmul(before, one)
-        return after, after
-
-    last, at = lax.scan(link, jnp.eye(4, dtype=own.dtype), own)
-    tip = sp.matmul(last, chain.tip)
-    axes = jnp.sum(at[:, :3, :3] * chain.axes[:, None, :], axis=-1)
+    at = list(itertools.accumulate((own[i] for i in range(own.shape[0])), sp.matmul))
+    tip = sp.matmul(at[-1], chain.tip)
+    at = xp.stack(at)
+    axes = xp.sum(at[:, :3, :3] * chain.axes[:, None, :], axis=-1)
     return Frames(position=tip[:3, 3], rotation=tip[:3, :3], axes=axes, points=at[:, :3, 3])
 
 
 @jacobian_rows.register
 def _(chain: RolledChain, at: Frames, linear, angular):
-    velocity, spin = jnp.cross(at.axes, at.position - at.points), at.axes
+    xp = sp.library(at.axes, at.points)
+    velocity, spin = xp.cross(at.axes, at.position - at.points), at.axes
     if chain.turning is not None:
         turning = chain.turning[:, None]
-        velocity, spin = jnp.where(turning, velocity, at.axes), jnp.where(turning, spin, 0.0)
-    rows = jnp.concatenate([velocity, spin], axis=1).T
+        velocity, spin = xp.where(turning, velocity, at.axes), xp.where(turning, spin, 0.0)
+    rows = xp.concatenate([velocity, spin], axis=1).T
     rows = sp.pick(rows, (*linear, *(3 + i for i in angular)))
     return rows if chain.mimic is None else sp.matmul(rows, chain.mimic[0])

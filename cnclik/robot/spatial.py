@@ -8,6 +8,7 @@ makes small programs (see `robot.rolled`). What is written with the functions he
 
 import functools
 import itertools
+import math
 
 import jax.numpy as jnp
 import numpy as np
@@ -119,7 +120,8 @@ def matmul(a, b):
 
 
 def _product(a, b):
-    return lax.dot(a, b, precision="highest")  # a GPU would round to fewer digits otherwise
+    # A GPU would round to fewer digits otherwise.
+    return a @ b if library(a, b) is np else lax.dot(a, b, precision="highest")
 
 
 def combine(weights, rows):
@@ -142,6 +144,11 @@ def squares(rows):
     return total(dot(row, row) for row in rows) if unrolled(rows) else jnp.sum(rows * rows)
 
 
+def library(*arrays):
+    """NumPy, which compiles nothing, where all of some arrays are its own, else JAX's."""
+    return np if all(isinstance(v, (np.ndarray, np.generic)) for v in arrays) else jnp
+
+
 def thin(rows):
     """The matrix, or its transpose, whichever has fewer rows."""
     return rows if len(rows) <= len(rows[0]) else transpose(rows)
@@ -151,14 +158,16 @@ def pick(v, indices):
     """Some entries of a vector."""
     if unrolled(v):
         return tuple(v[i] for i in indices)
-    return v[: len(indices)] if tuple(indices) == tuple(range(len(indices))) else jnp.stack([v[i] for i in indices])
+    indices = tuple(indices)
+    in_order = indices == tuple(range(len(indices)))
+    return v[: len(indices)] if in_order else library(v).stack([v[i] for i in indices])
 
 
 def join(a, b):
     """The entries of two vectors, one after the other."""
     if unrolled(a):
         return (*a, *b)
-    return jnp.concatenate([a, b]) if len(a) else b
+    return library(a, b).concatenate([a, b]) if len(a) else b
 
 
 def packed(v, dtype=None, axis=0):
@@ -328,3 +337,35 @@ def log_so3(r):
     series = _series(squared, 2.0, 1 / 3, 3 / 20, 5 / 56, 35 / 576)
     factor = jnp.where(small, series, 2 * jnp.arctan2(sine, jnp.where(small, 1.0, w)) / sine)
     return scale(factor, v)
+
+
+def log_quaternion(w, v):
+    """Rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0; smooth, without a branch.
+
+    From y = tan²(θ/8) ≤ 0.172, where the series of atan(√y)/√y is short: a third of the time of `log_so3`.
+    """
+    up = 1.0 / (1.0 + w)
+    x = dot(v, v) * up * up  # tan²(θ/4)
+    upper = 1.0 / (1.0 + jnp.sqrt(1.0 + x))
+    y = x * upper * upper
+    terms = 10 if jnp.finfo(jnp.result_type(y)).bits <= 32 else 22
+    return scale(8 * up * upper * _series(y, *((-1) ** k / (2 * k + 1) for k in range(terms))), v)
+
+
+def turn_from(a, b):
+    """log(exp(−a) exp(b)) of rotation vectors [rad]: exact relative to their size, however small they are."""
+    (wa, va), (wb, vb) = half_turn(a), half_turn(b)
+    across = cross(va, vb)
+    w = add(wa * wb, dot(va, vb))
+    v = vsub(vsub(scale(wa, vb), scale(wb, va)), across if unrolled(a) else packed(across))
+    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)  # the shorter way
+    return log_quaternion(sign * w, scale(sign, v))
+
+
+def half_turn(v):
+    """Unit quaternion (w, (x, y, z)) of a rotation vector no longer than 2π [rad], by series without a branch."""
+    squared = 0.25 * dot(v, v)
+    terms = 9 if jnp.finfo(jnp.result_type(squared)).bits <= 32 else 15
+    sine = _series(squared, *((-1) ** k / math.factorial(2 * k + 1) for k in range(terms)))
+    cosine = _series(squared, *((-1) ** k / math.factorial(2 * k) for k in range(terms)))
+    return cosine, scale(0.5 * sine, v)

@@ -40,6 +40,7 @@ METHODS = {
     "MIDPOINT": Line(SKY, DASHDOT, "P", 3.6),
     "RK4": Line(PURPLE, DOT, "X", 3.7, 1.6),
 }
+OTHER = Line(BLACK, DASH, "o", 3.0)  # of a method without one of its own
 
 GUIDE = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
 LIMIT = {"color": VERMILION, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
@@ -86,7 +87,7 @@ def style():
 
 def line(method: str, **changes) -> dict:
     """Keyword arguments of `plot` for a method: its colour, dashes and (hollow) marker."""
-    return {"label": method, "markerfacecolor": "white"} | METHODS[method]._asdict() | changes
+    return {"label": method, "markerfacecolor": "white"} | METHODS.get(method, OTHER)._asdict() | changes
 
 
 def legend(figure, panel, columns=None) -> None:

@@ -1,7 +1,8 @@
 """Region of attraction: how large an error may be at first, as a certificate and as measured.
 
 The certificate is sufficient, not necessary: inside it every loop of explicit Euler with exact J# converges;
-outside it most still do, which is what the measurement is for.
+outside it most still do, which is what the measurement is for. Exponential Euler is explicit Euler with 1 − e^{−z} in
+the place of z, so the better half of the certificate, up to z = 1, covers it at every gain.
 """
 
 import math
@@ -50,7 +51,7 @@ def attraction_radius(z, sigma, curvature):
     z ≤ 1: ‖e₀‖ < 2σ²/(z L_H); 1 ≤ z < 2: ‖e₀‖ < 2(2 − z)σ²/(z² L_H). Sufficient, not necessary.
 
     Args:
-      z: alpha·Ts, 0 < z.
+      z: alpha·Ts, 0 < z; 1 − e^{−alpha·Ts} for exponential Euler.
       sigma: lower bound of the least singular value of J.
       curvature: L_H, see `curvature_bound`.
     """
@@ -60,8 +61,10 @@ def attraction_radius(z, sigma, curvature):
 
 
 @in_float64
-def certified_radius(law, q0, *, Ts) -> float:
-    """Largest ‖x_d − x(q0)‖ for which explicit Euler from q0 is certain to converge, nothing assumed [m]. In float64.
+def certified_radius(law, q0, *, Ts, method=EE) -> float:
+    """Largest ‖x_d − x(q0)‖ for which explicit or exponential Euler from q0 is certain to converge [m].
+
+    Nothing is assumed; in float64.
 
     `attraction_radius` needs σ_min along the whole way. That way is bounded too: with s the least σ_min met, steps
     are at most z‖e‖/s long and errors shrink by ρ = |1 − z| + L_H z²‖e₀‖/(2s²), so the way is at most
@@ -71,8 +74,10 @@ def certified_radius(law, q0, *, Ts) -> float:
       law: a position task with exact J#, a scalar alpha and no null-space velocity.
       q0: (n,) joint values [rad].
       Ts: sampling time [s].
-    Raises: ArgumentError for laws it does not cover.
+      method: EE, or EXP-EE with z = 1 − e^{−alpha·Ts}.
+    Raises: ArgumentError for laws and methods it does not cover.
     """
+    method = errors.one_of("method", str(method), ("EE", "EXP-EE"))
     q0 = as_joint_values(law.chain, q0, "q0")
     extras = (law.task.weights, law.limits, law.null_velocity)
     plain = not law.task.orientation and all(extra is None for extra in extras)
@@ -80,6 +85,8 @@ def certified_radius(law, q0, *, Ts) -> float:
         must = "be a position task with pseudoinverse(), scalar alpha, no weights, limits or null velocity"
         raise errors.fail("law", must, "is not")
     z = float(law.alpha) * float(errors.number("Ts", Ts, positive=True))
+    if method == "EXP-EE":
+        z = -math.expm1(-z)
     if not 0 < z < 2:
         return 0.0
     bound = curvature_bound(law.chain)

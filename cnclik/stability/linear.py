@@ -2,7 +2,9 @@
 
 z = alpha·Ts throughout, real or complex; R(z) is the factor by which one step multiplies e. The library's own
 stepping runs over the linear field, so code and theory can't drift apart: `picard(5)` is the polynomial that five
-passes are, `chord` and `newton` solve a linear stage exactly. Everything here runs in float64 by itself.
+passes are, `chord` and `newton` solve a linear stage exactly. Exponential methods hold their feedback over the step:
+R(z) = e^{−z}, of all of them. A multistep method has a factor for each instant that it uses, the roots of
+λᵖ = Σⱼ (aⱼ − z bⱼ) λᵖ⁻¹⁻ʲ; what counts is the largest. Everything here runs in float64 by itself.
 """
 
 import functools
@@ -13,15 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.march import march
 from cnclik.integrate.method import named
-from cnclik.integrate.solve import march
 from cnclik.integrate.stage import picard
+from cnclik.law.feedback import per_step
+from cnclik.law.law import gain
 from cnclik.precision import in_float64
 from cnclik.record import record
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
 _SLACK = 2**12 * EPS  # |R| above 1 by more than this is unstable: rounding of R(z) = ±1 is not
+_ZERO = 1e-6  # a factor below this is none
 _PLATEAU = 1e-3  # a function within this share of its least value, at the end of an open range, falls on
 
 
@@ -47,11 +52,25 @@ def _field(w):
     return field
 
 
+def _held(w, Ts):
+    """The feedback of an exponential step over the same field: its value at the start decays exactly."""
+    a, b = w
+    gain_matrix = jnp.stack([jnp.stack([a, -b]), jnp.stack([b, a])])
+
+    def feedback(q):
+        return gain(per_step(gain_matrix, Ts, q), q)
+
+    return feedback
+
+
 @functools.partial(jax.jit, static_argnames=("method",))
 def _amplification(method, stage, a, b):
     def one(a, b):
-        start = (jnp.ones_like(a), jnp.zeros_like(a))
-        return march(_field((a, b)), start, jnp.ones_like(a), method, stage).q
+        start, Ts = (jnp.ones_like(a), jnp.zeros_like(a)), jnp.ones_like(a)
+        if not method.exponential:
+            return march(_field((a, b)), start, Ts, method, stage).q
+        asked = tuple(-v for v in _held((a, b), Ts)(start))
+        return march(lambda c, q: _Linear(qdot=asked, correct=None), start, Ts, method, stage).q
 
     return jax.vmap(one)(a, b)
 
@@ -60,19 +79,53 @@ def _amplification(method, stage, a, b):
 def amplification(method, stage, z):
     """R(z): the factor by which one step of the method multiplies the error of ė = −alpha e.
 
+    Of a multistep method it is the largest of the factors of a loop that has run for long.
+
     Args:
       method: EE, IE, CN, ... or a `Method` of your own; also by name.
       stage: how implicit stages are solved, such as picard(5); None for explicit methods.
       z: alpha·Ts, a number or an array of any shape, real or complex. Numerical analysis writes −z for it.
-    Returns: a NumPy array of the shape of z, complex where z is; computed in float64.
+    Returns: a NumPy array of the shape of z; complex where z is, or where a multistep method's factor is. In float64.
     """
     method, stage = checked(method, stage)
     z = np.asarray(z)
+    if method.steps > 1 and not method.exponential:
+        roots = factors(method, stage, z)
+        largest = np.take_along_axis(roots, np.argmax(np.abs(roots), -1)[..., None], -1)[..., 0]
+        return largest if np.iscomplexobj(z) or np.any(largest.imag) else largest.real
     flat = z.reshape(-1)
     a, b = jnp.asarray(flat.real, np.float64), jnp.asarray(flat.imag, np.float64)
-    x, y = _amplification(method, stage, a, b)
+    # An error at rest sees nothing of J#'s memory: of the exponential formulas each is exponential Euler there.
+    x, y = _amplification(method if method.steps == 1 else named("EXP-EE"), stage, a, b)
     value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
     return value.reshape(z.shape)
+
+
+@in_float64
+def factors(method, stage, z, delay: int = 0):
+    """All factors λ of a loop whose error is measured `delay` samples late, complex (..., count); prompt by default.
+
+    A step is e[k+1] = Σⱼ aⱼ e[k−j] + Σⱼ Bⱼ e[k−j−d]: a = 1 and B = R(z) − 1 of a one-step method, Bⱼ = −z bⱼ of a
+    multistep formula. The factors are the roots of its polynomial.
+    """
+    method, stage = checked(method, stage)
+    delay = errors.integer("delay", delay, at_least=0)
+    if method.steps == 1 or method.exponential:
+        return late_factors(amplification(method, stage, z), delay)
+    z = np.asarray(z)
+    row = np.zeros((*z.shape, method.steps + delay), z.dtype if np.iscomplexobj(z) else np.float64)
+    row[..., : len(method.a)] += method.a
+    row[..., delay : delay + len(method.b)] -= z[..., None] * np.array(method.b)
+    return np.linalg.eigvals(companion(row)).astype(complex)
+
+
+def companion(row):
+    """The matrix (..., p, p) of e[k+1] = Σⱼ rowⱼ e[k−j], the newest first."""
+    row = np.asarray(row)
+    made = np.zeros((*row.shape, row.shape[-1]), row.dtype)
+    made[..., 0, :] = row
+    made[..., np.arange(1, row.shape[-1]), np.arange(row.shape[-1] - 1)] = 1
+    return made
 
 
 def checked(method, stage):
@@ -166,21 +219,28 @@ def real_axis_limits(method, stage=None) -> RealAxisLimits:
     """
     method, stage = checked(method, stage)
     stable = stability_limit(method, stage)
-    crossing = first_above(lambda z: -amplification(method, stage, z), 2**9 * EPS)
+    crossing = first_above(lambda z: _changes_sign(amplification(method, stage, z)), 2**9 * EPS)
+    zero_there = np.abs(amplification(method, stage, min(crossing, REACH))) < _ZERO  # or two real factors meet
     fastest, rate = least_on(lambda z: np.abs(amplification(method, stage, z)), min(stable, REACH))
     return RealAxisLimits(
         stable=stable,
         monotone=min(stable, crossing),
-        dead_beat=crossing if crossing < stable else np.nan,
+        dead_beat=crossing if crossing < stable and zero_there else np.nan,
         fastest=np.inf if fastest >= REACH else fastest,  # approached, never reached
         rate=rate,
     )
 
 
+def _changes_sign(factor):
+    """How far a factor is from one of an error that keeps its sign: −R, and |Im R| of a complex one."""
+    return np.maximum(-factor.real, np.abs(factor.imag)) if np.iscomplexobj(factor) else -factor
+
+
 def stability_limit(method, stage=None) -> float:
     """Largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none. In float64.
 
-    EE 2, IE with picard(5) 1, IE with chord(M) inf, the paper's CN solved exactly 1 + √5, RK4 2.785.
+    EE 2, IE with picard(5) 1, IE with chord(M) inf, the paper's CN solved exactly 1 + √5, RK4 2.785, AB2 1, exponential
+    methods inf.
     """
     method, stage = checked(method, stage)
     return first_above(lambda z: np.abs(amplification(method, stage, z)), 1 + _SLACK)
@@ -219,30 +279,29 @@ def delayed_radius(method, stage, z, delay: int):
     """Spectral radius of the loop whose error is measured `delay` samples late.
 
     A step then adds its increment from the state `delay` samples ago, e[k+1] = e[k] + (R(z) − 1) e[k−d]: the
-    largest root of λ^(d+1) − λ^d + 1 − R(z) = 0.
+    largest root of λ^(d+1) − λ^d + 1 − R(z) = 0. See `factors` for multistep methods.
 
     Args:
       z: alpha·Ts, an array of any shape.
       delay: d ≥ 0, whole samples.
     """
-    delay = errors.integer("delay", delay, at_least=0)
-    return np.abs(late_factors(amplification(method, stage, z), delay)).max(-1)
+    return np.abs(factors(method, stage, z, delay)).max(-1)
 
 
 def late_factors(prompt, delay: int):
     """Factors (..., d + 1) of a loop that is d samples late, from a prompt one's λ (...): μ^(d+1) − μ^d + 1 − λ = 0."""
     prompt = np.asarray(prompt)
-    companion = np.zeros((*prompt.shape, delay + 1, delay + 1), prompt.dtype)
-    companion[..., 0, 0] += 1
-    companion[..., 0, -1] += prompt - 1
-    companion[..., np.arange(1, delay + 1), np.arange(delay)] = 1
-    return np.linalg.eigvals(companion)
+    row = np.zeros((*prompt.shape, delay + 1), prompt.dtype)
+    row[..., 0] += 1
+    row[..., -1] += prompt - 1
+    return np.linalg.eigvals(companion(row))
 
 
 def delay_limit(delay: int, method="EE", stage=None) -> float:
     """Largest stable z = alpha·Ts with an error measured `delay` samples late, on the real axis.
 
     Explicit Euler: 2 sin(π/(2(2d + 1))), that is 2, 1, 0.618, 0.445, 0.347 for d = 0 … 4 (Levin & May 1976).
+    Exponential methods: where 1 − e^{−z} is that, so none for d = 0 and 1, then 0.962, 0.589, 0.427.
     """
     method, stage = checked(method, stage)
     return first_above(lambda z: delayed_radius(method, stage, z, delay), 1 + _SLACK)

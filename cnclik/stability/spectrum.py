@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.history import blank
 from cnclik.integrate.method import EE, IE, Method
+from cnclik.integrate.remember import primed
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
 from cnclik.law import reference as ref
@@ -31,20 +33,32 @@ LANES = 128  # gains and sampling times looked at together: one shape for every 
 
 
 def one_step(law, reference, q, Ts, method, stage):
-    """∂q[k+1]/∂q[k] of the step from t = 0 (n, n), and the rows of the weighted task Jacobian at q (m, n). Pure."""
+    """∂q[k+1]/∂q[k] of the step from t = 0 (n, n), and the rows of the weighted task Jacobian at q (m, n). Pure.
+
+    Of a multistep method of p instants it is the map of all that they were, (q[k], …, q[k−p+1]), at rest at q:
+    (p·n, p·n), the newest first.
+    """
     law, _ = in_form(law, q)
     law, reference, Ts = cast((law, reference, Ts), q.dtype)
+    t, n, p = jnp.zeros_like(Ts), len(q), method.steps
 
-    def move(q):
-        made = advance(law, reference, in_form(law, q)[1], jnp.zeros_like(Ts), Ts, method, stage)
+    def move(instants):
+        now, *past = (in_form(law, v)[1] for v in instants.reshape(p, n))
+        history = blank(law, now, method)
+        if past:
+            history = primed(law, reference, past, t, Ts, method, history)
+        made = advance(law, reference, now, t, Ts, method, stage, history)
         return sp.packed(made.q)
 
-    rows = evaluate(law, reference, jnp.zeros_like(Ts), in_form(law, q)[1]).rows
-    return jax.jacfwd(move)(q), sp.packed(rows, q.dtype)
+    rows = evaluate(law, reference, t, in_form(law, q)[1]).rows
+    moved = jax.jacfwd(move)(jnp.tile(q, p))
+    if p > 1:
+        moved = jnp.concatenate([moved, jnp.eye((p - 1) * n, p * n, dtype=q.dtype)])
+    return moved, sp.packed(rows, q.dtype)
 
 
 def step_maps(law, reference, q, scale, Ts, method, stage):
-    """`one_step` for many gains scale·alpha and sampling times (k,): (k, n, n) and (m, n), NumPy arrays."""
+    """`one_step` for many gains scale·alpha and sampling times (k,): (k, p·n, p·n) and (m, n), NumPy arrays."""
     count = len(scale)
     pad = (0, -count % LANES)
     scale, Ts = (np.pad(np.asarray(v, float), pad, mode="edge") for v in (scale, Ts))
@@ -65,13 +79,24 @@ def _tile(law, reference, q, scale, Ts, method, stage):
 
 
 def of_error(moved, rows, xp=jnp):
-    """What maps S of q (..., n, n) do to the error at rest where the task's rows are J (m, n): I + J (S − I) J#."""
-    m, n = rows.shape
-    return xp.eye(m, dtype=rows.dtype) + rows @ (moved - xp.eye(n, dtype=rows.dtype)) @ xp.linalg.pinv(rows)
+    """What maps S of q (..., n, n) do to the error at rest where the task's rows are J (m, n): I + J (S − I) J#.
+
+    Of p instants, (..., p·n, p·n), it is what they do to as many errors.
+    """
+    p = moved.shape[-1] // rows.shape[1]
+    down, up = (at_instants(v, p, xp) for v in (rows, xp.linalg.pinv(rows)))
+    eye = xp.eye(moved.shape[-1], dtype=rows.dtype)
+    return xp.eye(len(down), dtype=rows.dtype) + down @ (moved - eye) @ up
+
+
+def at_instants(matrix, p: int, xp=np):
+    """A matrix that acts on each of p instants."""
+    return matrix if p == 1 else xp.kron(xp.eye(p, dtype=matrix.dtype), matrix)
 
 
 def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
-    """The (m, m) matrix by which one step multiplies the (weighted) error at rest, see `of_error`.
+    """The (m, m) matrix by which one step multiplies the (weighted) error at rest, see `of_error`: (p·m, p·m) of p
+    instants.
 
     Pure, for jit, vmap and grad; nothing is checked. A direction that J has lost keeps its error.
     """
@@ -105,7 +130,7 @@ def spectral_radius(law, reference, q, Ts, method: Method = EE, stage=picard(5))
 
 @record
 class Spectrum:
-    """Eigenvalues of the one-step map.
+    """Eigenvalues of the one-step map; of a multistep method of p instants p times as many.
 
     Attributes:
       task: (r,) complex, over the r = rank J directions in which the task moves, largest first.
@@ -145,15 +170,16 @@ def step_map(law, reference, q, Ts, method, stage):
 
 
 def spectrum_of(moved, rows) -> Spectrum:
-    """The spectrum of a one-step map S (n, n) where the task's rows are J (m, n)."""
+    """The spectrum of a one-step map S (n, n), or (p·n, p·n), where the task's rows are J (m, n)."""
     u, sigma, along, across = directions(rows)
-    rank = along.shape[1]
+    rank, p = along.shape[1], moved.shape[-1] // rows.shape[1]
+    along, across = at_instants(along, p), at_instants(across, p)
     task, vectors = np.linalg.eig(along.T @ moved @ along)
     order = np.argsort(-np.abs(task))
     null = np.linalg.eigvals(across.T @ moved @ across)
     direction = np.zeros(len(rows))
     if rank:
-        found = (u[:, :rank] * sigma[:rank]) @ vectors[:, order[0]]
+        found = (u[:, :rank] * sigma[:rank]) @ vectors[:rank, order[0]]
         found = (found * np.exp(-1j * np.angle(found[np.argmax(np.abs(found))]))).real
         direction = found / np.linalg.norm(found)
     return Spectrum(
@@ -185,6 +211,7 @@ def null_radius(moved, rows):
 
 
 def _largest(moved, basis):
+    basis = at_instants(basis, moved.shape[-1] // len(basis))
     parts = basis.T @ moved @ basis
     finite = np.isfinite(moved).all((-2, -1))
     values = np.abs(np.linalg.eigvals(np.where(finite[..., None, None], parts, 0.0))).max(-1, initial=0.0)
@@ -213,13 +240,14 @@ def at_rest(law, reference, q):
     q = as_joint_values(law.chain, q, finite=True)
     if reference is not None and errors.concrete(q):
         _require_rest(law, reference, q)
-    return replace(hold_at(law, q), feedforward=jnp.zeros(law.task.m, q.dtype))
+    return replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
 
 
 def hold_at(law, q, move=0.0):
     """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
     at = pose(law.chain, q)
-    position = at.position[jnp.array(law.task.linear)] + move if law.task.position else None
+    at = jax.tree.map(np.asarray, at) if errors.concrete(at.position) else at  # NumPy compiles nothing
+    position = sp.pick(at.position, law.task.linear) + move if law.task.position else None
     return ref.hold(position, at.rotation if law.task.orientation else None)
 
 
@@ -256,11 +284,11 @@ def settle(law, reference, q0, *, N=200):
     check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")
     run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
-    size = float(jnp.linalg.norm(run.e[-1]))
+    size = float(np.linalg.norm(np.asarray(run.e)[-1]))
     if not size < rest_tolerance(law.chain):
         found = f"leaves an error of {size:.3g} after {N} steps"
         raise errors.fail("target", "be one the loop comes to rest on", found)
-    return np.asarray(run.q[-1])
+    return np.asarray(run.q)[-1]
 
 
 def largest_rate(alpha) -> float:

@@ -276,7 +276,9 @@ def read(folder):
         words = "hold whole coordinates (the command that made the sweep repairs them)"
         raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
     with _quiet():
-        return xarray.open_zarr(folder / DATA, chunks=None)[list(store.names)]  # in the spec's order
+        data = xarray.open_zarr(folder / DATA, chunks=None)
+    # In the spec's order. A selection would lose the vectors beside the numbers of an axis of samples.
+    return data[list(store.names)].assign_coords(data.coords)
 
 
 def blocks_missing(folder) -> int:

@@ -182,6 +182,11 @@ def _where(condition, a, b):
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
+@functools.partial(jax.jit, static_argnames=("optimizer", "constraints"))
+def _begin(starts, *, optimizer, constraints):
+    return jax.vmap(lambda u: begin(optimizer, u, constraints))(starts)
+
+
 class Descended(NamedTuple):
     """Where descents from S starts ended."""
 
@@ -203,14 +208,14 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
       tolerance: relative change of the loss over a round under which, with constraints kept, it has converged.
       progress: called after each round with (evaluations done, all, loss and violation of the best start), or None.
     """
-    starts = jnp.asarray(starts)
+    starts = np.asarray(starts, jax.dtypes.canonicalize_dtype(float))
     (count, size), dtype = starts.shape, starts.dtype
     optimizer = default_optimizer() if descent.optimizer is None else descent.optimizer
     mode = gradient_mode(size, descent.gradient)
-    carry = jax.vmap(lambda u: begin(optimizer, u, constraints))(starts)
-    scale = jnp.asarray(scale, dtype)
-    multipliers = jnp.zeros((count, constraints), dtype)
-    weight = jnp.full((count,), 10.0, dtype)
+    carry = _begin(starts, optimizer=optimizer, constraints=constraints)
+    scale = np.asarray(scale, dtype)
+    multipliers = np.zeros((count, constraints), dtype)
+    weight = np.full((count,), 10.0, dtype)
     per_round = max(2, descent.steps // descent.rounds)
     rounds = max(1, descent.steps // per_round)
     nothing = float(jnp.finfo(dtype).eps) ** 1.5  # a scaled loss below is 0
@@ -235,12 +240,12 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
             why = "stuck" if np.all(stuck) and not np.any(done) else "converged"
             break
         held = np.where(np.isfinite(carry.constraints), carry.constraints, 0.0)
-        multipliers = jnp.maximum(multipliers + weight[:, None] * held, 0.0)
+        multipliers = np.maximum(multipliers + weight[:, None] * held, 0.0)
         slow = (violation > 1e-4) & (violation > 0.25 * violation_before)
-        weight = jnp.minimum(jnp.where(slow, 4.0 * weight, weight), 1e7)
+        weight = np.minimum(np.where(slow, 4.0 * weight, weight), 1e7)
         before, violation_before = loss, violation
         # The merit has changed: evaluate it again where we are, the optimizer's memory empty.
-        fresh = jax.vmap(lambda u: begin(optimizer, u, constraints))(carry.u)
+        fresh = _begin(carry.u, optimizer=optimizer, constraints=constraints)
         carry = fresh._replace(best=carry.best, best_loss=carry.best_loss, loss=carry.loss)
     history = History(*(np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True)))
     return Descended(np.asarray(carry.u), np.asarray(carry.best), np.asarray(carry.best_loss), history, why)

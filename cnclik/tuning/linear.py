@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik import errors
+from cnclik.integrate.method import named
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.spatial import safe_sqrt
@@ -21,9 +23,17 @@ def maps_at_rest(law, q, Ts, method, stage):
 
     With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
     """
-    moved, rows = one_step(law, at_rest(law, None, q), q, Ts, method, stage)
+    moved, rows = one_step(law, at_rest(law, None, q), q, Ts, _forgetful(method), stage)
     across = jnp.eye(len(q), dtype=q.dtype) - jnp.linalg.pinv(rows) @ rows
     return of_error(moved, rows), across @ moved @ across
+
+
+def _forgetful(method):
+    """A one-step method that does to a small error at rest what the method does: there, an exponential one's memory of
+    J# and of the target's velocity has no say."""
+    if method.steps > 1 and not method.exponential:
+        raise errors.fail("method", "be a one-step or an exponential method to be tuned", f"is {method}")
+    return method if method.steps == 1 else named("EXP-EE")
 
 
 def delayed(a, delay: int):
@@ -97,7 +107,7 @@ def radius_over(law, q, alpha, Ts, method, stage, *, delay=0):
     q = as_joint_values(law.chain, q)
     law = replace(law, alpha=jnp.asarray(law.alpha))
     scale = np.asarray(alpha) / largest_rate(law.alpha)
-    moved, rows = step_maps(law, at_rest(law, None, q), q, scale, Ts, method, stage)
+    moved, rows = step_maps(law, at_rest(law, None, q), q, scale, Ts, _forgetful(method), stage)
     maps = of_error(moved, rows, np)
     finite = np.isfinite(maps).all((-2, -1))
     factors = np.linalg.eigvals(np.where(finite[:, None, None], maps, 0.0))

@@ -203,7 +203,7 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
     for i in range(0, len(many), together):
         part = many[i : i + together]
         padded = [*part, *[part[-1]] * (together - len(part))]
-        lanes = tuple(jnp.stack([jnp.asarray(v[j]) for v in padded]) for j in range(len(objective.parameters)))
+        lanes = tuple(np.stack([v[j] for v in padded]) for j in range(len(objective.parameters)))
         made = jax.tree.map(np.asarray, _judge(objective, lanes))
         found += [jax.tree.map(lambda x, j=j: x[j], made) for j in range(len(part))]
     return found
@@ -217,7 +217,7 @@ def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **g
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=2)
-    loop = pm.Adjustable(law=law, Ts=jnp.asarray(float(Ts)))
+    loop = pm.Adjustable(law=law, Ts=np.asarray(float(Ts)))
     parameters = pm.chosen(goal.over, loop, goal.bounds or {})
     shortest = next((float(p.lower) for p in parameters if p.name == "Ts"), float(Ts))
     horizon = N * float(Ts)
@@ -229,15 +229,15 @@ def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **g
         loop=loop,
         parameters=parameters,
         scenarios=runs,
-        postures=jnp.repeat(runs.q0, INTERVALS + 1, axis=0),
-        moments=jnp.asarray(np.tile(np.linspace(0, 1, INTERVALS + 1), len(runs.q0))),
-        losses=tuple((fn, jnp.asarray(w)) for fn, w in terms(goal.loss)),
-        margin=jnp.asarray(float(goal.margin)),
-        largest_correction=jnp.asarray(np.inf if goal.ringing else linear.monotone_limit(delay)),
+        postures=np.repeat(runs.q0, INTERVALS + 1, axis=0),
+        moments=np.tile(np.linspace(0, 1, INTERVALS + 1), len(runs.q0)),
+        losses=tuple((fn, np.asarray(w)) for fn, w in terms(goal.loss)),
+        margin=np.asarray(float(goal.margin)),
+        largest_correction=np.asarray(np.inf if goal.ringing else linear.monotone_limit(delay)),
         limits=limits,
         joints=joints,
-        horizon=jnp.asarray(horizon),
-        tolerance=jnp.asarray(float(goal.conditions.tolerance)),
+        horizon=np.asarray(horizon),
+        tolerance=np.asarray(float(goal.conditions.tolerance)),
         N=longest,
         delay=delay,
         method=method,
@@ -262,4 +262,4 @@ def _limits(chain, velocity_limit):
     if not np.all(limits > 0):
         raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
     joints = tuple(int(i) for i in np.flatnonzero(np.isfinite(limits)))
-    return joints, (jnp.asarray(limits[list(joints)]) if joints else None)
+    return joints, (limits[list(joints)] if joints else None)

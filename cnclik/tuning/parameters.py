@@ -107,6 +107,14 @@ def values_of(parameters, u):
     return tuple(bounded(p, u[end - size(p) : end]) for p, end in zip(parameters, ends, strict=True))
 
 
+def known_values(parameters, u):
+    """`values_of` for numbers, as NumPy arrays."""
+    return tuple(map(np.asarray, _values_of(tuple(parameters), np.asarray(u))))
+
+
+_values_of = jax.jit(values_of)
+
+
 def free_of(parameters, values):
     """Inverse of `values_of`."""
     return np.concatenate([free(p, v) for p, v in zip(parameters, values, strict=True)])

@@ -4,9 +4,12 @@ All three act through one number per step: the error that is fed back is the mea
 model at q[k] would say. A step holds w[k], as a controller does that measures once per sample.
 """
 
+import functools
+
 import jax.numpy as jnp
 
-from cnclik.integrate.solve import advance, cast, evaluations_per_step, solve
+from cnclik.integrate.history import blank
+from cnclik.integrate.solve import advance, cast, early_steps, evaluations_of, solve
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.law import seen
 from cnclik.law.shifted import shifted
@@ -53,8 +56,8 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
     horizon = N * Ts if horizon is None else horizon
     first = seen(true_law, reference, jnp.zeros((), dtype), q0)[0]
 
-    def one(carry, k):
-        q, past = carry
+    def one(starting, carry, k):
+        q, past, history = carry
         t = k * Ts
         e, x, *_ = seen(true_law, reference, t, q)
         late = (e, *past)
@@ -65,9 +68,12 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
         model = seen(law, reference, t, q)[0] if differs else e
         told = shifted(reference, law.task, sp.vsub(measured, model))
         length = jnp.where(k < N, Ts, 0.0)  # see `instants`
-        made = advance(scheduled(loop, t / horizon), told, q, t, length, method, stage)
-        return (made.q, late[:delay]), replace(made, q=q, x=x(), e=e)
+        gained = scheduled(loop, t / horizon)
+        made = advance(gained, told, q, t, length, method, stage, history, starting=starting)
+        return (made.q, late[:delay], made.history), replace(made, q=q, x=x(), e=e, history=None)
 
     k = jnp.arange(N + 1).astype(dtype)
-    found = instants(one, (q0, (first,) * delay), k, q0, law.task.m)
-    return assemble(k * Ts, found, N * evaluations_per_step(method, stage, law.chain.n))
+    begin, go_on = (functools.partial(one, starting) for starting in (True, False))
+    state = q0, (first,) * delay, blank(law, q0, method)
+    found = instants(go_on, state, k, q0, law.task.m, first=begin, early=early_steps(method, N))
+    return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))

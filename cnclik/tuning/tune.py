@@ -8,7 +8,6 @@ was found.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
@@ -80,7 +79,7 @@ def tune(
         return result(objective, own, before, judge(objective, [own])[0], **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
-    objective = replace(objective, postures=jnp.asarray(judged[safe].postures))  # constraints along that run
+    objective = replace(objective, postures=judged[safe].postures)  # constraints along that run
     rng = np.random.default_rng(goal.conditions.seed)
     begun = [
         _nearest_kept(objective, u, anchor)
@@ -114,7 +113,11 @@ def tune(
 
 
 def _values(objective, u):
-    return tuple(np.asarray(v) for v in pm.values_of(objective.parameters, jnp.asarray(u)))
+    return pm.known_values(objective.parameters, u)
+
+
+def _bounded(p, value):
+    return pm.known_values((p,), pm.free(p, value))[0]
 
 
 def _judged(objective, points) -> list:
@@ -123,13 +126,13 @@ def _judged(objective, points) -> list:
 
 def _gains_over_z(objective):
     """Values to fall back on: gains spread over z = alpha·Ts, everything else as it is (inside its bounds)."""
-    start = {p.name: np.asarray(pm.bounded(p, pm.free(p, p.start))) for p in objective.parameters}
+    start = {p.name: _bounded(p, p.start) for p in objective.parameters}
     gains = [p for p in objective.parameters if p.name in ("alpha", "schedule")]
     Ts = float(start.get("Ts", objective.loop.Ts))
 
     def gain(p, rate):
         value = rate * (np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)))
-        return np.asarray(pm.bounded(p, pm.free(p, value)))
+        return _bounded(p, value)
 
     made = [start | {p.name: gain(p, z / Ts) for p in gains} for z in (FALLBACK_Z if gains else (0.0,))]
     return [tuple(values.values()) for values in made]

@@ -74,7 +74,12 @@ def prepare(method, inverse, p):
 
 
 # Each pair is three compilations: quick are one explicit method and both kinds of implicit stages.
-QUICK = {("TRAPEZOID", "ordinary"), *itertools.product(("EE", "CN", "TRAPEZOID"), ("singular", "singular, at rest"))}
+QUICK = {
+    ("TRAPEZOID", "ordinary"),
+    ("EXP-AB2", "ordinary"),
+    ("EXP-MIDPOINT", "singular, at rest"),
+    *itertools.product(("EE", "CN", "TRAPEZOID"), ("singular", "singular, at rest")),
+}
 
 
 @pytest.mark.parametrize(

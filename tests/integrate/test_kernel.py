@@ -42,6 +42,8 @@ LOOPS = {
     "EE": _to(TURNING),
     "CN": _to(TURNING, method=ck.CN),
     "TRAPEZOID by chord": _to(REACHING, method=ck.TRAPEZOID, stage=ck.chord(2)),
+    "exponential": _to(TURNING, method="EXP-MIDPOINT"),
+    "with a memory": _to(REACHING, method="EXP-AB2"),
     "J#": _to(ck.replace(REACHING, inverse=ck.pseudoinverse())),
     "singular damping": _to(ck.replace(REACHING, inverse=ck.singular_damped(0.1, 0.5))),
     "norm of the end": _to(REACHING, end=lambda run: {"e": jnp.linalg.norm(run.e[-1]), "status": run.q[-1] > 0.5}),

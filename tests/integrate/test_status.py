@@ -113,8 +113,9 @@ def test_values_of_bits_never_change():
         "OVER_VELOCITY",
         "GROWING",
         "TASK_TOO_LARGE",
+        "RESTARTED",
     ]
-    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(7)], strict=True))
+    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(8)], strict=True))
 
 
 def test_over_velocity():

@@ -1,0 +1,73 @@
+"""advance: one step of the loop, by any method."""
+
+import jax
+import jax.numpy as jnp
+
+from cnclik.integrate.exponential import exponential_march
+from cnclik.integrate.march import march
+from cnclik.integrate.method import starter
+from cnclik.integrate.remember import Begun, Stepped, over_history
+from cnclik.integrate.status import Status, flags
+from cnclik.law.law import Law, evaluate, look, respond
+from cnclik.law.reference import tangent
+from cnclik.record import record
+from cnclik.robot import spatial as sp
+
+
+@record
+class Step:
+    """One step of the loop: q after it, x and e before it. Fields as in `Trajectory`, without the time axis.
+
+    `history` is what a multistep method wants back with its next step; None for one-step methods.
+    """
+
+    q: jax.Array
+    x: jax.Array
+    e: jax.Array
+    qdot: jax.Array
+    residual: jax.Array
+    contraction: jax.Array
+    status: jax.Array
+    history: object = None
+
+
+def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False) -> Step:
+    """One step of the loop in component form; the fields of the result are tuples of scalars.
+
+    Args:
+      history: of a multistep method, see `cnclik.integrate.history.blank`; else None.
+      starting: whether a multistep method is to be started: by a step of `starter`, remembered.
+    """
+    begun = None
+    if method.steps == 1 or starting:
+        begun = _of_tableau(law, reference, q, t, Ts, starter(method) if starting else method, stage)
+    one = Stepped(begun.moved) if method.steps == 1 else over_history(law, reference, q, t, Ts, method, history, begun)
+    made = one.moved
+    status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
+    if one.restarted is not None:
+        status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
+    return Step(
+        q=made.q,
+        x=sp.each(lambda x: jnp.asarray(x, made.residual.dtype), made.first.x()),  # z of a planar arm is a number
+        e=made.first.e,
+        qdot=made.qdot,
+        residual=made.residual,
+        contraction=made.contraction,
+        status=status,
+        history=one.history,
+    )
+
+
+def _of_tableau(law, reference, q, t, Ts, method, stage) -> Begun:
+    """A step of a tableau."""
+    if not reference.known:
+        reference = tangent(reference, law.task, t)
+    at = look(law, reference, t, q)
+    if method.exponential:
+        made, to = exponential_march(law, reference, q, at, t, Ts, method, stage)
+        return Begun(made, at, to)
+
+    def field(c, q):
+        return evaluate(law, reference, t + c * Ts if c else t, q)
+
+    return Begun(march(field, q, Ts, method, stage, respond(law, q, at)), at)

@@ -1,0 +1,66 @@
+"""Exponential steps: the error decays by its exact factor, and a tableau integrates the joints' path.
+
+See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedback` for what the feedback asks.
+"""
+
+from typing import NamedTuple
+
+from cnclik.integrate.march import march
+from cnclik.law.feedback import ahead, held_feedback, null_over_step
+from cnclik.law.law import answer, glance, null_velocity, target
+from cnclik.robot import spatial as sp
+
+CLOSED = 2  # order up to which a turn has its closure, see `closure`
+
+
+class Start(NamedTuple):
+    """What a step is to do, as known at its start."""
+
+    feedback: tuple  # (m,) held over the step
+    velocity: tuple  # (m,) φ ẋ_d at the start
+    mean: tuple  # (m,) φ times the target's mean velocity over the step
+    wanted: object  # (n,) null-space velocity, a posture's held over the step; None
+
+
+def start(law, reference, q, at, t, Ts) -> Start:
+    """What the law's exact solution asks of a step, from what the law sees at q and t."""
+    to = ahead(law, reference, at, t, Ts)
+    wanted, factor = null_velocity(law, q), null_over_step(law, Ts)
+    return Start(
+        feedback=held_feedback(law, at.e, to.turn, Ts),
+        velocity=sp.scale(law.feedforward, at.xdot_d),
+        mean=sp.scale(law.feedforward, to.mean),
+        wanted=wanted if factor is None else sp.scale(factor, wanted),
+    )
+
+
+def closure(law, mean, quadrature, turns):
+    """What a quadrature of ẋ_d misses of the target's motion, as a velocity (m,).
+
+    Rotations have it where `turns` (1 or 0) says so: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators
+    (Magnus 1954), so that it is a gain to order 2 and a loss beyond.
+    """
+    p = len(law.task.position)
+    missed = sp.vsub(mean, quadrature)
+    turned = missed[p:]
+    return sp.join(missed[:p], sp.scale(turns, turned) if sp.unrolled(turned) else turns * turned)
+
+
+def exponential_march(law, reference, q, at, t, Ts, method, stage):
+    """One step of the exponential form of a tableau: a `Moved`, and its `Start`."""
+    to = start(law, reference, q, at, t, Ts)
+    velocities = {0.0: to.velocity}
+    for c in method.c:
+        if c not in velocities:
+            velocities[c] = sp.scale(law.feedforward, target(law, reference, t + c * Ts, q)[2])
+    quadrature = sp.combine(method.b, [velocities[c] for c in method.c])
+    held = sp.vadd(to.feedback, closure(law, to.mean, quadrature, 1.0 if method.order <= CLOSED else 0.0))
+
+    def velocity(c):
+        return sp.vadd(velocities[c], held)
+
+    def field(c, q):
+        wanted = null_velocity(law, q) if null_over_step(law, Ts) is None else to.wanted
+        return answer(law, q, glance(law, q), velocity(c), wanted)
+
+    return march(field, q, Ts, method, stage, answer(law, q, at, velocity(0.0), to.wanted)), to

@@ -1,0 +1,223 @@
+"""History: what a multistep method remembers of the steps before, and what makes it forget.
+
+A history is dropped, and the order rises again step by step, where the past says nothing of the step to come: after a
+jump of the target, another sampling time, or a step that a limit changed. That costs no evaluation.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from cnclik import errors
+from cnclik.law.law import Law, target
+from cnclik.law.null import Posture
+from cnclik.law.shifted import unshifted
+from cnclik.record import record, replace
+from cnclik.robot import spatial as sp
+
+UNEVEN = 0.1  # relative change of the sampling time from which on the past is dropped
+_SLACK = 64  # roundings that count as no motion of a target
+
+
+@record
+class Entry:
+    """What is remembered of one instant; None for what a method has no use for."""
+
+    q: object = None  # (n,)
+    slope: object = None  # (n,) f there
+    columns: object = None  # (m, n) columns of J#, of the weighted task
+    velocity: object = None  # (m,) ẋ_d, times the feed-forward factor
+    null: object = None  # (n,) what J# times a task velocity was not part of
+    rows: object = None  # (m, n) weighted rows of J, for a posture term
+
+
+@record
+class History:
+    """The memory of a multistep method between two steps; taken and handed back by `step`.
+
+    Attributes:
+      entries: (p − 1) `Entry`s, the newest first.
+      position, rotation: where the target was at the last step, in the task's coordinates, and as rows.
+      speed: norm of the target's own velocity, there.
+      Ts: length of the last step [s].
+      count: how many entries count.
+      made: steps made since the start, up to p − 1: so many are made by the starting method.
+    """
+
+    entries: tuple
+    position: object
+    rotation: object
+    speed: object
+    Ts: object
+    count: object
+    made: object
+
+
+def blank(law: Law, q, method):
+    """The history of a loop before its first step, in the form of q; None for a one-step method."""
+    if method.steps == 1:
+        return None
+    n, m, p = law.chain.n, law.task.m, len(law.task.position)
+    zero = jnp.zeros_like(q[0])
+
+    def zeros(*shape):
+        if not sp.unrolled(q):
+            return jnp.zeros(shape, q.dtype)
+        return tuple(zeros(*shape[1:]) if shape[1:] else zero for _ in range(shape[0]))
+
+    if method.exponential:
+        null = zeros(n) if remembers_null(law) else None
+        rows = zeros(m, n) if holds_posture(law) else None
+        entry = Entry(columns=zeros(m, n), velocity=zeros(m), null=null, rows=rows)
+    else:
+        entry = Entry(q=zeros(n) if len(method.a) > 1 else None, slope=zeros(n))
+    none = jnp.zeros_like(zero, jnp.int32)
+    return History(
+        entries=(entry,) * (method.steps - 1),
+        position=zeros(p) if p else q[:0],
+        rotation=zeros(3, 3) if law.task.orientation else None,
+        speed=zero,
+        Ts=zero,
+        count=none,
+        made=none,
+    )
+
+
+def holds_posture(law: Law) -> bool:
+    """Whether the null-space term is a posture that decays by its exact factor, projected at each instant."""
+    return isinstance(law.null_velocity, Posture) and law.limits is None
+
+
+def remembers_null(law: Law) -> bool:
+    """Whether null-space velocities of past instants are of use."""
+    return not isinstance(law.null_velocity, Posture) and (law.null_velocity is not None or law.limits is not None)
+
+
+# --- forms --------------------------------------------------------------------------------------------
+
+
+def packed(history):
+    """The history with arrays for vectors and matrices, as `step` hands it out."""
+    return _mapped(history, sp.packed)
+
+
+def in_the_form_of(q, history):
+    """A packed history in the form of q (n,)."""
+    if history is None or not sp.unrolled(q):
+        return history
+
+    def apart(v):
+        return v if not jnp.ndim(v) else tuple(apart(v[i]) for i in range(v.shape[0]))
+
+    return _mapped(history, apart)
+
+
+def _mapped(history, fn):
+    if history is None:
+        return None
+
+    def one(rec, names):
+        return replace(rec, **{n: fn(v) for n in names if (v := getattr(rec, n)) is not None})
+
+    entries = tuple(one(entry, Entry.__dataclass_fields__) for entry in history.entries)
+    return replace(one(history, ("position", "rotation")), entries=entries)
+
+
+def checked(history, method, law):
+    """Raise ArgumentError unless it is a history of this method and law, or None."""
+    if history is None:
+        return None
+    if method.steps == 1:
+        raise errors.fail("history", f"be None for {method}, which has no memory", "is given")
+    if not isinstance(history, History):
+        raise errors.fail("history", "be what `step` handed back, `Step.history`", f"is {type(history).__name__}")
+    n, m, first = law.chain.n, law.task.m, history.entries[0] if history.entries else Entry()
+    kept = first.columns if method.exponential else first.slope
+    q_kept = (first.q is not None) == (not method.exponential and len(method.a) > 1)
+    shape = (m, n) if method.exponential else (n,)
+    if len(history.entries) != method.steps - 1 or not q_kept or kept is None or jnp.shape(kept) != shape:
+        raise errors.fail("history", f"be one of {method} and this law", "is of another method or law")
+    return history
+
+
+# --- remembering and forgetting -----------------------------------------------------------------------
+
+
+class Mark(NamedTuple):
+    """Where a target is, and its own velocity, whatever a controller is told or measures."""
+
+    position: object
+    rotation: object
+    velocity: object
+
+
+def mark(law: Law, reference, at, t, q) -> Mark:
+    """The target's mark at t; `at` is what the law sees there."""
+    true = unshifted(reference)
+    if true is reference and reference.feedforward is None:
+        return Mark(at.position, at.rotation, at.xdot_d)
+    return Mark(*target(law, replace(true, feedforward=None), t, q))
+
+
+def valid(history: History, law: Law, at: Mark, Ts):
+    """How many entries count at an instant: all that did, or none after a jump or another sampling time.
+
+    A target has jumped where it went farther than the speeds at both ends of the step, added, explain, and rounding:
+    twice what a mean speed does, so that motion from rest, at any acceleration, is no jump.
+    """
+    whole = len(law.task.orientation) == 3
+    moved = sp.vsub(at.position, history.position) if law.task.position else ()
+    moved = [moved[i] for i in range(len(law.task.position))]
+    if law.task.orientation:
+        before, now = history.rotation, at.rotation
+        if whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
+            moved += [(now[i][j] - before[i][j]) * 0.5**0.5 for i in range(3) for j in range(3)]
+        else:
+            turn = sp.matmul(now, sp.transpose(before))
+            sines = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
+            moved += [0.5 * sines[i] for i in law.task.angular]
+    explained = history.Ts * (sp.safe_norm(at.velocity) + history.speed)
+    size = sp.total(sp.each(jnp.abs, at.position)) if law.task.position else 0.0
+    most = explained + _SLACK * jnp.finfo(explained.dtype).eps * (1 + size)
+    jumped = sp.total(x * x for x in moved) > most * most
+    uneven = jnp.abs(Ts - history.Ts) > UNEVEN * history.Ts
+    return jnp.where(jumped | uneven, 0, history.count)
+
+
+def remember(history: History, law: Law, entry: Entry, at: Mark, Ts, count) -> History:
+    """The history after a step, `count` of its entries counting then."""
+    dtype = history.Ts.dtype
+
+    def like(value, old):
+        if value is None:
+            return None
+        if sp.unrolled(old):
+            return tuple(like(v, o) for v, o in zip(value, old, strict=True))
+        return jnp.broadcast_to(jnp.asarray(value, dtype), jnp.shape(old))
+
+    old = history.entries[0]
+    entry = Entry(**{name: like(getattr(entry, name), getattr(old, name)) for name in Entry.__dataclass_fields__})
+    return History(
+        entries=(entry, *history.entries[:-1]),
+        position=like(at.position, history.position) if law.task.position else history.position,
+        rotation=like(at.rotation, history.rotation) if law.task.orientation else None,
+        speed=jnp.asarray(sp.safe_norm(at.velocity), dtype),
+        Ts=jnp.asarray(Ts, dtype),
+        count=count.astype(jnp.int32),
+        made=jnp.minimum(history.made + 1, len(history.entries)).astype(jnp.int32),
+    )
+
+
+def weights(method, count):
+    """(a, b) of `Multistep.table` for a traced number of entries."""
+    rows = method.table
+
+    def pick(several):
+        *few, last = several
+        if all(value == last for value in few):
+            return last
+        values = ((jnp.equal(count, i), value) for i, value in enumerate(few))
+        return functools.reduce(lambda found, v: jnp.where(v[0], v[1], found), values, last)
+
+    return tuple(tuple(pick([row[part][j] for row in rows]) for j in range(method.steps)) for part in (0, 1))

@@ -1,0 +1,160 @@
+"""Steps with a memory: one evaluation of f each, and what was evaluated at the instants before.
+
+Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep`. Exponential ones remember J# as a
+matrix and ẋ_d, so that the feedback and the closure of this step act through the same mean of J#:
+
+  q⁺ = q + Ts Σⱼ βⱼ J#[k−j] (v[k−j] + w),   v = ẋ_d,
+  w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σⱼ βⱼ v[k−j].
+
+Where limits are respected, a step that its own evaluation or the combination would break one with is made from that
+evaluation alone, as an (exponential) Euler step, which respects what Euler respects.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from cnclik.integrate.exponential import CLOSED, closure, start
+from cnclik.integrate.history import (
+    Entry,
+    History,
+    holds_posture,
+    mark,
+    remember,
+    remembers_null,
+    valid,
+    weights,
+)
+from cnclik.integrate.march import Moved, shift
+from cnclik.law.law import Evaluation, answer, look, respond, weigh
+from cnclik.law.reference import tangent
+from cnclik.robot import spatial as sp
+
+
+class Stepped(NamedTuple):
+    """A step and what is remembered of it."""
+
+    moved: Moved
+    history: History | None = None
+    restarted: object = None  # whether what was remembered has been dropped
+
+
+class Begun(NamedTuple):
+    """A step that the starting method made: what it saw at its start, and what an exponential one was to do."""
+
+    moved: Moved
+    at: object
+    to: object = None
+
+
+def over_history(law, reference, q, t, Ts, method, history: History, begun: Begun | None) -> Stepped:
+    """A step of a multistep method in component form; `begun`: while it starts, the starting method's own step."""
+    told = reference if reference.known else tangent(reference, law.task, t)
+    at = look(law, told, t, q) if begun is None else begun.at
+    now = mark(law, reference, at, t, q)
+    count = valid(history, law, now, Ts)
+    make = _exponential if method.exponential else _plain
+    first, slope, entry = make(law, told, q, at, t, Ts, method, history, count, begun)
+    left = count
+    if law.limits is not None:
+        alone = first.held | broken(law, slope, shift(q, Ts, (1.0,), (slope,)))
+        slope = sp.each(lambda a, b: jnp.where(alone, a, b), first.qdot, slope)
+        left = jnp.where(alone, -1, count)
+    zero = jnp.zeros_like(q[0])
+    moved = Moved(shift(q, Ts, (1.0,), (slope,)), slope, first, zero, zero)
+    kept = remember(history, law, entry, now, Ts, jnp.minimum(left + 1, len(history.entries)))
+    return Stepped(moved, kept, (history.count > 0) & ((count == 0) | (left < 0)))
+
+
+def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
+    """Evaluation, slope, and entry of a formula on f."""
+    first = respond(law, q, at) if begun is None else begun.moved.first
+    entry = Entry(q=q if len(method.a) > 1 else None, slope=first.qdot)
+    if begun is not None:
+        return first, begun.moved.qdot, entry
+    a, b = weights(method, count)
+    slopes = [(b[0], first.qdot), *zip(b[1:], (e.slope for e in history.entries), strict=True)]
+    slope = sp.combine(*zip(*((w, k) for w, k in slopes if not _nothing(w)), strict=True))
+    if len(method.a) > 1:
+        per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
+        for w, past in zip(a[1:], history.entries, strict=True):
+            if not _nothing(w):
+                slope = sp.vadd(slope, sp.scale(w * per_time, sp.vsub(past.q, q)))
+    return first, slope, entry
+
+
+def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
+    """Evaluation, slope, and entry of an exponential formula."""
+    to = start(law, reference, q, at, t, Ts) if begun is None else begun.to
+    alone = sp.vadd(to.feedback, to.mean)
+    first = answer(law, q, at, alone, to.wanted) if begun is None else begun.moved.first
+    null = None
+    if to.wanted is not None or law.limits is not None:
+        null = sp.vsub(first.qdot, first.apply(first.asked))
+    entry = Entry(
+        columns=_columns(first, law.task.m, q),
+        velocity=to.velocity,
+        null=null if remembers_null(law) else None,
+        rows=first.rows if holds_posture(law) else None,
+    )
+    if begun is not None:
+        return first, begun.moved.qdot, entry
+    betas = weights(method, count)[1]
+    entries = [entry, *history.entries]
+    quadrature = sp.combine(betas, [e.velocity for e in entries])
+    turns = 1.0 if method.order <= CLOSED else jnp.where(count < CLOSED, 1.0, 0.0).astype(Ts.dtype)
+    held = to.feedback
+    if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
+        held = sp.vadd(held, closure(law, to.mean, quadrature, turns))
+    parts = [sp.combine(weigh(law, sp.vadd(e.velocity, held)), e.columns) for e in entries]
+    if holds_posture(law):
+        parts = [
+            sp.vadd(part, sp.vsub(to.wanted, sp.combine(sp.matvec(e.rows, to.wanted), e.columns)))
+            for part, e in zip(parts, entries, strict=True)
+        ]
+    elif remembers_null(law):
+        parts = [sp.vadd(part, e.null) for part, e in zip(parts, entries, strict=True)]
+    slope = sp.combine(betas, parts)
+    if null is not None and not holds_posture(law) and not remembers_null(law):
+        slope = sp.vadd(slope, null)
+    return first, slope, entry
+
+
+def _columns(first: Evaluation, m, q):
+    """The columns of J# (m, n)."""
+    if first.columns is not None:
+        return first.columns()
+    if sp.unrolled(q):
+        return tuple(first.apply(tuple(1.0 if i == j else 0.0 for j in range(m))) for i in range(m))
+    return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype))
+
+
+def _nothing(weight) -> bool:
+    return sp.is_number(weight) and weight == 0
+
+
+def broken(law, qdot, q):
+    """Whether a velocity, or where it leads to, is beyond a limit that the law respects."""
+    chain = law.chain
+    rounding = 64 * jnp.finfo(jnp.result_type(qdot[0])).eps
+    found = sp.some(sp.each(lambda v, most: jnp.abs(v) > most * (1 + rounding), qdot, _all(chain.velocity_limit, q)))
+    if not getattr(law.limits, "positions", True):
+        return found
+    low, high = _all(chain.lower, q), _all(chain.upper, q)
+    return found | sp.some(sp.each(lambda v, l, h: (v < l) | (v > h), q, low, high))
+
+
+def _all(limit, q):
+    return limit if sp.unrolled(q) else jnp.asarray(limit)
+
+
+def primed(law, reference, past, t, Ts, method, history: History) -> History:
+    """The history of a loop that was at the joint values `past`, newest first, the target being as it is at t."""
+    for q in reversed(past):
+        at = look(law, reference, t, q)
+        make = _exponential if method.exponential else _plain
+        entry = make(law, reference, q, at, t, Ts, method, history, history.count, None)[2]
+        count = jnp.minimum(history.count + 1, len(history.entries))
+        history = remember(history, law, entry, mark(law, reference, at, t, q), Ts, count)
+    return history

@@ -1,0 +1,153 @@
+"""Feedback held over a step: the error decays by its exact factor, whatever the gain and the sampling time.
+
+The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). What it asks of the feedback over a whole
+step, held, is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts. A turn is to end at
+R* = exp(−e^{−K·Ts} e_R) R_d(t + Ts); with the target's own turn T the tip has gone along already, and what is left is
+log(exp(−e^{−K·Ts} e_R) exp(T e_R)).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from cnclik.hints import opaque
+from cnclik.law.law import Law, clamped, gain
+from cnclik.law.null import Posture
+from cnclik.robot import spatial as sp
+
+HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
+_TERMS = 9  # of the series there
+_HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
+_NEAR = 0.01  # below this z the quotient's derivative would lose digits, and a series is exact
+
+
+# --- the factor ---------------------------------------------------------------------------------------
+
+
+def per_step(alpha, Ts, e):
+    """Φ = (I − e^{−K·Ts})/Ts [1/s], the gain that, held over a step, does what K does: K itself where Ts = 0.
+
+    Args:
+      alpha: K as an array: (), (m,) per axis, or (m, m).
+      Ts: [s].
+      e: (m,), for its form.
+    Returns: what `cnclik.law.law.gain` takes: of alpha's shape; a matrix is a tuple of rows where e is a tuple.
+    """
+    if alpha.ndim < 2:
+        return alpha * _share(alpha * Ts)
+    if sp.unrolled(e):
+        alpha = tuple(tuple(alpha[i, j] for j in range(len(e))) for i in range(len(e)))
+    return _doubled(alpha, Ts)
+
+
+@opaque
+def _share(z):
+    """(1 − e^{−z})/z, 1 at z = 0, with derivatives to rounding."""
+    near = jnp.abs(z) < _NEAR
+    safe = jnp.where(near, 1.0, z)
+    series = 1 - z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6))))
+    return jnp.where(near, series, -jnp.expm1(-safe) / safe)
+
+
+def _doubled(k, Ts):
+    """(I − e^{−K·Ts})/Ts of a matrix: a series for a small part h of the step, then G ← G − (h/2) G², h ← 2h.
+
+    I − e^{−2hK} = 2D − D² with D = h·G = I − e^{−hK}: nothing cancels, and rounding grows with no doubling.
+    """
+    h = Ts * 2.0**-HALVINGS
+    product = k  # K Σⱼ (−hK)ʲ/(j + 1)!, by Horner's rule
+    for j in range(_TERMS, 1, -1):
+        product = _less(k, h / j, sp.matmul(k, product))
+
+    def double(carry, _):
+        g, h = carry
+        return (_less(g, 0.5 * h, sp.matmul(g, g)), 2 * h), None
+
+    return lax.scan(double, (product, h), None, length=HALVINGS)[0][0]
+
+
+def _less(a, factor, b):
+    """A − factor·B."""
+    if not sp.unrolled(a):
+        return a - factor * b
+    return tuple(tuple(x - factor * y for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True))
+
+
+# --- feedback -----------------------------------------------------------------------------------------
+
+
+def held_feedback(law: Law, e, turn, Ts):
+    """What a step's feedback asks of the task (m,), held over the step, from the error at its start.
+
+    Args:
+      e: (m,).
+      turn: rows of T = R_d(t + Ts) R_d(t)ᵀ, or None where less than the whole orientation is controlled: there the
+        components are taken one by one.
+      Ts: [s]; at 0 it is K e.
+    """
+    e = clamped(law, e)
+    rate = gain(per_step(law.alpha, Ts, e), e)
+    if turn is None:
+        return rate
+    p = len(law.task.position)
+    still = Ts == 0
+    safe = jnp.where(still, 1.0, Ts)
+    left = sp.vsub(e, sp.scale(Ts, rate))[p:]
+    follows = sp.scale(law.feedforward, sp.vsub(sp.matvec(turn, e[p:]), e[p:]))
+    turned = _turn(left, sp.vadd(e[p:], follows))
+    return sp.join(rate[:p], sp.each(lambda a, b: jnp.where(still, a, b / safe), rate[p:], turned))
+
+
+_turn = opaque(sp.turn_from)
+
+
+def null_over_step(law: Law, Ts):
+    """Factor of a posture term over a step, (1 − e^{−rate·Ts})/(rate·Ts); None where the term isn't linear."""
+    if isinstance(law.null_velocity, Posture):
+        return _share(law.null_velocity.rate * Ts)
+    return None
+
+
+# --- the target's motion ------------------------------------------------------------------------------
+
+
+class Ahead(NamedTuple):
+    """How the target moves in a step."""
+
+    mean: tuple  # (m,) its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
+    turn: object  # rows of R_d(t + Ts) R_d(t)ᵀ, or None where the whole orientation isn't controlled
+
+
+def ahead(law: Law, reference, at, t, Ts) -> Ahead:
+    """The target's motion from t to t + Ts as a controller knows it; `at` is what the law sees at t.
+
+    A velocity that the controller is told is all that it knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
+    """
+    task, p = law.task, len(law.task.position)
+    whole = len(task.orientation) == 3
+    if reference.feedforward is not None:
+        spin = sp.scale(Ts, at.xdot_d[p:])
+        turn = sp.exp_so3(spin) if whole else None
+        return Ahead(at.xdot_d, sp.packed(turn, Ts.dtype) if whole and not sp.unrolled(spin) else turn)
+    still = Ts == 0
+    safe = jnp.where(still, 1.0, Ts)
+    position, rotation = reference.curve(t + Ts, sp.unrolled(at.xdot_d))
+    mean, turn = at.xdot_d[:0], None
+    if p:
+        picked = position if len(position) == p else sp.pick(position, task.linear)
+        moved = sp.vsub(picked, at.position)
+        mean = sp.each(lambda x, v: jnp.where(still, v, x / safe), moved, at.xdot_d[:p])
+    if task.orientation:
+        turn = sp.matmul(rotation, sp.transpose(at.rotation))
+        angle = sp.pick(_log(turn), task.angular)
+        mean = sp.join(mean, sp.each(lambda x, v: jnp.where(still, v, x / safe), angle, at.xdot_d[p:]))
+    return Ahead(mean, turn if whole else None)
+
+
+@opaque
+def _log(turn):
+    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
+    w = 0.5 * jnp.sqrt(jnp.maximum(1 + turn[0][0] + turn[1][1] + turn[2][2], _HALF_TURN))
+    v = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
+    return sp.log_quaternion(w, sp.scale(0.25 / w, v if sp.unrolled(turn) else sp.packed(v)))

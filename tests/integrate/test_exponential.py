@@ -1,0 +1,267 @@
+"""Exponential steps: exact decay, orders, what they know of the target, and the rest of the law with them."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from tests.oracles import close, robot_file
+
+LENGTHS, START = [0.7, 1.1, 0.4], np.array([0.3, -0.9, 0.6])
+ARM = ck.planar_arm(LENGTHS)
+LAW = ck.Law(ARM, ck.position("xy"), alpha=4.0)
+SLIDERS = ck.from_screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0, 0.0, 0.0], kinds="PP")
+
+
+def on_path(period=4.0):
+    """A circle that starts where START is."""
+    x = np.asarray(ck.pose(ARM, START).position)[:2]
+    return ck.circle(x - [0.2, 0.0], 0.2, period=period)
+
+
+CIRCLE = on_path()
+
+
+def by_steps(law, reference, q, Ts, N, method):
+    """Joint values and errors of N steps, history handed on: no compilation for another N."""
+    qs, es, history = [q], [], None
+    for k in range(N):
+        made = ck.step(law, reference, qs[-1], k * Ts, Ts, method, history=history)
+        history = made.history
+        qs.append(made.q)
+        es.append(made.e)
+    return np.array(qs), np.array(es)
+
+
+def rate(coarse, fine):
+    return np.log2(np.linalg.norm(coarse) / np.linalg.norm(fine))
+
+
+# --- decay --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("method", "alpha"),
+    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0]), ("EXP-AB2", [[2.0, 1.0], [-1.0, 30.0]])],
+    ids=["number", "axes", "matrix"],
+)
+def test_decays_by_the_exact_factor(method, alpha):
+    import scipy.linalg
+
+    law = ck.Law(SLIDERS, ck.position("xy"), alpha=np.array(alpha))
+    k = np.diag(np.broadcast_to(alpha, 2)) if np.ndim(alpha) < 2 else np.array(alpha)
+    for Ts in (0.01, 0.5, 25.0):
+        e = by_steps(law, ck.hold([1.0, -2.0]), np.zeros(2), Ts, 3, method)[1]
+        close(e[2], scipy.linalg.expm(-2 * Ts * k) @ e[0], atol=1e-12)
+
+
+def test_a_posture_decays_by_its_own_factor():
+    law = ck.Law(SLIDERS, ck.position("x"), alpha=3.0, null_velocity=ck.posture([0.0, 2.0], rate=1.5))
+    for method in ("EXP-MIDPOINT", "EXP-AB2"):
+        for Ts in (0.1, 10.0):
+            q = by_steps(law, ck.hold([1.0]), np.zeros(2), Ts, 3, method)[0]
+            close(q[:, 1], 2 - 2 * np.exp(-1.5 * Ts * np.arange(4)), atol=1e-13)
+
+
+def test_error_clamp_and_feedforward_act_as_they_do():
+    law = ck.Law(SLIDERS, ck.position("xy"), alpha=1e9, error_clamp=(0.5, 1.0), feedforward=0.0)
+    made = ck.step(law, ck.line([3.0, 4.0], [9.0, 4.0], duration=1.0), np.zeros(2), 0.0, 0.1, "EXP-EE")
+    close(made.q, [0.3, 0.4], atol=1e-12)  # half a metre, and nothing of the target's motion
+
+
+# --- order --------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def exact_end():
+    return by_steps(LAW, CIRCLE, START, 0.005, 200, "EXP-RK4")[0][-1]
+
+
+@pytest.mark.parametrize(
+    ("method", "order"),
+    [
+        ("EXP-EE", 1),
+        ("EXP-MIDPOINT", 2),
+        ("EXP-RK4", 4),
+        ("EXP-AB2", 2),
+        pytest.param("EXP-HEUN", 2, marks=pytest.mark.slow),
+        pytest.param("EXP-AB3", 3, marks=pytest.mark.slow),
+        pytest.param("EXP-AB4", 4, marks=pytest.mark.slow),
+    ],
+)
+def test_order_of_position_and_joint_path(method, order):
+    """A redundant arm that starts on its path; EXP-RK4 with steps so fine that they count as exact."""
+    ends = [by_steps(LAW, CIRCLE, START, 1 / N, N, method) for N in (20, 40, 80)]
+    paths = [q[-1] - exact_end() for q, _ in ends]
+    errors = [e[-1] for _, e in ends]
+    assert rate(paths[1], paths[2]) == pytest.approx(order, abs=0.15)
+    assert rate(errors[1], errors[2]) > order - 0.15  # the closure hides some of it
+
+
+WRIST = ck.from_dh([0.0, 0.0, 0.0], [np.pi / 2, -np.pi / 2, 0.0], [0.1, 0.0, 0.3])
+TURNED = np.array([0.2, 0.7, -0.3])
+HOME = np.asarray(ck.pose(WRIST, TURNED).rotation)
+
+
+def tumbling(t):
+    """A rotation whose angular velocities at different times don't commute."""
+    from cnclik.robot import spatial as sp
+
+    v = (0.6 * jnp.sin(t), 0.5 * (1 - jnp.cos(t)), 0.4 * jnp.sin(2 * t))
+    return ck.Pose(position=jnp.zeros(3), rotation=jnp.stack([jnp.stack(r) for r in sp.exp_so3(v)]) @ HOME)
+
+
+@pytest.mark.parametrize(("method", "order"), [("EXP-EE", 1), ("EXP-MIDPOINT", 2), ("EXP-RK4", 4)])
+def test_order_of_orientation(method, order):
+    """With closure beyond order 2 it would be 2."""
+    law, reference = ck.Law(WRIST, ck.orientation(), alpha=5.0), ck.path(tumbling)
+    coarse, fine = (by_steps(law, reference, TURNED, 1 / N, N, method)[1][-1] for N in (20, 40))
+    assert rate(coarse, fine) == pytest.approx(order, abs=0.3) and np.linalg.norm(fine) < 0.02
+
+
+PRINTED = {  # RMS of ‖e‖ over the second half, by a loop written with Pinocchio: (alpha, Ts) to error
+    "EE": {(5.0, 0.1): 6.0e-3},
+    "EXP-EE": {(5.0, 0.1): 2.1e-3, (100.0, 0.1): 9.0e-4},
+    "EXP-MIDPOINT": {(5.0, 0.1): 1.2e-4, (100.0, 0.1): 5.6e-5},
+    "EXP-RK4": {(5.0, 0.1): 6.1e-8, (100.0, 0.1): 3.1e-8},
+    "EXP-AB2": {(5.0, 0.1): 5.7e-4, (100.0, 0.1): 2.7e-4},
+    "EXP-AB4": {(5.0, 0.1): 8.2e-5, (100.0, 0.1): 4.2e-5},
+}
+
+
+@pytest.mark.parametrize("method", [pytest.param(m, marks=[] if m == "EXP-EE" else pytest.mark.slow) for m in PRINTED])
+def test_panda_as_pinocchio_has_it(method):
+    """A circle of 0.1 m in 4 s with a rocking orientation."""
+    arm = ck.load_urdf(str(robot_file("panda")), tip="panda_link8")
+    q0 = np.array([0.0, -0.3, 0.1, -2.0, 0.1, 1.8, 0.5])
+    at = ck.pose(arm, q0)
+    place, home = np.asarray(at.position), np.asarray(at.rotation)
+
+    def curve(t):
+        angle = np.pi / 2 * t
+        rock = 0.3 * jnp.sin(angle)
+        c, s, o, i = jnp.cos(rock), jnp.sin(rock), jnp.zeros_like(rock), jnp.ones_like(rock)
+        turn = jnp.stack([jnp.stack(row) for row in ((c, o, s), (o, i, o), (-s, o, c))])
+        moved = 0.1 * jnp.stack([jnp.cos(angle) - 1, jnp.sin(angle), o])
+        return ck.Pose(position=place + moved, rotation=turn @ home)
+
+    for (alpha, Ts), wanted in PRINTED[method].items():
+        run = ck.solve(ck.Law(arm, ck.pose_task(), alpha=alpha), ck.path(curve), q0, Ts, round(4 / Ts), method)
+        squares = np.sum(np.asarray(run.e)[:-1] ** 2, 1)
+        assert np.sqrt(squares[len(squares) // 2 :].mean()) == pytest.approx(wanted, rel=0.2)
+        ck.require_ok(run)
+
+
+# --- what is known of the target ----------------------------------------------------------------------
+
+
+def test_a_causal_step_sees_the_targets_start_alone():
+    """Two targets that agree in place and velocity at t are the same to it; a velocity told is all that is known."""
+
+    def straight(t):
+        return jnp.stack([0.1 + 0.3 * t, 1.6 - 0.1 * t])
+
+    def bent(t):
+        return straight(t) + jnp.stack([t**2, -3 * t**2])
+
+    law = ck.Law(SLIDERS, ck.position("xy"), alpha=2.0)
+    q = np.array([0.2, 1.5])
+    for method in ("MIDPOINT", "EXP-MIDPOINT"):
+        one, other = (ck.step(law, ck.causal(ck.path(f)), q, 0.0, 0.1, method).q for f in (straight, bent))
+        close(one, other, atol=1e-15)
+        close(one, ck.step(law, ck.path(straight), q, 0.0, 0.1, method).q, atol=1e-15)
+    e = np.array([0.1, 1.6]) - q
+    told = ck.with_feedforward(ck.path(bent), [0.5, 0.25])
+    close(
+        ck.step(law, told, q, 0.0, 0.1, "EXP-MIDPOINT").q,
+        q + 0.1 * np.array([0.5, 0.25]) - np.expm1(-0.2) * e,
+        atol=1e-14,
+    )
+
+
+def test_causal_loops_are_of_order_one_and_a_memory_foretells():
+    """Half the step, half the error with exponential Euler, a quarter of it with EXP-AB2."""
+    hidden = ck.causal(CIRCLE)
+    for method, order in (("EXP-EE", 1), ("EXP-AB2", 2)):
+        coarse, fine = (by_steps(LAW, hidden, START, 1 / N, N, method)[1][-1] for N in (40, 80))
+        assert rate(coarse, fine) == pytest.approx(order, abs=0.2)
+
+
+def test_shifted_and_told_references_stay_causal():
+    from cnclik.law.shifted import shifted
+
+    hidden = ck.causal(CIRCLE)
+    assert not shifted(hidden, LAW.task, (0.0, 0.0)).known and not ck.with_feedforward(hidden, [0.0, 0.0]).known
+    assert "future unknown" in repr(hidden)
+
+
+# --- the rest of the law ------------------------------------------------------------------------------
+
+
+def test_damped_directions_keep_what_theory_says():
+    """1 − (1 − e^{−z}) σ²/(σ² + λ²) per step, along each singular direction, for a small error."""
+    law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=30.0, inverse=ck.damped(0.4))
+    q = np.array([0.3, 0.9])
+    u, sigma, _ = np.linalg.svd(np.asarray(ck.jacobian(law.chain, q))[:2])
+    x = np.asarray(ck.pose(law.chain, q).position)[:2]
+    for direction, s in zip(u.T, sigma, strict=True):
+        e = by_steps(law, ck.hold(x + 1e-7 * direction), q, 0.1, 2, "EXP-EE")[1]
+        close(e[1] @ direction / 1e-7, 1 + np.expm1(-3.0) * s**2 / (s**2 + 0.16), atol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["EXP-EE", "EXP-AB3"])
+def test_single_precision(method):
+    """Stays in it, and near double precision."""
+    wide = ck.solve(LAW, CIRCLE, START, 0.02, 25, method)
+    narrow = ck.solve(LAW, CIRCLE, START.astype(np.float32), 0.02, 25, method)
+    assert narrow.q.dtype == np.float32 and not np.any(narrow.status) and not np.any(wide.status)
+    close(narrow.q, wide.q, atol=2e-5)
+
+
+@pytest.mark.form("unrolled")
+def test_both_forms_and_lanes_agree():
+    law = ck.replace(LAW, inverse=ck.damped(0.05))
+    alone = ck.solve(law, CIRCLE, START, 0.05, 6, "EXP-AB2")
+    with ck.use_form("rolled"):
+        rolled = ck.solve(law, CIRCLE, START, 0.05, 6, "EXP-AB2")
+    close(rolled.q, alone.q, atol=1e-13)
+    np.testing.assert_array_equal(rolled.status, alone.status)
+    starts = START + 0.1 * np.arange(5)[:, None]
+    many = ck.lanes(lambda q0: ck.solve(law, CIRCLE, q0, 0.05, 6, "EXP-AB2").q[-1])(starts)
+    close(many[0], alone.q[-1], atol=1e-13)
+
+
+@pytest.mark.parametrize("method", ["IE", "EXP-EE", "ZNN4"])
+def test_what_has_no_exponential_form_says_so(method):
+    with pytest.raises(ck.ArgumentError, match=f"Argument `method` must be an explicit tableau .*, but is {method}"):
+        ck.exponential(method)
+
+
+def test_an_exponential_form_of_ones_own():
+    ralston = ck.Method(
+        name="RALSTON2", A=((0.0,), (2 / 3, 0.0)), b=(0.25, 0.75), c=(0.0, 2 / 3), order=2, source="Ralston (1962)"
+    )
+    method = ck.exponential(ralston)
+    assert repr(method) == "EXP-RALSTON2" and method.exponential and not ralston.exponential
+    e = by_steps(ck.Law(SLIDERS, ck.position("xy"), alpha=50.0), ck.hold([1.0, 0.0]), np.zeros(2), 0.1, 2, method)[1]
+    close(e[1], np.exp(-5.0) * e[0], atol=1e-14)
+
+
+def test_needs_a_reference():
+    with pytest.raises(ck.ArgumentError, match="Argument `reference` must be a Reference"):
+        ck.causal(3.0)
+
+
+@pytest.mark.slow
+def test_transforms_go_through_a_step_of_no_length():
+    """Derivatives of the instant after the last are finite."""
+    law = ck.Law(WRIST, ck.orientation(), alpha=5.0)
+    target = np.asarray(ck.pose(WRIST, TURNED + 0.1).rotation)
+
+    def last(alpha):
+        return ck.solve(ck.replace(law, alpha=alpha), ck.hold(None, rotation=target), TURNED, 0.1, 2, "EXP-EE").e[-1]
+
+    assert np.all(np.isfinite(jax.jit(jax.jacrev(last))(5.0)))

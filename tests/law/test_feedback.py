@@ -1,0 +1,65 @@
+"""The exact factor of the feedback over a step: against SciPy's matrix exponential, in both forms and precisions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+
+import cnclik as ck
+from cnclik.law.feedback import held_feedback, per_step
+from cnclik.robot import spatial as sp
+from tests.oracles import close, hat
+
+MATRIX = np.array([[5.0, 1.0, 0.0], [-2.0, 3.0, 0.5], [0.3, 0.0, 40.0]])
+
+
+def wanted(k, Ts):
+    """(I − e^{−K·Ts})/Ts by one exponential of twice the size, which divides by nothing (Van Loan 1978)."""
+    m = len(k)
+    whole = np.zeros((2 * m, 2 * m))
+    whole[:m, :m], whole[:m, m:] = -k * Ts, np.eye(m)
+    return k @ scipy.linalg.expm(whole)[:m, m:]
+
+
+@pytest.mark.parametrize("form", ["rolled", "unrolled"])
+@pytest.mark.parametrize(("dtype", "digits"), [(np.float64, 2e-13), (np.float32, 2e-5)])
+def test_gain_matrices_small_and_large(form, dtype, digits):
+    e = jnp.ones(3, dtype) if form == "rolled" else tuple(jnp.ones(3, dtype))
+    find = jax.jit(lambda Ts: sp.packed(per_step(jnp.asarray(MATRIX, dtype), Ts, e)))
+    for Ts in (0.0, 1e-6, 1e-3, 0.1, 1.0, 30.0, 1e3):
+        exact = wanted(MATRIX, Ts)
+        close(find(dtype(Ts)), exact, atol=digits * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_numbers_and_axes_with_their_derivatives(dtype):
+    Ts = dtype(0.05)
+    slope = jax.jit(jax.vmap(jax.value_and_grad(lambda a: per_step(a, Ts, None)), 0))
+    a = np.array([0.0, 1e-6, 0.1, 0.199, 0.201, 1.0, 20.0, 1e4])
+    value, derivative = slope(jnp.asarray(a, dtype))
+    z = a.astype(dtype).astype(float) * float(Ts)
+    eps = np.finfo(dtype).eps
+    close(value, -np.expm1(-z) / float(Ts), rtol=8 * eps)
+    close(derivative, np.exp(-z), atol=1e3 * eps)
+    close(per_step(jnp.asarray([0.0, 4.0], dtype), dtype(0.0), None), [0.0, 4.0])
+    time = jax.grad(lambda Ts: per_step(jnp.asarray(4.0), Ts, None))
+    close([time(0.0), time(0.5)], [-8.0, (0.5 * 4 * np.exp(-2) + np.expm1(-2)) / 0.25], atol=1e-12)
+
+
+def rotation(v):
+    return scipy.linalg.expm(hat(np.asarray(v)))
+
+
+@pytest.mark.parametrize("size", [1e-7, 0.3, 3.0])
+def test_turns_end_where_the_exact_solution_is(size):
+    """exp(w·Ts) T exp(−e) R_d = exp(−e^{−z} e) T R_d, by matrix exponentials; a held target's is (1 − e^{−z}) e."""
+    law = ck.Law(ck.from_dh([0.0] * 3, [0.1] * 3, [0.1] * 3), ck.orientation(), alpha=7.0)
+    e, Ts = size * np.array([0.6, -0.64, 0.48]), 0.2
+    find = jax.jit(lambda e, turn: held_feedback(law, e, turn, jnp.asarray(Ts)))
+    close(find(e, np.eye(3)), (1 - np.exp(-1.4)) / Ts * e, atol=1e-13 * size)
+    turn = rotation([0.1, 0.2, -0.15])
+    w = np.asarray(find(e, turn))
+    close(rotation(w * Ts) @ turn @ rotation(-e), rotation(-np.exp(-1.4) * e) @ turn, atol=1e-13)
+    at_once = jax.jit(jax.jacfwd(lambda Ts: held_feedback(law, jnp.asarray(e), jnp.eye(3), Ts)))(0.0)
+    close(at_once, -0.5 * 49 * e, atol=1e-9) if size < 1 else np.testing.assert_array_equal(np.isfinite(at_once), True)
