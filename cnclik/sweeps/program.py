@@ -45,7 +45,8 @@ class Program(NamedTuple):
 
 
 # Dimensions of what `solve` returns, for a study that returns whole trajectories.
-_DIMS = {name: metric.dims for name, metric in METRICS.items()} | dict.fromkeys(("residual", "contraction"), ("step",))
+_DIMS = {name: METRICS[name].dims for name in ("t", "q", "x", "e", "qdot", "status")}
+_DIMS |= dict.fromkeys(("residual", "contraction"), ("step",))
 
 
 def compile_program(study, fixed: dict, of: Grid) -> Program:
