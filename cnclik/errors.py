@@ -24,16 +24,19 @@ def concrete(value) -> bool:
     return jax is None or not isinstance(value, jax.core.Tracer)
 
 
+_NO_NUMBERS = (str, bytes, list, tuple, type(None))
+
+
 def number(name: str, value, *, positive=False, at_least=None):
     """A finite real number (or a traced scalar); returned as it came."""
     import numpy as np
 
-    if type(value) is not float and (np.ndim(value) != 0 or isinstance(value, (str, bytes)) or value is None):
+    if type(value) is not float and (isinstance(value, _NO_NUMBERS) or np.ndim(value) != 0):
         raise fail(name, "be a number", f"is {value!r}")
     if concrete(value):
         try:
             known = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise fail(name, "be a number", f"is {value!r}") from None
         if not math.isfinite(known):
             raise fail(name, "be finite", f"is {known}")
@@ -93,10 +96,15 @@ def _gather(value):
 def one_of(name: str, value, names):
     """A name from a list; the nearest one is suggested."""
     if not isinstance(value, str) or value not in names:
-        near = difflib.get_close_matches(str(value), [str(n) for n in names], n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        raise fail(name, f"be one of {', '.join(str(n) for n in names)}", f"is {value!r}{hint}")
+        names = [str(n) for n in names]
+        raise fail(name, f"be one of {', '.join(names)}", f"is {value!r}{nearest(value, names)}")
     return value
+
+
+def nearest(value, names) -> str:
+    """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
+    near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _fits(shape, wanted):

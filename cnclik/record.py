@@ -89,11 +89,14 @@ def record(cls=None, *, kw_only=True):
     names = tuple(f.name for f in dataclasses.fields(cls))
 
     def flatten(self):
-        # A record never changes, so it is taken apart once; repeated jit calls find the answer here.
-        found = self.__dict__.get("_flat")
+        # A record never changes, so it is taken apart once for each precision; repeated jit calls find the answer here.
+        key = "_flat" if jax.config.jax_enable_x64 else "_flat32"
+        found = self.__dict__.get(key)
         if found is None:
             found = partition(tuple(getattr(self, n) for n in names))
-            object.__setattr__(self, "_flat", found)
+            if key == "_flat32":  # arrays of its own: JAX remembers by identity what it made of a constant, as float32
+                found = [v.copy() if type(v) is np.ndarray else v for v in found[0]], found[1]
+            object.__setattr__(self, key, found)
         return found
 
     def unflatten(literals, arrays):
@@ -104,11 +107,11 @@ def record(cls=None, *, kw_only=True):
             return self
         fields.update(zip(names, arrays, strict=True))
         if all(isinstance(v, jax.Array) for v in arrays):
-            fields["_flat"] = list(arrays), literals
+            fields["_flat"] = fields["_flat32"] = list(arrays), literals
         return self
 
     def fields_alone(self):
-        # Copies and pickles leave `_flat` behind: it marks holes by identity, and hashes change between processes.
+        # Copies and pickles leave these behind: they mark holes by identity, and hashes change between processes.
         return {n: getattr(self, n) for n in names}
 
     cls.__getstate__ = fields_alone

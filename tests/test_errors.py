@@ -21,6 +21,8 @@ from cnclik.errors import ArgumentError
         (lambda: errors.number("Ts", None), "Argument `Ts` must be a number, but is None."),
         (lambda: errors.number("Ts", 1j), "Argument `Ts` must be a number, but is 1j."),
         (lambda: errors.number("Ts", [0.1]), "Argument `Ts` must be a number, but is [0.1]."),
+        (lambda: errors.number("Ts", [[1], []]), "Argument `Ts` must be a number, but is [[1], []]."),
+        (lambda: errors.number("Ts", 10**400), f"Argument `Ts` must be a number, but is 1{'0' * 115}…."),
         (lambda: errors.integer("N", 3.0, at_least=0), "Argument `N` must be an integer, but is 3.0."),
         (lambda: errors.integer("N", True, at_least=0), "Argument `N` must be an integer, but is True."),
         (lambda: errors.integer("N", -1, at_least=0), "Argument `N` must be at least 0, but is -1."),

@@ -7,18 +7,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from cnclik.hints import one_function
-from cnclik.integrate.history import blank
-from cnclik.integrate.solve import advance, cast, solve
-from cnclik.integrate.stage import chord, newton, picard
+from cnclik.integrate.solve import solve
 from cnclik.law import reference as ref
 from cnclik.law.inverse import damped, pseudoinverse
-from cnclik.law.law import Law, evaluate
+from cnclik.law.law import Law
 from cnclik.law.task import pose as pose_task
 from cnclik.law.task import position
-from cnclik.robot import spatial as sp
 from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.chain import Chain, from_dh, planar_arm
 from cnclik.robot.kinematics import pose
@@ -58,7 +53,6 @@ ROBOTS = {
     "ur5": lambda: _spatial(ur5(), (0.0, -1.2, 1.8, -2.2, -math.pi / 2, 0.0)),
     "chain30": lambda: _spatial(chain_of_30(), (0.3,) * 30),
 }
-STAGES = {"picard": picard, "chord": chord, "newton": newton}
 
 
 def inputs(case: Case, batch: int, dtype) -> dict:
@@ -78,30 +72,12 @@ def inputs(case: Case, batch: int, dtype) -> dict:
     return {name: np.asarray(value, dtype) for name, value in named.items()}
 
 
-def final(law, reference, q0, Ts, N, method, stage):
-    """The end of a loop of N steps, none of it stored: (q (n,), ‖e‖)."""
-    law, reference = cast((law, reference), q0.dtype)
-    k = jnp.arange(N + 1).astype(q0.dtype)
-
-    @one_function
-    def march(law, reference, q0, Ts, stage, k):
-        def one(state, k):
-            made = advance(law, reference, state[0], k * Ts, Ts, method, stage, state[1])
-            return (made.q, made.history), None
-
-        q = tuple(q0)
-        (q, _), _ = lax.scan(one, (q, blank(law, q, method)), k[:-1])
-        return q, evaluate(law, reference, k[-1] * Ts, q).e
-
-    q, e = march(law, reference, q0, jnp.asarray(Ts, q0.dtype), stage, k)
-    return jnp.stack(q), jnp.sqrt(sp.dot(e, e))
-
-
 def loop(case: Case, N: int, method, stage):
-    """`final` as a function of one lane's start and target."""
+    """The end of a loop of N steps, none of it stored, (q (n,), ‖e‖), as a function of one lane's start and target."""
 
     def one(q0, position, rotation=None):
-        return final(case.law, ref.hold(position, rotation), q0, TS, N, method, stage)
+        run = solve(case.law, ref.hold(position, rotation), q0, TS, N, method, stage)
+        return run.q[-1], jnp.linalg.norm(run.e[-1])
 
     return one
 

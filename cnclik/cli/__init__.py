@@ -5,7 +5,6 @@ in `VERBS`.
 """
 
 import contextlib
-import difflib
 import gc
 import importlib
 import os
@@ -38,10 +37,6 @@ def main(argv=None) -> None:
         print(f"cnclik {__version__}")
     elif not argv or argv[0] in ("-h", "--help"):
         print(_overview())
-    elif argv[0] not in VERBS:  # answered here: `errors` would load JAX
-        near = difflib.get_close_matches(argv[0], VERBS, n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        _leave(2, f"Argument `verb` must be one of {', '.join(VERBS)}, but is {argv[0]!r}{hint}.")
     else:
         _run(*argv)
 
@@ -52,6 +47,7 @@ def _run(verb, *options) -> None:
     from cnclik.show.output import FigureError
 
     try:
+        errors.one_of("verb", verb, VERBS)
         with _nothing_collected():
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])

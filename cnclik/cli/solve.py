@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import functools
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
@@ -89,33 +90,28 @@ def _march(made, report):
 
 def _write_csv(path, data) -> None:
     """One row per instant; what belongs to a step stands at its beginning."""
+    import numpy as np
+
     joints, axes = data.joint.values, data.axis.values
     header = ["time", *(f"q_{j}" for j in joints), *(f"x_{a}" for a in axes), *(f"e_{a}" for a in axes)]
     header += [*(f"qdot_{j}" for j in joints), "status"]
+    points = np.hstack([data.time.values[:, None], data.q.values, data.x.values, data.e.values]).tolist()
+    steps = [[*qdot, bits] for qdot, bits in zip(data.qdot.values.tolist(), data.status.values.tolist(), strict=True)]
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for k, t in enumerate(data.time.values):
-            row = [t, *data.q.values[k], *data.x.values[k], *data.e.values[k]]
-            last = k == data.sizes["step"]
-            step = [""] * (len(joints) + 1) if last else [*data.qdot.values[k], int(data.status.values[k])]
-            writer.writerow(
-                [*(repr(float(v)) for v in row), *(v if isinstance(v, (str, int)) else repr(float(v)) for v in step)]
-            )
+        rows = (point + step for point, step in zip(points, [*steps, [""] * (len(joints) + 1)], strict=True))
+        csv.writer(file).writerows([header, *rows])
 
 
 def _figures(data, made) -> dict:
     from cnclik.show import run as pictures
 
-    chain = made.law.chain
-    drawn = {
-        "joints": lambda: pictures.joint_paths(data, chain),
-        "error": lambda: pictures.error(data),
-        "velocities": lambda: pictures.joint_velocities(data, chain),
-        "status": lambda: pictures.status(data),
+    return {
+        f"{kind}.png": (
+            functools.partial(pictures.KINDS[kind], data, made.law.chain),
+            {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
+        )
+        for kind in ("joints", "error", "velocities", "status")
     }
-    about = data.attrs["config"]
-    return {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
 
 
 def _summary(made, trajectory, seconds):

@@ -71,21 +71,16 @@ def run(args: Args) -> None:
     with output_folder(args.out) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
-            found = tuning.tune(
-                made.law,
-                made.reference,
-                made.q0,
-                Ts=made.Ts,
-                N=made.N,
-                method=made.method,
-                stage=made.stage,
-                progress=report,
-                **asked,
-            )
+            loop = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage)
+            found = tuning.tune(made.law, made.reference, made.q0, **loop, progress=report, **asked)
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-        drawn = _drawings(found) if args.figures else {}
+        drawn = {}
+        if args.figures:
+            from cnclik.show.tuning import drawings
+
+            drawn = drawings(found)
         text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
         (folder / "summary.md").write_text(text, encoding="utf-8")
     print(text.split("\n## Figures")[0])
@@ -96,19 +91,12 @@ def run(args: Args) -> None:
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
 
 
-def _drawings(found):
-    from cnclik.show.tuning import drawings
-
-    return drawings(found)
-
-
 def _asked(args) -> dict:
     """What is asked of the loop, as `tune` takes it."""
     from cnclik.tuning import Conditions, Descent
 
-    bounds = {name: b for name, b in (("alpha", args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
-    if args.alpha_bounds is not None and "alpha" not in args.over and "schedule" in args.over:
-        bounds["schedule"] = bounds.pop("alpha")
+    gain = "schedule" if "schedule" in args.over and "alpha" not in args.over else "alpha"
+    bounds = {name: b for name, b in ((gain, args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
     limit = args.velocity_limit
     return dict(
         over=args.over,
@@ -117,14 +105,7 @@ def _asked(args) -> dict:
         margin=args.margin,
         ringing=args.ringing,
         velocity_limit="chain" if limit is None else None if limit == 0 else limit,
-        conditions=Conditions(
-            noise=args.noise,
-            delay=args.delay,
-            model_error=args.model_error,
-            draws=args.draws,
-            tolerance=args.tolerance,
-            seed=args.seed,
-        ),
+        conditions=Conditions(**{field.name: getattr(args, field.name) for field in dataclasses.fields(Conditions)}),
         descent=Descent(steps=args.steps, starts=args.starts),
     )
 
@@ -152,6 +133,8 @@ def _loss(words):
     made = {}
     for word in words:
         name, _, weight = word.partition("=")
+        if name in made:
+            raise errors.fail("loss", "name each loss once", f"is {' '.join(words)!r}")
         try:
             made[name] = float(weight) if weight else 1.0
         except ValueError:

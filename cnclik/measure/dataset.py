@@ -13,7 +13,6 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
-from cnclik.robot.chain import REVOLUTE
 from cnclik.version import __version__
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
     *lanes, N = np.shape(trajectory.residual)
     if len(lanes) != len(dims):
         raise errors.fail("dims", f"name the {len(lanes)} leading axes of the trajectory", f"is {dims}")
-    q_units, x_units = _joint_units(law.chain), law.task.units
+    q_units, x_units = law.chain.units, law.task.units
     q_unit, x_unit = (" or ".join(dict.fromkeys(units)) for units in (q_units, x_units))
     qdot_unit = " or ".join(f"{unit}/s" for unit in dict.fromkeys(q_units))
     instant, step = (*dims, "time"), (*dims, "step")
@@ -108,11 +107,3 @@ def _commit() -> str:
 
 def _about(name, units):
     return {"long_name": name, "units": units}
-
-
-def _joint_units(chain):
-    """Unit of each joint coordinate, that of the first joint it drives."""
-    units = {}
-    for joint in chain.joints:
-        units.setdefault(joint.coordinate, "rad" if joint.kind == REVOLUTE else "m")
-    return tuple(units[i] for i in range(chain.n))

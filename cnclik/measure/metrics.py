@@ -22,7 +22,6 @@ from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.record import cast
 from cnclik.robot import spatial as sp
-from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.rolled import in_form, one_off
 
 
@@ -151,7 +150,7 @@ def _overshoot(loop):
     e, first = loop.run.e, loop.run.e[0]
     squared = _squares(first)
     beyond = _max(jnp.maximum(_finite(-jnp.sum(e * first, axis=-1)), 0.0))
-    return jnp.where(squared > 0, beyond / jnp.where(squared > 0, squared, 1.0), 0.0)
+    return jnp.where(squared > 0, _finite(beyond / jnp.where(squared > 0, squared, 1.0)), 0.0)
 
 
 def _rate(loop):
@@ -159,7 +158,7 @@ def _rate(loop):
     inside = norms <= loop.tolerance
     count = norms.shape[0]
     last = jnp.minimum(_first(inside), count - 1)
-    ratio = norms[last] / jnp.where(inside[0], 1.0, norms[0])
+    ratio = _finite(norms[last] / jnp.where(inside[0], 1.0, norms[0]))
     ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
     return jnp.where(inside[0] | (count == 1), jnp.nan, ratio ** (1.0 / jnp.maximum(last, 1)))
 
@@ -185,18 +184,14 @@ def _limit_distance(loop):
     return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
 
 
-def chatter(qdot, *, settled=0.5):
-    """RMS speed that is taken back in the next step, over the last part of a run [rad/s, m/s].
+def chatter(qdot):
+    """RMS speed that is taken back in the next step, over the second half of a run's (N, n) [rad/s, m/s].
 
     A joint that moves at a in one step and at −b in the next takes back min(a, b); one that slows down, however
     hard, takes back nothing. Alternation at ±a measures a·√n' for n' such joints, smooth motion 0.
-
-    Args:
-      qdot: (N, n) joint velocities of the steps.
-      settled: the part of the run that is looked at, counted from its end.
     """
     qdot = jnp.asarray(qdot)
-    late = qdot[int(len(qdot) * (1 - settled)) :]
+    late = qdot[len(qdot) // 2 :]
     if len(late) < 2:
         return jnp.zeros((), qdot.dtype)
     before, after = late[:-1], late[1:]
@@ -312,13 +307,14 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
     In float32 errors are those of float64 to some 10 roundings of the arm's length, velocities to that over Ts.
 
     Args:
-      run: `Trajectory` of solve(law, reference, ...), one lane.
+      run: `Trajectory` of solve(law, reference, ...), one lane; `jax.vmap` this for a batch.
       names: which metrics, see `METRICS`.
       tolerance: on ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
 
     Returns: `Metrics` in the order of `names`, with units.
-    Raises: ArgumentError for an unknown name (the nearest is suggested), or one the task has no part in.
+    Raises: ArgumentError for an unknown name (the nearest is suggested), one the task has no part in, or a batch.
     """
+    one_lane(run)
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
     values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
@@ -329,6 +325,12 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
 def _values(run, law, reference, tolerance, *, names):
     loop = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
     return [METRICS[name].fn(loop) for name in names]
+
+
+def one_lane(run) -> None:
+    """Raise ArgumentError for a batch of runs."""
+    if jnp.ndim(run.residual) != 1:
+        raise errors.fail("run", "be one lane", f"has {jnp.ndim(run.residual) - 1} leading axes")
 
 
 def check(names, law: Law) -> None:
@@ -342,8 +344,7 @@ def check(names, law: Law) -> None:
 def unit(name: str, law: Law) -> str:
     """The unit of a metric for this law: that of its task and joints where it depends on them."""
     written = METRICS[name].unit
-    prismatic = {j.kind == PRISMATIC for j in law.chain.joints}
-    joints = [u for u, has in (("rad", False in prismatic), ("m", True in prismatic)) if has]
+    joints = sorted(set(law.chain.units), reverse=True)
     mine = {"e": list(dict.fromkeys(law.task.units)), "q": joints, "J": ["m"] if law.task.position else ["1"]}
     head, tail = written[:1], written[1:]
     if head not in mine or tail[:1].isalpha():

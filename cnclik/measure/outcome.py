@@ -44,7 +44,7 @@ def stable(ending):
 
 def classify(largest, least_before, largest_before, scale, tolerance, singular_first):
     """The `Ending` of a loop from the largest error of its last quarter, and the extremes of the quarter before."""
-    wrong = jnp.where(largest >= scale, Ending.DIVERGED, Ending.STALLED)
+    wrong = jnp.where(largest < scale, Ending.STALLED, Ending.DIVERGED)  # a scale of NaN: nothing is below
     failed = jnp.where(singular_first, Ending.NEAR_SINGULAR, wrong)
     slow = (largest < jnp.minimum(least_before, scale)) & (largest < STALL_RATIO * largest_before)
     return jnp.where(largest <= tolerance * scale, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed))
@@ -105,7 +105,8 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
         law, reference, Ts, stage, tolerance, given = own
         made = advance(law, reference, seen.q, k * Ts, Ts, method, stage, seen.history)
         size = sp.safe_norm(made.e)
-        scale = jnp.where(k == 0, size, seen.scale) if given is None else seen.scale
+        first = jnp.where(jnp.isfinite(size), size, jnp.nan)  # what begins nowhere arrives nowhere
+        scale = jnp.where(k == 0, first, seen.scale) if given is None else seen.scale
         # A loop that diverges wanders through singularities; one that meets them first is another matter.
         grown = seen.grown | ~(size <= scale * GROWTH)
         size = jnp.where(jnp.isfinite(size), size, jnp.inf)
@@ -115,7 +116,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5)
             q=made.q,
             history=made.history,
             scale=scale,
-            last_above=jnp.where(size > tolerance * scale, k, seen.last_above),
+            last_above=jnp.where(size <= tolerance * scale, seen.last_above, k),
             least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),
             largest_before=jnp.where(third, jnp.maximum(seen.largest_before, size), seen.largest_before),
             largest=jnp.where(k >= tail, jnp.maximum(seen.largest, size), seen.largest),

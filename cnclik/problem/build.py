@@ -55,6 +55,8 @@ def problem_from(robot, **options) -> Problem:
     for key in given:
         errors.one_of("option", key, OPTIONS)
     v = dict.fromkeys(OPTIONS) | DEFAULTS | given
+    if "M" in given and hasattr(v["stage"], "tolerance"):
+        raise errors.fail("M", "be left out where `stage` has it", f"is {given['M']!r}")
     Ts = errors.number("Ts", v["Ts"], positive=True)
     N = errors.integer("N", v["N"], at_least=1)
     chain = robot_from(robot, v["tip"], v["base"], v["lengths"])

@@ -1,14 +1,8 @@
-"""Names: what a user may write, and what it stands for. To add a name, add its line here and in `words`.
-
-A `Choice` says how a name is built and which options it takes, so that nothing is left out that it needs and
-nothing is given that it would silently drop.
-"""
+"""Names: what a user may write, and what it stands for. To add a name, add its line here and in `words`."""
 
 import functools
 import pathlib
 import re
-from collections.abc import Callable
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,49 +17,24 @@ from cnclik.robot.chain import Chain, planar_arm
 from cnclik.robot.posture import is_planar, start_posture
 from cnclik.robot.urdf import load_urdf
 
-
-class Choice(NamedTuple):
-    """What a name stands for."""
-
-    build: Callable
-    needs: tuple = ()  # options that must be given
-    takes: tuple = ()  # options that may be
-
-    @property
-    def options(self) -> tuple:
-        return (*self.needs, *self.takes)
-
-
-def choices(builders: dict, options: dict) -> dict:
-    """{name: Choice} of what builds each name and, in `words`, what it takes."""
-    return {name: Choice(build, *options[name]) for name, build in builders.items()}
-
-
-ROBOTS = choices(
-    {
-        "panda": builtin.panda,
-        "ur5": builtin.ur5,
-        "planar": planar_arm,
-        "planar-clockwise": functools.partial(planar_arm, clockwise=True),
-    },
-    words.ROBOTS,
-)
-URDF = Choice(load_urdf, *words.URDF)
+ROBOTS = {
+    "panda": builtin.panda,
+    "ur5": builtin.ur5,
+    "planar": planar_arm,
+    "planar-clockwise": functools.partial(planar_arm, clockwise=True),
+}
 TASKS = {
     "pose": task.pose,
     "position": lambda where, turn: task.position(where),
     "orientation": lambda where, turn: task.orientation(turn),
 }
-INVERSES = choices(
-    {
-        "pseudoinverse": inverse.pseudoinverse,
-        "damped": inverse.damped,
-        "transpose": inverse.transpose,
-        "manipulability-damped": inverse.manipulability_damped,
-        "singular-damped": inverse.singular_damped,
-    },
-    words.INVERSES,
-)
+INVERSES = {
+    "pseudoinverse": inverse.pseudoinverse,
+    "damped": inverse.damped,
+    "transpose": inverse.transpose,
+    "manipulability-damped": inverse.manipulability_damped,
+    "singular-damped": inverse.singular_damped,
+}
 LIMITS = {  # of the rate [1/s] at which a joint may near its limit
     "none": lambda rate: None,
     "velocity-scaling": lambda rate: limits.velocity_scaling(),
@@ -81,8 +50,8 @@ NULL_TERMS = {  # of chain, task and the option's value
 STAGES = {"picard": stages.picard, "chord": stages.chord, "newton": stages.newton}
 
 
-def fitting(what: str, name: str, choice: Choice, given: dict) -> dict:
-    """The options given that a choice takes.
+def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
+    """The options given that a name takes.
 
     Raises: ArgumentError for one that it needs and has not, or has no use for: that would be dropped silently.
     """
@@ -110,7 +79,7 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
         raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {text!r}")
     name, colon, parts = str(text).partition(":")
     given = {"tip": tip, "base": base, "lengths": lengths}
-    if colon and name in ROBOTS and "lengths" in ROBOTS[name].needs:
+    if colon and name in ROBOTS and "lengths" in words.ROBOTS[name].needs:
         if lengths is not None:
             raise errors.fail("lengths", f"be left out for the robot {str(text)!r}", f"is {lengths!r}")
         try:
@@ -120,10 +89,10 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
     elif str(text) not in ROBOTS:
         name = str(text)
         if not pathlib.Path(name).exists() and not name.lower().endswith((".urdf", ".xml", ".xacro")):
-            names = ", ".join(n for n in ROBOTS if not ROBOTS[n].needs)
+            names = ", ".join(n for n in ROBOTS if not words.ROBOTS[n].needs)
             raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
-        return load_urdf(name, **fitting("robot", name, URDF, given))
-    return ROBOTS[name].build(**fitting("robot", name, ROBOTS[name], given))
+        return load_urdf(name, **fitting("robot", name, words.URDF, given))
+    return ROBOTS[name](**fitting("robot", name, words.ROBOTS[name], given))
 
 
 def robot_name(text, tip=None) -> str:
@@ -186,8 +155,8 @@ def inverse_from(name=None, damping=None, threshold=None):
     """
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"
-    choice = INVERSES[errors.one_of("inverse", name, INVERSES)]
-    return choice.build(**fitting("inverse", name, choice, {"damping": damping, "threshold": threshold}))
+    build = INVERSES[errors.one_of("inverse", name, INVERSES)]
+    return build(**fitting("inverse", name, words.INVERSES[name], {"damping": damping, "threshold": threshold}))
 
 
 def limits_from(name="none", Ts=None):

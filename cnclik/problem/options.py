@@ -99,12 +99,11 @@ def units(law, width=None) -> dict:
     """
     from cnclik.law.inverse import ManipulabilityDamped  # here: the table itself is read without JAX
 
-    joints = dict.fromkeys("rad" if j.kind == "revolute" else "m" for j in law.chain.joints)
     point = ["m"] if law.task.position else []
     if not point or (law.task.orientation and (width or 0) > 3):
         point.append("1")
     power = len(law.task.position)
-    known = {"q": ", ".join(joints), "J": "m" if power else "1", "x": ", ".join(point)}
+    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
     known["w"] = known["J"]
     if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
         known["w"] = f"m^{power}"

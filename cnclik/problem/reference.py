@@ -10,7 +10,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.problem import words
-from cnclik.problem.names import Choice, choices, fitting
+from cnclik.problem.names import fitting
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import arm_length
@@ -56,12 +56,12 @@ def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> re
     scene = Scene(chain, task, q0, _tip(chain, q0))
     given = as_written(given)
     if str(name).lower().endswith(".csv"):
-        fitting("reference", name, Choice(_waypoints), given)
+        fitting("reference", name, words.Takes(), given)
         return _waypoints(scene, name)
-    choice = REFERENCES[errors.one_of("reference", name, (*REFERENCES, "FILE.csv"))]
-    given = fitting("reference", name, choice, given)
-    length = {"period": horizon} if "period" in choice.options else {}
-    return choice.build(scene, **(length | given))
+    errors.one_of("reference", name, (*REFERENCES, "FILE.csv"))
+    takes = words.REFERENCES[name]
+    length = {"period": horizon} if "period" in takes.options else {}
+    return REFERENCES[name](scene, **(length | fitting("reference", name, takes, given)))
 
 
 def _hold(scene, target=None):
@@ -97,7 +97,7 @@ def _lissajous(scene, period, center=None, amplitude=None, frequency=None, phase
     return ref.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
 
 
-REFERENCES = choices({"hold": _hold, "line": _line, "circle": _circle, "lissajous": _lissajous}, words.REFERENCES)
+REFERENCES = {"hold": _hold, "line": _line, "circle": _circle, "lissajous": _lissajous}
 
 
 def _needs_position(name, task):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Takes(NamedTuple):
-    """The options of a name."""
+    """The options of a name: so nothing is left out that it needs, and nothing given that it would silently drop."""
 
     needs: tuple = ()  # options that must be given
     takes: tuple = ()  # options that may be

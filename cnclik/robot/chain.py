@@ -52,16 +52,20 @@ class Chain:
         """Number of joint coordinates."""
         return len(self.joint_names)
 
+    @property
+    def units(self) -> tuple:
+        """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
+        kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
+        return tuple("m" if kinds.get(i) == PRISMATIC else "rad" for i in range(self.n))
+
     def __repr__(self):
         kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
         return f"Chain({kinds}, joint_names={list(self.joint_names)})"
 
     def __str__(self):
         """A line per joint: its kind and limits."""
-        turning = {j.coordinate: j.kind == REVOLUTE for j in self.joints}
         lines = [f"Chain of {self.n} joints"]
-        for i, name in enumerate(self.joint_names):
-            unit = "rad" if turning.get(i, True) else "m"
+        for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
             low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
             kind = REVOLUTE if unit == "rad" else PRISMATIC
             room = f"{low:.5g} to {high:.5g} {unit}" if math.isfinite(low) or math.isfinite(high) else "no limits"
@@ -196,6 +200,9 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
 
     lower = limits("lower", lower, -math.inf)
     upper = limits("upper", upper, math.inf)
+    velocity_limit = limits("velocity_limit", velocity_limit, math.inf)
+    if min(velocity_limit) < 0:
+        raise errors.fail("velocity_limit", "be at least 0", f"is {min(velocity_limit):g}")
     for i in range(n):
         if lower[i] > upper[i]:
             raise errors.fail("lower", "not exceed `upper`", f"is {lower[i]:g} > {upper[i]:g} at joint {names[i]}")
@@ -205,7 +212,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
         joint_names=names,
         lower=lower,
         upper=upper,
-        velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
+        velocity_limit=velocity_limit,
     )
 
 
@@ -269,6 +276,8 @@ def _offset(name, transform) -> Offset:
         r = np.array([[float(x) for x in row[:3]] for row in rows[:3]])
         if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
             raise errors.fail(name, "hold a rotation in its upper left 3×3 block", "does not")
+        if [float(x) for x in rows[3]] != [0.0, 0.0, 0.0, 1.0]:
+            raise errors.fail(name, "have the last row 0 0 0 1", f"has {' '.join(f'{float(x):g}' for x in rows[3])}")
     return Offset(position=tuple(row[3] for row in rows[:3]), rotation=tuple(row[:3] for row in rows[:3]))
 
 

@@ -93,10 +93,7 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
 
 @one_off
 def _manipulability(chain, task, q):
-    chain, start = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    at = frames(chain, start)
+    chain, start = in_form(cast(chain, q.dtype), q)
     axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
-    j = sp.packed(jacobian_rows(chain, at, *axes), q.dtype)
-    rows = j if j.shape[0] <= j.shape[1] else j.T
-    return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))
+    rows = sp.packed(sp.thin(jacobian_rows(chain, frames(chain, start), *axes)), q.dtype)
+    return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(sp.products(rows, rows)), 0.0))

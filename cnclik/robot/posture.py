@@ -28,9 +28,8 @@ def arm_length(chain: Chain):
 
 def is_planar(chain: Chain) -> bool:
     """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
-    flat = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     return all(
-        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == flat
+        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == sp.IDENTITY
         for joint in chain.joints
     )
 
@@ -51,7 +50,8 @@ def start_posture(chain: Chain, task):
     """
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    low, high = (np.where(np.isfinite(v), v, sign * math.pi) for v, sign in ((lower, -1), (upper, 1)))
+    low = np.where(np.isfinite(lower), lower, np.minimum(-math.pi, upper - math.pi))
+    high = np.where(np.isfinite(upper), upper, np.maximum(math.pi, low + math.pi))
     middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low, high))
     # An additive sequence fills the cube evenly, and the same way on every machine (Roberts 2018).
     base = 2.0

@@ -142,7 +142,7 @@ def _rolled(chain: Chain) -> RolledChain:
 def _(chain: RolledChain, q) -> Frames:
     """All frames of the chain at q (n,), as arrays: NumPy's where all are numbers."""
     xp = sp.library(q, chain.tip)
-    values = q if chain.mimic is None else chain.mimic[0] @ q + chain.mimic[1]
+    values = q if chain.mimic is None else sp.matvec(chain.mimic[0], q) + chain.mimic[1]
     factors = (xp.ones_like(values), xp.sin(values), xp.cos(values), values)
     own = sum(f[:, None, None] * part for f, part in zip(factors, chain.transforms, strict=True) if part is not None)
 

@@ -286,8 +286,8 @@ def quaternion_from_rotation(r):
     else:
         constant, slopes = (part.astype(r.dtype) for part in _FOUR_QQ)
         rows = constant + _product(slopes, r.reshape(9)).reshape(4, 4)
-        diagonal = jnp.diagonal(rows)
-        row, largest = rows[jnp.argmax(diagonal)], jnp.max(diagonal)
+        k = jnp.argmax(jnp.diagonal(rows))
+        row, largest = rows[k], rows[k, k]  # not the maximum: where several are largest its derivative is their mean
     factor = 0.5 / jnp.sqrt(largest)
     return scale(jnp.where(row[0] < 0, -factor, factor), row)
 

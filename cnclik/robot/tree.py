@@ -82,7 +82,8 @@ def read_urdf(path) -> Tree:
     except TypeError:
         raise errors.fail("path", "be a file name", f"is {path!r}") from None
     if path.is_dir() or not path.exists():
-        raise errors.fail("path", "name a URDF file", f"{os.fspath(path)!r} is {_absent(path)}")
+        what = "a folder" if path.is_dir() else "not there"
+        raise errors.fail("path", "name a URDF file", f"{os.fspath(path)!r} is {what}")
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -97,10 +98,6 @@ def read_urdf(path) -> Tree:
             "path", "name a valid URDF file", f"{path.name} has a bad or missing entry: {reason}"
         ) from None
     return _tree(path.name, root.get("name", path.name), links, joints)
-
-
-def _absent(path):
-    return "a folder" if path.is_dir() else "not there"
 
 
 def _root(file, data):
@@ -235,8 +232,7 @@ def _edge(file, joint) -> Edge:
             low, high, velocity = joint.limit
             if joint.type != "continuous" and (low, high) != (None, None):
                 lower, upper = low or 0.0, high or 0.0  # one of the two omitted is 0, says the format
-            velocity = velocity if velocity is None or math.isnan(velocity) else abs(velocity) or math.inf
-            velocity = math.inf if velocity is None else velocity
+            velocity = abs(velocity or math.inf)  # 0 is what exporters write where they know none
         if math.isnan(lower) or math.isnan(upper) or math.isnan(velocity):
             raise bad("has a limit that is not a number")
         if lower > upper:
@@ -245,18 +241,8 @@ def _edge(file, joint) -> Edge:
             mimic = joint.mimic
             if not all(math.isfinite(x) for x in mimic[1:]):
                 raise bad("has a mimic multiplier or offset that is not finite")
-    return Edge(
-        name=joint.name,
-        type=joint.type,
-        parent=joint.parent,
-        child=joint.child,
-        origin=origin,
-        axis=axis,
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
-        mimic=mimic,
-    )
+    found = {"origin": origin, "axis": axis, "lower": lower, "upper": upper, "velocity": velocity, "mimic": mimic}
+    return Edge(name=joint.name, type=joint.type, parent=joint.parent, child=joint.child, **found)
 
 
 def _snapped(values):

@@ -1,7 +1,5 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
-import difflib
-
 from cnclik import errors
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose
 from cnclik.robot.tree import Tree, read_urdf
@@ -52,7 +50,8 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
         if edge.type == "fixed":
             continue
         if edge.type not in _MOVING:
-            raise errors.fail("tip", "be reached by revolute, prismatic and fixed joints", _odd(edge))
+            odd = f"joint {edge.name!r} on the way is {edge.type!r}"
+            raise errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
         leader, multiplier, offset = _leader(tree, by_name, edge)
         if leader.name not in names:
             names.append(leader.name)
@@ -92,13 +91,8 @@ def _leader(tree, by_name, edge):
     return edge, multiplier, offset
 
 
-def _odd(edge):
-    return f"joint {edge.name!r} on the way is {edge.type!r}"
-
-
 def _link(tree, name, link):
     if link not in tree.links:
-        near = difflib.get_close_matches(str(link), tree.links, n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = errors.nearest(link, tree.links)
         raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
     return link

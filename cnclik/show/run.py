@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.measure.dataset import to_dataset
+from cnclik.measure.metrics import one_lane
 from cnclik.show import style
 
 _TIME = "time $t$ [s]"
@@ -31,9 +32,8 @@ def plot(run, law, kind="overview"):
     Returns: a matplotlib Figure.
     Raises: ArgumentError for another kind, or a batch of runs.
     """
-    draw = _KINDS[errors.one_of("kind", kind, _KINDS)]
-    if np.ndim(run.residual) != 1:
-        raise errors.fail("run", "be one lane", f"has {np.ndim(run.residual) - 1} leading axes")
+    draw = KINDS[errors.one_of("kind", kind, KINDS)]
+    one_lane(run)
     with style.style():
         return draw(to_dataset(run, law), law.chain)
 
@@ -115,7 +115,7 @@ def overview(data, chain):
     return figure
 
 
-_KINDS = {
+KINDS = {
     "overview": overview,
     "joints": joint_paths,
     "error": lambda data, chain: error(data),

@@ -93,10 +93,10 @@ def evaluate(name: str, value, known):
 
     try:
         found = walk(parse(name, value))
-        if isinstance(found, complex):
+        if np.iscomplexobj(found):
             raise ValueError("the result is complex")
         return found
-    except (ArithmeticError, ValueError) as error:
+    except (ArithmeticError, ValueError, TypeError) as error:
         raise errors.fail(name, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
 
 

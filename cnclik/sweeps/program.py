@@ -45,13 +45,8 @@ class Program(NamedTuple):
 
 
 # Dimensions of what `solve` returns, for a study that returns whole trajectories.
-_DIMS = {
-    "t": ("time",),
-    "q": ("time", "joint"),
-    "x": ("time", "axis"),
-    "e": ("time", "axis"),
-    "qdot": ("step", "joint"),
-} | {name: ("step",) for name in ("residual", "contraction", "status")}
+_DIMS = {name: METRICS[name].dims for name in ("t", "q", "x", "e", "qdot", "status")}
+_DIMS |= dict.fromkeys(("residual", "contraction"), ("step",))
 
 
 def compile_program(study, fixed: dict, of: Grid) -> Program:
@@ -109,7 +104,7 @@ def fit(study, of: Grid, memory=MEMORY):
     """The grid with blocks cut so that one needs no more than `memory` bytes, and its first program."""
     program = compile_program(study, of.programs[0], of)
     while program.memory > memory and math.prod(of.block) > 1:
-        of = dataclasses.replace(of, lanes=max(1, int(of.lanes * memory / program.memory)))
+        of = dataclasses.replace(of, lanes=max(1, int(math.prod(of.block) * memory / program.memory)))
         program = compile_program(study, of.programs[0], of)
     return of, program
 

@@ -104,7 +104,8 @@ class Spec:
             v[name] = str(self.file(v[name]) or v[name])
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
-        p = problem_from(**v | {"stage": stage_from(v["stage"], v["M"], **most)})
+        v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
+        p = problem_from(**v)
         return p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage
 
     def file(self, text) -> pathlib.Path | None:

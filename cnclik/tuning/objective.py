@@ -10,6 +10,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
+from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked
@@ -149,7 +150,7 @@ class LoopObjective:
         radius = jax.vmap(lambda a: linear.radius_bound(linear.delayed(a, self.delay)))(maps)
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
         constraints = [radius / self.margin - 1.0, correction / self.largest_correction - 1.0]
-        if callable(loop.law.null_velocity):
+        if callable(self.loop.law.null_velocity):
             constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
         if self.joints:
             constraints.append(self._speed(runs) - 1.0)
@@ -176,7 +177,7 @@ class LoopObjective:
         null_radius, correction = largest(across), largest(_corrections(maps))
         speed = told(jnp.max(self._speed(runs))) if self.joints else jnp.zeros_like(radius)
         ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
-        asked = (True, jnp.isfinite(self.largest_correction), callable(loop.law.null_velocity), bool(self.joints))
+        asked = (True, jnp.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
         excess = jnp.where(jnp.array(asked), jnp.stack(ratios) - 1.0, -jnp.inf)
         run = jax.tree.map(lambda x: x[0], runs)
         return Judged(told(loss), radius, null_radius, correction, speed, excess, postures, run)
@@ -192,8 +193,9 @@ def _judge(objective, values):
     return jax.vmap(objective.judge)(values)
 
 
+@in_float64
 def judge(objective, many, *, together: int = TOGETHER) -> list:
-    """`Judged` of each of many values (tuples, one entry per parameter), NumPy arrays in them.
+    """`Judged` of each of many values (tuples, one entry per parameter), NumPy arrays in them. In float64.
 
     Args: together: how many are judged in one go; fewer are filled up to it, so that there is one program.
     """
@@ -207,8 +209,9 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
     return found
 
 
+@in_float64
 def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **goal) -> LoopObjective:
-    """The objective that `tune` descends, for judging values found in other ways. Args: as for `tune`."""
+    """The objective that `tune` descends, for judging values found in other ways. In float64. Args: as for `tune`."""
     check_loop(law)
     goal = Goal(**goal)
     method, stage = checked(method, stage)

@@ -166,7 +166,7 @@ def scheduled(loop: Adjustable, share):
 
 @record(kw_only=False)
 class ScaledNullVelocity:
-    """A null-space velocity times a gain, in component form."""
+    """A null-space velocity times a gain, in the form of q."""
 
     base: object
     gain: object
@@ -174,12 +174,9 @@ class ScaledNullVelocity:
     def __call__(self, q):
         base = self.base
         if dataclasses.is_dataclass(base):
-            wanted = base(q)
-        elif callable(base):
-            wanted = tuple(base(jnp.stack(q)))
-        else:
-            wanted = tuple(base[i] for i in range(len(q)))
-        return sp.scale(self.gain, wanted)
+            return sp.scale(self.gain, base(q))
+        wanted = base(sp.packed(q)) if callable(base) else base
+        return sp.scale(self.gain, sp.like(q, jnp.asarray(wanted)))
 
 
 def scaled_links(chain, factors):
@@ -218,7 +215,7 @@ def _alpha(law, Ts):
 
 
 def _schedule(law, Ts):
-    return np.full(KNOTS, largest_rate(law.alpha)), 1e-3 / Ts, 10.0 / Ts
+    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` takes the matrix as symmetric
 
 
 def _damping(law, Ts):
@@ -232,10 +229,6 @@ def _null_gain(law, Ts):
     if law.null_velocity is None:
         raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
     return 1.0, 0.0, 10.0
-
-
-def _feedforward(law, Ts):
-    return float(law.feedforward), 0.0, 2.0
 
 
 def _links(law, Ts):

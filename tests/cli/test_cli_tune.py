@@ -77,6 +77,7 @@ def test_infeasible_margin_is_in_the_summary(tmp_path, capsys):
         ("--loss trakcing", "did you mean 'tracking'"),
         ("--loss jerk=x", "weights as numbers"),
         ("--loss tracking=0", "weight above 0"),
+        ("--loss tracking=1 tracking=2", "name each loss once"),
         ("--margin 1.5", "`margin` must be at most 1"),
         ("--alpha-bounds 5 1", "must increase"),
         ("--over gian", "must be one of alpha"),

@@ -41,6 +41,8 @@ def test_it_agrees_with_outcome_over_z_and_starts():
         (1.1 ** np.arange(41), [20], Ending.DIVERGED),  # it had grown before
         (np.r_[np.ones(30), np.full(11, np.nan)], [], Ending.DIVERGED),
         (np.zeros(41), [], np.nan),
+        (np.full(41, np.nan), [], Ending.DIVERGED),  # none of it was ever a number
+        (np.full(41, np.inf), [0], Ending.DIVERGED),
     ],
 )
 def test_every_ending(sizes, singular, code):
@@ -48,3 +50,10 @@ def test_every_ending(sizes, singular, code):
     status[singular] = int(ck.Status.NEAR_SINGULAR)
     e = np.asarray(sizes)[:, None] * np.array([0.6, 0.8])
     np.testing.assert_equal(float(ending(e, status)), float(code))
+
+
+def test_a_loop_that_begins_with_no_number_has_diverged():
+    bad = np.array([np.nan, np.inf])
+    found = jax.jit(jax.vmap(lambda x: outcome(LAW, ck.hold((x, 1.0, 0.0)), REST, 1.0, 8)))(bad)
+    assert found.ending.tolist() == [Ending.DIVERGED] * 2 and found.steps.tolist() == [9, 9]
+    assert np.isnan(found.rate).all()

@@ -57,6 +57,18 @@ def test_a_loop_that_never_arrives_or_is_not_finite_is_infinite_never_small():
     m = measure_run(broken, law, ck.hold([0.0, 5.0]), [*names, "converged", "limit_distance"])
     assert all(np.isposinf(m[n]) for n in names), m
     assert m.converged == 0 and m.limit_distance == -np.inf
+    nowhere = ck.replace(run, e=jnp.full_like(run.e, jnp.nan))
+    m = measure_run(nowhere, law, ck.hold([0.0, 5.0]), ["overshoot", "rate", "stable"])
+    assert [float(v) for _, v in m.items()] == [np.inf, np.inf, 0.0]
+
+
+def test_a_batch_is_refused_and_mapped():
+    law, target = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([0.0, 1.0])
+    runs = jax.vmap(lambda q: ck.solve(law, target, q, 0.1, 3))(np.array([[0.2, 0.9], [0.1, 0.8]]))
+    with pytest.raises(ArgumentError, match="`run` must be one lane, but has 1 leading axes"):
+        measure_run(runs, law, target, ["final_error"])
+    each = jax.vmap(lambda run: measure_run(run, law, target, ["final_error"]))(runs)
+    np.testing.assert_allclose(each.final_error, np.linalg.norm(runs.e[:, -1], axis=1), rtol=1e-12)
 
 
 LOSSES = ["final_error", "mean_error", "rms_error", "max_error", "rms_along", "rms_across", "rate", "max_qdot"]

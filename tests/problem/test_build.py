@@ -135,6 +135,7 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"method": "BDF"}, "method"),
         ({"stage": "picrad"}, "did you mean 'picard'"),
         ({"M": -1}, "M"),
+        ({"stage": ck.picard(3), "M": 7}, "`M` must be left out"),
         ({"inverse": "damped"}, "damping"),
         ({"inverse": "transpose", "damping": 0.1}, "damping"),
         ({"damping": 0}, "damping"),

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+from cnclik.robot.posture import start_posture
 from tests.oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 
 LENGTHS = [0.7, 1.1, 0.4]
@@ -184,6 +185,8 @@ BAD = [
         r"`base` must have shape \(4, 4\), but has shape \(3, 3\)",
     ),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], tool=2 * np.eye(4)), r"`tool` must hold a rotation"),
+    (lambda: ck.with_tool(ck.planar_arm([1.0]), TOOL.T), r"`tool` must have the last row 0 0 0 1, but has"),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], velocity_limit=[-1.0]), r"`velocity_limit` must be at least 0, but is -1"),
     (
         lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]),
         r"`lower` must have shape \(1,\), but has shape \(2,\)\.",
@@ -211,3 +214,10 @@ def test_bad_input(build, message):
     with pytest.raises(ck.ArgumentError, match=message) as caught:
         build()
     assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
+
+
+@pytest.mark.parametrize(("bound", "side"), [({"lower": [4.0]}, 1), ({"upper": [-5.0]}, -1)])
+def test_a_start_keeps_a_limit_on_one_side(bound, side):
+    slider = ck.from_dh([0.0], [0.0], [0.0], kinds="P", **bound)
+    (start,) = start_posture(slider, ck.position("z"))
+    assert side * (start - next(iter(bound.values()))[0]) >= 0

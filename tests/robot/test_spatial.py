@@ -145,6 +145,18 @@ def test_quaternion_half_turns_have_finite_derivatives():
         assert np.all(np.isfinite(quaternion_slope(r)))
 
 
+@pytest.mark.parametrize("w", [[np.pi / 2, 0, 0], [0, -np.pi / 2, 0], 2 * np.pi / 3 * np.ones(3) / np.sqrt(3)])
+def test_quaternion_slopes_where_entries_are_equally_large_are_the_same_in_both_forms(w):
+    """At a right angle, and at a third of a turn about (1, 1, 1), whose matrix is a permutation."""
+    r = np.round(Rotation.from_rotvec(w).as_matrix())
+
+    def turned(d, form):
+        return sp.packed(sp.quaternion_from_rotation(form(jnp.asarray(r) @ exp(d))))
+
+    unrolled, rolled = (jax.jacfwd(turned)(jnp.zeros(3), form) for form in (rows, jnp.asarray))
+    close(rolled, unrolled, atol=1e-15)
+
+
 def test_rotation_about_literal_axis_is_rodrigues():
     for axis in AXES:
         axis = np.array(axis) / np.linalg.norm(axis)

@@ -126,23 +126,26 @@ def test_numbers_in_a_list_are_one_program_and_N_is_compiled_in():
 def test_the_float64_answer_whatever_the_default():
     arm = ck.planar_arm([1.0, 0.8, 0.5])  # redundant
     path = ck.hold([1.5, 0.5])
+    given = ck.Law(arm, ck.position("xy"), alpha=1.0)
 
     def study(alpha, Ts):
-        law = ck.Law(arm, ck.position("xy"), alpha=alpha)
+        law = ck.replace(given, alpha=alpha)
         run = ck.solve(law, path, np.array([0.3, 0.7, -0.4]), Ts, 12)
         return measure_run(run, law, path, ["final_error", "rms_qddot"])
 
     axes = {"alpha": [5, 10], "Ts": np.array([0.02, 0.1])}
     wide = sweep(study, lanes=2, **axes)
     with jax.enable_x64(False):
+        own = jax.jit(lambda q: ck.solve(given, path, q, 0.1, 12).e[-1])  # a program of the caller's, of the same law
+        assert own(np.array([0.3, 0.7, -0.4])).dtype == np.float32
         found = sweep(study, lanes=2, **axes)
-        given = sweep(lambda alpha: {"twice": 2 * alpha}, alpha=jnp.array([0.5, 1.5]))
+        twice = sweep(lambda alpha: {"twice": 2 * alpha}, alpha=jnp.array([0.5, 1.5]))
         narrow = jnp.asarray(0.1)
         told = sweep(lambda alpha: {"sum": narrow + 0 * alpha.astype(narrow.dtype)}, alpha=[1.0])
     xarray.testing.assert_identical(found, wide)
     assert found.dtype == "float64" and found.final_error.dtype == np.float64
     assert float(found.final_error.min()) < 1e-9  # beyond float32
-    assert given.twice.dtype == np.float64 and given.alpha.dtype == np.float64
+    assert twice.twice.dtype == np.float64 and twice.alpha.dtype == np.float64
     assert told.attrs["dtype"] == "float32"  # an array of the caller's own keeps its precision, and the data say so
 
 

@@ -106,6 +106,20 @@ def test_null_space_gain_is_dead_beat_too():
     assert found.after.null_radius < 1e-2 < 0.5 < found.before.null_radius  # |1 − 0.25·gain|
 
 
+@pytest.mark.parametrize("wanted", [np.array([0.1, -0.2, 0.3]), lambda q: -0.3 * q], ids=["numbers", "function"])
+def test_null_gain_of_numbers_and_of_a_plain_function(wanted):
+    """Both forms of q, and as many constraints as are announced."""
+    scaled = pm.ScaledNullVelocity(wanted, 2.0)
+    at = wanted(POSTURE) if callable(wanted) else wanted
+    for q in (jnp.asarray(POSTURE), tuple(POSTURE)):
+        found = scaled(q)
+        assert type(found) is tuple or not isinstance(q, tuple)
+        np.testing.assert_allclose(found, 2 * at, rtol=1e-15)
+    law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, null_velocity=wanted)
+    objective = loop_objective(law, LINE, POSTURE, over="null_gain", **LOOP)
+    assert jax.eval_shape(objective, (jnp.array(1.0),))[1].shape == (objective.constraints,)
+
+
 def test_what_was_tuned_is_what_solve_runs():
     """With nobody naming a method: `tune`, then `solve` with its defaults."""
     found = at()
@@ -130,6 +144,13 @@ def test_float32_as_float64():
     np.testing.assert_allclose(found.after.loss, wide.after.loss, rtol=1e-9)
     assert found.after.run.q.dtype == np.float64 and found.satisfied
     np.testing.assert_allclose(run.q, found.after.run.q, rtol=0, atol=1e-5)
+
+
+def test_values_found_in_other_ways_are_judged_in_float64():
+    wide = judge(loop_objective(LAW, LINE, Q0, **LOOP), [(np.array(5.0),)])[0]
+    with jax.enable_x64(False):
+        found = judge(loop_objective(LAW, LINE, Q0, **LOOP), [(np.array(5.0),)])[0]
+    assert found.loss.dtype == np.float64 and found.loss == wide.loss and found.radius == wide.radius
 
 
 @pytest.mark.slow
@@ -324,6 +345,7 @@ def test_panda_on_a_circle_does_not_ring():
         ({"loss": {"tracking": -1.0}}, "weight of tracking"),
         ({"over": ("links", "tool")}, "links"),
         ({"over": "null_gain"}, "null_velocity"),
+        ({"over": "schedule", "law": ck.replace(LAW, alpha=np.array([[5.0, 0.0], [3.0, 5.0]]))}, "symmetric matrix"),
         ({"margin": 1.5}, "margin"),
         ({"bounds": {"alpha": (5, 1)}}, "increase"),
         ({"bounds": {"Ts": (1, 2)}}, "bounds"),
