@@ -112,7 +112,9 @@ def test_rolled_as_unrolled(shape):
 
 
 @pytest.mark.parametrize(
-    "shape", [(2, 5), (3, 4), (4, 2), *(pytest.param(s, marks=pytest.mark.slow) for s in [(3, 3), (6, 6), (6, 7)])], ids=str
+    "shape",
+    [(2, 5), (3, 4), (4, 2), *(pytest.param(s, marks=pytest.mark.slow) for s in [(3, 3), (6, 6), (6, 7)])],
+    ids=str,
 )
 def test_least_singular_value(shape):
     """Exact with two rows or columns, and where rows are nearly dependent; else from below, within √m."""
