@@ -114,16 +114,14 @@ def test_masked_passes_equal_compiled_ones():
     one = law(2.0)
     counts = {ck.chord: (0, 1, 3), ck.newton: (0, 2)}
 
+    step = functools.partial(ck.step, one, TARGET, Q, 0.0, Ts, ck.IE)
+
+    def lanes(make, many):
+        return jax.vmap(lambda M: step(make(M, maximum=max(many))))(jnp.array(many))
+
     @jax.jit
     def masked_and_alone():
-        step = functools.partial(ck.step, one, TARGET, Q, 0.0, Ts, ck.IE)
-        return [
-            (
-                jax.vmap(lambda M, make=make: step(make(M, maximum=max(many))))(jnp.array(many)),
-                [*map(step, map(make, many))],
-            )
-            for make, many in counts.items()
-        ]
+        return [(lanes(make, many), [step(make(M)) for M in many]) for make, many in counts.items()]
 
     for made, alone in masked_and_alone():
         for i, other in enumerate(alone):
