@@ -71,6 +71,9 @@ def test_committed_data_are_what_the_code_gives(ours, results):
             if {"reading", "case"} <= set(a.dims):  # a residual at a state that rounding decides is no number either
                 keep = mask.sel({"method": data.method}) if name == "passes" else mask
                 a, b = a.where(keep), b.where(keep)
+            if name == "passes":  # an iteration that has once gone half a turn wanders on as rounding decides
+                far = np.maximum.accumulate(other[variable].fillna(0.0).values, axis=b.dims.index("pass")) > np.pi
+                a, b = a.where(~far), b.where(~far)
             if variable == "contraction":  # a ratio of two changes, each with a rounding: a number above it only
                 a, b = (x.where(other.residual > TELLS) for x in (a, b))
             # Far from convergence (5-dof arm, printed rotation) a pass multiplies rounding, pass after pass.
