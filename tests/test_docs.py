@@ -20,9 +20,21 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 
 # Less of the same, by verb.
 FEWER = {
-    "solve": ["--N", "5"],
+    "solve": ["--N", "5", "--no-figures"],
     "stability": ["--N", "8", "--cells", "3", "--passes", "1"],
-    "tune": ["--N", "10", "--steps", "4", "--Ts", "0.05", "--method", "EE", "--damping", "0.01"],  # one set of programs
+    "tune": [
+        "--N",
+        "10",
+        "--steps",
+        "4",
+        "--Ts",
+        "0.05",
+        "--method",
+        "EE",
+        "--damping",
+        "0.01",
+        "--no-figures",
+    ],  # one set of programs
     "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
 }
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
