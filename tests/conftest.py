@@ -32,12 +32,13 @@ from cnclik.hints import use_form
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 2 << 30
+LONGEST = ("test_docs.py", "test_store.py", "test_tune.py", "test_forms.py", "test_verdict.py")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """The longest file first: no worker waits for it alone."""
-    items.sort(key=lambda item: item.path.name != "test_docs.py")
+    """The longest files first: no worker waits for one alone."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 @pytest.fixture(autouse=True)

@@ -93,7 +93,10 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("kind", LAWS)
+LONG = ("per axis", "damped weighted", "weighted matrix")  # parts of others
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in LAWS])
 def test_correction_inverts_the_linearised_law_at_rest(kind):
     """At rest curvature vanishes, and (I − h ∂f/∂q)⁻¹ must come out exactly, here by autodiff and NumPy."""
     options = dict(LAWS[kind])
