@@ -15,11 +15,12 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # with XLA's older emitters where it still has them. CI runs a part of the suite with the defaults.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0"
+    "--xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     + " --xla_cpu_use_fusion_emitters=false" * importlib.metadata.version("jaxlib").startswith("0.10."),
 )
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", os.path.join(tempfile.gettempdir(), f"cnclik-tests-{os.getuid()}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "1")  # a tenth of the time of tracing goes into the rest
 
 import gc
 
@@ -29,13 +30,15 @@ import pytest
 from cnclik.hints import use_form
 
 jax.config.update("jax_enable_x64", True)
+gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 2 << 30
+LONGEST = ("test_docs.py", "test_store.py", "test_tune.py", "test_forms.py", "test_verdict.py")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """The longest file first: no worker waits for it alone."""
-    items.sort(key=lambda item: item.path.name != "test_docs.py")
+    """The longest files first: no worker waits for one alone."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 @pytest.fixture(autouse=True)

@@ -20,9 +20,21 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 
 # Less of the same, by verb.
 FEWER = {
-    "solve": ["--N", "5"],
-    "stability": ["--N", "8", "--cells", "4", "--passes", "0", "1"],
-    "tune": ["--N", "10", "--steps", "6"],
+    "solve": ["--N", "5", "--no-figures"],
+    "stability": ["--N", "8", "--cells", "3", "--passes", "1"],
+    "tune": [
+        "--N",
+        "10",
+        "--steps",
+        "4",
+        "--Ts",
+        "0.05",
+        "--method",
+        "EE",
+        "--damping",
+        "0.01",
+        "--no-figures",
+    ],  # one set of programs
     "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
 }
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
@@ -101,7 +113,7 @@ def read_aloud(page, folder, less):
     names, done = {"__name__": "page"}, []
     for kind, text in parts(page):
         if kind == "python":
-            code = text.replace("1_000_000", "1_000") if less else text
+            code = text.replace("1_000_000", "1_000").replace(", 200)", ", 4)") if less else text
             with jax.enable_x64(False):  # Python users get float32
                 exec(compile(code, page.name, "exec"), names)
             continue

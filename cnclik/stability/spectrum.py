@@ -119,10 +119,18 @@ def spectral_radius(law, reference, q, Ts, method: Method = EE, stage=picard(5))
       method, stage: as for `solve`.
     """
     method, stage = checked(method, stage)
-    held = at_rest(law, reference, q)
-    found = jnp.linalg.eigvals(task_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
-    radius = sp.safe_sqrt(jnp.max(found.real**2 + found.imag**2))
-    return np.float64(radius) if errors.concrete(radius) else radius
+    given = law, at_rest(law, reference, q), as_joint_values(law.chain, q), Ts
+    if all(map(errors.concrete, jax.tree.leaves(given))):
+        return np.float64(_radius_of_numbers(*given, method, stage))
+    return _radius(*given, method, stage)
+
+
+def _radius(law, reference, q, Ts, method, stage):
+    found = jnp.linalg.eigvals(task_map(law, reference, q, Ts, method, stage))
+    return sp.safe_sqrt(jnp.max(found.real**2 + found.imag**2))
+
+
+_radius_of_numbers = one_off(_radius, static_argnames=("method",))  # one program, not one for each operation
 
 
 # --- eigenvalues --------------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """chord and newton: they reach the implicit slope at any z, for every kind of law, and say how near they are."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,52 +93,73 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("kind", LAWS)
+LONG = ("per axis", "damped weighted", "weighted matrix")  # parts of others
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in LAWS])
 def test_correction_inverts_the_linearised_law_at_rest(kind):
     """At rest curvature vanishes, and (I − h ∂f/∂q)⁻¹ must come out exactly, here by autodiff and NumPy."""
     options = dict(LAWS[kind])
     task = ck.position("xy", weights=options.pop("weights", None))
     one = ck.Law(ARM, task, **options)
     h, r = 0.3, np.array([0.7, -0.2, 1.1])
-    derivative = np.asarray(jax.jacfwd(lambda q: _slope(one, REST, q))(Q))
-    expected = np.linalg.solve(np.eye(3) - h * derivative, r)
 
     @jax.jit
-    def corrected(q, r):
-        return jnp.stack(evaluate(one, REST, jnp.zeros(()), tuple(q)).correct(h, tuple(r)))
+    def both(q, r):
+        corrected = jnp.stack(evaluate(one, REST, jnp.zeros(()), tuple(q)).correct(h, tuple(r)))
+        return jax.jacfwd(lambda q: _slope(one, REST, q))(q), corrected
 
-    np.testing.assert_allclose(corrected(Q, jnp.asarray(r)), expected, atol=1e-9)
+    derivative, corrected = map(np.asarray, both(Q, r))
+    np.testing.assert_allclose(corrected, np.linalg.solve(np.eye(3) - h * derivative, r), atol=1e-9)
 
 
 def test_masked_passes_equal_compiled_ones():
     one = law(2.0)
-    for make in (ck.chord, ck.newton):
-        lanes = jax.vmap(lambda M, make=make: ck.step(one, TARGET, Q, 0.0, Ts, ck.IE, make(M, maximum=3)))
-        made = lanes(jnp.array([0, 1, 3]))
-        for i, M in enumerate((0, 1, 3)):
-            alone = ck.step(one, TARGET, Q, 0.0, Ts, ck.IE, make(M))
-            np.testing.assert_allclose(made.q[i], alone.q, atol=1e-12)
-            np.testing.assert_allclose(made.residual[i], alone.residual, atol=1e-12)
+    counts = {ck.chord: (0, 1, 3), ck.newton: (0, 2)}
+
+    step = functools.partial(ck.step, one, TARGET, Q, 0.0, Ts, ck.IE)
+
+    def lanes(make, many):
+        return jax.vmap(lambda M: step(make(M, maximum=max(many))))(jnp.array(many))
+
+    @jax.jit
+    def masked_and_alone():
+        return [(lanes(make, many), [step(make(M)) for M in many]) for make, many in counts.items()]
+
+    for made, alone in masked_and_alone():
+        for i, other in enumerate(alone):
+            np.testing.assert_allclose(made.q[i], other.q, atol=1e-12)
+            np.testing.assert_allclose(made.residual[i], other.residual, atol=1e-12)
 
 
 def end_point(z, stage):
     return ck.step(ck.Law(ARM, ck.position("xy"), alpha=z / Ts), TARGET, Q, 0.0, Ts, ck.IE, stage).q
 
 
+def slopes(exact, stage):
+    """Of the end point by z: by differences with one stage, forward and reverse with the other."""
+    d = 1e-5
+
+    @jax.jit
+    def three(z):
+        numeric = (end_point(z + d, exact) - end_point(z - d, exact)) / (2 * d)
+        return numeric, *(turn(lambda z: end_point(z, stage))(z) for turn in (jax.jacfwd, jax.jacrev))
+
+    return three(1.5)
+
+
 @pytest.mark.parametrize("stage", [pytest.param(ck.chord(2), marks=pytest.mark.slow), ck.newton(1)])
 def test_unrolled_derivative_is_that_of_the_passes(stage):
-    z, d = jnp.asarray(1.5), 1e-5
-    numeric = (end_point(z + d, stage) - end_point(z - d, stage)) / (2 * d)
-    np.testing.assert_allclose(jax.jacfwd(end_point)(z, stage), numeric, atol=1e-8)
-    np.testing.assert_allclose(jax.jacrev(end_point)(z, stage), numeric, atol=1e-8)
+    numeric, *derivatives = slopes(stage, stage)
+    for derivative in derivatives:
+        np.testing.assert_allclose(derivative, numeric, atol=1e-8)
 
 
 @pytest.mark.parametrize("make", [ck.chord, pytest.param(ck.newton, marks=pytest.mark.slow)])
 def test_implicit_derivative_is_that_of_the_root(make):
-    z, d, exact = jnp.asarray(1.5), 1e-5, ck.newton(8)
-    truth = (end_point(z + d, exact) - end_point(z - d, exact)) / (2 * d)
-    for derivative in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(derivative(end_point)(z, make(12, implicit=True)), truth, atol=1e-6)
+    truth, *derivatives = slopes(ck.newton(8), make(12, implicit=True))
+    for derivative in derivatives:
+        np.testing.assert_allclose(derivative, truth, atol=1e-6)
 
 
 def test_cost_in_evaluations():

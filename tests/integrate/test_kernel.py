@@ -62,12 +62,13 @@ def _inputs(law, dtype):
     return tuple(np.asarray(v, dtype) for v in (q0, at.position, at.rotation))
 
 
-DOUBLE = ("CN", "J#", "gain matrix")  # the others in single precision: each of the two is a compilation
-SLOW = [pytest.param("a real robot", "float32", marks=pytest.mark.slow)]
+DOUBLE = ("J#", "gain matrix")  # the others in single precision: each of the two is a compilation
+SLOW = [pytest.param(name, "float32", marks=pytest.mark.slow) for name in ("EE", "a real robot")]  # EE: a part of CN
 
 
 @pytest.mark.parametrize(
-    ("name", "dtype"), [*((n, "float64" if n in DOUBLE else "float32") for n in LOOPS if n != "a real robot"), *SLOW]
+    ("name", "dtype"),
+    [*((n, "float64" if n in DOUBLE else "float32") for n in LOOPS if n not in ("EE", "a real robot")), *SLOW],
 )
 def test_means_vmap(name, dtype):
     law, fn = LOOPS[name]
@@ -81,7 +82,7 @@ def test_means_vmap(name, dtype):
 
 
 @pytest.mark.parametrize(
-    ("name", "dtype"), [("CN", "float64"), ("TRAPEZOID by chord", "float32"), ("J#", "float32"), *SLOW]
+    ("name", "dtype"), [("CN", "float32"), ("TRAPEZOID by chord", "float32"), ("J#", "float32"), *SLOW]
 )
 def test_lowers_for_a_gpu(name, dtype):
     """To one Triton kernel and nothing in a loop around it."""

@@ -88,7 +88,7 @@ def test_null_velocity_passes_through_saturation():
 
 
 def test_velocity_scaling_keeps_the_direction():
-    j, task, q = lanes(6, seed=7)
+    j, task, q = lanes(3, seed=7)
     qdot, held = act(ck.velocity_scaling(), j, task, q)
     plain = np.einsum("knm,km->kn", np.linalg.pinv(j), task)
     s = np.minimum(1.0, np.min(SPEED / np.abs(plain), axis=1))

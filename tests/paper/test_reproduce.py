@@ -20,6 +20,7 @@ from tests.paper.conftest import COMMITTED, load
 FIGURES = [*(f"fig{i:02d}.png" for i in range(1, 16)), "overview.png"]
 DATA = {"claims.json", "claims.md", "trajectories.nc", "methods.nc", "passes.nc"}
 READING = "on-path/once/consistent"
+TELLS = 1e-13  # [rad] last change of an iteration from which its ratio to the one before is more than rounding
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +71,16 @@ def test_committed_data_are_what_the_code_gives(ours, results):
             if {"reading", "case"} <= set(a.dims):  # a residual at a state that rounding decides is no number either
                 keep = mask.sel({"method": data.method}) if name == "passes" else mask
                 a, b = a.where(keep), b.where(keep)
+            if name == "passes":  # an iteration that has once gone half a turn wanders on as rounding decides
+                far = np.maximum.accumulate(other[variable].fillna(0.0).values, axis=b.dims.index("pass")) > np.pi
+                a, b = a.where(~far), b.where(~far)
+            if variable == "contraction":  # a ratio of two changes, each with a rounding: a number above it only
+                a, b = (x.where(other.residual > TELLS) for x in (a, b))
             # Far from convergence (5-dof arm, printed rotation) a pass multiplies rounding, pass after pass.
             loose = name == "passes" or variable in ("residual", "contraction", "status")
-            np.testing.assert_allclose(a, b, rtol=1e-2 if loose else 1e-7, atol=1e-9, err_msg=f"{name}.{variable}")
+            # An order is the logarithm of a ratio of errors, of which RK4's smallest are a few roundings large.
+            rtol = 1e-2 if loose else 1e-5 if variable == "order" else 1e-7
+            np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-9, err_msg=f"{name}.{variable}")
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Builders that turn a user's words into records: defaults are usable, and nothing is accepted silently."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -22,8 +24,14 @@ def test_the_papers_case_in_words():
     assert abs(rms - 1.89e-4) < 0.01e-4  # CN, M = 5, from the theory notes' independent program
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "planar:1,1,1,1,1"])
-@pytest.mark.parametrize("reference", p.REFERENCES)
+ROBOTS = ("panda", "ur5", "planar:1,1,1,1,1")
+PAIRS = list(itertools.product(ROBOTS, p.REFERENCES))
+QUICK = [pair for i, pair in enumerate(PAIRS) if i % 2 == i // len(p.REFERENCES) % 2]  # every other of each robot
+
+
+@pytest.mark.parametrize(
+    ("robot", "reference"), [pytest.param(*pair, marks=[] if pair in QUICK else pytest.mark.slow) for pair in PAIRS]
+)
 def test_defaults_run_clean(robot, reference):
     made = p.problem_from(robot, reference=reference, damping=1e-3)
     run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, "EE")

@@ -111,6 +111,6 @@ def test_traced_it_keeps_the_callers_precision():
         def radius(alpha):
             return st.spectral_radius(ck.replace(law, alpha=alpha), None, q, Ts)
 
-        value, slope = jax.value_and_grad(radius)(jnp.asarray(5.0))
+        value, slope = jax.jit(jax.value_and_grad(radius))(jnp.asarray(5.0))
     assert value.dtype == slope.dtype == np.float32
     assert value == pytest.approx(0.5, abs=1e-5) and slope == pytest.approx(-Ts, abs=1e-5)

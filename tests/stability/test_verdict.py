@@ -169,7 +169,7 @@ def test_pose_of_a_real_arm(alpha, kinds):
     at = ck.pose(chain, q)
     made = ck.Law(chain, ck.pose_task(), alpha=alpha)
     target = ck.hold(np.asarray(at.position) + np.array([0.05, 0.02, -0.05]), np.asarray(at.rotation))
-    with ck.hints(False):
+    with ck.use_hints(False):
         found = judge(made, target, 40, q)
     assert found.kind in kinds.split(), found.sentence
 

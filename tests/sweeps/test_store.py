@@ -87,7 +87,7 @@ def stop_at(count):
     return progress
 
 
-@pytest.mark.parametrize(("count", "wide"), [(16, True), (200, False), (399, True)])
+@pytest.mark.parametrize(("count", "wide"), [(16, True), (200, False), pytest.param(399, True, marks=pytest.mark.slow)])
 def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count, wide):
     with pytest.raises(Stopped):
         store.run(spec.read(path), tmp_path, progress=stop_at(count))
