@@ -6,6 +6,7 @@ meaning: `with use_hints(False): ...` (or CNCLIK_HINTS=0 in the environment) run
 """
 
 import collections
+import contextlib
 import functools
 import os
 
@@ -182,10 +183,10 @@ class Recent(collections.OrderedDict):
 
     def get(self, key, default=None):
         """The value of a key, which thereby becomes the newest."""
-        if key not in self:
-            return default
-        self.move_to_end(key)
-        return self[key]
+        value = super().get(key, default)
+        with contextlib.suppress(KeyError):  # another thread may have let it go, and there may be none
+            self.move_to_end(key)
+        return value
 
     def __setitem__(self, key, value):
         super().__setitem__(key, value)

@@ -68,8 +68,8 @@ class Law:
             raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")
         alpha = errors.array("alpha", self.alpha, (), (m,), (m, m))
         object.__setattr__(self, "alpha", _not_negative(alpha))
-        for name in ("feedforward", "near_singular"):
-            object.__setattr__(self, name, leaf(errors.number(name, getattr(self, name))))
+        for name, least in (("feedforward", None), ("near_singular", 0)):
+            object.__setattr__(self, name, leaf(errors.number(name, getattr(self, name), at_least=least)))
         if self.error_clamp is not None:
             pair = errors.array("error_clamp", self.error_clamp, (2,))
             if errors.concrete(pair) and not np.all(np.asarray(pair) > 0):

@@ -25,11 +25,12 @@ from cnclik.robot.posture import arm_length
 from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, fastest_share, maps, stable_share, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
-from cnclik.stability.spectrum import at_rest, check_loop, null_radius, spectrum_of
+from cnclik.stability.spectrum import at_rest, check_loop, null_radius, spectrum_of, task_radius
 
 REVERSING = 0.15  # share of the joint speed that the next step takes back, from which on a loop shakes
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
 UNSTABLE = 1.01  # spectral radius beyond which a loop that seems to rest doesn't: smaller excess is the error's own
+FEW = 8  # instants of a run that is judged by its step's eigenvalues alone where these are unstable
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
 LOOKED_AT = 9  # instants of the last quarter whose target is looked at
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
@@ -210,6 +211,10 @@ def _judged(case):
     if case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE:
         swings = f"the error swings from side to side and keeps {case.overshoot:.2g} of itself each time"
         return Behaviour.RINGING, f"{swings}; {error}", _faster(case)
+    if len(seen.size) <= FEW and case.radius > UNSTABLE:  # too short a run for what its error did to tell
+        end = Instant(case.end.q, at_rest(law, None, case.end.q))
+        if task_radius(*maps(law, end, np.ones(1), *case.loop))[0] > UNSTABLE:
+            return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
     return (_moving if moving else _held)(case, error, radius)
 
 

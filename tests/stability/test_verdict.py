@@ -39,6 +39,7 @@ def judge(law, reference, N, q=Q5, Ts=Ts, method=ck.EE, stage=ck.picard(5)):
         (0.05, 60, "converging"),
         (0.001, 50, "converging"),
         (1.9, 60, "ringing"),
+        (2.5, 1, "diverging"),
         (2.5, 20, "diverging shaking"),
         (2.5, 120, "shaking diverging"),
         (0.0, 10, "no-progress"),
