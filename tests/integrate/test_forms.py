@@ -42,9 +42,9 @@ NULL = {
 }
 METHODS = (
     (ck.EE, ck.picard(0)),
-    (ck.IE, ck.picard(3)),
-    (ck.CN, ck.chord(2)),
-    (ck.TRAPEZOID, ck.newton(2)),
+    (ck.IE, ck.picard(2)),
+    (ck.CN, ck.chord(1)),
+    (ck.TRAPEZOID, ck.newton(1)),
     (ck.HEUN, ck.picard(0)),
     (ck.RK4, ck.picard(0)),
     (ck.IE, ck.chord(2, implicit=True)),

@@ -63,12 +63,14 @@ def _inputs(law, dtype):
 
 
 DOUBLE = ("J#", "gain matrix")  # the others in single precision: each of the two is a compilation
-SLOW = [pytest.param(name, "float32", marks=pytest.mark.slow) for name in ("EE", "a real robot")]  # EE: a part of CN
+SLOW = [
+    pytest.param(name, "float32", marks=pytest.mark.slow) for name in ("CN", "a real robot")
+]  # CN: "TRAPEZOID by chord" is an implicit one
 
 
 @pytest.mark.parametrize(
     ("name", "dtype"),
-    [*((n, "float64" if n in DOUBLE else "float32") for n in LOOPS if n not in ("EE", "a real robot")), *SLOW],
+    [*((n, "float64" if n in DOUBLE else "float32") for n in LOOPS if n not in ("CN", "a real robot")), *SLOW],
 )
 def test_means_vmap(name, dtype):
     law, fn = LOOPS[name]
@@ -81,9 +83,7 @@ def test_means_vmap(name, dtype):
         close(a, b, atol=1e-12 if dtype == "float64" else 16 * np.finfo(np.float32).eps)
 
 
-@pytest.mark.parametrize(
-    ("name", "dtype"), [("CN", "float32"), ("TRAPEZOID by chord", "float32"), ("J#", "float32"), *SLOW]
-)
+@pytest.mark.parametrize(("name", "dtype"), [("TRAPEZOID by chord", "float32"), ("J#", "float32"), *SLOW])
 def test_lowers_for_a_gpu(name, dtype):
     """To one Triton kernel and nothing in a loop around it."""
     law, fn = LOOPS[name]

@@ -139,7 +139,9 @@ DIFFRAX = {
 }
 
 
-@pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow) if m == "MIDPOINT" else m for m in DIFFRAX])
+@pytest.mark.parametrize(
+    "method", [pytest.param(m, marks=pytest.mark.slow) if m in ("HEUN", "MIDPOINT") else m for m in DIFFRAX]
+)
 def test_against_diffrax(method):
     Ts, N = 0.05, 20
     law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)

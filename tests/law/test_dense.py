@@ -68,7 +68,7 @@ def cases(shape):
 
 SHAPES = [(m, n) for m in range(1, 7) for n in range(1, 8)]
 # One compilation each: wide, square and tall; the others behind `slow`, and all of them in the rolled form.
-QUICK = {(1, 1), (2, 3), (3, 3), (3, 7), (4, 2), (6, 1)}
+QUICK = {(1, 1), (2, 3), (3, 3), (3, 4), (4, 2), (6, 1)}
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_ill_conditioned_keeps_relative_accuracy(shape, many):
 @given(seed=st.integers(0, 10**9), rank=st.integers(0, 3), scale=st.floats(-6, 6))
 def test_penrose_conditions(seed, rank, scale):
     rng = np.random.default_rng(seed)
-    a = 10**scale * with_singular_values((3, 7), rng.uniform(0.3, 3, rank), rng)
+    a = 10**scale * with_singular_values((3, 4), rng.uniform(0.3, 3, rank), rng)
     p = np.asarray(many_pinv(a[None])[0])
     size = np.abs(a).max() or 1.0
     close(a @ p @ a / size, a / size, atol=1e-13)

@@ -125,7 +125,7 @@ def _seen(arm, q):
 _all_seen = jax.jit(jax.vmap(_seen, (None, 0)))  # one program for all chains of a shape
 
 
-MOST = 3  # chains of a file that are compared with every run of the tests; hands have twenty alike
+MOST = 2  # chains of a file that are compared with every run of the tests; hands have twenty alike
 
 
 @pytest.mark.parametrize("most", [MOST, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])

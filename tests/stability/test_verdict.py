@@ -90,7 +90,13 @@ def test_more_coordinates_than_joints():
     assert "3 coordinates of an arm with 2 joints" in found.sentence and " m and " in found.sentence
 
 
-@pytest.mark.parametrize("limits", [ck.weighted_least_norm(), ck.saturation()], ids=["weighted", "saturation"])
+@pytest.mark.parametrize(
+    "limits",
+    [
+        pytest.param(ck.weighted_least_norm(), id="weighted"),
+        pytest.param(ck.saturation(), id="saturation", marks=pytest.mark.slow),
+    ],
+)
 def test_stuck_at_a_limit(limits):
     chain = ck.replace(TWO, lower=(-1.0, 1.0), upper=(0.5, 1.4))
     goal = ck.hold(np.asarray(ck.pose(TWO, [1.2, 1.2]).position[:2]))
