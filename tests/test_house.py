@@ -1,12 +1,15 @@
 """The house: imports run one way, no room uses another's private names, modules stay short, each helper stands once."""
 
 import ast
+import importlib
 import pathlib
 import re
 import subprocess
 import sys
 
 import pytest
+
+import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = ("errors", "record", "hints", "precision", "compilation", "lazy", "version")
@@ -103,13 +106,19 @@ def test_no_rule_of_the_linter_is_switched_off_by_hand():
 
 
 def test_every_public_name_is_there():
-    import cnclik
-
     assert not [name for name in cnclik.__all__ if getattr(cnclik, name, None) is None]
     assert sorted(set(cnclik.__all__)) == sorted(cnclik.__all__) and dir(cnclik) == sorted(cnclik.__all__)
 
 
 @pytest.mark.parametrize("name", [r for r in ROOMS if r not in ("robot", "law", "integrate")])
 def test_a_room_is_reached_by_attribute_and_by_import(name):
-    code = f"import cnclik, cnclik.{name} as r; assert cnclik.{name} is r and r.__doc__"
+    room = importlib.import_module(f"cnclik.{name}")
+    assert getattr(cnclik, name) is room and room.__doc__
+
+
+def test_rooms_are_reached_in_a_process_of_their_own():
+    """By attribute first, in any order; one process for all: each would load JAX anew."""
+    names = [r for r in reversed(ROOMS) if r not in ("robot", "law", "integrate")]
+    same = "getattr(cnclik, n) is importlib.import_module('cnclik.' + n)"
+    code = f"import cnclik, importlib; assert all({same} for n in {names})"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGE.parent)

@@ -119,8 +119,9 @@ def _iterate(stage, improve, start, h) -> Solved:
     passes = stage.M if sp.is_number(stage.M) else stage.maximum
     (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
     change, before = lax.stop_gradient((change, before))
-    # Two changes of rounding size say nothing of convergence: what has arrived contracts with 0.
-    told = before > 8 * jnp.finfo(zero.dtype).eps * lax.stop_gradient(size)
+    # Two changes of rounding size, of the slope or of the joints, say nothing: what has arrived contracts with 0.
+    rounding = 8 * jnp.finfo(zero.dtype).eps
+    told = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
     ratio = jnp.where(told, change / jnp.where(told, before, 1.0), 0.0)
     return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
 

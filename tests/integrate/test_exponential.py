@@ -114,7 +114,9 @@ def tumbling(t):
     return ck.Pose(position=jnp.zeros(3), rotation=jnp.stack([jnp.stack(r) for r in sp.exp_so3(v)]) @ HOME)
 
 
-@pytest.mark.parametrize(("method", "order"), [("EXP-EE", 1), ("EXP-MIDPOINT", 2), ("EXP-RK4", 4)])
+@pytest.mark.parametrize(
+    ("method", "order"), [("EXP-EE", 1), pytest.param("EXP-MIDPOINT", 2, marks=pytest.mark.slow), ("EXP-RK4", 4)]
+)
 def test_order_of_orientation(method, order):
     """With closure beyond order 2 it would be 2."""
     law, reference = ck.Law(WRIST, ck.orientation(), alpha=5.0), ck.path(tumbling)
@@ -212,7 +214,7 @@ def test_damped_directions_keep_what_theory_says():
         close(e[1] @ direction / 1e-7, 1 + np.expm1(-3.0) * s**2 / (s**2 + 0.16), atol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["EXP-EE", "EXP-AB3"])
+@pytest.mark.parametrize("method", ["EXP-EE", pytest.param("EXP-AB3", marks=pytest.mark.slow)])
 def test_single_precision(method):
     """Stays in it, and near double precision."""
     wide = ck.solve(LAW, CIRCLE, START, 0.02, 25, method)

@@ -13,9 +13,14 @@ from cnclik.show import style
 
 
 def test_every_method_has_a_line_of_its_own():
-    assert set(style.METHODS) == {name for name, m in METHODS.items() if m.steps == 1 and not m.exponential}
-    for one, other in itertools.combinations(style.METHODS.values(), 2):
+    plain = {name for name, m in METHODS.items() if m.steps == 1 and not m.exponential}
+    assert plain | {name for name in METHODS if name.startswith("EXP-")} <= set(style.METHODS) <= set(METHODS)
+    for one, other in itertools.combinations(plain, 2):
+        one, other = style.METHODS[one], style.METHODS[other]
         assert one.color != other.color and one.marker != other.marker
+    looks = {(m.color, str(m.linestyle), m.marker) for m in style.METHODS.values()}
+    assert len(looks) == len(style.METHODS)
+    assert style.line("EXP-EE")["markerfacecolor"] != style.line("EE")["markerfacecolor"]
 
 
 @pytest.mark.parametrize(
