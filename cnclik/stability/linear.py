@@ -146,7 +146,7 @@ def checked(method, stage):
 def first_above(fn, level, reach=REACH, points=1024):
     """Smallest z > 0 from which fn(z) > level, to 11 digits; inf where that is nowhere up to `reach`.
 
-    fn maps an array (points,) to one. It is looked at every 0.01 up to 10 and in geometric steps beyond; an
+    fn maps an array (points,) to one. It is looked at every 10/points up to 10 and in geometric steps beyond; an
     excursion narrower than that is not seen.
     """
     near = np.linspace(0, 10, points + 1)[1:]

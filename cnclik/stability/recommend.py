@@ -25,6 +25,7 @@ from cnclik.stability.spectrum import (
 
 _SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
 REACH = 1e4  # z up to which is looked
+POINTS = 256  # values of z that are looked at together: each is a whole loop's step differentiated
 
 
 @record
@@ -180,8 +181,8 @@ def _recommend(loop, Ts, reach) -> Recommendation:
         moved, rows = maps(z)
         return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
 
-    z_largest = first_above(worst, 1 + _SLACK, reach)
-    z_fastest, least = least_on(lambda z: task_radius(*maps(z)), min(z_largest, reach))
+    z_largest = first_above(worst, 1 + _SLACK, reach, POINTS)
+    z_fastest, least = least_on(lambda z: task_radius(*maps(z)), min(z_largest, reach), POINTS)
     if z_fastest >= reach:
         z_fastest = np.inf
     bounded = np.isfinite(z_largest)
