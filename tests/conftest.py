@@ -4,9 +4,11 @@ Programs are compiled once for all workers, and for the next run: in JAX's persi
 content, compiler and flags.
 """
 
+import ctypes
 import importlib.metadata
 import os
 import pathlib
+import sys
 import tempfile
 
 os.environ.setdefault("MPLBACKEND", "agg")
@@ -31,7 +33,7 @@ from cnclik.hints import use_form
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
-MOST_MEMORY = 2 << 30
+MOST_MEMORY = 5 << 29
 LONGEST = ("test_docs.py", "test_store.py", "test_tune.py", "test_forms.py", "test_verdict.py")
 
 
@@ -56,6 +58,8 @@ def _forget_programs():
     if _memory() > MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
+        if sys.platform == "linux":  # else what is freed stays with the process, and the next module pays for it again
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _memory():
