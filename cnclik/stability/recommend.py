@@ -195,10 +195,14 @@ def _recommend(loop, Ts, reach) -> Recommendation:
         z_largest=z_largest,
         z_fastest=z_fastest,
         radius=least,
-        limit=_what_limits(loop, beyond) if bounded else f"no limit from stability: {_how(loop)} solves the stiff part",
+        limit=_what_limits(loop, beyond) if bounded else f"no limit from stability: {_how(loop)} {_why(loop.method)}",
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
+
+
+def _why(method) -> str:
+    return "lets errors decay by their exact factor" if method.exponential else "solves the stiff part"
 
 
 def _how(loop):
