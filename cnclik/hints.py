@@ -9,6 +9,7 @@ import collections
 import contextlib
 import functools
 import os
+import threading
 
 import jax
 import numpy as np
@@ -134,7 +135,11 @@ def known_options(options: dict) -> dict:
     if not switched_on():
         return {}
     backend = jax.default_backend()
-    return {name: value for name, value in options.items() if _is_known(name, value, backend)}
+    with _probing:
+        return {name: value for name, value in options.items() if _is_known(name, value, backend)}
+
+
+_probing = threading.Lock()  # two threads that ask at once would both try
 
 
 @functools.cache

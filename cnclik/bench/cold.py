@@ -115,16 +115,10 @@ def _command(line, files) -> list:
 
 def _once(command, folder, *, expected=0):
     """Seconds and largest memory [MiB] of one process, and what went wrong, if anything."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
-    environment |= {"JAX_COMPILATION_CACHE_DIR": os.path.join(folder, "cache")}
-    # The package that measures, wherever it was loaded from.
-    package = str(pathlib.Path(__file__).parents[2])
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (package, environment.get("PYTHONPATH"))))
     with open(os.path.join(folder, "said"), "w+") as said:
         begun = time.perf_counter()
-        process = subprocess.Popen(
-            command, env=environment, cwd=folder, stdout=said, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL
-        )
+        own = {"env": environment(os.path.join(folder, "cache")), "cwd": folder, "stdin": subprocess.DEVNULL}
+        process = subprocess.Popen(command, **own, stdout=said, stderr=subprocess.STDOUT)
         code, usage = _wait(process, begun + MOST_SECONDS)
         seconds = time.perf_counter() - begun
         said.seek(0)
@@ -133,6 +127,14 @@ def _once(command, folder, *, expected=0):
     if seconds >= MOST_SECONDS:
         return seconds, mebibytes, f"cut off after {MOST_SECONDS:.0f} s"
     return seconds, mebibytes, "" if code == expected else lines[-1] or f"ended with {code}"
+
+
+def environment(cache) -> dict:
+    """Variables for a process that keeps its programs in a folder, and runs the package that measures."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
+    package = str(pathlib.Path(__file__).parents[2])
+    path = os.pathsep.join(filter(None, (package, kept.get("PYTHONPATH"))))
+    return kept | {"JAX_COMPILATION_CACHE_DIR": cache, "PYTHONPATH": path}
 
 
 def _wait(process, until):

@@ -4,7 +4,7 @@ import csv
 import dataclasses
 import functools
 import time
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -49,7 +49,7 @@ def run(args: Args) -> None:
         if args.csv:
             _write_csv(folder / "trajectory.csv", data)
     with progress.bar("verdict"):
-        wait([beside])
+        beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
     Console().print(_summary(made, trajectory, seconds))

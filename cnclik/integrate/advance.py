@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from cnclik.integrate.exponential import exponential_march
+from cnclik.integrate.history import mark
 from cnclik.integrate.march import march
 from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
@@ -38,10 +39,14 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
       history: of a multistep method, see `cnclik.integrate.history.blank`; else None.
       starting: whether a multistep method is to be started: by a step of `starter`, remembered.
     """
-    begun = None
+    told = reference if reference.known else tangent(reference, law.task, t)
+    at, begun = look(law, told, t, q), None
     if method.steps == 1 or starting:
-        begun = _of_tableau(law, reference, q, t, Ts, starter(method) if starting else method, stage)
-    one = Stepped(begun.moved) if method.steps == 1 else over_history(law, reference, q, t, Ts, method, history, begun)
+        begun = _of_tableau(law, told, q, at, t, Ts, starter(method) if starting else method, stage)
+    if method.steps == 1:
+        one = Stepped(begun.moved)
+    else:
+        one = over_history(law, told, q, at, mark(law, reference, at, t, q), t, Ts, method, history, begun)
     made = one.moved
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     if one.restarted is not None:
@@ -58,16 +63,12 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
     )
 
 
-def _of_tableau(law, reference, q, t, Ts, method, stage) -> Begun:
-    """A step of a tableau."""
-    if not reference.known:
-        reference = tangent(reference, law.task, t)
-    at = look(law, reference, t, q)
+def _of_tableau(law, reference, q, at, t, Ts, method, stage) -> Begun:
+    """A step of a tableau, from what the law sees at q and t."""
     if method.exponential:
-        made, to = exponential_march(law, reference, q, at, t, Ts, method, stage)
-        return Begun(made, at, to)
+        return Begun(*exponential_march(law, reference, q, at, t, Ts, method, stage))
 
     def field(c, q):
         return evaluate(law, reference, t + c * Ts if c else t, q)
 
-    return Begun(march(field, q, Ts, method, stage, respond(law, q, at)), at)
+    return Begun(march(field, q, Ts, method, stage, respond(law, q, at)))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from cnclik.integrate.march import march
 from cnclik.law.feedback import ahead, held_feedback, null_over_step
 from cnclik.law.law import answer, glance, null_velocity, target
+from cnclik.law.null import Posture
 from cnclik.robot import spatial as sp
 
 CLOSED = 2  # order up to which a turn has its closure, see `closure`
@@ -60,7 +61,7 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage):
         return sp.vadd(velocities[c], held)
 
     def field(c, q):
-        wanted = null_velocity(law, q) if null_over_step(law, Ts) is None else to.wanted
+        wanted = to.wanted if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
         return answer(law, q, glance(law, q), velocity(c), wanted)
 
     return march(field, q, Ts, method, stage, answer(law, q, at, velocity(0.0), to.wanted)), to

@@ -174,8 +174,7 @@ def valid(history: History, law: Law, at: Mark, Ts):
         if whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
             moved += [(now[i][j] - before[i][j]) * 0.5**0.5 for i in range(3) for j in range(3)]
         else:
-            turn = sp.matmul(now, sp.transpose(before))
-            sines = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
+            sines = sp.axial(sp.matmul(now, sp.transpose(before)))
             moved += [0.5 * sines[i] for i in law.task.angular]
     explained = history.Ts * (sp.safe_norm(at.velocity) + history.speed)
     size = sp.total(sp.each(jnp.abs, at.position)) if law.task.position else 0.0

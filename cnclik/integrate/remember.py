@@ -28,7 +28,6 @@ from cnclik.integrate.history import (
 )
 from cnclik.integrate.march import Moved, shift
 from cnclik.law.law import Evaluation, answer, look, respond, weigh
-from cnclik.law.reference import tangent
 from cnclik.robot import spatial as sp
 
 
@@ -41,21 +40,22 @@ class Stepped(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """A step that the starting method made: what it saw at its start, and what an exponential one was to do."""
+    """A step that the starting method made, and what an exponential one was to do."""
 
     moved: Moved
-    at: object
     to: object = None
 
 
-def over_history(law, reference, q, t, Ts, method, history: History, begun: Begun | None) -> Stepped:
-    """A step of a multistep method in component form; `begun`: while it starts, the starting method's own step."""
-    told = reference if reference.known else tangent(reference, law.task, t)
-    at = look(law, told, t, q) if begun is None else begun.at
-    now = mark(law, reference, at, t, q)
+def over_history(law, reference, q, at, now, t, Ts, method, history: History, begun: Begun | None) -> Stepped:
+    """A step of a multistep method in component form, from what the law sees at q and t.
+
+    Args:
+      now: the target's `mark`.
+      begun: while it starts, the starting method's own step.
+    """
     count = valid(history, law, now, Ts)
     make = _exponential if method.exponential else _plain
-    first, slope, entry = make(law, told, q, at, t, Ts, method, history, count, begun)
+    first, slope, entry = make(law, reference, q, at, t, Ts, method, history, count, begun)
     left = count
     if law.limits is not None:
         alone = first.held | broken(law, slope, shift(q, Ts, (1.0,), (slope,)))

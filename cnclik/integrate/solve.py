@@ -201,9 +201,9 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
             made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
             return (made.q, made.history), replace(made, q=q, history=None)
 
-        begin, go_on = (jax.checkpoint(functools.partial(one, early), prevent_cse=False) for early in (True, False))
+        one = jax.checkpoint(one, prevent_cse=False, static_argnums=0)
         state = start, memory.blank(law, start, method)
-        return instants(go_on, state, k, start, law.task.m, first=begin, early=early_steps(method, N))
+        return instants(one, state, k, start, law.task.m, early=early_steps(method, N))
 
     def whole(law, reference, start, Ts, t0, stage):
         law, reference = cast((law, reference), dtype)

@@ -1,5 +1,7 @@
 """Trajectory: what a loop did, instant by instant; put together, cut short, joined."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,29 +62,29 @@ class Trajectory:
         return "\n".join(lines)
 
 
-def instants(one, start, k, q, m: int, *, first=None, early: int = 0):
+def instants(one, start, k, q, m: int, *, early: int = 0):
     """What a loop does at its N + 1 instants, k = 0 … N, in component form. Pure.
 
     The step after the last is made for what the last instant is like: with a length of 0, for `one` to see to, it
     changes nothing, and costs far less than a second way to look at an instant would cost to compile.
 
     Args:
-      one: (state, k) to the next state and a `Step` in component form with q at its start.
+      one: (starting, state, k) to the next state and a `Step` in component form with q at its start; `starting` is
+        True for the first `early` steps, which a multistep method is begun with.
       start: the state at first.
       k: (N + 1,).
       q, m: joint values, for their form, and the number of task coordinates.
-      first, early: what stands in the place of `one` for the first `early` steps.
     Returns: steps of N + 1, and (q, x, e) of the last alone: who asks for the end needs no history.
     """
 
     def both(carry, k):
-        state, made = one(carry[0], k)
+        state, made = one(False, carry[0], k)
         return (state, (made.q, made.x, made.e)), made
 
     none = sp.each(jnp.zeros_like, q)
     empty = (none[0],) * m if sp.unrolled(q) else jnp.zeros(m, q.dtype)
     if early:
-        start, begun = lax.scan(first, start, k[:early])
+        start, begun = lax.scan(functools.partial(one, True), start, k[:early])
     (_, last), steps = lax.scan(both, (start, (none, empty, empty)), k[early:])
     if early:
         steps = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, steps)

@@ -57,29 +57,11 @@ def ldl(lower):
 
 @opaque
 def ldl_solve(factor, b):
-    """Solution x of L D Lᵀ x = b."""
+    """Solution x of L D Lᵀ x = b: of a vector, or, from the rows of a matrix, the rows of one."""
     columns, inverses, _ = factor
     if not sp.unrolled(columns):
         return cho_solve((columns, True), b)
     x = list(b)
-    m = len(x)
-    for j in range(m):
-        for i in range(j + 1, m):
-            x[i] = sp.sub(x[i], sp.mul(columns[j][i - j - 1], x[j]))
-    x = [sp.mul(inverses[i], x[i]) for i in range(m)]
-    for j in reversed(range(m)):
-        for i in range(j + 1, m):
-            x[j] = sp.sub(x[j], sp.mul(columns[j][i - j - 1], x[i]))
-    return tuple(x)
-
-
-@opaque
-def ldl_rows(factor, rows):
-    """Solution X of L D Lᵀ X = B, from the rows of B."""
-    columns, inverses, _ = factor
-    if not sp.unrolled(columns):
-        return cho_solve((columns, True), rows)
-    x = list(rows)
     m = len(x)
     for j in range(m):
         for i in range(j + 1, m):
@@ -234,7 +216,7 @@ def _pinv_value(rows):
     quick, least, trusted = _pinv_by_elimination(rows)
 
     def choose(a, b):
-        return _with(lambda x, y: sp.each(functools.partial(jnp.where, trusted), x, y), a, b)
+        return sp.each(lambda x, y: sp.each(functools.partial(jnp.where, trusted), x, y), a, b)
 
     # Where rows are nearly dependent, a lane carries J into the loop in the place of J# (cf. `robot.trig`): the loop
     # runs once if some lane needs it, else not at all, and no lane's result depends on its neighbours.
@@ -307,10 +289,5 @@ def _pinv_tangent(j, dj, p):
     """
     a, g, t = sp.products(dj, p), sp.products(j, p), sp.matmul(sp.products(p, p), dj)  # t holds the rows of Tᵀ
     at, back = sp.transpose(a), sp.products(j, t)
-    inner = functools.reduce(functools.partial(_with, sp.vsub), (at, sp.matmul(at, g), a, back))
-    return _with(sp.vadd, t, sp.matmul(sp.transpose(inner), p))
-
-
-def _with(fn, a, b):
-    """fn of vectors, for two matrices row by row."""
-    return tuple(map(fn, a, b)) if sp.unrolled(a) else fn(a, b)
+    inner = functools.reduce(functools.partial(sp.each, sp.vsub), (at, sp.matmul(at, g), a, back))
+    return sp.each(sp.vadd, t, sp.matmul(sp.transpose(inner), p))

@@ -14,6 +14,7 @@ from jax import lax
 from cnclik.hints import opaque
 from cnclik.law.law import Law, clamped, gain
 from cnclik.law.null import Posture
+from cnclik.law.reference import controlled
 from cnclik.robot import spatial as sp
 
 HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
@@ -69,9 +70,7 @@ def _doubled(k, Ts):
 
 def _less(a, factor, b):
     """A − factor·B."""
-    if not sp.unrolled(a):
-        return a - factor * b
-    return tuple(tuple(x - factor * y for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True))
+    return sp.each(lambda x, y: sp.vsub(x, sp.scale(factor, y)), a, b)
 
 
 # --- feedback -----------------------------------------------------------------------------------------
@@ -135,8 +134,7 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     position, rotation = reference.curve(t + Ts, sp.unrolled(at.xdot_d))
     mean, turn = at.xdot_d[:0], None
     if p:
-        picked = position if len(position) == p else sp.pick(position, task.linear)
-        moved = sp.vsub(picked, at.position)
+        moved = sp.vsub(controlled(task, position), at.position)
         mean = sp.each(lambda x, v: jnp.where(still, v, x / safe), moved, at.xdot_d[:p])
     if task.orientation:
         turn = sp.matmul(rotation, sp.transpose(at.rotation))
@@ -149,5 +147,5 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
 def _log(turn):
     """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + turn[0][0] + turn[1][1] + turn[2][2], _HALF_TURN))
-    v = (turn[2][1] - turn[1][2], turn[0][2] - turn[2][0], turn[1][0] - turn[0][1])
+    v = sp.axial(turn)
     return sp.log_quaternion(w, sp.scale(0.25 / w, v if sp.unrolled(turn) else sp.packed(v)))

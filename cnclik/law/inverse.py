@@ -47,7 +47,7 @@ class Damped:
         shift = self.damping * self.damping
         apply, factor = damped_apply(rows, shift)
         wide = len(rows) <= len(rows[0])
-        columns = functools.partial(dense.ldl_rows, factor, rows) if wide else None
+        columns = functools.partial(dense.ldl_solve, factor, rows) if wide else None
         return Factored(apply, _least(factor, shift), shift, columns)
 
 

@@ -174,12 +174,6 @@ class Seen(NamedTuple):
     rotation: tuple = None
 
 
-def seen(law: Law, reference, t, q):
-    """What the law sees at q: the error (m,), a function that gives x (m,), the rows of J, and ẋ_d (m,)."""
-    at = look(law, reference, t, q)
-    return at.e, at.x, at.rows, at.xdot_d
-
-
 def look(law: Law, reference, t, q) -> Seen:
     """All that the law sees at q and t."""
     position_d, rotation_d, xdot_d = target(law, reference, t, q)

@@ -48,7 +48,7 @@ def sample(reference: Reference, task: Task, t, unrolled=True):
 
     def curve(t):
         position, rotation = reference.curve(t, unrolled)
-        return _pick(task, position, unrolled), rotation
+        return controlled(task, position, unrolled), rotation
 
     (position, rotation), (xdot_d, drotation) = jax.jvp(curve, (t,), (jnp.ones_like(t),))
     if reference.feedforward is not None:
@@ -64,8 +64,8 @@ def sample(reference: Reference, task: Task, t, unrolled=True):
 def tangent(reference: Reference, task: Task, t) -> Reference:
     """The reference as it is known at time t and no later: from there on at the velocity it has, or is said to have."""
     (position, rotation), (dposition, drotation) = jax.jvp(reference.curve, (t,), (jnp.ones_like(t),))
-    position, told = _pick(task, position), reference.feedforward
-    velocity = _pick(task, dposition) if told is None else tuple(told[i] for i in range(len(position)))
+    position, told = controlled(task, position), reference.feedforward
+    velocity = controlled(task, dposition) if told is None else tuple(told[i] for i in range(len(position)))
     spin = None
     if task.orientation and told is None:
         turning = sp.matmul(drotation, sp.transpose(rotation))
@@ -77,8 +77,8 @@ def tangent(reference: Reference, task: Task, t) -> Reference:
     return replace(reference, curve=curve)
 
 
-def _pick(task, position, unrolled=True):
-    """The task's components of a position: given as such, or as x, y, z."""
+def controlled(task, position, unrolled=True):
+    """The coordinates of a position that the task controls: given as such, or as x, y, z."""
     if not task.position:
         return () if unrolled else jnp.zeros(0)
     return position if len(position) == len(task.position) else sp.pick(position, task.linear)
@@ -93,7 +93,7 @@ def motion(reference: Reference, task: Task, t):
     def cells(t):
         position, rotation = reference.curve(t)
         turned = sp.scale(1.111, sum(rotation, ())) if task.orientation else ()
-        return tuple(jnp.asarray(v, t.dtype) for v in (*_pick(task, position), *turned))
+        return tuple(jnp.asarray(v, t.dtype) for v in (*controlled(task, position), *turned))
 
     # A user's own function may do what can't be done to many instants at once.
     found = jax.lax.map(cells, t) if isinstance(reference.curve, Path) else jax.vmap(cells)(t)

@@ -246,6 +246,11 @@ def rotation_about(axis, sine, cosine):
     )
 
 
+def axial(m):
+    """Twice the vector of a 3×3 matrix's antisymmetric part: of a rotation by θ about a, 2 sin θ a."""
+    return m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
+
+
 def exp_so3(w):
     """Rotation of a rotation vector [rad]: exp([w]×), finite with all derivatives at w = 0."""
     squared = dot(w, w)

@@ -22,6 +22,7 @@ from cnclik.law.feedback import per_step
 from cnclik.law.law import gain
 from cnclik.precision import in_float64
 from cnclik.record import record
+from cnclik.robot import spatial as sp
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
@@ -52,25 +53,20 @@ def _field(w):
     return field
 
 
-def _held(w, Ts):
-    """The feedback of an exponential step over the same field: its value at the start decays exactly."""
+def _held(w, Ts, q):
+    """The same field as an exponential step has it: held at what decays exactly, from q at its start."""
     a, b = w
-    gain_matrix = jnp.stack([jnp.stack([a, -b]), jnp.stack([b, a])])
-
-    def feedback(q):
-        return gain(per_step(gain_matrix, Ts, q), q)
-
-    return feedback
+    rate = per_step(jnp.stack([jnp.stack([a, -b]), jnp.stack([b, a])]), Ts, q)
+    slope = _Linear(qdot=sp.scale(-1.0, gain(rate, q)), correct=None)
+    return lambda c, q: slope
 
 
 @functools.partial(jax.jit, static_argnames=("method",))
 def _amplification(method, stage, a, b):
     def one(a, b):
         start, Ts = (jnp.ones_like(a), jnp.zeros_like(a)), jnp.ones_like(a)
-        if not method.exponential:
-            return march(_field((a, b)), start, Ts, method, stage).q
-        asked = tuple(-v for v in _held((a, b), Ts)(start))
-        return march(lambda c, q: _Linear(qdot=asked, correct=None), start, Ts, method, stage).q
+        field = _held((a, b), Ts, start) if method.exponential else _field((a, b))
+        return march(field, start, Ts, method, stage).q
 
     return jax.vmap(one)(a, b)
 
@@ -95,10 +91,17 @@ def amplification(method, stage, z):
         return largest if np.iscomplexobj(z) or np.any(largest.imag) else largest.real
     flat = z.reshape(-1)
     a, b = jnp.asarray(flat.real, np.float64), jnp.asarray(flat.imag, np.float64)
-    # An error at rest sees nothing of J#'s memory: of the exponential formulas each is exponential Euler there.
-    x, y = _amplification(method if method.steps == 1 else named("EXP-EE"), stage, a, b)
+    x, y = _amplification(at_rest_as(method), stage, a, b)
     value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
     return value.reshape(z.shape)
+
+
+def at_rest_as(method):
+    """A method that does the same to a small error at rest: of exponential formulas with a memory, exponential Euler.
+
+    What they remember, J# and the target's velocity, has no say there.
+    """
+    return named("EXP-EE") if method.exponential and method.steps > 1 else method
 
 
 @in_float64

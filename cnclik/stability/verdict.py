@@ -107,8 +107,8 @@ def verdict(law, reference, run, *, Ts, method=EE, stage=picard(5)) -> Verdict:
 @in_float64
 def prepare(law, reference, q, *, Ts, method=EE, stage=picard(5)) -> None:
     """Compile what `verdict` will ask of such a run: beside other work, for who is going to ask."""
-    _, (_, at, _) = _instants(law, reference, np.tile(q, (LOOKED_AT + 1, 1)), np.zeros(LOOKED_AT + 1))
-    maps(law, at, np.ones(1), float(Ts), *checked(method, stage))
+    _, end, _ = _instants(law, reference, np.tile(q, (LOOKED_AT + 1, 1)), np.zeros(LOOKED_AT + 1))
+    maps(law, end, np.ones(1), float(Ts), *checked(method, stage))
 
 
 class _Case(NamedTuple):
@@ -137,7 +137,7 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
     last = 0 if wild else len(run.residual)
     some = np.linspace(max(last - len(seen.late) + 1, 0), last, LOOKED_AT).round().astype(int)
     at = np.append(some, 0)  # the last quarter, its end, the start
-    wanted, (*_, end, start) = _instants(law, reference, q[at], t[at])
+    wanted, end, start = _instants(law, reference, q[at], t[at])
     moved, rows = maps(law, end, np.ones(1), Ts, method, stage)
     task, radius, across = np.full(1, np.inf), np.inf, np.inf
     if np.isfinite(moved[0]).all():
@@ -167,14 +167,19 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
 
 
 def _instants(law, reference, q, t):
-    """What is wanted at times t (k,), and the instants of a run that is at q (k, n) then."""
+    """What is wanted at times t (k,), and the last two instants of a run that is at q (k, n) then."""
     wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t)]
 
     def instant(k):
         position, rotation, velocity = (v if v is None else v[k] for v in wanted)
         return Instant(q[k], ref.with_feedforward(ref.hold(position, rotation), velocity))
 
-    return wanted, [instant(k) for k in range(len(t))]
+    return wanted, instant(-2), instant(-1)
+
+
+def _resting(law, at) -> Instant:
+    """The instant as it would be at rest there."""
+    return Instant(at.q, at_rest(law, None, at.q))
 
 
 # --- what the run did, first match first: (kind, what it did, remedy) -----------------------------------
@@ -211,10 +216,9 @@ def _judged(case):
     if case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE:
         swings = f"the error swings from side to side and keeps {case.overshoot:.2g} of itself each time"
         return Behaviour.RINGING, f"{swings}; {error}", _faster(case)
-    if len(seen.size) <= FEW and case.radius > UNSTABLE:  # too short a run for what its error did to tell
-        end = Instant(case.end.q, at_rest(law, None, case.end.q))
-        if task_radius(*maps(law, end, np.ones(1), *case.loop))[0] > UNSTABLE:
-            return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
+    too_few = len(seen.size) <= FEW and case.radius > UNSTABLE  # for what its error did to tell
+    if too_few and task_radius(*maps(law, _resting(law, case.end), np.ones(1), *case.loop))[0] > UNSTABLE:
+        return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
     return (_moving if moving else _held)(case, error, radius)
 
 
@@ -305,7 +309,7 @@ def _lower(case):
     """What stops a loop that shakes or diverges: less gain, by what is stable at rest at both ends of the run."""
     law, (_, method, stage) = case.law, case.loop
     ends = [at for at in (case.end, case.start) if np.isfinite(at.q).all() and np.abs(at.q).max() <= WILD]
-    ends = [Instant(at.q, at_rest(law, None, at.q)) for at in ends]
+    ends = [_resting(law, at) for at in ends]
     across = [null_radius(*maps(law, at, np.ones(1), *case.loop))[0] for at in ends if callable(law.null_velocity)]
     if any(radius > UNSTABLE for radius in across):
         return _LESS_NULL
@@ -324,7 +328,7 @@ def _lower(case):
 
 
 def _faster(case):
-    share = fastest_share(case.law, Instant(case.end.q, at_rest(case.law, None, case.end.q)), *case.loop)
+    share = fastest_share(case.law, _resting(case.law, case.end), *case.loop)
     return f"reduce {_gain(case.law, share, 'to about')}, which settles soonest" if share < 1 else "reduce alpha"
 
 

@@ -5,11 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import named
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.stability.linear import late_factors
+from cnclik.stability.linear import at_rest_as, late_factors
 from cnclik.stability.spectrum import at_rest, largest_rate, of_error, one_step, step_maps
 
 SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
@@ -29,11 +28,11 @@ def maps_at_rest(law, q, Ts, method, stage):
 
 
 def _forgetful(method):
-    """A one-step method that does to a small error at rest what the method does: there, an exponential one's memory of
-    J# and of the target's velocity has no say."""
-    if method.steps > 1 and not method.exponential:
+    """A one-step method that does to a small error at rest what the method does."""
+    same = at_rest_as(method)
+    if same.steps > 1:
         raise errors.fail("method", "be a one-step or an exponential method to be tuned", f"is {method}")
-    return method if method.steps == 1 else named("EXP-EE")
+    return same
 
 
 def delayed(a, delay: int):

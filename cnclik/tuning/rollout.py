@@ -4,14 +4,12 @@ All three act through one number per step: the error that is fed back is the mea
 model at q[k] would say. A step holds w[k], as a controller does that measures once per sample.
 """
 
-import functools
-
 import jax.numpy as jnp
 
 from cnclik.integrate.history import blank
 from cnclik.integrate.solve import advance, cast, early_steps, evaluations_of, solve
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
-from cnclik.law.law import seen
+from cnclik.law.law import look
 from cnclik.law.shifted import shifted
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -54,26 +52,25 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
     law, reference, Ts = loop.law, scenario.reference, loop.Ts
     true_law = replace(law, chain=plant)
     horizon = N * Ts if horizon is None else horizon
-    first = seen(true_law, reference, jnp.zeros((), dtype), q0)[0]
+    first = look(true_law, reference, jnp.zeros((), dtype), q0).e
 
     def one(starting, carry, k):
         q, past, history = carry
         t = k * Ts
-        e, x, *_ = seen(true_law, reference, t, q)
-        late = (e, *past)
+        at = look(true_law, reference, t, q)
+        late = (at.e, *past)
         measured = late[delay]
         if scenario.noise is not None:
             row = scenario.noise[k.astype(int)]
             measured = sp.vadd(measured, sp.like(measured, row))
-        model = seen(law, reference, t, q)[0] if differs else e
+        model = look(law, reference, t, q).e if differs else at.e
         told = shifted(reference, law.task, sp.vsub(measured, model))
         length = jnp.where(k < N, Ts, 0.0)  # see `instants`
         gained = scheduled(loop, t / horizon)
         made = advance(gained, told, q, t, length, method, stage, history, starting=starting)
-        return (made.q, late[:delay], made.history), replace(made, q=q, x=x(), e=e, history=None)
+        return (made.q, late[:delay], made.history), replace(made, q=q, x=at.x(), e=at.e, history=None)
 
     k = jnp.arange(N + 1).astype(dtype)
-    begin, go_on = (functools.partial(one, starting) for starting in (True, False))
     state = q0, (first,) * delay, blank(law, q0, method)
-    found = instants(go_on, state, k, q0, law.task.m, first=begin, early=early_steps(method, N))
+    found = instants(one, state, k, q0, law.task.m, early=early_steps(method, N))
     return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))

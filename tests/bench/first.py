@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 
-from cnclik.bench.cold import arm
+from cnclik.bench.cold import arm, environment
 from cnclik.measure.files import markdown
 
 _PINK = """
@@ -59,11 +59,9 @@ def _script(text, method="ck.EE"):
 
 
 def _seconds(script, urdf, folder):
-    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": folder}
-    package = str(pathlib.Path(__file__).parents[2])
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (package, environment.get("PYTHONPATH"))))
     begun = time.perf_counter()
-    done = subprocess.run([sys.executable, "-c", script, urdf], env=environment, capture_output=True, text=True)
+    command = [sys.executable, "-c", script, urdf]
+    done = subprocess.run(command, env=environment(folder), capture_output=True, text=True)
     seconds = time.perf_counter() - begun
     if done.returncode:
         raise RuntimeError(done.stderr.strip().split("\n")[-1])

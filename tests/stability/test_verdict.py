@@ -1,6 +1,7 @@
 """What runs did, in a sentence: loops whose behaviour is known, and whether the remedy mends them."""
 
 import re
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -54,6 +55,22 @@ def test_explicit_euler_over_z(z, N, kinds):
         assert float(re.search(r"below ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(2 / Ts, rel=0.02)
     if z == 1.9:
         assert float(re.search(r"about ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(1 / Ts, rel=0.02)
+
+
+def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
+    """Else the program of the verdict is made after the run, and not beside it."""
+    module, asked = sys.modules["cnclik.stability.verdict"], []
+    maps = module.maps
+
+    def recorded(*args):
+        asked.append(jax.tree.map(lambda v: (np.shape(v), np.result_type(v)), args))
+        return maps(*args)
+
+    monkeypatch.setattr(module, "maps", recorded)
+    module.prepare(law(5.0), NEAR, Q5, Ts=Ts)
+    judge(law(5.0), NEAR, 20)
+    assert len(asked) == 2 and str(asked[0]) == str(asked[1])
+    assert jax.tree.structure(asked[0]) == jax.tree.structure(asked[1])
 
 
 def test_transpose_that_shakes_is_told_and_its_remedy_settles_it():
