@@ -124,7 +124,8 @@ def _cells(axis, x, y, data):
 def _legend(figure, several, *, columns=4):
     seen = set(np.concatenate([np.unique(data.ending.values) for data in several]))
     handles = [Patch(facecolor=color, label=label) for ending, (color, label) in _FLAT.items() if ending in seen]
-    handles.append(plt.Line2D([], [], color="black", linewidth=1.1, label="linear boundary"))
+    if any(np.isfinite(data.limit.values).any() for data in several):
+        handles.append(plt.Line2D([], [], color="black", linewidth=1.1, label="linear boundary"))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=6, columnspacing=1.0)
 
 

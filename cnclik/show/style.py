@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
-LABEL_AT = -0.18  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
+LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
 # Okabe & Ito (2008): distinguishable with any colour vision.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -111,8 +111,8 @@ def fixed_grid(width, height, rows, columns) -> dict:
 
     Laying them out automatically, every label is drawn three times, which is most of the time such a figure takes.
     """
-    left, right, below, above = 0.62, 0.08, 0.38, 0.2  # [inch]
-    between, beside = 0.26, 0.72
+    left, right, below, above = 0.72, 0.08, 0.38, 0.2  # [inch]
+    between, beside = 0.26, 0.76
     high = (height - below - above - (rows - 1) * between) / rows
     wide = (width - left - right - (columns - 1) * beside) / columns
     edges = dict(left=left / width, right=1 - right / width, bottom=below / height, top=1 - above / height)

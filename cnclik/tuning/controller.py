@@ -1,5 +1,7 @@
 """What a controller needs of a tuned loop: lines to copy, for pink and mink and for a loop of one's own."""
 
+import math
+
 import numpy as np
 
 from cnclik.integrate.method import EE
@@ -13,8 +15,8 @@ DAMPED_EXCESS = 1e-3  # by which z may exceed 1 and be printed as 1: damped, a s
 def controller_lines(tuned) -> dict:
     """Ready-to-use lines of a `Tuned`: {"rate": for one's own loop, "pink_mink": a gain per step}.
 
-    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], and add damping (λ²) to JᵀJ. Where they can't
-    run the loop that was tuned, the second one says "no line" and why.
+    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], 1 − exp(−alpha·Ts) for an exponential method,
+    and add damping (λ²) to JᵀJ. Where they can't run the loop that was tuned, the second one says "no line" and why.
     """
     return {"rate": _rate_line(tuned), "pink_mink": _pink_mink_line(tuned)}
 
@@ -31,12 +33,19 @@ def _rate_line(tuned) -> str:
         return f"qdot = {name} @ ({_feedforward(law)}{product}){null}  # {when}; {formula}"
     # The gain is that of a step which is no explicit Euler step: take its rate.
     stage = f", ck.{tuned.stage}" if tuned.method.implicit else ""
-    step = f'ck.step(law, path, q, t, {tuned.Ts:.6g}, "{tuned.method.name}"{stage}).qdot'
-    return f"qdot = {step}  # law: J# (xdot_d + {product}), {when}; {formula}"
+    step = f'ck.step(law, path, q, t, {tuned.Ts:.6g}, "{tuned.method.name}"{stage}'
+    about = f"law: J# (xdot_d + {product}), {when}; {formula}"
+    if tuned.method.steps == 1:
+        return f"qdot = {step}).qdot  # {about}"
+    return (
+        f"made = {step}, history=history); qdot, history = made.qdot, made.history  # history: None at first; {about}"
+    )
 
 
 def _pink_mink_line(tuned) -> str:
     alpha, z = np.asarray(tuned.law.alpha), tuned.after.z
+    if tuned.method.exponential:  # an explicit Euler step with this gain lets an error decay the same
+        z = -math.expm1(-z)
     _, formula, damping = _inverse(tuned.law.inverse)
     if tuned.schedule is not None:
         return "no line: pink and mink have one constant gain"
