@@ -1,9 +1,13 @@
 """Feedback held over a step: the error decays by its exact factor, whatever the gain and the sampling time.
 
 The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). What it asks of the feedback over a whole
-step, held, is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts. A turn is to end at
-R* = exp(−e^{−K·Ts} e_R) R_d(t + Ts); with the target's own turn T the tip has gone along already, and what is left is
-log(exp(−e^{−K·Ts} e_R) exp(T e_R)).
+step, held, is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
+
+The error of an orientation goes along with the target's turn T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
+law says Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. What is asked for at an instant
+within the step is thus k e^{−k·s} T(s) e_R, and held over the step, to second order in the turn, the mean of T(s) at
+both ends times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis make of (I − e^{−K·Ts}) e_R the turn that leaves
+exp(e^{−K·Ts} e_R), log(exp(−e^{−K·Ts} e_R) exp(e_R)).
 """
 
 from typing import NamedTuple
@@ -12,6 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.hints import opaque
+from cnclik.law.curves import Hold, Tangent
 from cnclik.law.law import Law, clamped, gain
 from cnclik.law.null import Posture
 from cnclik.law.reference import controlled
@@ -81,24 +86,24 @@ def held_feedback(law: Law, e, turn, Ts):
 
     Args:
       e: (m,).
-      turn: rows of T = R_d(t + Ts) R_d(t)ᵀ, or None where less than the whole orientation is controlled: there the
-        components are taken one by one.
+      turn: rows of T = R_d(t + Ts) R_d(t)ᵀ; None for none, and where less than the whole orientation is controlled.
       Ts: [s]; at 0 it is K e.
     """
-    e = clamped(law, e)
+    e, p = clamped(law, e), len(law.task.position)
     rate = gain(per_step(law.alpha, Ts, e), e)
-    if turn is None:
-        return rate
-    p = len(law.task.position)
-    still = Ts == 0
-    safe = jnp.where(still, 1.0, Ts)
-    left = sp.vsub(e, sp.scale(Ts, rate))[p:]
-    follows = sp.scale(law.feedforward, sp.vsub(sp.matvec(turn, e[p:]), e[p:]))
-    turned = _turn(left, sp.vadd(e[p:], follows))
-    return sp.join(rate[:p], sp.each(lambda a, b: jnp.where(still, a, b / safe), rate[p:], turned))
+    turned = rate[p:]
+    if law.alpha.ndim and len(law.task.orientation) == 3:
+        still = Ts == 0
+        per_time = 1.0 / jnp.where(still, 1.0, Ts)
+        whole = _turn_from(sp.vsub(e, sp.scale(Ts, rate))[p:], e[p:])
+        turned = sp.each(lambda a, b: jnp.where(still, a, b * per_time), turned, whole)
+    if turn is not None:
+        along = sp.vsub(sp.matvec(turn, turned), turned)
+        turned = sp.vadd(turned, sp.scale(0.5 * law.feedforward, along))
+    return sp.join(rate[:p], turned)
 
 
-_turn = opaque(sp.turn_from)
+_turn_from = opaque(sp.turn_from)
 
 
 def null_over_step(law: Law, Ts):
@@ -115,7 +120,7 @@ class Ahead(NamedTuple):
     """How the target moves in a step."""
 
     mean: tuple  # (m,) its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
-    turn: object  # rows of R_d(t + Ts) R_d(t)ᵀ, or None where the whole orientation isn't controlled
+    turn: object = None  # rows of R_d(t + Ts) R_d(t)ᵀ; None for none, or where less than the whole is controlled
 
 
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
@@ -125,10 +130,11 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     """
     task, p = law.task, len(law.task.position)
     whole = len(task.orientation) == 3
-    if reference.feedforward is not None:
-        spin = sp.scale(Ts, at.xdot_d[p:])
-        turn = sp.exp_so3(spin) if whole else None
-        return Ahead(at.xdot_d, sp.packed(turn, Ts.dtype) if whole and not sp.unrolled(spin) else turn)
+    if reference.feedforward is not None or isinstance(reference.curve, (Hold, Tangent)):
+        if not whole or (reference.feedforward is None and isinstance(reference.curve, Hold)):
+            return Ahead(at.xdot_d)
+        turn = sp.exp_so3(sp.scale(Ts, at.xdot_d[p:]))
+        return Ahead(at.xdot_d, turn if sp.unrolled(at.xdot_d) else sp.packed(turn, Ts.dtype))
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
     position, rotation = reference.curve(t + Ts, sp.unrolled(at.xdot_d))
