@@ -26,7 +26,8 @@ class Entry:
 
     q: object = None  # (n,)
     slope: object = None  # (n,) f there
-    columns: object = None  # (m, n) columns of J#, of the weighted task
+    columns: object = None  # (m, n) columns of J#, of the weighted task; with a factor, of Jᵀ
+    factor: object = None  # (m(m + 1)/2,) what stands between Jᵀ and J#, see `cnclik.law.inverse.remembered`
     velocity: object = None  # (m,) ẋ_d, times the feed-forward factor
     null: object = None  # (n,) what J# times a task velocity was not part of
     rows: object = None  # (m, n) weighted rows of J, for a posture term
@@ -69,7 +70,8 @@ def blank(law: Law, q, method):
     if method.exponential:
         null = zeros(n) if remembers_null(law) else None
         rows = zeros(m, n) if holds_posture(law) else None
-        entry = Entry(columns=zeros(m, n), velocity=zeros(m), null=null, rows=rows)
+        factor = zeros(m * (m + 1) // 2) if remembers_factor(law) else None
+        entry = Entry(columns=zeros(m, n), factor=factor, velocity=zeros(m), null=null, rows=rows)
     else:
         entry = Entry(q=zeros(n) if len(method.a) > 1 else None, slope=zeros(n))
     none = jnp.zeros_like(zero, jnp.int32)
@@ -92,6 +94,11 @@ def holds_posture(law: Law) -> bool:
 def remembers_null(law: Law) -> bool:
     """Whether null-space velocities of past instants are of use."""
     return not isinstance(law.null_velocity, Posture) and (law.null_velocity is not None or law.limits is not None)
+
+
+def remembers_factor(law: Law) -> bool:
+    """Whether J# is remembered as Jᵀ and the factors of J Jᵀ + λ² I: a fraction of what its columns cost."""
+    return getattr(law.inverse, "factors", False) and law.limits is None and law.task.m <= law.chain.n
 
 
 # --- forms --------------------------------------------------------------------------------------------
@@ -136,7 +143,9 @@ def checked(history, method, law):
     kept = first.columns if method.exponential else first.slope
     q_kept = (first.q is not None) == (not method.exponential and len(method.a) > 1)
     shape = (m, n) if method.exponential else (n,)
-    if len(history.entries) != method.steps - 1 or not q_kept or kept is None or jnp.shape(kept) != shape:
+    as_law = (first.factor is not None) == (method.exponential and remembers_factor(law))
+    fits = q_kept and as_law and kept is not None and jnp.shape(kept) == shape
+    if len(history.entries) != method.steps - 1 or not fits:
         raise errors.fail("history", f"be one of {method} and this law", "is of another method or law")
     return history
 

@@ -1,7 +1,7 @@
 """Steps with a memory: one evaluation of f each, and what was evaluated at the instants before.
 
-Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep`. Exponential ones remember J# as a
-matrix and ẋ_d, so that the feedback and the closure of this step act through the same mean of J#:
+Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep`. Exponential ones remember J# and
+ẋ_d, so that the feedback and the closure of this step act through the same mean of J#:
 
   q⁺ = q + Ts Σⱼ βⱼ J#[k−j] (v[k−j] + w),   v = ẋ_d,
   w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σⱼ βⱼ v[k−j].
@@ -27,6 +27,7 @@ from cnclik.integrate.history import (
     weights,
 )
 from cnclik.integrate.march import Moved, shift
+from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, answer, look, respond, weigh
 from cnclik.robot import spatial as sp
 
@@ -92,8 +93,10 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     null = None
     if to.wanted is not None or law.limits is not None:
         null = sp.vsub(first.qdot, first.apply(first.asked))
+    columns, factor = _columns(first, law.task.m, q) if first.kept is None else first.kept()
     entry = Entry(
-        columns=_columns(first, law.task.m, q),
+        columns=columns,
+        factor=factor,
         velocity=to.velocity,
         null=null if remembers_null(law) else None,
         rows=first.rows if holds_posture(law) else None,
@@ -107,10 +110,10 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     held = to.feedback
     if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
         held = sp.vadd(held, closure(law, to.mean, quadrature, turns))
-    parts = [sp.combine(weigh(law, sp.vadd(e.velocity, held)), e.columns) for e in entries]
+    parts = [_applied(e, weigh(law, sp.vadd(e.velocity, held))) for e in entries]
     if holds_posture(law):
         parts = [
-            sp.vadd(part, sp.vsub(to.wanted, sp.combine(sp.matvec(e.rows, to.wanted), e.columns)))
+            sp.vadd(part, sp.vsub(to.wanted, _applied(e, sp.matvec(e.rows, to.wanted))))
             for part, e in zip(parts, entries, strict=True)
         ]
     elif remembers_null(law):
@@ -122,12 +125,15 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
 
 
 def _columns(first: Evaluation, m, q):
-    """The columns of J# (m, n)."""
-    if first.columns is not None:
-        return first.columns()
+    """The columns of J# (m, n), and no factor."""
     if sp.unrolled(q):
-        return tuple(first.apply(tuple(1.0 if i == j else 0.0 for j in range(m))) for i in range(m))
-    return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype))
+        return tuple(first.apply(tuple(1.0 if i == j else 0.0 for j in range(m))) for i in range(m)), None
+    return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype)), None
+
+
+def _applied(entry: Entry, velocity):
+    """J# of a past instant times a weighted task velocity (m,)."""
+    return remembered(entry.columns, entry.factor, velocity)
 
 
 def _nothing(weight) -> bool:

@@ -8,6 +8,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_solve, solve_triangular
 
@@ -71,6 +72,29 @@ def ldl_solve(factor, b):
         for i in range(j + 1, m):
             x[j] = sp.vsub(x[j], sp.scale(columns[j][i - j - 1], x[i]))
     return tuple(x)
+
+
+def packed_factor(factor):
+    """L and 1/d of L D Lᵀ as one vector (m(m+1)/2,): row i of L, then its 1/dᵢ."""
+    columns, inverses, pivots = factor
+    if sp.unrolled(columns):
+        m = len(inverses)
+        return tuple(inverses[i] if i == j else columns[j][i - j - 1] for i in range(m) for j in range(i + 1))
+    lower = columns / jnp.sqrt(pivots)
+    return jnp.where(jnp.eye(len(pivots), dtype=bool), jnp.diag(inverses), lower)[np.tril_indices(len(pivots))]
+
+
+def packed_solve(packed, b):
+    """Solution x of L D Lᵀ x = b (m,), from `packed_factor`."""
+    m = len(b)
+    if sp.unrolled(packed):
+        at = {place: x for place, x in zip(zip(*np.tril_indices(m), strict=True), packed, strict=True)}
+        columns = tuple(tuple(at[i, j] for i in range(j + 1, m)) for j in range(m))
+        return ldl_solve((columns, tuple(at[i, i] for i in range(m)), None), b)
+    held = jnp.zeros((m, m), packed.dtype).at[np.tril_indices(m)].set(packed)
+    inverses = jnp.diagonal(held)
+    lower = jnp.where(jnp.eye(m, dtype=bool), 1.0, held) / jnp.sqrt(inverses)
+    return cho_solve((lower, True), b)
 
 
 @opaque

@@ -4,7 +4,6 @@ An inverse is a record that, called with the rows of J, factors them once and re
 function to apply J# to any number of task velocities, and what the factorisation says of singularity.
 """
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -25,7 +24,12 @@ class Factored(NamedTuple):
     apply: Callable
     least: object  # estimate of the least singular value of J; no derivative
     shift: object = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
-    columns: Callable | None = None  # () to the m columns of J#, where there is a shorter way than `apply`
+    kept: Callable | None = None  # () to what is to be remembered of J#, for `remembered`; None: its columns
+
+
+def remembered(rows, factor, t):
+    """J# t from what an inverse wants remembered: its columns (m, n) alone, or those of Jᵀ, and the factors between."""
+    return _apply(t if factor is None else dense.packed_solve(factor, t), rows)
 
 
 @record
@@ -34,27 +38,27 @@ class Pseudoinverse:
 
     def __call__(self, rows) -> Factored:
         columns, least = dense.pinv(rows)
-        return Factored(lambda t: _apply(t, columns), lax.stop_gradient(least), columns=lambda: columns)
+        return Factored(lambda t: _apply(t, columns), lax.stop_gradient(least), kept=lambda: (columns, None))
 
 
 @record
 class Damped:
     """See `damped`."""
 
+    factors = True  # whether `kept` has factors, for a task of no more rows than joints
     damping: object  # λ, never λ²
 
     def __call__(self, rows) -> Factored:
         shift = self.damping * self.damping
         apply, factor = damped_apply(rows, shift)
-        wide = len(rows) <= len(rows[0])
-        columns = functools.partial(dense.ldl_solve, factor, rows) if wide else None
-        return Factored(apply, _least(factor, shift), shift, columns)
+        return Factored(apply, _least(factor, shift), shift, _kept(rows, factor))
 
 
 @record
 class ManipulabilityDamped:
     """See `manipulability_damped`."""
 
+    factors = True
     damping: object  # λ₀, never λ₀²
     threshold: object  # w₀
 
@@ -65,13 +69,15 @@ class ManipulabilityDamped:
         w = jnp.sqrt(sp.product(sp.each(lambda p: jnp.maximum(p, tiny), factor[2])))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
         shift = jnp.maximum(below * below, tiny)
-        return Factored(damped_apply(rows, shift)[0], _least(factor, tiny), shift)
+        apply, damped = damped_apply(rows, shift)
+        return Factored(apply, _least(factor, tiny), shift, _kept(rows, damped))
 
 
 @record
 class SingularDamped:
     """See `singular_damped`."""
 
+    factors = True
     damping: object  # λ_max, never λ_max²
     threshold: object  # ε
 
@@ -81,7 +87,13 @@ class SingularDamped:
         squared = dense.least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
         shift = jnp.maximum(share * self.damping * self.damping, tiny)
-        return Factored(damped_apply(rows, shift)[0], jnp.sqrt(lax.stop_gradient(squared)), shift)
+        apply, damped = damped_apply(rows, shift)
+        return Factored(apply, jnp.sqrt(lax.stop_gradient(squared)), shift, _kept(rows, damped))
+
+
+def _kept(rows, factor):
+    """What is remembered of Jᵀ (J Jᵀ + λ² I)⁻¹."""
+    return (lambda: (rows, dense.packed_factor(factor))) if len(rows) <= len(rows[0]) else None
 
 
 def damped_apply(rows, shift):
@@ -109,7 +121,7 @@ class Transpose:
         shift = 1e-12  # only so that the factorisation behind the estimate never divides by 0
         thin = sp.thin(rows)
         factor = dense.ldl(dense.gram(thin, shift))
-        return Factored(lambda t: _apply(t, rows), _least(factor, shift))
+        return Factored(lambda t: _apply(t, rows), _least(factor, shift), kept=lambda: (rows, None))
 
 
 _apply = opaque(sp.combine)

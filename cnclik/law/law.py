@@ -123,7 +123,7 @@ class Evaluation(NamedTuple):
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
     held: object = False  # whether a limit changed what the task asked for
     asked: tuple = ()  # m task velocities, weighted
-    columns: Callable | None = None  # () to the m columns of J#, where there is a shorter way than `apply`
+    kept: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
@@ -159,7 +159,7 @@ def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
         correct=lambda h, r: correct(law, q, rows, made, h, r),
         held=held,
         asked=velocity,
-        columns=getattr(made, "columns", None),
+        kept=getattr(made, "kept", None),
     )
 
 
