@@ -154,6 +154,8 @@ _OF_STEPS = (AB2, AB3, AB4, ZNN4, ZEAD4, ZNN6, IFD5)
 _EXPONENTIAL = tuple(map(exponential, (EE, HEUN, MIDPOINT, RK4, AB2, AB3, AB4)))
 METHODS = {m.name: m for m in (*_PLAIN, *_OF_STEPS, *_EXPONENTIAL)}
 
+DEFAULT = METHODS["EXP-MIDPOINT"]  # no memory, no limit of z, and second order: see results/methods
+
 
 def starter(method) -> Method:
     """The one-step method that the first steps of a multistep one are made with: RK4, or EXP-RK4."""

@@ -16,7 +16,7 @@ from cnclik.hints import alone, few_lanes, keeps_history, one_function, quick_ji
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance
 from cnclik.integrate.history import History
-from cnclik.integrate.method import EE, Method, Multistep, named, starter
+from cnclik.integrate.method import DEFAULT, Method, Multistep, named, starter
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import growing
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
@@ -62,7 +62,7 @@ def solve(
     q0: ArrayLike,
     Ts: ArrayLike,
     N: int,
-    method: Method | Multistep | str = EE,
+    method: Method | Multistep | str = DEFAULT,
     stage=picard(5),
     *,
     t0: ArrayLike = 0.0,
@@ -109,7 +109,7 @@ def step(
     q: ArrayLike,
     t: ArrayLike,
     Ts: ArrayLike,
-    method: Method | Multistep | str = EE,
+    method: Method | Multistep | str = DEFAULT,
     stage=picard(5),
     history: History | None = None,
 ) -> Step:

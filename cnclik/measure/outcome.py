@@ -14,7 +14,7 @@ from jax import lax
 
 from cnclik.hints import one_function
 from cnclik.integrate.history import blank
-from cnclik.integrate.method import EE, Method, named
+from cnclik.integrate.method import DEFAULT, Method, named
 from cnclik.integrate.solve import advance, cast
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
@@ -86,7 +86,7 @@ class _Seen(NamedTuple):
     singular_first: jax.Array  # a step was near a singularity before that
 
 
-def outcome(law, reference, q0, Ts, N: int, method: Method = EE, stage=picard(5), *, tolerance=1e-3, scale=None):
+def outcome(law, reference, q0, Ts, N: int, method: Method = DEFAULT, stage=picard(5), *, tolerance=1e-3, scale=None):
     """Run the loop for N steps and say how it ended, without keeping its path: pure, for vmap over many.
 
     Args:

@@ -55,7 +55,7 @@ OPTIONS = {
                     unit="rad"),
     "period": Option(NUMBER, "Time of one turn (negative: the other sense), or of the line [s]; the length of the run "
                      "by default.", unit="s", must="other than 0"),
-    "method": Option(NAME, f"{_listed(METHODS)}; CN is the paper's.", "EE"),
+    "method": Option(NAME, f"{_listed(METHODS)}; CN is the paper's.", "EXP-MIDPOINT"),
     "stage": Option(NAME, f"How implicit stages are solved: {_listed(STAGES)}.", "picard"),
     "M": Option(INTEGER, "Passes of that iteration.", 5, must="at least 0"),
     "alpha": Option(NUMBERS, "Gain of the error [1/s], one or one per task coordinate; alpha·Ts is the dimensionless "

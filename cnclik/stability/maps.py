@@ -8,7 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import EE
+from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
@@ -34,7 +34,7 @@ def outcomes(
     Ts,
     M=None,
     N=100,
-    method=EE,
+    method=DEFAULT,
     stage=picard(5),
     tolerance=1e-3,
     scale=None,
@@ -102,7 +102,7 @@ def outcomes(
 
 
 @in_float64
-def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), N=100, rest=None, **options):
+def stability_map(law, reference, q0, *, alpha, Ts, method=DEFAULT, stage=picard(5), N=100, rest=None, **options):
     """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest. In float64.
 
     Args:
@@ -132,7 +132,7 @@ def stability_map(law, reference, q0, *, alpha, Ts, method=EE, stage=picard(5), 
 
 
 @in_float64
-def boundary(law, reference, rest, *, Ts, method=EE, stage=picard(5)):
+def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5)):
     """Largest stable alpha [1/s] by linear theory for each Ts (b,): a hyperbola, unless a null-space velocity acts."""
     Ts = np.asarray(Ts, float)
     some = Ts if callable(law.null_velocity) else Ts[:1]
@@ -141,7 +141,7 @@ def boundary(law, reference, rest, *, Ts, method=EE, stage=picard(5)):
 
 
 @in_float64
-def passes_map(law, reference, q0, *, z, M, Ts=0.1, method=EE, stage=picard(0), N=100, **options):
+def passes_map(law, reference, q0, *, z, M, Ts=0.1, method=DEFAULT, stage=picard(0), N=100, **options):
     """Measured outcomes over z = alpha·Ts and the number of passes M, and the linear limit for each M. In float64.
 
     Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import EE, Method
+from cnclik.integrate.method import DEFAULT, Method
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
@@ -114,7 +114,7 @@ def _loop(law, reference, q, method, stage) -> _Loop:
 
 
 @in_float64
-def recommend(law, reference, q, *, Ts=None, method=EE, stage=picard(5), reach=REACH) -> Recommendation:
+def recommend(law, reference, q, *, Ts=None, method=DEFAULT, stage=picard(5), reach=REACH) -> Recommendation:
     """Which gain is safe at this sampling time; or, with Ts None, which sampling time at the law's gain. In float64.
 
     The spectral radius of the whole loop at rest (task directions, and null-space directions where a null-space
@@ -133,7 +133,7 @@ def recommend(law, reference, q, *, Ts=None, method=EE, stage=picard(5), reach=R
 
 
 @in_float64
-def margin(law, reference, q, *, Ts, method=EE, stage=picard(5), reach=REACH) -> Margin:
+def margin(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), reach=REACH) -> Margin:
     """The gain margin of a loop at rest: by which factor alpha may grow before it is unstable. In float64.
 
     Args: as for `recommend`.
@@ -142,7 +142,7 @@ def margin(law, reference, q, *, Ts, method=EE, stage=picard(5), reach=REACH) ->
 
 
 @in_float64
-def advise(law, reference, q, *, Ts, method=EE, stage=picard(5), reach=REACH) -> Advice:
+def advise(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), reach=REACH) -> Advice:
     """Safe gains at this Ts, safe Ts at this gain, the margin and the eigenvalues of a loop at rest. In float64.
 
     Args: as for `recommend`.

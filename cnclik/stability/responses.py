@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import EE
+from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
@@ -47,7 +47,7 @@ def _responses(law, curve, q, Ts, stage, units, omega, *, N, method):
 
 
 @in_float64
-def responses(law, reference, q, *, Ts, method=EE, stage=picard(5), N=2 * PERIOD):
+def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), N=2 * PERIOD):
     """Step and sine responses at a resting place, in units of the input. In float64.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.history import blank
-from cnclik.integrate.method import EE, IE, Method
+from cnclik.integrate.method import DEFAULT, IE, Method
 from cnclik.integrate.remember import primed
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
@@ -94,7 +94,7 @@ def at_instants(matrix, p: int, xp=np):
     return matrix if p == 1 else xp.kron(xp.eye(p, dtype=matrix.dtype), matrix)
 
 
-def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
+def task_map(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
     """The (m, m) matrix by which one step multiplies the (weighted) error at rest, see `of_error`: (p·m, p·m) of p
     instants.
 
@@ -104,7 +104,7 @@ def task_map(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
 
 
 @in_float64
-def spectral_radius(law, reference, q, Ts, method: Method = EE, stage=picard(5)):
+def spectral_radius(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
     """Largest |λ| of the loop's one-step map at rest over the directions of the task; stable below 1.
 
     Null-space directions, which an exact J# leaves alone (λ = 1), are told apart by J. Pure: jit, vmap and grad go
@@ -160,7 +160,7 @@ class Spectrum:
 
 
 @in_float64
-def spectrum(law, reference, q, Ts, method=EE, stage=picard(5)) -> Spectrum:
+def spectrum(law, reference, q, Ts, method=DEFAULT, stage=picard(5)) -> Spectrum:
     """Eigenvalues of the loop's one-step map at rest, task and null-space directions told apart. In float64.
 
     Args: as for `spectral_radius`.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import EE
+from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory
@@ -75,7 +75,7 @@ class Verdict:
 
 
 @in_float64
-def verdict(law, reference, run, *, Ts, method=EE, stage=picard(5)) -> Verdict:
+def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5)) -> Verdict:
     """What a run did, why, and what to do about it: pure description, nothing is run again. In float64.
 
     Args:
@@ -105,7 +105,7 @@ def verdict(law, reference, run, *, Ts, method=EE, stage=picard(5)) -> Verdict:
 
 
 @in_float64
-def prepare(law, reference, q, *, Ts, method=EE, stage=picard(5)) -> None:
+def prepare(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5)) -> None:
     """Compile what `verdict` will ask of such a run: beside other work, for who is going to ask."""
     _, end, _ = _instants(law, reference, np.tile(q, (LOOKED_AT + 1, 1)), np.zeros(LOOKED_AT + 1))
     maps(law, end, np.ones(1), float(Ts), *checked(method, stage))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import EE
+from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import record
@@ -210,7 +210,7 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
 
 
 @in_float64
-def loop_objective(law, reference, q0, *, Ts, N, method=EE, stage=picard(5), **goal) -> LoopObjective:
+def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5), **goal) -> LoopObjective:
     """The objective that `tune` descends, for judging values found in other ways. In float64. Args: as for `tune`."""
     check_loop(law)
     goal = Goal(**goal)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import EE
+from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import replace
@@ -38,7 +38,7 @@ def tune(
     *,
     Ts,
     N,
-    method=EE,
+    method=DEFAULT,
     stage=picard(5),
     descent=Descent(),
     progress=None,
