@@ -47,21 +47,20 @@ def closure(law, mean, quadrature, turns):
     return sp.join(missed[:p], sp.scale(turns, turned) if sp.unrolled(turned) else turns * turned)
 
 
-def exponential_march(law, reference, q, at, t, Ts, method, stage):
+def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=False):
     """One step of the exponential form of a tableau: a `Moved`, and its `Start`."""
     to = start(law, reference, q, at, t, Ts)
-    velocities = {0.0: to.velocity}
+    known = {0.0: to.velocity}
     for c in method.c:
-        if c not in velocities:
-            velocities[c] = sp.scale(law.feedforward, target(law, reference, t + c * Ts, q)[2])
-    quadrature = sp.combine(method.b, [velocities[c] for c in method.c])
+        if c not in known:
+            known[c] = sp.scale(law.feedforward, target(law, reference, t + c * Ts, q)[2])
+    velocities = [known[c] for c in method.c]
+    quadrature = sp.combine(method.b, velocities)
     held = sp.vadd(to.feedback, closure(law, to.mean, quadrature, 1.0 if method.order <= CLOSED else 0.0))
 
-    def velocity(c):
-        return sp.vadd(velocities[c], held)
-
-    def field(c, q):
+    def field(velocity, q):
         wanted = to.wanted if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
-        return answer(law, q, glance(law, q), velocity(c), wanted)
+        return answer(law, q, glance(law, q), sp.vadd(velocity, held), wanted)
 
-    return march(field, q, Ts, method, stage, answer(law, q, at, velocity(0.0), to.wanted)), to
+    first = answer(law, q, at, sp.vadd(to.velocity, held), to.wanted)
+    return march(field, q, Ts, method, stage, first, at=velocities, looped=looped), to

@@ -2,7 +2,9 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+from jax import lax
 
 from cnclik.integrate.method import Method
 from cnclik.robot import spatial as sp
@@ -18,34 +20,65 @@ class Moved(NamedTuple):
     contraction: object
 
 
-def march(field, q, Ts, method: Method, stage, first=None) -> Moved:
+def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=False):
     """One step of the method over `field`, in component form.
 
     field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n scalars) and, for stages that
-    use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one. `first` is
-    field(0, q), where it is known.
+    use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one.
+
+    Args:
+      first: field(0, q), where it is known.
+      at: what the field takes in place of c, one for each stage: what else it needs of that instant.
+      looped: an explicit method's stages as a loop, compiled once: for steps that are seldom made.
     """
-    first = field(0.0, q) if first is None else first  # explicit Euler: a stage of most methods, where others start
+    at = method.c if at is None else at
+    first = field(at[0], q) if first is None else first  # explicit Euler: a stage of most methods, where others start
+    if looped:
+        return _looped(field, q, Ts, method, first, at)
     slopes = []
     residual = contraction = jnp.zeros_like(q[0])
     for i, (row, c) in enumerate(zip(method.A, method.c, strict=True)):
         base = shift(q, Ts, row[:i], slopes)
         if row[i] == 0:
-            slopes.append(first.qdot if c == 0 and not any(row) else field(c, base).qdot)
+            slopes.append(first.qdot if c == 0 and not any(row) else field(at[i], base).qdot)
             continue
         h = sp.mul(row[i], Ts)
         ahead = sp.combine([w / row[i] for w in row[:i]], slopes) if any(row[:i]) else sp.each(lambda _: 0.0, q)
 
-        def g(k, c=c, base=base, h=h):
-            return field(c, shift(base, h, (1.0,), (k,)))
+        def g(k, at=at[i], base=base, h=h):
+            return field(at, shift(base, h, (1.0,), (k,)))
 
         solved = stage(g, first, h, ahead)
         slopes.append(solved.slope)
         residual = jnp.maximum(residual, solved.residual)
         contraction = jnp.maximum(contraction, solved.contraction)
+    return _moved(q, Ts, method, slopes, first, residual, contraction)
+
+
+def _looped(field, q, Ts, method, first, at):
+    """A step of an explicit method whose first stage is `first`."""
+    count = len(method.b)
+    weights = [(*row, *(0.0,) * (count - len(row))) for row in method.A]
+
+    def one(slopes, stage):
+        i, row, at = stage
+        made = field(at, sp.vadd(q, sp.scale(Ts, sp.combine([row[j] for j in range(count)], slopes)))).qdot
+        return tuple(sp.each(lambda a, b, j=j: jnp.where(i == j, a, b), made, k) for j, k in enumerate(slopes)), None
+
+    dtype = jnp.result_type(q[0])
+    rows, ats = jax.tree.map(
+        lambda *v: jnp.stack([jnp.asarray(x, dtype) for x in v]), *zip(weights[1:], at[1:], strict=True)
+    )
+    start = (first.qdot, *(sp.each(jnp.zeros_like, q),) * (count - 1))
+    slopes, _ = lax.scan(one, start, (jnp.arange(1, count), rows, ats))
+    zero = jnp.zeros_like(q[0])
+    return _moved(q, Ts, method, slopes, first, zero, zero)
+
+
+def _moved(q, Ts, method, slopes, first, residual, contraction) -> Moved:
+    """The end of a step, from the slopes of its stages."""
     qdot = sp.combine(method.b, slopes)
-    moved = shift(q, Ts, (1.0,), (qdot,))
-    return Moved(q=moved, qdot=qdot, first=first, residual=residual, contraction=contraction)
+    return Moved(shift(q, Ts, (1.0,), (qdot,)), qdot, first, residual, contraction)
 
 
 def shift(q, h, weights, slopes):
