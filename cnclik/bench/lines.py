@@ -16,6 +16,7 @@ AXES = {  # None: the usual one
     "batch": (1, 64, 4096, 1_000_000),
     "cores": (None,),
 }
+EXPONENTIAL = ("EXP-EE", "EXP-AB2", "EXP-MIDPOINT")  # measured on the usual robot alone
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -74,6 +75,7 @@ def table() -> list[Line]:
         line(robot, method, gradient=robot in ("planar5", "panda") and method in ("EE", "CN"))
         for robot, method in itertools.product(AXES["robot"], AXES["method"])
     ]
+    made += [line(method=method) for method in EXPONENTIAL]
     made += [line(dtype=dtype, batch=batch) for dtype, batch in itertools.product(AXES["dtype"], AXES["batch"])]
     made += [line("panda", "CN", dtype="float64"), line("panda", "CN", batch=1_000_000)]
     made += [line("planar5", "CN", batch=1_000_000)]

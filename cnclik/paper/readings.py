@@ -14,7 +14,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.method import CN, METHODS, Method, named
-from cnclik.integrate.solve import solve
+from cnclik.integrate.solve import evaluations_of, solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
@@ -23,7 +23,7 @@ from cnclik.law.task import position
 from cnclik.paper.choices import DEFAULT, Reading
 from cnclik.paper.choices import READINGS as READINGS
 from cnclik.paper.choices import reading as reading
-from cnclik.record import stack
+from cnclik.record import replace, stack
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.rolled import in_form, sooner
@@ -32,7 +32,8 @@ from cnclik.robot.rolled import in_form, sooner
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
 
 PAPER = ("EE", "IE", "CN")
-BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4")
+EXPONENTIAL = ("EXP-MIDPOINT", "EXP-AB2")
+BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", *EXPONENTIAL)
 
 
 class Arm(NamedTuple):
@@ -212,7 +213,7 @@ def run_arm(arm: str) -> Found:
     runs, residuals = jax.device_get((runs, residuals))
     return Found(
         {
-            (arm, Ts, name, lane): truncate(jax.tree.map(lambda a, i=i: a[i], batch), lane.N)
+            (arm, Ts, name, lane): _cut(jax.tree.map(lambda a, i=i: a[i], batch), ARMS[arm].n, name, lane)
             for (Ts, name), batch in runs.items()
             for i, lane in enumerate(LANES)
         },
@@ -222,3 +223,9 @@ def run_arm(arm: str) -> Found:
             for i, lane in enumerate(_PAPER_LANES)
         },
     )
+
+
+def _cut(run, n, name, lane) -> Trajectory:
+    """The steps of a run that are the lane's own, and what they cost."""
+    cost = evaluations_of(METHODS[name], picard(lane.M), n, lane.N)
+    return replace(truncate(run, lane.N), evaluations=np.asarray(cost))

@@ -11,7 +11,7 @@ import numpy as np
 from cnclik.measure.files import markdown
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
-from cnclik.paper.readings import ARMS, BESIDE, DEFAULT, NUDGE, PAPER, PASSES, TS, M, N
+from cnclik.paper.readings import ARMS, BESIDE, DEFAULT, EXPONENTIAL, NUDGE, PAPER, PASSES, TS, M, N
 from cnclik.paper.tables import claim_table, method_table, own, picard_table, short
 from cnclik.paper.words import by_reading, joined, listed, paragraph, ranked, under
 
@@ -107,7 +107,20 @@ def _in_short(facts) -> str:
         if full
         else "No single reading of the text supports (a), (b) and (c) together on either arm."
     )
-    return f"## In short\n\n{markdown(['claim of the paper', 'holds?'], rows, left=2)}\n{supported}"
+    table = markdown(["claim of the paper", "holds?"], rows, left=2)
+    return f"## In short\n\n{table}\n{paragraph(supported, _to_use(facts))}"
+
+
+def _to_use(facts) -> str:
+    """What the paper found, what is true, and what to use."""
+    rms, steps = _beside_cn(facts)
+    price = {m: f"{steps[m]:.0f} evaluation{'s' * (steps[m] >= 1.5)} a step" for m in ("CN", *EXPONENTIAL)}
+    worth = [f"{m} ({price[m]}) {_times_closer(rms, m)} times" for m in EXPONENTIAL]
+    return (
+        f"The paper found that CN tracks better than EE. That is true at the same Ts, for {price['CN']}."
+        f" What to use is a step in which the error decays by its exact factor, so that no gain is too large:"
+        f" {joined(worth)} closer to the path than CN, on the {joined([str(a) for a in ARMS.values()])} arm."
+    )
 
 
 def _gain(error) -> float:
@@ -293,15 +306,22 @@ def _limit(factor) -> float:
     return float(z[np.argmax(np.abs(factor(z)) > 1 + 1e-9)])
 
 
-def _beside(facts) -> str:
+def _beside_cn(facts):
+    """RMS tracking error by arm and method, and evaluations a step by method."""
     first = facts.methods.isel(Ts=0)
-    rms, mean = (
-        {arm: claims.by_method(first[name].sel({"arm": arm, "case": case})) for arm in ARMS}
-        for name, case in (("rms_error", "track"), ("mean_error", "reach"))
-    )
-    steps = {m: v / N for m, v in claims.by_method(first.evaluations.sel(arm="2dof", case="track")).items()}
-    closer = {m: joined([f"{rms[arm]['CN'] / rms[arm][m]:.2g}" for arm in ARMS]) for m in BESIDE}
-    closer = [f"{times} for {m} ({steps[m]:.0f} evaluations)" for m, times in closer.items()]
+    rms = {arm: claims.by_method(first.rms_error.sel({"arm": arm, "case": "track"})) for arm in ARMS}
+    return rms, {m: v / N for m, v in claims.by_method(first.evaluations.sel(arm="2dof", case="track")).items()}
+
+
+def _times_closer(rms, method) -> str:
+    return joined([f"{rms[arm]['CN'] / rms[arm][method]:.2g}" for arm in ARMS])
+
+
+def _beside(facts) -> str:
+    rms, steps = _beside_cn(facts)
+    first = facts.methods.isel(Ts=0)
+    mean = {arm: claims.by_method(first.mean_error.sel({"arm": arm, "case": "reach"})) for arm in ARMS}
+    closer = [f"{_times_closer(rms, m)} for {m} ({steps[m]:.0f} evaluations)" for m in BESIDE]
     faster = [m for m in BESIDE if any(mean[arm][m] < mean[arm]["EE"] for arm in ARMS)]
     orders = facts.methods.order.Ts.values
     return "\n\n".join(

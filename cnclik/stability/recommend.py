@@ -11,7 +11,7 @@ from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import EPS, checked, first_above, least_on
+from cnclik.stability.linear import EPS, checked, delay_limit, first_above, least_on
 from cnclik.stability.spectrum import (
     Spectrum,
     at_rest,
@@ -201,8 +201,14 @@ def _recommend(loop, Ts, reach) -> Recommendation:
     )
 
 
+LATE = 2  # samples, from which on exponential steps have a limit
+
+
 def _why(method) -> str:
-    return "lets errors decay by their exact factor" if method.exponential else "solves the stiff part"
+    if not method.exponential:
+        return "solves the stiff part"
+    late = f"an error {LATE} samples late brings one back, z < {delay_limit(LATE, method):.3g}"
+    return f"lets errors decay by their exact factor ({late})"
 
 
 def _how(loop):
