@@ -131,6 +131,22 @@ def test_order_of_orientation(method, order):
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15) and fine < 0.002
 
 
+def test_an_error_of_orientation_goes_along_with_the_targets_turn():
+    """Half a radian off, with a target that turns: e(t + Ts) = e^{−z} T e(t), to second order in the turn."""
+    law, reference, t0 = ck.Law(WRIST, ck.orientation(), alpha=5.0), ck.path(tumbling), 0.5
+
+    def missed(method, Ts):
+        q = TURNED + np.array([0.3, -0.2, 0.35])
+        made = ck.step(law, reference, q, t0, Ts, method)
+        after = ck.step(law, reference, made.q, t0 + Ts, Ts, method).e
+        turn = np.asarray(tumbling(t0 + Ts).rotation) @ np.asarray(tumbling(t0).rotation).T
+        return np.linalg.norm(after - np.exp(-5.0 * Ts) * turn @ made.e)
+
+    for method, most in (("EXP-MIDPOINT", 1e-2), ("EXP-RK4", 3e-4)):
+        coarse, fine = missed(method, 0.1), missed(method, 0.05)
+        assert coarse < most and np.log2(coarse / fine) > 2.2
+
+
 PRINTED = {  # RMS of ‖e‖ over the second half, by a loop written with Pinocchio: (alpha, Ts) to error
     "EE": {(5.0, 0.1): 6.0e-3},
     "EXP-EE": {(5.0, 0.1): 2.1e-3, (100.0, 0.1): 9.0e-4},
