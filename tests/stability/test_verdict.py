@@ -67,7 +67,7 @@ def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
         return maps(*args)
 
     monkeypatch.setattr(module, "maps", recorded)
-    module.prepare(law(5.0), NEAR, Q5, Ts=Ts)
+    module.prepare(law(5.0), NEAR, Q5, Ts=Ts, method=ck.EE)
     judge(law(5.0), NEAR, 20)
     assert len(asked) == 2 and str(asked[0]) == str(asked[1])
     assert jax.tree.structure(asked[0]) == jax.tree.structure(asked[1])

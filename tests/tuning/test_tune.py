@@ -9,6 +9,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.hints import quick_jit
+from cnclik.integrate.method import DEFAULT
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import gradient_mode
@@ -19,7 +20,7 @@ LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 # One shape for most tests, so that they share compiled programs: a target that holds still is a line of length 0.
 LINE = ck.line([1.0, 1.0], [0.0, 1.0], duration=3.0)  # Case II of the paper
 NEAR = ck.line([1.0001, 0.99995], [1.0001, 0.99995], duration=3.0)  # so near that the loop is linear
-LOOP = {"Ts": 0.1, "N": 30, "velocity_limit": 1e6}
+LOOP = {"Ts": 0.1, "N": 30, "velocity_limit": 1e6, "method": "EE"}
 
 
 def at(reference=LINE, law=LAW, steps=60, starts=1, optimizer=None, gradient="auto", **options):
@@ -122,11 +123,11 @@ def test_null_gain_of_numbers_and_of_a_plain_function(wanted):
 
 def test_what_was_tuned_is_what_solve_runs():
     """With nobody naming a method: `tune`, then `solve` with its defaults."""
-    found = at()
+    found = tune(LAW, LINE, Q0, Ts=0.1, N=30, velocity_limit=1e6, descent=Descent(steps=2, rounds=1))
     law, reference, q0, Ts, N, method, stage = found.loop
     run = ck.solve(law, reference, q0, Ts, N)
     np.testing.assert_allclose(run.q, found.after.run.q, rtol=0, atol=1e-12)
-    assert (method, N, Ts) == (ck.EE, 30, 0.1) and str(stage) == "picard(5)"
+    assert (method, N, Ts) == (DEFAULT, 30, 0.1) and str(stage) == "picard(5)"
 
 
 def test_float32_as_float64():
@@ -330,7 +331,7 @@ def test_panda_on_a_circle_does_not_ring():
     from cnclik.problem.build import problem_from
 
     made = problem_from("panda", reference="circle", Ts=0.05, N=40, method="EE", damping=0.01)
-    found = tune(made.law, made.reference, made.q0, Ts=made.Ts, N=made.N)
+    found = tune(made.law, made.reference, made.q0, Ts=made.Ts, N=made.N, method=made.method)
     assert found.satisfied and 0.9 < found.after.z <= 1.001 and found.after.correction <= 1 + 1e-9
 
 
