@@ -36,12 +36,13 @@ class Panels:
         flat = self.axes.ravel()
         for ax in flat[len(places) :]:
             ax.set_axis_off()
-        for ax, place in zip(flat, places, strict=False):
-            chosen = dict(zip(dims, place, strict=True))
-            words = [described(self.view[d][i]) for d, i in chosen.items()]
-            room = (self.figure.get_figwidth() - 1.0 - LEGEND * bool(self.layout.lines)) / self.axes.shape[1]
-            ax.set_title((", " if len(", ".join(words)) * LETTER < room else ",\n").join(words))
-            yield ax, *(v.isel({d: i for d, i in chosen.items() if d in v.dims}) for v in values)
+        chosen = [dict(zip(dims, place, strict=True)) for place in places]
+        words = [[described(self.view[d][i]) for d, i in one.items()] for one in chosen]
+        room = (self.figure.get_figwidth() - 1.0 - LEGEND * bool(self.layout.lines)) / self.axes.shape[1]
+        between = ", " if all(len(", ".join(w)) * LETTER < room for w in words) else ",\n"
+        for ax, title, one in zip(flat, words, chosen, strict=False):
+            ax.set_title(between.join(title))
+            yield ax, *(v.isel({d: i for d, i in one.items() if d in v.dims}) for v in values)
 
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
