@@ -70,11 +70,11 @@ def keeps_history() -> bool:
 
 
 def as_here(fn):
-    """The function with the caller's switch, form and precision, for another thread, which knows nothing of them."""
-    wide, switch, form = jax.config.jax_enable_x64, switched_on(), _form.value
+    """The function with the caller's switch, form, precision and device, for another thread to run in."""
+    wide, device, switch, form = jax.config.jax_enable_x64, jax.config.jax_default_device, switched_on(), _form.value
 
     def there(*args, **named):
-        with jax.enable_x64(wide), _context(switch), _form(form):
+        with jax.enable_x64(wide), jax.default_device(device), _context(switch), _form(form):
             return fn(*args, **named)
 
     return there

@@ -1,5 +1,7 @@
 """Compiler hints and options: under one switch, known to the compiler, and in caches of bounded size."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +46,19 @@ def test_quick_jit_asks_nothing_when_it_is_made(monkeypatch):
 
     assert not asked and power.__doc__ == "A docstring."
     assert power(3.0, n=2) == 9 and power(2.0, n=2) == 4 and len(asked) == 1
+
+
+def test_a_function_takes_its_callers_context_to_another_thread():
+    def seen():
+        config = jax.config
+        return config.jax_enable_x64, config.jax_default_device, hints.switched_on(), hints.form()
+
+    device = jax.devices("cpu")[-1]
+    with ThreadPoolExecutor(1) as pool:
+        with jax.enable_x64(False), jax.default_device(device), ck.use_hints(False), ck.use_form("unrolled"):
+            found = pool.submit(hints.as_here(seen)).result()
+        assert found == (False, device, False, "unrolled")
+        assert pool.submit(hints.as_here(seen)).result()[1] is None
 
 
 # Every elementwise function that may be compiled with wide vectors: XLA:CPU gave 0 for most arctangents.

@@ -47,6 +47,14 @@ class Chain:
     upper: tuple
     velocity_limit: tuple  # [rad/s or m/s], inf where unlimited
 
+    def __post_init__(self):
+        lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
+        if speed is not None and min(speed) < 0:
+            raise errors.fail("velocity_limit", "be at least 0", f"is {min(speed):g}")
+        for name, low, high in zip(self.joint_names, lower, upper, strict=True) if None not in (lower, upper) else ():
+            if low > high:
+                raise errors.fail("lower", "not exceed `upper`", f"is {low:g} > {high:g} at joint {name}")
+
     @property
     def n(self) -> int:
         """Number of joint coordinates."""
@@ -193,26 +201,15 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
     def limits(name, values, default):
         if values is None:
             return (default,) * n
-        values = tuple(float(v) for v in errors.array(name, values, (n,), finite=False))
-        if any(math.isnan(v) for v in values):
-            raise errors.fail(name, "hold no NaN", f"is {values}")
-        return values
+        return tuple(float(v) for v in errors.array(name, values, (n,), finite=False))
 
-    lower = limits("lower", lower, -math.inf)
-    upper = limits("upper", upper, math.inf)
-    velocity_limit = limits("velocity_limit", velocity_limit, math.inf)
-    if min(velocity_limit) < 0:
-        raise errors.fail("velocity_limit", "be at least 0", f"is {min(velocity_limit):g}")
-    for i in range(n):
-        if lower[i] > upper[i]:
-            raise errors.fail("lower", "not exceed `upper`", f"is {lower[i]:g} > {upper[i]:g} at joint {names[i]}")
     return Chain(
         joints=joints,
         tip=tip or Offset(),
         joint_names=names,
-        lower=lower,
-        upper=upper,
-        velocity_limit=velocity_limit,
+        lower=limits("lower", lower, -math.inf),
+        upper=limits("upper", upper, math.inf),
+        velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
     )
 
 
@@ -247,6 +244,17 @@ def _scalars(name, values, size=None) -> tuple:
     for i, value in enumerate(out):
         errors.number(f"{name}[{i}]", value)
     return out
+
+
+def _known(name, values, n):
+    """Limits (n,) as floats; None where they are traced or belong to several lanes."""
+    parts = values if isinstance(values, (tuple, list)) else ()
+    if any(np.ndim(v) for v in parts) or not all(map(errors.concrete, (values, *parts))):
+        return None
+    known = errors.array(name, values, (n,), finite=False).tolist()
+    if any(map(math.isnan, known)):
+        raise errors.fail(name, "hold no NaN", f"is {tuple(known)}")
+    return known
 
 
 def _sequence(name, rows):

@@ -9,11 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
+from cnclik.record import stack
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
 from cnclik.robot.posture import start_posture
 from tests.oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 
 LENGTHS = [0.7, 1.1, 0.4]
+ARM = ck.planar_arm([1.0, 1.0])
 # Parameters per joint: literal right angles and zeros (which fold) among general numbers.
 DH = {
     "a": [0.0, 0.4, -0.2, 0.1],
@@ -196,6 +198,23 @@ BAD = [
         r"`lower` must not exceed `upper`, but is 1 > 0",
     ),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], upper=[math.nan]), r"`upper` must hold no NaN"),
+    # A changed copy is held to the same.
+    (lambda: ck.replace(ARM, velocity_limit=(2.0, -1.0)), r"`velocity_limit` must be at least 0, but is -1\."),
+    (
+        lambda: ck.replace(ARM, velocity_limit=np.array([2.0, -1.0])),
+        r"`velocity_limit` must be at least 0, but is -1\.",
+    ),
+    (
+        lambda: ck.replace(ARM, velocity_limit=(2.0,)),
+        r"`velocity_limit` must have shape \(2,\), but has shape \(1,\)\.",
+    ),
+    (lambda: ck.replace(ARM, velocity_limit=2.0), r"`velocity_limit` must have shape \(2,\), but has shape \(\)\."),
+    (lambda: ck.replace(ARM, velocity_limit=("2", 1.0)), r"`velocity_limit` must be an array of real numbers"),
+    (lambda: ck.replace(ARM, lower=(0.0, math.nan)), r"`lower` must hold no NaN"),
+    (
+        lambda: ck.replace(ARM, upper=(1.0, -7.0), lower=(0.0, -6.0)),
+        r"`lower` must not exceed `upper`, but is -6 > -7",
+    ),
     (lambda: ck.from_screws(I3, I3[:2], [1.0, 0.0, 0.0]), r"`axes` must have shape \(3, 3\) like `points`"),
     (lambda: ck.from_screws(I3, np.zeros((3, 3)), [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
     (lambda: ck.from_screws(I3, [[0.0, 0, 0]] * 3, [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
@@ -214,6 +233,15 @@ def test_bad_input(build, message):
     with pytest.raises(ck.ArgumentError, match=message) as caught:
         build()
     assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
+
+
+def test_limits_may_be_traced_and_differ_between_lanes():
+    def fast(limit):
+        return ck.replace(ARM, velocity_limit=limit).velocity_limit[0]
+
+    assert jax.jit(fast)(jnp.ones(2)) == 1
+    several = stack([ck.replace(ARM, velocity_limit=(float(k), 1.0)) for k in range(3)])
+    assert ck.replace(several, tip=ARM.tip).velocity_limit[0].tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize(("bound", "side"), [({"lower": [4.0]}, 1), ({"upper": [-5.0]}, -1)])

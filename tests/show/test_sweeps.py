@@ -1,12 +1,14 @@
 """Figures of sweeps, on synthetic data: what goes where, where the theory's boundary is, and one of each kind."""
 
 import copy
+import itertools
 import json
 
 import numpy as np
 import pytest
 import xarray
 from matplotlib import colors
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cbook import STEP_LOOKUP_MAP
 
 from cnclik.errors import ArgumentError
@@ -261,6 +263,21 @@ def test_each_kind_is_drawn_with_units(table, x, y, tmp_path):
     words = " ".join(t.get_text() for legend in figure.legends for t in legend.get_texts())
     if table["kind"] != "heat":
         assert words == "EE IE CN"
+
+
+def test_long_words_stay_within_the_figure_and_apart():
+    found = data(case=["2dof", "5dof"], size=[1e-3, 0.03, 0.1, 0.3, 1.0], **PLANE)
+    found["size"].attrs["units"] = "rad"
+    found.max_error.attrs["long_name"] = "how far the farthest joint goes beyond its limit, 0 if none does"
+    many = {"x": "Ts", "panels": "size", "rows": "case", "lines": "method"}
+    for places in (many, {"x": "Ts", "lines": "method", "select": {"case": "2dof", "size": 0.1}}):
+        (figure,) = drawn(found, {"kind": "slices", "value": "max_error"} | places).values()
+        FigureCanvasAgg(figure).draw()
+        for row in (figure.axes[:5], figure.axes[5:]):
+            titles = [ax.title.get_window_extent() for ax in row]
+            assert all(a.x1 < b.x0 for a, b in itertools.pairwise(titles))
+        label = figure.axes[0].yaxis.label.get_window_extent()
+        assert label.y0 >= 0 and label.y1 <= figure.bbox.height
 
 
 @pytest.mark.parametrize("dtype", [bool, int])

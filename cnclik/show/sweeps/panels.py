@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import textwrap
 
 import numpy as np
 from matplotlib import colors, figure
@@ -10,6 +11,8 @@ from matplotlib.artist import setp
 from cnclik.show import style
 
 MOST_IN_A_ROW = 5
+LETTER = 0.06  # [in] mean width
+LEGEND = 1.3  # [in] what a legend beside the panels takes
 
 
 class Panels:
@@ -33,15 +36,19 @@ class Panels:
         flat = self.axes.ravel()
         for ax in flat[len(places) :]:
             ax.set_axis_off()
-        for ax, place in zip(flat, places, strict=False):
-            chosen = dict(zip(dims, place, strict=True))
-            ax.set_title(", ".join(described(self.view[d][i]) for d, i in chosen.items()))
-            yield ax, *(v.isel({d: i for d, i in chosen.items() if d in v.dims}) for v in values)
+        chosen = [dict(zip(dims, place, strict=True)) for place in places]
+        words = [[described(self.view[d][i]) for d, i in one.items()] for one in chosen]
+        room = (self.figure.get_figwidth() - 1.0 - LEGEND * bool(self.layout.lines)) / self.axes.shape[1]
+        between = ", " if all(len(", ".join(w)) * LETTER < room for w in words) else ",\n"
+        for ax, title, one in zip(flat, words, chosen, strict=False):
+            ax.set_title(between.join(title))
+            yield ax, *(v.isel({d: i for d, i in one.items() if d in v.dims}) for v in values)
 
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
         setp(self.axes[-1], xlabel=x)
-        setp(self.axes[:, 0], ylabel=y)
+        room = (self.figure.get_figheight() - 0.8) / len(self.axes)
+        setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(room / LETTER))))
         lines = self.layout.lines
         handles, labels = self.axes[0, 0].get_legend_handles_labels()
         if lines and len(labels) > 1:
