@@ -193,17 +193,21 @@ def _rotate(a, b, n):
 
 @opaque
 def least_squared(rows):
-    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector by one-sided Jacobi.
+    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector.
 
     With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
     """
-    left, turned = orthogonal_rows(lax.stop_gradient(rows))
-    columns = sp.transpose(left)
-    u, least = columns[0], sp.dot(turned[0], turned[0])
-    for column, row in zip(columns[1:], turned[1:], strict=True):
-        squared = sp.dot(row, row)
-        u = sp.each(functools.partial(jnp.where, squared < least), column, u)
-        least = jnp.minimum(least, squared)
+    held = lax.stop_gradient(rows)
+    if not sp.unrolled(rows):
+        u = jnp.linalg.eigh(held @ held.T)[1][:, 0]  # its rounding enters ‖Jᵀu‖ squared
+    else:
+        left, turned = orthogonal_rows(held)
+        columns = sp.transpose(left)
+        u, least = columns[0], sp.dot(turned[0], turned[0])
+        for column, row in zip(columns[1:], turned[1:], strict=True):
+            squared = sp.dot(row, row)
+            u = sp.each(functools.partial(jnp.where, squared < least), column, u)
+            least = jnp.minimum(least, squared)
     back = sp.combine(u, rows)
     return sp.dot(back, back)
 

@@ -17,7 +17,7 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, evaluate
+from cnclik.law.law import Law, glance, weigh
 from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.record import cast
@@ -203,11 +203,11 @@ def chatter(qdot):
 def _least_singular_value(loop):
     """σ_min, its derivative that of the Rayleigh quotient and not of a decomposition."""
 
-    def one(t, q):
+    def one(q):
         law, q = in_form(loop.law, q)
-        return sp.safe_sqrt(dense.least_squared(sp.thin(evaluate(law, loop.reference, t, q).rows)))
+        return sp.safe_sqrt(dense.least_squared(sp.thin(weigh(law, glance(law, q).rows))))
 
-    sigma = jax.vmap(one)(loop.run.t, loop.run.q)
+    sigma = jax.vmap(one)(loop.run.q)
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 

@@ -85,12 +85,12 @@ def test_at_limit():
 
 def test_non_finite():
     law = ck.Law(SLIDER, ck.position("x"), alpha=1e100)
-    grown = ck.solve(law, ck.hold([1.0]), [0.0], 1.0, 5)
+    grown = ck.solve(law, ck.hold([1.0]), [0.0], 1.0, 5, "EE")
     np.testing.assert_array_equal(grown.status & S.NON_FINITE, [0, 0, 0, S.NON_FINITE, S.NON_FINITE])
     assert grown.status[0] == S.GROWING
     # A target that stops being a number.
     lost = ck.path(lambda t: (jnp.where(t > 0.15, jnp.nan, 0.5),))
-    made = ck.solve(ck.replace(law, alpha=1.0), lost, [0.0], 0.1, 4)
+    made = ck.solve(ck.replace(law, alpha=1.0), lost, [0.0], 0.1, 4, "EE")
     np.testing.assert_array_equal(made.status, [0, 0, S.NON_FINITE, S.NON_FINITE])
 
 
@@ -120,11 +120,11 @@ def test_values_of_bits_never_change():
 
 def test_over_velocity():
     law = ck.Law(ck.replace(SLIDER, velocity_limit=(0.5,)), ck.position("x"), alpha=1.0)
-    made = ck.solve(law, HOLD_ONE, [0.0], 0.25, 6)  # q̇ = e: 1, 0.75, 0.5625, 0.42, ...
+    made = ck.solve(law, HOLD_ONE, [0.0], 0.25, 6, "EE")  # q̇ = e: 1, 0.75, 0.5625, 0.42, ...
     np.testing.assert_array_equal(made.status, [S.OVER_VELOCITY] * 3 + [S.OK] * 3)
     # What holds velocities at the limit does not exceed it, in single precision either.
     for dtype in (np.float32, np.float64):
-        held = ck.solve(ck.replace(law, limits=ck.velocity_scaling()), HOLD_ONE, np.zeros(1, dtype), 0.25, 6)
+        held = ck.solve(ck.replace(law, limits=ck.velocity_scaling()), HOLD_ONE, np.zeros(1, dtype), 0.25, 6, "EE")
         np.testing.assert_array_equal(held.status, [S.AT_LIMIT] * 4 + [S.OK] * 2)  # e: 1, 0.875, 0.75, 0.625, 0.5
 
 
@@ -134,7 +134,7 @@ def test_growing_from_the_limit_of_stability_on(dtype):
 
     def status(z, target=HOLD_ONE, N=60, **changes):
         moved = ck.replace(law, alpha=z / 0.125, **changes)
-        return np.asarray(ck.solve(moved, target, np.zeros(1, dtype), 0.125, N).status)
+        return np.asarray(ck.solve(moved, target, np.zeros(1, dtype), 0.125, N, "EE").status)
 
     for z in (0.01, 1.0, 1.9, 1.99):
         np.testing.assert_array_equal(status(z), S.OK)
@@ -156,7 +156,7 @@ def test_growing_of_a_pose_that_turns():
 
     def status(z):
         law = ck.Law(planar, ck.pose_task("xy", "z"), alpha=z / 0.1, feedforward=0.0)
-        return np.asarray(ck.solve(law, moving, q, 0.1, 30).status)
+        return np.asarray(ck.solve(law, moving, q, 0.1, 30, "EE").status)
 
     for z in (0.2, 1.0, 1.8):
         assert not np.any(status(z) & S.GROWING)
@@ -166,7 +166,7 @@ def test_growing_of_a_pose_that_turns():
 def test_growing_where_a_velocity_is_told_and_with_a_users_function():
     law = ck.Law(SLIDER, ck.position("x"), alpha=4.0)
     told = ck.with_feedforward(ck.hold([0.0]), [1.0])  # a false velocity: it settles with a lag
-    assert not np.any(ck.solve(law, told, [0.0], 0.1, 20).status)
+    assert not np.any(ck.solve(law, told, [0.0], 0.1, 20, "EE").status)
 
     @jax.custom_jvp
     def host(t):
@@ -174,7 +174,7 @@ def test_growing_where_a_velocity_is_told_and_with_a_users_function():
         return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), t.dtype), t)
 
     host.defjvp(lambda primals, tangents: (host(*primals), tangents[0]))
-    assert not np.any(ck.solve(law, ck.path(lambda t: (host(t),)), [0.0], 0.1, 5).status)
+    assert not np.any(ck.solve(law, ck.path(lambda t: (host(t),)), [0.0], 0.1, 5, "EE").status)
 
 
 def test_a_task_of_more_rows_than_joints():

@@ -25,7 +25,7 @@ GAINS = {"scalar": 5.0, "per axis": [5.0, 2.0], "matrix": [[5.0, 1.0], [-2.0, 3.
 
 
 def qdot(law, q=Q, reference=REFERENCE):
-    return ck.step(law, reference, q, 0.0, 0.1).qdot
+    return ck.step(law, reference, q, 0.0, 0.1, "EE").qdot
 
 
 def oracle(alpha=5.0, q=Q, velocity=VELOCITY, **kwargs):
@@ -106,7 +106,7 @@ def test_pose_task_on_a_spatial_arm():
         turn = (goal * Rotation.from_matrix(pose[:3, :3]).inv()).as_rotvec()
         e = np.concatenate([target - pose[:3, 3], turn])
         wanted = np.linalg.pinv(j) @ (np.arange(1.0, 7.0) * e)
-        made = ck.step(law, ck.hold(target, goal.as_matrix()), q, 0.0, 0.1)
+        made = ck.step(law, ck.hold(target, goal.as_matrix()), q, 0.0, 0.1, "EE")
         close(made.e, e, atol=1e-13)
         close(made.qdot, wanted, atol=1e-12 * np.abs(wanted).max() * np.linalg.cond(j))
 
@@ -129,7 +129,7 @@ def test_kinds_of_gain(alpha):
     "q", [(0, 1, 0), [0, 1, 0], np.array([0, 1, 0]), jnp.array([0, 1, 0]), (0.0, 1, np.float32(0))]
 )
 def test_kinds_of_joint_values_and_times(q):
-    made = ck.step(ck.Law(ARM, ck.position("xy"), alpha=5), REFERENCE, q, 0, 1)
+    made = ck.step(ck.Law(ARM, ck.position("xy"), alpha=5), REFERENCE, q, 0, 1, "EE")
     assert made.q.dtype == jnp.float64
     close(made.qdot, oracle(q=np.array([0.0, 1, 0])), atol=1e-13)
 

@@ -20,7 +20,7 @@ def scara():
 
 
 def test_single_run(scara):
-    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 4)
+    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 4, "EE")
     data = to_dataset(run, scara, config={"b": 1, "a": np.array([2])})
     assert data.q.dims == ("time", "joint") and data.qdot.dims == ("step", "joint")
     assert data.e.dims == ("time", "axis") and list(data.axis.values) == ["x", "y"]
@@ -33,7 +33,7 @@ def test_single_run(scara):
 
 
 def test_every_variable_has_units(scara):
-    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2)
+    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2, "EE")
     data = to_dataset(run, scara)
     assert all(data[name].attrs.get("units") and data[name].attrs.get("long_name") for name in data.variables)
 
@@ -42,7 +42,7 @@ def test_batch_keeps_its_axes_and_clocks(scara, tmp_path):
     alphas, times = jnp.array([1.0, 2.0, 3.0]), jnp.array([0.1, 0.05])
 
     def one(alpha, Ts):
-        return ck.solve(ck.replace(scara, alpha=alpha), ck.hold([1.2, 0.3]), [0.0, 0.1], Ts, 2)
+        return ck.solve(ck.replace(scara, alpha=alpha), ck.hold([1.2, 0.3]), [0.0, 0.1], Ts, 2, "EE")
 
     runs = jax.vmap(jax.vmap(one, (None, 0)), (0, None))(alphas, times)
     data = to_dataset(runs, scara, dims=("alpha", "Ts"), coords={"alpha": alphas, "Ts": times})
@@ -58,6 +58,6 @@ def test_batch_keeps_its_axes_and_clocks(scara, tmp_path):
 
 
 def test_dims_that_do_not_fit(scara):
-    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2)
+    run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2, "EE")
     with pytest.raises(ck.ArgumentError, match="Argument `dims` must name the 0 leading axes"):
         to_dataset(run, scara, dims=("alpha",))

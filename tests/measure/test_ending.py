@@ -20,9 +20,9 @@ def test_it_agrees_with_outcome_over_z_and_starts():
 
     def both(z, far):
         law, q0 = ck.replace(LAW, alpha=z), REST + far * np.array([1.0, -0.7])
-        run = ck.solve(law, target, q0, 1.0, 40)
+        run = ck.solve(law, target, q0, 1.0, 40, "EE")
         found = metrics.measure_run(run, law, target, ["ending", "stable"])
-        return found.ending, found.stable, jax.tree.leaves(outcome(law, target, q0, 1.0, 40))[0]
+        return found.ending, found.stable, jax.tree.leaves(outcome(law, target, q0, 1.0, 40, "EE"))[0]
 
     stored, stable, running = map(np.asarray, jax.jit(jax.vmap(both))(z, far))
     np.testing.assert_array_equal(stored, running)
@@ -54,6 +54,6 @@ def test_every_ending(sizes, singular, code):
 
 def test_a_loop_that_begins_with_no_number_has_diverged():
     bad = np.array([np.nan, np.inf])
-    found = jax.jit(jax.vmap(lambda x: outcome(LAW, ck.hold((x, 1.0, 0.0)), REST, 1.0, 8)))(bad)
+    found = jax.jit(jax.vmap(lambda x: outcome(LAW, ck.hold((x, 1.0, 0.0)), REST, 1.0, 8, "EE")))(bad)
     assert found.ending.tolist() == [Ending.DIVERGED] * 2 and found.steps.tolist() == [9, 9]
     assert np.isnan(found.rate).all()

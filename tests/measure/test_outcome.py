@@ -18,7 +18,7 @@ SMALL = ck.hold(HERE + np.array([3e-7, -5e-7]))
 
 
 def endings(reference, z, M=None, **options):
-    made = maps.outcomes(LAW, reference, START, alpha=np.asarray(z), Ts=1.0, M=M, N=120, **options)
+    made = maps.outcomes(LAW, reference, START, alpha=np.asarray(z), Ts=1.0, M=M, N=120, **({"method": "EE"} | options))
     return made.ending, made
 
 
@@ -43,7 +43,7 @@ def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
     """
     rng = np.random.default_rng(3)
     starts = START + rng.uniform(-0.3, 0.3, (64, 2))
-    made = maps.outcomes(LAW, TARGET, starts, alpha=2.1, Ts=1.0, N=120, scale=10.0)
+    made = maps.outcomes(LAW, TARGET, starts, alpha=2.1, Ts=1.0, N=120, method="EE", scale=10.0)
     assert not stable(made.ending).any() and np.median(made.final) > 1.0 and made.final.max() < 10.0
     expected = np.where(made.near_singular, Ending.NEAR_SINGULAR, Ending.STALLED)  # never DIVERGED: below the scale
     np.testing.assert_array_equal(made.ending, expected)
@@ -79,7 +79,7 @@ def test_agreement_counts_what_it_should():
 
 def test_map_is_labelled_and_carries_the_boundary():
     alpha, Ts = np.geomspace(2, 60, 6), np.geomspace(0.02, 0.2, 5)
-    data = maps.stability_map(LAW, TARGET, START, alpha=alpha, Ts=Ts, N=80)
+    data = maps.stability_map(LAW, TARGET, START, alpha=alpha, Ts=Ts, method="EE", N=80)
     assert data.ending.dims == ("Ts", "alpha") and data.alpha.units == "1/s" and data.Ts.units == "s"
     np.testing.assert_allclose(data.limit, 2 / Ts, rtol=1e-6)
     assert maps.agreement(data.ending.values, data.alpha.values, data.limit.values[:, None]) == 1.0
@@ -97,7 +97,7 @@ def test_measured_delay_limit_on_the_arm():
 
     def final(z):
         def one(history, _):
-            moved = ck.step(ck.replace(LAW, alpha=z), SMALL, history[0], 0.0, 1.0).q - history[0]
+            moved = ck.step(ck.replace(LAW, alpha=z), SMALL, history[0], 0.0, 1.0, "EE").q - history[0]
             return jnp.concatenate([history[1:], (history[-1] + moved)[None]]), None
 
         history, _ = jax.lax.scan(one, jnp.tile(START, (d + 1, 1)), None, length=400)

@@ -44,7 +44,7 @@ def test_advice_is_the_same(name):
 
     def advice(array):
         law, q = loop(name, array)
-        return st.advise(law, None, q, Ts=Ts)
+        return st.advise(law, None, q, Ts=Ts, method="EE")
 
     for found in both(advice):
         assert found.gains.z_largest == pytest.approx(2, rel=1e-6)
@@ -60,8 +60,8 @@ def test_settling_and_what_follows():
         law, q = loop("redundant position", array)
         target = ck.hold(array(np.asarray(ck.pose(FIVE, q).position[:2]) + np.array([-0.1, 0.1])))
         rest = st.settle(law, target, q)
-        made = st.recommend(law, target, rest, Ts=Ts), st.margin(law, target, rest, Ts=Ts)
-        return rest, made[0].z_largest, made[1].margin, st.spectral_radius(law, target, rest, Ts)
+        made = st.recommend(law, target, rest, Ts=Ts, method="EE"), st.margin(law, target, rest, Ts=Ts, method="EE")
+        return rest, made[0].z_largest, made[1].margin, st.spectral_radius(law, target, rest, Ts, method="EE")
 
     wide, narrow = both(follow)
     assert narrow[0].dtype == np.float64
@@ -75,9 +75,9 @@ def test_a_float32_run_at_rest_is_accepted():
     with jax.enable_x64(False):
         law, q = loop("redundant position", jnp.asarray)
         target = ck.hold(ck.pose(FIVE, q).position[:2] + jnp.array([-0.1, 0.1]))
-        run = ck.solve(law, target, q, Ts, 60)
+        run = ck.solve(law, target, q, Ts, 60, method="EE")
         assert run.q.dtype == np.float32
-        assert st.recommend(law, target, run.q[-1], Ts=Ts).z_largest == pytest.approx(2, rel=1e-5)
+        assert st.recommend(law, target, run.q[-1], Ts=Ts, method="EE").z_largest == pytest.approx(2, rel=1e-5)
 
 
 def test_theory_is_the_same():
@@ -94,10 +94,12 @@ def test_maps_responses_and_attraction_are_the_same():
     def look(array):
         law, q = loop("position", array)
         target = ck.hold(array(np.asarray(ck.pose(TWO, q).position[:2]) + np.array([0.05, -0.08])))
-        made = st.stability_map(law, target, q, alpha=np.array([4.0, 30.0]), Ts=np.array([0.05, 0.1]), N=40)
-        step = st.responses(law, None, q, Ts=Ts, N=8)
+        made = st.stability_map(
+            law, target, q, alpha=np.array([4.0, 30.0]), Ts=np.array([0.05, 0.1]), N=40, method="EE"
+        )
+        step = st.responses(law, None, q, Ts=Ts, N=8, method="EE")
         certain = st.certified_radius(law, q, Ts=Ts)
-        tried = st.sampled_attraction(law, q, radii=[0.01, 0.05], Ts=Ts, directions=4, N=40)
+        tried = st.sampled_attraction(law, q, radii=[0.01, 0.05], Ts=Ts, directions=4, N=40, method="EE")
         return made.ending.values, made.limit.values, step.response.values, certain, tried.converged.values
 
     for wide, narrow in zip(*both(look), strict=True):
@@ -109,7 +111,7 @@ def test_traced_it_keeps_the_callers_precision():
         law, q = loop("position", jnp.asarray)
 
         def radius(alpha):
-            return st.spectral_radius(ck.replace(law, alpha=alpha), None, q, Ts)
+            return st.spectral_radius(ck.replace(law, alpha=alpha), None, q, Ts, method="EE")
 
         value, slope = jax.jit(jax.value_and_grad(radius))(jnp.asarray(5.0))
     assert value.dtype == slope.dtype == np.float32

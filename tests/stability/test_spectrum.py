@@ -40,12 +40,12 @@ def test_damping_slows_each_singular_direction_by_itself():
 
 
 def test_transpose_is_stable_below_two_over_sigma_max_squared():
-    found = recommend(law(inverse=ck.transpose()), None, Q, Ts=Ts)
+    found = recommend(law(inverse=ck.transpose()), None, Q, Ts=Ts, method="EE")
     assert found.largest * Ts == pytest.approx(2 / SIGMA[0] ** 2, rel=1e-6)
 
 
 def test_recommended_gain_of_the_damped_inverse():
-    found = recommend(law(inverse=ck.damped(0.7)), None, Q, Ts=Ts)
+    found = recommend(law(inverse=ck.damped(0.7)), None, Q, Ts=Ts, method="EE")
     factors = SIGMA**2 / (SIGMA**2 + 0.7**2)
     assert found.z_largest == pytest.approx(2 / factors[0], rel=1e-6)
     assert found.z_fastest == pytest.approx(2 / (factors[0] + factors[1]), rel=1e-3)  # both as far from 0
@@ -72,12 +72,12 @@ def test_advice_is_what_its_parts_say():
 def test_a_loop_that_rests_only_nearly_is_judged_at_rest():
     """A few 1e-6 m of error move null-space eigenvalues by as much from 1, which is no instability."""
     near = ck.hold(np.asarray(ck.pose(ARM, Q).position[:2]) + 4e-6)
-    assert recommend(law(), near, Q, Ts=Ts).z_largest == pytest.approx(2, rel=1e-6)
+    assert recommend(law(), near, Q, Ts=Ts, method="EE").z_largest == pytest.approx(2, rel=1e-6)
 
 
 def test_rotating_gain_is_limited_where_its_complex_eigenvalues_leave_the_region():
     """K = a (1 ± 2i): EE is stable while |1 − Ts a (1 + 2i)| ≤ 1, that is Ts a ≤ 2/5."""
-    found = recommend(law(alpha=jnp.array([[3.0, 6.0], [-6.0, 3.0]])), None, Q, Ts=Ts)
+    found = recommend(law(alpha=jnp.array([[3.0, 6.0], [-6.0, 3.0]])), None, Q, Ts=Ts, method="EE")
     np.testing.assert_allclose(found.largest, np.array([[4.0, 8.0], [-8.0, 4.0]]), rtol=1e-6)
     assert "turns" in found.limit
 
@@ -85,8 +85,8 @@ def test_rotating_gain_is_limited_where_its_complex_eigenvalues_leave_the_region
 def test_null_space_velocity_is_a_limit_of_its_own():
     """q̇₀ = κ (q* − q) moves the null space by 1 − κ Ts, whatever the task's gain: κ Ts < 2 limits Ts."""
     own = law(alpha=6.0, null_velocity=lambda q: 15.0 * (Q - q))
-    assert spectrum(own, None, Q, Ts).null == pytest.approx([1 - 15 * Ts], abs=1e-9)
-    found = recommend(own, None, Q)
+    assert spectrum(own, None, Q, Ts, method="EE").null == pytest.approx([1 - 15 * Ts], abs=1e-9)
+    found = recommend(own, None, Q, method="EE")
     assert found.largest == pytest.approx(2 / 15, rel=1e-6)
     assert "null-space" in found.limit
 
@@ -104,8 +104,8 @@ def test_radius_is_differentiable_in_the_gain():
 def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
     target = ck.hold(ck.pose(ARM, Q).position[:2] + 0.2)
     with pytest.raises(ck.ArgumentError, match="`q` must be at rest"):
-        spectrum(law(), target, Q, Ts)
+        spectrum(law(), target, Q, Ts, method="EE")
     rest = settle(law(), target, Q)
-    assert spectrum(law(), target, rest, Ts).radius == pytest.approx(0.4, abs=1e-6)
+    assert spectrum(law(), target, rest, Ts, method="EE").radius == pytest.approx(0.4, abs=1e-6)
     with pytest.raises(ck.ArgumentError, match="`target` must be one the loop comes to rest on"):
         settle(law(), ck.hold([9.0, 0.0]), Q)

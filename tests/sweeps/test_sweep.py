@@ -130,13 +130,15 @@ def test_the_float64_answer_whatever_the_default():
 
     def study(alpha, Ts):
         law = ck.replace(given, alpha=alpha)
-        run = ck.solve(law, path, np.array([0.3, 0.7, -0.4]), Ts, 12)
+        run = ck.solve(law, path, np.array([0.3, 0.7, -0.4]), Ts, 12, "EE")
         return measure_run(run, law, path, ["final_error", "rms_qddot"])
 
     axes = {"alpha": [5, 10], "Ts": np.array([0.02, 0.1])}
     wide = sweep(study, lanes=2, **axes)
     with jax.enable_x64(False):
-        own = jax.jit(lambda q: ck.solve(given, path, q, 0.1, 12).e[-1])  # a program of the caller's, of the same law
+        own = jax.jit(
+            lambda q: ck.solve(given, path, q, 0.1, 12, "EE").e[-1]
+        )  # a program of the caller's, of the same law
         assert own(np.array([0.3, 0.7, -0.4])).dtype == np.float32
         found = sweep(study, lanes=2, **axes)
         twice = sweep(lambda alpha: {"twice": 2 * alpha}, alpha=jnp.array([0.5, 1.5]))
