@@ -4,8 +4,8 @@ Everything a loop depends on is a named value, by the names of `cnclik.problem.O
 `[axes]` varies others; `[cases.NAME]` holds bundles of them (an arm with its start and target) that make an axis of
 their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
-stable z for the loop's method, stage and delay: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how the error is
-measured that is fed back.
+stable z for the loop's method, stage and delay: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
+the error is measured that is fed back.
 """
 
 import dataclasses
@@ -138,7 +138,7 @@ class Spec:
 
     def study(self, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
-        loop = law, reference, q0, Ts, N, method, stage = self.build(**values)
+        loop = law, reference, _, _, N, method, stage = self.build(**values)
         how = self.measured(law, N, **values)
         work = _evaluations(law, N, method, stage) * math.prod(len(a) for a in self.axes.values() if a.inner)
         with use_form(form() or ("rolled" if pays(work, law, alone=False) else None)):

@@ -22,7 +22,7 @@ def spec(metrics, N, fixed=(), **axes):
 
 
 def test_loops_that_are_late_end_where_theory_says():
-    """At 0.95 and 1.05 of the largest stable z, which a spec calls `limit`; exponential Euler has none for one sample."""
+    """At 0.95 and 1.05 of the largest stable z, `limit` in a spec; exponential Euler has none with one sample."""
     of = spec(["final_error"], 400, {"alpha": "share*limit/Ts"}, delay=[0, 1, 3], share=[0.95, 1.05])
     found = run_spec(of)
     assert found.delay.values.tolist() == [0, 1, 3] and [len(a) for a in of.grid().outer] == [3]
@@ -37,7 +37,7 @@ def test_loops_that_are_late_end_where_theory_says():
 
 
 def test_noise_at_rest_is_as_large_as_theory_says():
-    """e[k+1] = e[k] − r(e[k] + n[k]) has variance r/(2 − r) σ²: r = z for explicit, 1 − e^{−z} for exponential Euler."""
+    """e[k+1] = e[k] − r(e[k] + n[k]) has variance r/(2 − r) σ²: r = z of explicit, 1 − e^{−z} of exponential Euler."""
     sigma, z = 1e-6, np.array([0.3, 1.0, 1.6])
     axes = {"z": z.tolist(), "noise": [[sigma, 0.0], [sigma, sigma]], "seed": list(range(8))}
     fixed = {"alpha": "z/Ts", "target": list(AT)}
