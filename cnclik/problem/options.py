@@ -55,8 +55,8 @@ OPTIONS = {
                     unit="rad"),
     "period": Option(NUMBER, "Time of one turn (negative: the other sense), or of the line [s]; the length of the run "
                      "by default.", unit="s", must="other than 0"),
-    "future": Option(NAME, f"Of the path, to a controller: {_listed(FUTURES)}, where a step sees place and velocity at its "
-                     "start alone.", "known"),
+    "future": Option(NAME, f"Of the path, to a controller: {_listed(FUTURES)}, where a step sees place and velocity "
+                     "at its start alone.", "known"),
     "method": Option(NAME, f"{_listed(METHODS)}; CN is the paper's.", "EE"),
     "stage": Option(NAME, f"How implicit stages are solved: {_listed(STAGES)}.", "picard"),
     "M": Option(INTEGER, "Passes of that iteration.", 5, must="at least 0"),
