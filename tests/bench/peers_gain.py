@@ -77,7 +77,7 @@ LOOPS = {"pink": with_pink, "mink": with_mink}
 
 
 def held(loop, text, share, alpha, dt) -> tuple:
-    """(‖e‖ at the end over ‖e₀‖ e^{−alpha·t}, overshoot −e·e₀/‖e₀‖²) of a run, NaN where the library refuses the gain."""
+    """(‖e‖ in the end over ‖e₀‖ e^{−alpha·t}, overshoot −e·e₀/‖e₀‖²) of a run; NaN where the gain is refused."""
     steps = round(TIME / dt)
     try:
         e = loop(text, SHARES[share](alpha, dt), dt, steps)
