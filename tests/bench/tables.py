@@ -35,19 +35,20 @@ def ingredients(data):
 
 
 def methods_noise(data):
-    """RMS position error by method, noise and delay: at a given gain, and at each method's best with that gain."""
+    """RMS position error by method, noise and two delays: at a given gain, and at each method's best with that gain."""
     error = np.sqrt((data.rms_position_error**2).mean("seed"))
-    delays = data.delay.values
+    columns = [(noise, delay) for noise in data.noise.values for delay in (0, 2)]
+    header = ["", *(f"{1e3 * noise:g} mm, {delay} late" for noise, delay in columns)]
     for case in data.case.values:
-        for noise in data.noise.values:
-            rows = []
-            for method in data.method.values:
-                lanes = error.sel({"case": case, "method": method}).sel(noise=noise)
-                given = [number(lanes.sel(delay=d).sel(alpha=GAIN, method="nearest")) for d in delays]
-                best = [lanes.sel(delay=d).isel(alpha=int(lanes.sel(delay=d).argmin("alpha"))) for d in delays]
-                rows.append([method, *given, *(f"{number(b)} ({float(b.alpha):.2g})" for b in best)])
-            header = [*(f"α = 5, {d} late" for d in delays), *(f"best (at α), {d} late" for d in delays)]
-            yield f"{case}, noise {noise:g} m and rad", markdown(["", *header], rows)
+        given, best = [], []
+        for method in data.method.values:
+            lanes = error.sel({"case": case, "method": method})
+            over = [lanes.sel(noise=noise, delay=delay) for noise, delay in columns]
+            least = [gains.isel(alpha=int(gains.argmin("alpha"))) for gains in over]
+            given.append([method, *(number(gains.sel(alpha=GAIN, method="nearest")) for gains in over)])
+            best.append([method, *(f"{number(b)} ({float(b.alpha):.2g})" for b in least)])
+        yield f"{case}, α = 5 1/s", markdown(header, given)
+        yield f"{case}, at the best gain (which)", markdown(header, best)
 
 
 def methods_reach(data):
