@@ -46,7 +46,7 @@ def _group(title, names):
 _ROBOT, _TASK, _PATHS = (
     ("robot", "tip", "base", "lengths"),
     ("task",),
-    ("reference", *(n for n in OPTIONS if n in PATH)),
+    ("reference", *(n for n in OPTIONS if n in PATH), "future"),
 )
 RobotOptions = _group("RobotOptions", _ROBOT)
 TaskOptions = _group("TaskOptions", _TASK)

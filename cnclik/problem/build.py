@@ -7,7 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.method import Method, named
 from cnclik.law.law import Law
-from cnclik.law.reference import Reference
+from cnclik.law.reference import Reference, causal
 from cnclik.problem.names import (
     NULL_TERMS,
     gain_from,
@@ -22,6 +22,7 @@ from cnclik.problem.names import (
 )
 from cnclik.problem.options import DEFAULTS, OPTIONS, PATH
 from cnclik.problem.reference import as_written, reference_from
+from cnclik.problem.words import FUTURES
 
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
 
@@ -72,10 +73,12 @@ def problem_from(robot, **options) -> Problem:
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
     path = {name: v[name] for name in PATH}
+    reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
+    unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     return Problem(
         name=robot_name(robot, v["tip"]),
         law=law,
-        reference=reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path),
+        reference=causal(reference) if unknown else reference,
         q0=q0,
         Ts=Ts,
         N=N,

@@ -7,7 +7,7 @@ built.
 from typing import NamedTuple
 
 from cnclik import errors
-from cnclik.problem.words import INVERSES, LIMITS, METHODS, REFERENCES, ROBOTS, STAGES, TASKS
+from cnclik.problem.words import FUTURES, INVERSES, LIMITS, METHODS, REFERENCES, ROBOTS, STAGES, TASKS
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -55,6 +55,8 @@ OPTIONS = {
                     unit="rad"),
     "period": Option(NUMBER, "Time of one turn (negative: the other sense), or of the line [s]; the length of the run "
                      "by default.", unit="s", must="other than 0"),
+    "future": Option(NAME, f"Of the path, to a controller: {_listed(FUTURES)}, where a step sees place and velocity "
+                     "at its start alone.", "known"),
     "method": Option(NAME, f"{_listed(METHODS)}; CN is the paper's.", "EXP-MIDPOINT"),
     "stage": Option(NAME, f"How implicit stages are solved: {_listed(STAGES)}.", "picard"),
     "M": Option(INTEGER, "Passes of that iteration.", 5, must="at least 0"),
@@ -78,6 +80,13 @@ OPTIONS = {
                  "by default.", unit="q"),
 }  # fmt: skip
 
+MEASURED = {  # how the error is measured that a loop feeds back: of sweeps alone
+    "delay": Option(INTEGER, "Samples by which the error is late.", 0, must="at least 0"),
+    "noise": Option(NUMBERS, "Standard deviation of white noise of the error, one number or one per task coordinate "
+                    "[m, rad].", unit="m, rad", must="at least 0"),
+    "seed": Option(INTEGER, "Of that noise.", 0, must="at least 0"),
+}  # fmt: skip
+
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
 
@@ -86,7 +95,8 @@ _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other tha
 
 def check_values(where: str, name: str, values) -> None:
     """Raise ArgumentError unless all numbers of an array are ones that the option may have."""
-    must = OPTIONS[name].must if name in OPTIONS else ""
+    known = OPTIONS | MEASURED
+    must = known[name].must if name in known else ""
     if must and (wrong := ~_FITS[must](values)).any():
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
@@ -107,4 +117,5 @@ def units(law, width=None) -> dict:
     known["w"] = known["J"]
     if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
         known["w"] = f"m^{power}"
-    return {name: known.get(option.unit, option.unit) for name, option in OPTIONS.items() if option.kind != NAME}
+    options = (OPTIONS | MEASURED).items()
+    return {name: known.get(option.unit, option.unit) for name, option in options if option.kind != NAME}

@@ -44,3 +44,4 @@ METHODS = (
     *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
 )
 STAGES = ("picard", "chord", "newton")
+FUTURES = ("known", "unknown")

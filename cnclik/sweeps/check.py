@@ -11,12 +11,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
-from cnclik.problem.options import DEFAULTS, OPTIONS
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
-from cnclik.sweeps.grid import Axis
-from cnclik.sweeps.spec import KEYS, LIMIT, TABLES, Spec, joints_of
+from cnclik.sweeps.grid import COMPILED_IN, Axis
+from cnclik.sweeps.spec import DEFAULTS, KEYS, LIMIT, OPTIONS, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
 RESERVED = (LIMIT, "progress")  # what else stands in a store beside the axes
@@ -136,7 +135,9 @@ def _check_names(fixed, axes, bundles):
             if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):
                 raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
             if name == LIMIT:
-                raise errors.fail(f"{where}.{name}", "not be given: it follows from method and stage", f"is {value!r}")
+                raise errors.fail(
+                    f"{where}.{name}", "not be given: it follows from method, stage and delay", f"is {value!r}"
+                )
             if name in axes:
                 raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
     for name in (*axes, *bundles):
@@ -179,7 +180,7 @@ def _check_cycles(known):
     def walk(name, seen):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
-        value = "M" if name == LIMIT else known.get(name)  # method and stage follow from nothing
+        value = ["M", "delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
         if name not in NAMES and value is not None:
             for need in expression.names(name, value):
                 walk(need, [*seen, name])
@@ -207,11 +208,11 @@ def _widest(fixed, axes, bundles) -> int:
 
 def _compiled_in(spec: Spec) -> dict:
     """Axes on which the number of steps depends run as one program per value."""
-    wanted, queue = set(), {"N", *NAMES}
+    wanted, queue = set(), {*COMPILED_IN, *NAMES}
     while queue:
         name = queue.pop()
         wanted.add(name)
-        needs = {"M"} if name == LIMIT else set()
+        needs = {"M", "delay"} if name == LIMIT else set()
         if name not in NAMES:
             needs = needs.union(*(expression.names(name, t[name]) for t in spec.tables() if name in t))
         queue |= needs - wanted
@@ -219,7 +220,7 @@ def _compiled_in(spec: Spec) -> dict:
     for name in wanted & out.keys():
         if out[name].inner:
             if out[name].values.ndim != 1:
-                raise errors.fail(f"axes.{name}", "hold single numbers where N depends on it", "holds vectors")
+                raise errors.fail(f"axes.{name}", "hold single numbers where N or delay depends on it", "holds vectors")
             values = tuple(v.item() for v in out[name].values)
             out[name] = Axis(name, values, values)
     return out
@@ -233,7 +234,9 @@ def _check_loops(spec: Spec):
     tried = [base] + [base | {name: v} for name, values in outer.items() for v in values[1:]]
     for program in tried:
         for last in (False, True):
-            law, reference, *_ = spec.build(**program, **spec.first(last=last))
+            lane = program | spec.first(last=last)
+            law, reference, _, _, N, *_ = spec.build(**lane)
+            spec.measured(law, N, **lane)
             ref.check(reference, law.task)
             metrics.check(spec.metrics, law)
 

@@ -17,7 +17,7 @@ import numpy as np
 from cnclik import errors
 
 LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
-COMPILED_IN = ("N",)  # numbers on which the shape of a program depends
+COMPILED_IN = ("N", "delay")  # numbers on which the shape of a program depends
 COUNTED = ("M",)  # numbers that stay integers: passes are masked, one program does them all
 
 
@@ -40,8 +40,8 @@ def axis(name: str, values, where=None) -> Axis:
     """Read one axis.
 
     Numbers, in a list or an array, run inside one program: in float64 where they are floats or stand in a list, as
-    integers where they are M, a range or an array of integers. Compiled in, one program each, are N, names, named
-    objects such as methods, and whatever a dict {label: value} holds.
+    integers where they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names,
+    named objects such as methods, and whatever a dict {label: value} holds.
 
     Args:
       where: what the user calls it, for messages; the name, if not given.

@@ -4,7 +4,8 @@ Everything a loop depends on is a named value, by the names of `cnclik.problem.O
 `[axes]` varies others; `[cases.NAME]` holds bundles of them (an arm with its start and target) that make an axis of
 their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
-stable z for the loop's method and stage: alpha = "0.5*limit/Ts".
+stable z for the loop's method, stage and delay: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
+the error is measured that is fed back.
 """
 
 import dataclasses
@@ -21,14 +22,15 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import form, use_form
+from cnclik.integrate.measured import solve_measured, white_noise
 from cnclik.integrate.method import named
 from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.measure import metrics
+from cnclik.problem import options
 from cnclik.problem.build import problem_from
 from cnclik.problem.names import robot_from, stage_from
-from cnclik.problem.options import DEFAULTS, OPTIONS, units
 from cnclik.robot.rolled import pays
-from cnclik.stability.linear import stability_limit
+from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, per_joint
 from cnclik.sweeps.grid import Grid, axis
@@ -37,6 +39,8 @@ from cnclik.sweeps.labels import UNITS
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
+OPTIONS = options.OPTIONS | options.MEASURED
+DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,8 +109,16 @@ class Spec:
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        p = problem_from(**v)
+        p = problem_from(**{name: value for name, value in v.items() if name not in options.MEASURED})
         return p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage
+
+    def measured(self, law, N, **values) -> dict:
+        """How the error of one loop of `build` is measured: `delay` and `noise` (N, m); {} where it is the true one."""
+        v = self.values(**values)
+        delay, noise = errors.integer("delay", v["delay"], at_least=0), v.get("noise")
+        if noise is None:
+            return {"delay": delay} if delay else {}
+        return {"delay": delay, "noise": white_noise(noise, N, law.task.m, v["seed"])}
 
     def file(self, text) -> pathlib.Path | None:
         """The file that a name stands for, relative to the spec's folder, or None."""
@@ -116,7 +128,7 @@ class Spec:
     def _limit(self, look):
         """The linear theory's largest stable z, inf where there is none; for a traced M, from a table."""
         M = look("M")
-        of = functools.partial(_stable, look("method"), look("stage"))
+        of = functools.partial(_stable, look("method"), look("stage"), look("delay"))
         if errors.concrete(M):
             return of(int(M))
         counts = [int(m) for m in self.axes["M"].values]
@@ -126,10 +138,11 @@ class Spec:
 
     def study(self, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
-        law, reference, q0, Ts, N, method, stage = self.build(**values)
+        loop = law, reference, _, _, N, method, stage = self.build(**values)
+        how = self.measured(law, N, **values)
         work = _evaluations(law, N, method, stage) * math.prod(len(a) for a in self.axes.values() if a.inner)
         with use_form(form() or ("rolled" if pays(work, law, alone=False) else None)):
-            run = solve(law, reference, q0, Ts, N, method, stage)
+            run = solve_measured(*loop, **how) if how else solve(*loop)
             return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
 
     def evaluations(self, program: dict) -> float:
@@ -143,7 +156,7 @@ class Spec:
         known = UNITS | {name: "1" for name in self.bundles}
         for name, one in self.axes.items():
             width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
-            known[name] = units(law, width).get(name, known.get(name, ""))
+            known[name] = options.units(law, width).get(name, known.get(name, ""))
         return known | self.units
 
     def data(self) -> dict:
@@ -174,12 +187,12 @@ def joints_of(known, look) -> int:
 
 
 @functools.cache
-def _stable(method, stage, M) -> float:
+def _stable(method, stage, delay, M) -> float:
     method = named(method)
     with jax.ensure_compile_time_eval():  # a number, also where a loop is being traced
         # M as an array: one program for every M.
         stage = stage_from(stage, np.asarray(M), maximum=max(M, 16)) if method.implicit else None
-        return float(stability_limit(method, stage))
+        return float(delay_limit(delay, method, stage) if delay else stability_limit(method, stage))
 
 
 # --- reading ------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
       axes: name=values, in the order of the dimensions wanted. Numbers in a list or an array, integers too, run
         inside one compiled program: alpha=[1, 5, 10] is one axis of floats. M stays an integer, for
         picard(M, maximum=...); so does a range or an array of integers. An array of shape (S, ...) is S values
-        of shape (...). Compiled in, one program each, are N, strings, objects with a name (methods), and the
+        of shape (...). Compiled in, one program each, are N, delay, strings, objects with a name (methods), and the
         values of a dict {label: value}, such as M={1: 1, 5: 5}.
       units: {name: unit} of axes and results that don't bring their own.
       attrs: further attributes of the dataset.

@@ -41,6 +41,22 @@ def test_defaults_run_clean(robot, reference):
         assert np.abs(run.e[0]).max() < 1e-12
 
 
+def test_a_future_may_be_unknown():
+    """To a step of second order the path's curvature is news then; to explicit Euler nothing changes."""
+    asked = {"reference": "circle", "radius": 0.3, "q0": [0.3, 1.1], "Ts": 0.1, "N": 20, "period": 4.0}
+    last = {}
+    for method in ("EE", "EXP-MIDPOINT"):
+        for future in (None, "known", "unknown"):
+            made = p.problem_from("planar:1,1", method=method, future=future, **asked)
+            assert made.reference.known == (future != "unknown")
+            last[method, future] = np.asarray(ck.solve(made.law, made.reference, made.q0, 0.1, 20, made.method).q[-1])
+    np.testing.assert_array_equal(last["EE", "known"], last["EE", "unknown"])
+    np.testing.assert_array_equal(last["EXP-MIDPOINT", None], last["EXP-MIDPOINT", "known"])
+    assert abs(last["EXP-MIDPOINT", "known"] - last["EXP-MIDPOINT", "unknown"]).max() > 1e-4
+    with pytest.raises(ck.ArgumentError, match=r"`future` must be one of known, unknown, but is 'unkown' \(did you"):
+        p.problem_from("panda", future="unkown")
+
+
 @pytest.mark.parametrize(
     "text, position, orientation",
     [

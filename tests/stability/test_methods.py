@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.measure.outcome import Ending
 from cnclik.stability import linear
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound
+from cnclik.stability.maps import outcomes
 from cnclik.stability.recommend import advise
 from cnclik.stability.spectrum import spectrum
 from cnclik.tuning.parameters import Adjustable
@@ -139,7 +141,13 @@ def test_certificate_of_exponential_euler():
 
 def test_loops_are_judged_with_every_method():
     """Settled, stable at any gain, and by the same words."""
-    from cnclik.stability.maps import outcomes
-
     found = outcomes(LAW, ck.hold(X + 0.1), Q, alpha=np.array([4.0, 100.0]), Ts=0.1, N=60, method="EXP-AB2")
     assert set(found.ending.tolist()) == {0}
+
+
+@pytest.mark.parametrize("method", ["EXP-EE", pytest.param("EXP-MIDPOINT", marks=pytest.mark.slow)])
+def test_measured_maps_of_exponential_methods_have_no_diverged_cell(method):
+    """Over four decades of z, where explicit Euler is lost in half of the plane."""
+    axes = {"alpha": np.geomspace(1.0, 400.0, 8), "Ts": np.geomspace(0.02, 0.5, 8)[:, None], "N": 200}
+    lost = [outcomes(LAW, ck.hold(X + 0.1), Q, method=name, **axes).ending > Ending.SLOW for name in ("EE", method)]
+    assert lost[0].mean() > 0.45 and not lost[1].any()

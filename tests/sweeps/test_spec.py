@@ -117,7 +117,8 @@ LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "lim
 TABLES = [
     {},
     {"from": [1, 1], "to": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "near_singular": 0.1},
-    {"reference": "circle", "radius": 0.1, "phase": 0.3, "period": -2.0, "posture": [0.1, 0.2], "alpha": [2.0, 3.0]},
+    {"reference": "circle", "radius": 0.1, "phase": 0.3, "period": -2.0, "posture": [0.1, 0.2], "alpha": [2.0, 3.0]}
+    | {"future": "unknown"},
     {
         "reference": "lissajous",
         "frequency": [1, 2],
