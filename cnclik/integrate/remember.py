@@ -7,7 +7,8 @@ Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep
   w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σⱼ βⱼ v[k−j].
 
 Where limits are respected, a step that its own evaluation or the combination would break one with is made from that
-evaluation alone, as an (exponential) Euler step, which respects what Euler respects.
+evaluation alone, as an (exponential) Euler step, which respects what Euler respects. So is an exponential step where
+J# has become another one since the last: far from the target, at a large gain, the past foretells nothing.
 """
 
 from typing import NamedTuple
@@ -30,6 +31,8 @@ from cnclik.integrate.march import Moved, shift
 from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, answer, look, respond, weigh
 from cnclik.robot import spatial as sp
+
+TURNED = 1.0  # of the larger: the squared difference of two instants' joint velocities from which on J# is another one
 
 
 class Stepped(NamedTuple):
@@ -56,24 +59,26 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
     """
     count = valid(history, law, now, Ts)
     make = _exponential if method.exponential else _plain
-    first, slope, entry = make(law, reference, q, at, t, Ts, method, history, count, begun)
+    first, slope, entry, turned = make(law, reference, q, at, t, Ts, method, history, count, begun)
     left = count
+    if turned is not None:
+        left = jnp.where(turned, 0, count)
     if law.limits is not None:
         alone = first.held | broken(law, slope, shift(q, Ts, (1.0,), (slope,)))
         slope = sp.each(lambda a, b: jnp.where(alone, a, b), first.qdot, slope)
-        left = jnp.where(alone, -1, count)
+        left = jnp.where(alone, -1, left)
     zero = jnp.zeros_like(q[0])
     moved = Moved(shift(q, Ts, (1.0,), (slope,)), slope, first, zero, zero)
     kept = remember(history, law, entry, now, Ts, jnp.minimum(left + 1, len(history.entries)))
-    return Stepped(moved, kept, (history.count > 0) & ((count == 0) | (left < 0)))
+    return Stepped(moved, kept, (history.count > 0) & ((count == 0) | (left < count)))
 
 
 def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
-    """Evaluation, slope, and entry of a formula on f."""
+    """Evaluation, slope, and entry of a formula on f; its past is always of use."""
     first = respond(law, q, at) if begun is None else begun.moved.first
     entry = Entry(q=q if len(method.a) > 1 else None, slope=first.qdot)
     if begun is not None:
-        return first, begun.moved.qdot, entry
+        return first, begun.moved.qdot, entry, None
     a, b = weights(method, count)
     slopes = [(b[0], first.qdot), *zip(b[1:], (e.slope for e in history.entries), strict=True)]
     slope = sp.combine(*zip(*((w, k) for w, k in slopes if not _nothing(w)), strict=True))
@@ -82,11 +87,11 @@ def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
         for w, past in zip(a[1:], history.entries, strict=True):
             if not _nothing(w):
                 slope = sp.vadd(slope, sp.scale(w * per_time, sp.vsub(past.q, q)))
-    return first, slope, entry
+    return first, slope, entry, None
 
 
 def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
-    """Evaluation, slope, and entry of an exponential formula."""
+    """Evaluation, slope, and entry of an exponential formula, and whether J# has become another one."""
     to = start(law, reference, q, at, t, Ts) if begun is None else begun.to
     alone = sp.vadd(to.feedback, to.mean)
     first = answer(law, q, at, alone, to.wanted) if begun is None else begun.moved.first
@@ -102,7 +107,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
         rows=first.rows if holds_posture(law) else None,
     )
     if begun is not None:
-        return first, begun.moved.qdot, entry
+        return first, begun.moved.qdot, entry, None
     betas = weights(method, count)[1]
     entries = [entry, *history.entries]
     quadrature = sp.combine(betas, [e.velocity for e in entries])
@@ -111,6 +116,9 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
         held = sp.vadd(held, closure(law, to.mean, quadrature, turns))
     parts = [_applied(e, weigh(law, sp.vadd(e.velocity, held))) for e in entries]
+    now, past, apart = (sp.dot(v, v) for v in (*parts[:2], sp.vsub(*parts[:2])))
+    turned = (count > 0) & (apart > TURNED * jnp.maximum(now, past))
+    betas = [jnp.where(turned, float(j == 0), beta) for j, beta in enumerate(betas)]
     if holds_posture(law):
         parts = [
             sp.vadd(part, sp.vsub(to.wanted, _applied(e, sp.matvec(e.rows, to.wanted))))
@@ -121,7 +129,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     slope = sp.combine(betas, parts)
     if null is not None and not holds_posture(law) and not remembers_null(law):
         slope = sp.vadd(slope, null)
-    return first, slope, entry
+    return first, slope, entry, turned
 
 
 def _columns(first: Evaluation, m, q):
