@@ -119,8 +119,9 @@ def test_history_goes_from_one_form_to_the_other():
 
 
 def test_from_far_off_at_a_large_gain_the_past_is_left_alone():
-    """J# is another one after each step; extrapolated from there, 35 of 200 loops of a Panda arrived in place of 190."""
-    law, goal = ck.replace(LAW, alpha=np.array(500.0)), ck.hold(np.asarray(ck.pose(ARM, [-0.2, 2.2, -0.7]).position[:2]))
+    """J# is another one after each step; extrapolated from there, 70 of 200 loops of a Panda arrived, not 190."""
+    law = ck.replace(LAW, alpha=np.array(500.0))
+    goal = ck.hold(np.asarray(ck.pose(ARM, [-0.2, 2.2, -0.7]).position[:2]))
     run = ck.solve(law, goal, START, 0.05, 30, "EXP-AB2")
     euler = ck.solve(law, goal, START, 0.05, 30, "EXP-EE")
     restarted = np.flatnonzero(np.asarray(run.status) & RESTARTED)
