@@ -119,8 +119,10 @@ def tumbling(t):
     [
         ("EXP-EE", 1),
         ("EXP-RK4", 4),
-        ("EXP-AB2", 2),
-        *(pytest.param(*m, marks=pytest.mark.slow) for m in (("EXP-MIDPOINT", 2), ("EXP-AB3", 3), ("EXP-AB4", 4))),
+        *(
+            pytest.param(*m, marks=pytest.mark.slow)
+            for m in (("EXP-MIDPOINT", 2), ("EXP-AB2", 2), ("EXP-AB3", 3), ("EXP-AB4", 4))
+        ),
     ],
 )
 def test_order_of_orientation(method, order):
