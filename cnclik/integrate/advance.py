@@ -46,7 +46,7 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
         made_with = starter(method) if starting else method
         # A loop over the stages is compiled several times faster, and runs 15 to 25 % slower.
         looped = starting or not (sp.unrolled(q) or made_with.implicit or len(made_with.b) < 3)
-        looped = looped and not in_a_kernel()
+        looped = looped and made_with.c[0] == 0 and not in_a_kernel()
         begun = _of_tableau(law, told, q, at, t, Ts, made_with, stage, looped=looped)
     if method.steps == 1:
         one = Stepped(begun.moved)

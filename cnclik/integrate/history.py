@@ -1,7 +1,8 @@
 """History: what a multistep method remembers of the steps before, and what makes it forget.
 
 A history is dropped, and the order rises again step by step, where the past says nothing of the step to come: after a
-jump of the target, another sampling time, or a step that a limit changed. That costs no evaluation.
+jump of the target, another sampling time, a step that a limit changed, or where J# has become another one. That costs
+no evaluation.
 """
 
 import functools

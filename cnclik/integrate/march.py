@@ -29,7 +29,7 @@ def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=Fa
     Args:
       first: field(0, q), where it is known.
       at: what the field takes in place of c, one for each stage: what else it needs of that instant.
-      looped: an explicit method's stages as a loop, compiled once: for steps that are seldom made.
+      looped: an explicit method's stages as a loop, compiled once; the first is at c = 0.
     """
     at = method.c if at is None else at
     first = field(at[0], q) if first is None else first  # explicit Euler: a stage of most methods, where others start

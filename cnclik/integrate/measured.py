@@ -34,10 +34,21 @@ def white_noise(sigma, N: int, m: int, seed=0):
     return sigma * jax.random.normal(key, (N, m), sigma.dtype)
 
 
+def _between(task, measured, model):
+    """What a target is to be moved by so that its error is the measured one, and not the model's (m,)."""
+    p = len(task.position)
+    if len(task.orientation) < 3:
+        return sp.vsub(measured, model)
+    turn = sp.turn_from(sp.scale(-1.0, measured[p:]), sp.scale(-1.0, model[p:]))
+    return sp.join(sp.vsub(measured[:p], model[:p]), turn)
+
+
 def solve_measured(
     law, reference, q0, Ts, N: int, method, stage, *, delay: int = 0, noise=None, plant=None, gained=None
 ) -> Trajectory:
     """`solve` with a measured error: `e` is the true one, measured ones are only fed back. Pure.
+
+    No step is marked GROWING: with noise an error grows and shrinks by chance.
 
     Args:
       law, reference, q0, Ts, N, method, stage: as for `solve`, and what it raises.
@@ -48,6 +59,8 @@ def solve_measured(
     """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     check(reference, law.task)
+    if noise is not None:
+        noise = errors.array("noise", noise, (N, law.task.m))
     delay, dtype, differs = errors.integer("delay", delay, at_least=0), q0.dtype, plant is not None
     law, q0 = in_form(law, q0)
     plant = in_form(plant, q0)[0] if differs else law.chain
@@ -64,7 +77,7 @@ def solve_measured(
         if noise is not None:
             measured = sp.vadd(measured, sp.like(measured, noise[k.astype(int)]))
         model = look(law, reference, t, q).e if differs else at.e
-        told = shifted(reference, law.task, sp.vsub(measured, model))
+        told = shifted(reference, law.task, _between(law.task, measured, model))
         length = jnp.where(k < N, Ts, 0.0)  # see `instants`
         now = law if gained is None else gained(law, t)
         made = advance(now, told, q, t, length, method, stage, history, starting=starting)

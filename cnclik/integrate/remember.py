@@ -8,7 +8,8 @@ Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep
 
 Where limits are respected, a step that its own evaluation or the combination would break one with is made from that
 evaluation alone, as an (exponential) Euler step, which respects what Euler respects. So is an exponential step where
-J# has become another one since the last: far from the target, at a large gain, the past foretells nothing.
+J# has become another one since the last: far from the target at a large gain, or near a singularity, the past
+foretells nothing.
 """
 
 from typing import NamedTuple
@@ -32,7 +33,7 @@ from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, answer, look, respond, weigh
 from cnclik.robot import spatial as sp
 
-TURNED = 1.0  # of the larger: the squared difference of two instants' joint velocities from which on J# is another one
+TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
 
 
 class Stepped(NamedTuple):
@@ -62,6 +63,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
     first, slope, entry, turned = make(law, reference, q, at, t, Ts, method, history, count, begun)
     left = count
     if turned is not None:
+        slope = sp.each(lambda a, b: jnp.where(turned, a, b), first.qdot, slope)
         left = jnp.where(turned, 0, count)
     if law.limits is not None:
         alone = first.held | broken(law, slope, shift(q, Ts, (1.0,), (slope,)))
@@ -74,7 +76,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
 
 
 def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
-    """Evaluation, slope, and entry of a formula on f; its past is always of use."""
+    """Evaluation, slope, and entry of a formula on f; nothing of it is left alone."""
     first = respond(law, q, at) if begun is None else begun.moved.first
     entry = Entry(q=q if len(method.a) > 1 else None, slope=first.qdot)
     if begun is not None:
@@ -116,9 +118,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
         held = sp.vadd(held, closure(law, to.mean, quadrature, turns))
     parts = [_applied(e, weigh(law, sp.vadd(e.velocity, held))) for e in entries]
-    now, past, apart = (sp.dot(v, v) for v in (*parts[:2], sp.vsub(*parts[:2])))
-    turned = (count > 0) & (apart > TURNED * jnp.maximum(now, past))
-    betas = [jnp.where(turned, float(j == 0), beta) for j, beta in enumerate(betas)]
+    turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
         parts = [
             sp.vadd(part, sp.vsub(to.wanted, _applied(e, sp.matvec(e.rows, to.wanted))))
@@ -137,6 +137,16 @@ def _columns(first: Evaluation, m, q):
     if sp.unrolled(q):
         return tuple(first.apply(tuple(1.0 if i == j else 0.0 for j in range(m))) for i in range(m)), None
     return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype)), None
+
+
+def _another(now, past, velocity, before, held):
+    """Whether J# itself has changed by more than the past can foretell, between two instants' joint velocities.
+
+    Not where the target's own velocity has changed by half of what was asked for: that is no doing of J#.
+    """
+    apart, most = sp.vsub(now, past), jnp.maximum(sp.dot(now, now), sp.dot(past, past))
+    change, asked = sp.vsub(velocity, before), sp.vadd(before, held)
+    return (sp.dot(apart, apart) > TURNED * most) & (4 * sp.dot(change, change) < sp.dot(asked, asked))
 
 
 def _applied(entry: Entry, velocity):

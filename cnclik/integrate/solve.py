@@ -78,8 +78,8 @@ def solve(
       q0: (n,) joint values at t0 [rad, m].
       Ts: sampling time [s], positive.
       N: number of steps, a Python integer.
-      method: EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4, one of `METHODS`, or a `Method` or `Multistep` of your own;
-        also by name. A multistep method begins with RK4 (EXP-RK4) steps.
+      method: EXP-MIDPOINT unless told; one of `METHODS`, by name, or a `Method` or `Multistep` of your own. A multistep
+        method begins with RK4 (EXP-RK4) steps.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
 

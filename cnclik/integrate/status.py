@@ -21,13 +21,13 @@ class Status(enum.IntFlag):
     OVER_VELOCITY = 16  # a joint faster than its velocity limit
     GROWING = 32  # the error grew by more than its target moved, see `growing`; `step` can't tell
     TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
-    RESTARTED = 128  # a multistep method dropped its memory: the target jumped, or a limit changed the step
+    RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
 
 
 _REMEDY = {
-    Status.NON_FINITE: "reduce alpha·Ts or use damped(...)",
+    Status.NON_FINITE: "reduce alpha·Ts, use damped(...), or clamp the error (error_clamp)",
     Status.TASK_TOO_LARGE: "control fewer coordinates, such as position()",
-    Status.GROWING: "reduce alpha·Ts, or use damped(...) near a singularity",
+    Status.GROWING: "reduce alpha·Ts, use damped(...) near a singularity, or clamp the error (error_clamp)",
     Status.NOT_CONVERGED: "reduce alpha·Ts, raise M, or use a method that needs no implicit stage",
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",

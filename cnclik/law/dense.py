@@ -91,10 +91,9 @@ def packed_solve(packed, b):
         at = {place: x for place, x in zip(zip(*np.tril_indices(m), strict=True), packed, strict=True)}
         columns = tuple(tuple(at[i, j] for i in range(j + 1, m)) for j in range(m))
         return ldl_solve((columns, tuple(at[i, i] for i in range(m)), None), b)
-    held = jnp.zeros((m, m), packed.dtype).at[np.tril_indices(m)].set(packed)
-    inverses = jnp.diagonal(held)
-    lower = jnp.where(jnp.eye(m, dtype=bool), 1.0, held) / jnp.sqrt(inverses)
-    return cho_solve((lower, True), b)
+    lower = jnp.zeros((m, m), packed.dtype).at[np.tril_indices(m)].set(packed)
+    unit = functools.partial(solve_triangular, lower, lower=True, unit_diagonal=True)
+    return unit(jnp.diagonal(lower) * unit(b), trans=1)
 
 
 @opaque

@@ -6,8 +6,10 @@ step, held, is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more th
 The error of an orientation goes along with the target's turn T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
 law says Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. What is asked for at an instant
 within the step is thus k e^{−k·s} T(s) e_R, and held over the step, to second order in the turn, the mean of T(s) at
-both ends times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis make of (I − e^{−K·Ts}) e_R the turn that leaves
-exp(e^{−K·Ts} e_R), log(exp(−e^{−K·Ts} e_R) exp(e_R)).
+both ends times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis do the same, exactly for small e_R.
+
+This is the law's solution where the controller is told the target's own velocity, all of it, and no error is clamped.
+Else the error is taken as measured at the step's start, and what isn't told of the target's motion is not foreseen.
 """
 
 from typing import NamedTuple
@@ -91,19 +93,10 @@ def held_feedback(law: Law, e, turn, Ts):
     """
     e, p = clamped(law, e), len(law.task.position)
     rate = gain(per_step(law.alpha, Ts, e), e)
-    turned = rate[p:]
-    if law.alpha.ndim and len(law.task.orientation) == 3:
-        still = Ts == 0
-        per_time = 1.0 / jnp.where(still, 1.0, Ts)
-        whole = _turn_from(sp.vsub(e, sp.scale(Ts, rate))[p:], e[p:])
-        turned = sp.each(lambda a, b: jnp.where(still, a, b * per_time), turned, whole)
-    if turn is not None:
-        along = sp.vsub(sp.matvec(turn, turned), turned)
-        turned = sp.vadd(turned, sp.scale(0.5 * law.feedforward, along))
-    return sp.join(rate[:p], turned)
-
-
-_turn_from = opaque(sp.turn_from)
+    if turn is None:
+        return rate
+    along = sp.vsub(sp.matvec(turn, rate[p:]), rate[p:])
+    return sp.join(rate[:p], sp.vadd(rate[p:], sp.scale(0.5 * law.feedforward, along)))
 
 
 def null_over_step(law: Law, Ts):

@@ -34,8 +34,8 @@ def shifted(reference: Reference, task: Task, w) -> Reference:
     """The reference whose error is w more than the reference's own; to first order for rotations.
 
     Args:
-      w: (m,) as an array or a tuple [m, rad]: the velocity stays the curve's own; or a record called with t, whose
-        velocity adds to the curve's.
+      w: (m,) as an array or a tuple [m, rad]: the velocity stays the curve's own, turned by w's rotation; or a record
+        called with t, whose velocity adds to the curve's.
     """
     return replace(reference, curve=Shifted(base=reference.curve, task=task, w=w))
 

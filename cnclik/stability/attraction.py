@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import DEFAULT, EE
+from cnclik.integrate.method import EE
 from cnclik.integrate.stage import picard
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.measure.outcome import Ending, outcome
@@ -99,9 +99,7 @@ def certified_radius(law, q0, *, Ts, method=EE) -> float:
 
 
 @in_float64
-def sampled_attraction(
-    law, q0, *, radii, Ts, method=DEFAULT, stage=picard(5), directions=64, N=300, tolerance=1e-3, seed=0
-):
+def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), directions=64, N=300, tolerance=1e-3, seed=0):
     """Measured counterpart of the certificate: targets at each distance in many directions, and how loops ended.
     In float64.
 

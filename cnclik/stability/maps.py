@@ -141,15 +141,17 @@ def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5)):
 
 
 @in_float64
-def passes_map(law, reference, q0, *, z, M, Ts=0.1, method=DEFAULT, stage=picard(0), N=100, **options):
+def passes_map(law, reference, q0, *, z, M, Ts=0.1, method="CN", stage=picard(0), N=100, **options):
     """Measured outcomes over z = alpha·Ts and the number of passes M, and the linear limit for each M. In float64.
 
-    Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts.
+    Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts, and an implicit method.
     Returns: an xarray.Dataset over (M, z), with `limit` (M,) in z.
     """
     import xarray as xr
 
     method, stage = checked(method, stage)
+    if not method.implicit:
+        raise errors.fail("method", "be implicit, such as CN", f"is {method}")
     z = np.asarray(errors.array("z", z, (None,)), float)
     M = np.array([errors.integer("M", m, at_least=0) for m in M], int)
     made = outcomes(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, N=N, **options)

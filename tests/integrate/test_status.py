@@ -202,7 +202,7 @@ def made_up(status, t=None):
         ([0, 16], "Step 1 (t = 0.1 s) is OVER_VELOCITY: reduce alpha, slow the path down, or use limits="),
         ([32], "Step 0 (t = 0 s) is GROWING: reduce alpha·Ts"),
         ([68], "Step 0 (t = 0 s) is AT_LIMIT|TASK_TOO_LARGE: control fewer coordinates"),
-        ([0, 9], "Step 1 (t = 0.1 s) is NOT_CONVERGED|NON_FINITE: reduce alpha·Ts or use damped(...)"),
+        ([0, 9], "Step 1 (t = 0.1 s) is NOT_CONVERGED|NON_FINITE: reduce alpha·Ts, use damped(...)"),
         ([[0, 0, 1], [0, 2, 0]], "Step 1 of lane (1,) (t = 0.1 s) is NEAR_SINGULAR"),
     ],
 )

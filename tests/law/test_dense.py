@@ -263,3 +263,21 @@ def test_ldl_solves_and_traces(m):
     x, trace = solve(a, b)
     close(x, np.linalg.solve(s, b), rtol=1e-11)
     assert trace == pytest.approx(np.trace(np.linalg.inv(s)), rel=1e-11)
+
+
+@pytest.mark.parametrize("form", ["rolled", "unrolled"])
+@pytest.mark.parametrize("m", [1, 3, 6])
+def test_packed_factors_solve_as_numpy_does(form, m):
+    """Also next to singular: what is remembered of J Jᵀ + λ² I."""
+    rows = np.random.default_rng(m).normal(size=(m, 7))
+    rows[-1] = rows[0] + 1e-3 * rows[-1] if m > 1 else rows[-1]
+    b, matrix = np.arange(1.0, m + 1), rows @ rows.T + 1e-4 * np.eye(m)
+
+    def solved(rows, b):
+        if form == "unrolled":
+            rows, b = tuple(map(tuple, rows)), tuple(b)
+        packed = dense.packed_factor(dense.ldl(dense.gram(rows, 1e-4)))
+        return jnp.stack(dense.packed_solve(packed, b)) if form == "unrolled" else dense.packed_solve(packed, b)
+
+    found = jax.jit(solved)(jnp.asarray(rows), jnp.asarray(b))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, b), rtol=1e-8)

@@ -36,6 +36,7 @@ def verdict(law=LAW, reference=GOAL, run=None, Ts=0.1):
         (lambda: outcomes(M=-1, method="IE"), "`M` must be at least 0"),
         (lambda: outcomes(tolerance=-1), "`tolerance` must be positive"),
         (lambda: st.passes_map(LAW, GOAL, Q, z=[0.5], M=["a"], method="IE"), "`M` must be an integer"),
+        (lambda: st.passes_map(LAW, GOAL, Q, z=[0.5], M=[1], method="EE"), "`method` must be implicit"),
         (lambda: st.certified_radius(LAW, Q, Ts="a"), "`Ts` must be a number"),
         (lambda: st.sampled_attraction(LAW, Q, radii=[0.1], Ts=0.1, directions=0), "`directions` must be at least 1"),
         (lambda: verdict(run=3), "`run` must be a Trajectory"),
