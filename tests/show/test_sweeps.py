@@ -306,3 +306,10 @@ def test_curves_hold_the_datas_numbers():
     assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
     (figure,) = drawn(found, {"kind": "work", "select": {"alpha": 5.0}}).values()
     np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), np.arange(1, 11) * 10)
+
+
+def test_values_spread_over_decades_have_a_logarithmic_axis():
+    from cnclik.show.sweeps.panels import geometric
+
+    assert geometric([0.1, 0.2, 0.5, 1, 2, 5, 50]) and geometric([1, 2, 4])
+    assert not geometric([0, 1, 100]) and not geometric(range(1, 101)) and not geometric([1.0, 2.0, 3.0])

@@ -119,17 +119,19 @@ def norm(values, layout):
 
 
 def axis_scales(ax, x, y=()):
-    """Logarithmic axes for values in geometric progression."""
+    """Logarithmic axes for values in geometric progression, or spread over decades by hand."""
     for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
         if geometric(values):
             scale("log")
 
 
 def geometric(values) -> bool:
-    """Whether three or more positive numbers grow by the same factor."""
+    """Whether three or more positive numbers grow by the same factor, or most of them lie in a tenth of their range."""
     values = np.asarray(values)
     if values.dtype.kind not in "if" or len(values) < 3 or values.min() <= 0:
         return False
+    if values.max() > max(50 * values.min(), 10 * np.median(values)):
+        return True
     ratios = values[1:] / values[:-1]
     return bool(np.ptp(ratios) < 1e-6 * ratios[0] and abs(ratios[0] - 1) > 1e-9)
 
