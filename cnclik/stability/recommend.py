@@ -208,7 +208,7 @@ def _why(method) -> str:
     if not method.exponential:
         return "solves the stiff part"
     late = f"an error {LATE} samples late brings one back, z < {delay_limit(LATE, method):.3g}"
-    return f"lets errors decay by their exact factor ({late})"
+    return f"takes back a share of an error, never more than all of it ({late})"
 
 
 def _how(loop):

@@ -324,7 +324,7 @@ def _lower(case):
         return f"{_reach(case)}: bring it nearer, or use damped(...) and error_clamp"
     if case.seen.often(Status.NEAR_SINGULAR):
         return "it is next to a singularity: use damped(...), and error_clamp if the target is far"
-    return "the error is too large for a gain that is stable near rest: clamp it (error_clamp), or reduce alpha"
+    return "what is asked is too far off, or out of reach: use damped(...) and error_clamp, or reduce alpha"
 
 
 def _faster(case):

@@ -39,7 +39,6 @@ from cnclik.sweeps.labels import UNITS
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
-SIDE_BY_SIDE = 4  # blocks that a program is cut into at least, where they are of a tile of lanes or more
 OPTIONS = options.OPTIONS | options.MEASURED
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 
@@ -67,10 +66,9 @@ class Spec:
         axes = [axis(name, {label: label for label in labels}) for name, labels in self.bundles.items()]
         found = Grid((*axes, *self.axes.values()), 1)
         size = math.prod(len(a) for a in found.inner)
-        # Blocks of a power of two that long loops make smaller, and of a program several: a core each.
+        # Blocks of a power of two that long loops make smaller.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
-        share = np.log2(max(size / SIDE_BY_SIDE, 1))
-        lanes = self.lanes or 2 ** int(np.clip(min(np.log2(2**21 / max(steps, 1)), share), 6, 16))
+        lanes = self.lanes or 2 ** int(np.clip(np.log2(2**21 / max(steps, 1)), 6, 16))
         return dataclasses.replace(found, lanes=min(lanes, size))
 
     def tables(self) -> list:
