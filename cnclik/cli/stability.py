@@ -1,7 +1,6 @@
 """`cnclik stability`: which gain is safe at which sampling time, as numbers, regions and measured maps."""
 
 import dataclasses
-import math
 import pathlib
 import time
 from typing import Annotated
@@ -101,6 +100,7 @@ def _tell(args, advised):
     from rich.table import Table
 
     from cnclik.record import in_words
+    from cnclik.stability.linear import share_per_step
 
     found, advice = advised
     gains, times, now, eigen = advice.gains, advice.times, advice.margin, advice.spectrum
@@ -120,16 +120,11 @@ def _tell(args, advised):
     verdict = "stable" if now.margin > 1 else "UNSTABLE"
     console.print(f"{verdict}: gain margin {now.margin:.4g}; {now.limit}.", highlight=False)
     console.print(
-        f"Gain per step as pink and mink take it: {_share(found.method, now.z):.4g}. "
+        f"Gain per step as pink and mink take it: {share_per_step(found.method, now.z):.4g}. "
         f"Null space: {len(eigen.null)} directions, |λ| = {eigen.null_radius:.4g}. "
         f"{gains.evaluations} evaluations per step.",
         highlight=False,
     )
-
-
-def _share(method, z) -> float:
-    """What an explicit Euler step takes back of an error so that it decays as with this method."""
-    return -math.expm1(-z) if method.exponential else z
 
 
 def _name(found):

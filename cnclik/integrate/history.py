@@ -31,7 +31,7 @@ class Entry:
     factor: object = None  # (m(m + 1)/2,) what stands between Jᵀ and J#, see `cnclik.law.inverse.remembered`
     velocity: object = None  # (m,) ẋ_d, times the feed-forward factor
     null: object = None  # (n,) what J# times a task velocity was not part of
-    rows: object = None  # (m, n) weighted rows of J, for a posture term
+    rows: object = None  # (m, n) weighted rows of J, for a posture term, where no factor tells them
 
 
 @record
@@ -70,7 +70,7 @@ def blank(law: Law, q, method):
 
     if method.exponential:
         null = zeros(n) if remembers_null(law) else None
-        rows = zeros(m, n) if holds_posture(law) else None
+        rows = zeros(m, n) if remembers_rows(law) else None
         factor = zeros(m * (m + 1) // 2) if remembers_factor(law) else None
         entry = Entry(columns=zeros(m, n), factor=factor, velocity=zeros(m), null=null, rows=rows)
     else:
@@ -95,6 +95,11 @@ def holds_posture(law: Law) -> bool:
 def remembers_null(law: Law) -> bool:
     """Whether null-space velocities of past instants are of use."""
     return not isinstance(law.null_velocity, Posture) and (law.null_velocity is not None or law.limits is not None)
+
+
+def remembers_rows(law: Law) -> bool:
+    """Whether the rows of J are remembered for a posture, beside what is remembered of J#."""
+    return holds_posture(law) and not remembers_factor(law)
 
 
 def remembers_factor(law: Law) -> bool:

@@ -25,6 +25,7 @@ from cnclik.integrate.history import (
     mark,
     remember,
     remembers_null,
+    remembers_rows,
     valid,
     weights,
 )
@@ -106,7 +107,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
         factor=factor,
         velocity=to.velocity,
         null=null if remembers_null(law) else None,
-        rows=first.rows if holds_posture(law) else None,
+        rows=first.rows if remembers_rows(law) else None,
     )
     if begun is not None:
         return first, begun.moved.qdot, entry, None
@@ -121,7 +122,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
         parts = [
-            sp.vadd(part, sp.vsub(to.wanted, _applied(e, sp.matvec(e.rows, to.wanted))))
+            sp.vadd(part, sp.vsub(to.wanted, _applied(e, sp.matvec(_rows(e), to.wanted))))
             for part, e in zip(parts, entries, strict=True)
         ]
     elif remembers_null(law):
@@ -147,6 +148,11 @@ def _another(now, past, velocity, before, held):
     apart, most = sp.vsub(now, past), jnp.maximum(sp.dot(now, now), sp.dot(past, past))
     change, asked = sp.vsub(velocity, before), sp.vadd(before, held)
     return (sp.dot(apart, apart) > TURNED * most) & (4 * sp.dot(change, change) < sp.dot(asked, asked))
+
+
+def _rows(entry: Entry):
+    """The weighted rows of J at a past instant."""
+    return entry.rows if entry.factor is None else entry.columns
 
 
 def _applied(entry: Entry, velocity):

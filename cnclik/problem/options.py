@@ -86,6 +86,7 @@ MEASURED = {  # how the error is measured that a loop feeds back: of sweeps alon
                     "[m, rad].", unit="m, rad", must="at least 0"),
     "seed": Option(INTEGER, "Of that noise.", 0, must="at least 0"),
 }  # fmt: skip
+SWEPT = OPTIONS | MEASURED
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
@@ -95,8 +96,7 @@ _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other tha
 
 def check_values(where: str, name: str, values) -> None:
     """Raise ArgumentError unless all numbers of an array are ones that the option may have."""
-    known = OPTIONS | MEASURED
-    must = known[name].must if name in known else ""
+    must = SWEPT[name].must if name in SWEPT else ""
     if must and (wrong := ~_FITS[must](values)).any():
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
@@ -117,5 +117,4 @@ def units(law, width=None) -> dict:
     known["w"] = known["J"]
     if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
         known["w"] = f"m^{power}"
-    options = (OPTIONS | MEASURED).items()
-    return {name: known.get(option.unit, option.unit) for name, option in options if option.kind != NAME}
+    return {name: known.get(option.unit, option.unit) for name, option in SWEPT.items() if option.kind != NAME}

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import EE
+from cnclik.integrate.method import EE, named
 from cnclik.integrate.stage import picard
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.measure.outcome import Ending, outcome
@@ -20,7 +20,7 @@ from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.robot.rolled import one_off
-from cnclik.stability.linear import checked
+from cnclik.stability.linear import checked, share_per_step
 from cnclik.stability.maps import endings_about
 from cnclik.stability.spectrum import hold_at
 
@@ -84,9 +84,7 @@ def certified_radius(law, q0, *, Ts, method=EE) -> float:
     if not (plain and isinstance(law.inverse, Pseudoinverse) and np.ndim(law.alpha) == 0):
         must = "be a position task with pseudoinverse(), scalar alpha, no weights, limits or null velocity"
         raise errors.fail("law", must, "is not")
-    z = float(law.alpha) * float(errors.number("Ts", Ts, positive=True))
-    if method == "EXP-EE":
-        z = -math.expm1(-z)
+    z = share_per_step(named(method), float(law.alpha) * float(errors.number("Ts", Ts, positive=True)))
     if not 0 < z < 2:
         return 0.0
     bound = curvature_bound(law.chain)

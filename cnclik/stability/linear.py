@@ -8,6 +8,7 @@ R(z) = e^{−z}, of all of them. A multistep method has a factor for each instan
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -316,6 +317,11 @@ def delay_limit(delay: int, method="EE", stage=None) -> float:
 def gain_per_step(alpha, Ts):
     """z = alpha·Ts: the dimensionless gain per step that pink and mink take (1 is dead-beat for EE)."""
     return alpha * Ts
+
+
+def share_per_step(method, z: float) -> float:
+    """What an explicit Euler step takes back of an error so that it decays as with this method: z, or 1 − e^{−z}."""
+    return -math.expm1(-z) if method.exponential else z
 
 
 def gain_per_second(z, Ts):

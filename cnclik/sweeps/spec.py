@@ -39,7 +39,7 @@ from cnclik.sweeps.labels import UNITS
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
-OPTIONS = options.OPTIONS | options.MEASURED
+OPTIONS = options.SWEPT
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 
 

@@ -1,13 +1,11 @@
 """What a controller needs of a tuned loop: lines to copy, for pink and mink and for a loop of one's own."""
 
-import math
-
 import numpy as np
 
 from cnclik.integrate.method import EE
 from cnclik.law import inverse as inverses
 from cnclik.record import in_words
-from cnclik.stability.linear import amplification
+from cnclik.stability.linear import amplification, share_per_step
 
 DAMPED_EXCESS = 1e-3  # by which z may exceed 1 and be printed as 1: damped, a step at z = 1 falls short of the error
 
@@ -43,9 +41,7 @@ def _rate_line(tuned) -> str:
 
 
 def _pink_mink_line(tuned) -> str:
-    alpha, z = np.asarray(tuned.law.alpha), tuned.after.z
-    if tuned.method.exponential:  # an explicit Euler step with this gain lets an error decay the same
-        z = -math.expm1(-z)
+    alpha, z = np.asarray(tuned.law.alpha), share_per_step(tuned.method, tuned.after.z)
     _, formula, damping = _inverse(tuned.law.inverse)
     if tuned.schedule is not None:
         return "no line: pink and mink have one constant gain"
