@@ -227,7 +227,7 @@ _NATIVE_NAMES = """
     logistic lt lt_to max min mul ne neg nextafter not or pad pjit pow real reduce_or rem remat
     remat2 reshape rev round rsqrt scan select_n shift_left shift_right_arithmetic
     shift_right_logical sign sin sinh slice split sqrt square squeeze stack stop_gradient sub tan
-    tanh transpose while xor zeros_like
+    tanh transpose unstack while xor zeros_like
 """
 _NATIVE = frozenset(_NATIVE_NAMES.split())
 

@@ -207,6 +207,9 @@ class _Reader:
             return self.cond(equation, *inputs, branches=params["branches"])
         if name in _MOVES:
             return [_MOVES[name](*inputs, **params)]
+        if name == "unstack":  # jax 0.12 has it for iterating over an array
+            x, axis = inputs[0], params["axis"]
+            return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
         if _all_known(inputs):
             return _fold(equation, inputs)
         if name in _ELEMENTWISE:
