@@ -73,6 +73,8 @@ _ON_USE = {
     "measure.dataset": "to_dataset",
     "measure.metrics": "Metrics measure_run",
     "problem.build": "problem_from",
+    "reaching.reach": "reach",
+    "reaching.result": "Reached ReachStatus",
     "record": "replace",
     "robot.builtin": "panda ur5",
     "robot.chain": "Chain from_dh from_screws planar_arm with_tool",

@@ -156,14 +156,18 @@ def _same(x):
     return x
 
 
-def quick_jit(fn=None, **options):
-    """`jax.jit` for programs whose compile time is most of what a user waits for. Decorator, with jit's arguments."""
+def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
+    """`jax.jit` for programs whose compile time is most of what a user waits for. Decorator, with jit's arguments.
+
+    Args:
+      compiler: options of the compiler; those that it does not know are left out.
+    """
     if fn is None:
-        return functools.partial(quick_jit, **options)
+        return functools.partial(quick_jit, compiler=compiler, **options)
 
     @functools.lru_cache(maxsize=8)  # one with hints, one without, per backend
     def compiled(switch, backend):
-        return jax.jit(fn, compiler_options=known_options(QUICK_COMPILE) or None, **options)
+        return jax.jit(fn, compiler_options=known_options(compiler) or None, **options)
 
     def now():
         return compiled(switched_on(), jax.default_backend())

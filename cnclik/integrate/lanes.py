@@ -48,7 +48,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = available() if cores is None else errors.integer("cores", cores, at_least=1)
-    traced = functools.partial(_tiled, fn, tile)
+    traced = functools.partial(tiled, fn, tile)
     compiled = _hinted(traced) if on_cpu else _kernel_or(traced, fn, tile)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
@@ -158,8 +158,13 @@ def _block(size, tile, block, workers):
     return -(-size // (calls * tile)) * tile
 
 
-def _tiled(fn, tile, *args):
-    """vmap(fn) as a loop over tiles, read and written in place; elsewhere than on a CPU, vmap(fn) itself."""
+def tiled(fn, tile, *args, count=None):
+    """vmap(fn) as a loop over tiles, read and written in place; elsewhere than on a CPU, vmap(fn) itself.
+
+    Args:
+      count: how many lanes, from the first, are wanted; of the others' results nothing is said. Traced, so that one
+        program serves batches of any size up to that of `args`.
+    """
     size = _size(args)
     if jax.default_backend() != "cpu":
         return jax.vmap(fn)(*args)
@@ -179,7 +184,7 @@ def _tiled(fn, tile, *args):
 
     shapes = jax.eval_shape(lambda: one(0))
     empty = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
-    return lax.fori_loop(0, -(-size // tile), put, empty)
+    return lax.fori_loop(0, (size + tile - 1) // tile if count is None else (count + tile - 1) // tile, put, empty)
 
 
 def _blocks(compiled, ready, leaves, treedef, size, block, workers):

@@ -37,9 +37,20 @@ def is_planar(chain: Chain) -> bool:
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
     rolled = roll(chain)  # in NumPy, which compiles nothing
-    j = np.stack([jacobian_rows(rolled, frames(rolled, q), task.linear, task.angular) for q in np.asarray(postures)])
+    j = jacobian_rows(rolled, frames(rolled, np.asarray(postures, float)), task.linear, task.angular)
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
+
+
+def evenly(count: int, n: int, first: int = 0):
+    """Points (count, n) that fill the unit cube evenly, the same on every machine; the first is its middle.
+
+    An additive sequence (Roberts 2018), of which points from `first` on.
+    """
+    base = 2.0
+    for _ in range(50):
+        base = (1 + base) ** (1 / (n + 1))
+    return np.mod(0.5 + np.outer(np.arange(first, first + count), base ** -np.arange(1.0, n + 1)), 1.0)
 
 
 def start_posture(chain: Chain, task):
@@ -53,12 +64,7 @@ def start_posture(chain: Chain, task):
     low = np.where(np.isfinite(lower), lower, np.minimum(-math.pi, upper - math.pi))
     high = np.where(np.isfinite(upper), upper, np.maximum(math.pi, low + math.pi))
     middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low, high))
-    # An additive sequence fills the cube evenly, and the same way on every machine (Roberts 2018).
-    base = 2.0
-    for _ in range(50):
-        base = (1 + base) ** (1 / (chain.n + 1))
-    spread = np.outer(np.arange(256), base ** -np.arange(1.0, chain.n + 1))
     width = np.minimum((high - low) / 4, math.pi / 2)
-    postures = middle + width * (2 * np.mod(spread + 0.5, 1.0) - 1)
+    postures = middle + width * (2 * evenly(256, chain.n) - 1)
     least = least_singular_values(chain, task, postures)
     return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]

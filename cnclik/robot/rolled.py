@@ -140,26 +140,28 @@ def _rolled(chain: Chain) -> RolledChain:
 
 @frames.register
 def _(chain: RolledChain, q) -> Frames:
-    """All frames of the chain at q (n,), as arrays: NumPy's where all are numbers."""
+    """All frames of the chain at q (n,), as arrays: NumPy's where all are numbers, and then also of (..., n)."""
     xp = sp.library(q, chain.tip)
-    values = q if chain.mimic is None else sp.matvec(chain.mimic[0], q) + chain.mimic[1]
+    values = q if chain.mimic is None else sp.combine(q, chain.mimic[0].T) + chain.mimic[1]
     factors = (xp.ones_like(values), xp.sin(values), xp.cos(values), values)
-    own = sum(f[:, None, None] * part for f, part in zip(factors, chain.transforms, strict=True) if part is not None)
+    parts = zip(factors, chain.transforms, strict=True)
+    own = sum(f[..., None, None] * part for f, part in parts if part is not None)
 
-    at = list(itertools.accumulate((own[i] for i in range(own.shape[0])), sp.matmul))
+    at = list(itertools.accumulate((own[..., i, :, :] for i in range(own.shape[-3])), sp.matmul))
     tip = sp.matmul(at[-1], chain.tip)
-    at = xp.stack(at)
-    axes = xp.sum(at[:, :3, :3] * chain.axes[:, None, :], axis=-1)
-    return Frames(position=tip[:3, 3], rotation=tip[:3, :3], axes=axes, points=at[:, :3, 3])
+    at = xp.stack(at, -3)
+    axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
+    return Frames(position=tip[..., :3, 3], rotation=tip[..., :3, :3], axes=axes, points=at[..., :3, 3])
 
 
 @jacobian_rows.register
 def _(chain: RolledChain, at: Frames, linear, angular):
     xp = sp.library(at.axes, at.points)
-    velocity, spin = xp.cross(at.axes, at.position - at.points), at.axes
+    velocity, spin = xp.cross(at.axes, at.position[..., None, :] - at.points), at.axes
     if chain.turning is not None:
         turning = chain.turning[:, None]
         velocity, spin = xp.where(turning, velocity, at.axes), xp.where(turning, spin, 0.0)
-    rows = xp.concatenate([velocity, spin], axis=1).T
-    rows = sp.pick(rows, (*linear, *(3 + i for i in angular)))
+    rows = xp.swapaxes(xp.concatenate([velocity, spin], axis=-1), -1, -2)
+    asked = (*linear, *(3 + i for i in angular))
+    rows = sp.pick(rows, asked) if rows.ndim == 2 else rows[..., asked, :]
     return rows if chain.mimic is None else sp.matmul(rows, chain.mimic[0])

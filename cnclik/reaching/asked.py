@@ -1,0 +1,79 @@
+"""What is asked of all targets of a call, and how an answer becomes a status."""
+
+import math
+import numpy as np
+
+from cnclik.law.task import Task
+from cnclik.reaching.result import Reached, ReachStatus
+from cnclik.reaching.step import STATIONARY
+from cnclik.record import record
+from cnclik.robot.chain import Chain
+
+TOUCHING = 1e-9  # [rad, m] from a limit: at it
+
+
+@record
+class Asked:
+    """The arguments of `cnclik.reach` that all targets share."""
+
+    chain: Chain
+    task: Task
+    tolerance: object  # (2,) [m], [rad]
+    accept: object  # (2,) or None
+    jump: object  # a number or None
+    seeds: object  # postures to start from, at most
+    budget: object  # looks, at most
+    seed: object  # of the first set of seeds
+    limits: bool
+
+    def limited(self):
+        """Lower and upper limits (n,), infinite where they are not to be kept."""
+        lower, upper = np.array(self.chain.lower, float), np.array(self.chain.upper, float)
+        return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))
+
+    def bounds(self, near, xp=np):
+        """Where joints are searched for: within the limits, and within `jump` of `near` (B, n)."""
+        lower, upper = self.limited()
+        if self.jump is None:
+            return lower, upper
+        middle = xp.clip(near, lower, upper)
+        return xp.maximum(lower, middle - self.jump), xp.minimum(upper, middle + self.jump)
+
+    def beyond(self):
+        """Where the search goes that tells why there is no answer: without `jump`, or without limits; None: nowhere."""
+        if self.jump is not None:
+            return self.limited()
+        lower, upper = self.limited()
+        if not (np.isfinite(lower) | np.isfinite(upper)).any():
+            return None
+        return np.full_like(lower, -np.inf), np.full_like(upper, np.inf)
+
+    def reached(self, pose, near, q, squares, steep, looks, found, beyond, xp=np) -> Reached:
+        """The record of answers: of one target, or of (B,) with that axis first."""
+        position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
+        turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
+        status = xp.where(steep <= STATIONARY**2, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
+        why = ReachStatus.AT_LIMIT if self.jump is None else ReachStatus.JUMP
+        status = xp.where(beyond, int(why), status)
+        if self.accept is not None:
+            near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])
+            status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)
+        status = xp.where(found, int(ReachStatus.SOLVED), status)
+        status = xp.where(xp.isfinite(pose).all(axis=-1), status, int(ReachStatus.NON_FINITE))
+        none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE)
+        lower, upper = self.limited()
+        around = xp.zeros_like(q) if near is None else near
+        turns = np.array([u == "rad" for u in self.chain.units]) & np.isinf(lower) & np.isinf(upper)
+        q = xp.where(turns, q - 2 * math.pi * xp.round((q - around) / (2 * math.pi)), q)
+        q, position, turn = (xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn)))
+        return Reached(
+            q=q,
+            status=status,
+            position_error=position,
+            orientation_error=turn,
+            evaluations=looks.astype(int),
+            at_limit=(q <= lower + TOUCHING) | (q >= upper - TOUCHING),
+            distance=xp.full_like(position, xp.nan) if near is None else xp.max(xp.abs(q - near), axis=-1),
+            chain=self.chain,
+            task=self.task,
+        )

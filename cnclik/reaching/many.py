@@ -1,0 +1,113 @@
+"""Many targets: blocks of them on all cores, each searched for in rounds; and several answers for each."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import numpy as np
+
+from cnclik.hints import as_here, cores, form, use_form
+from cnclik.reaching import search
+from cnclik.reaching.asked import Asked
+from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
+from cnclik.reaching.search import Answers, Setup, Targets
+from cnclik.reaching.seeds import SETS, compared, nearest, seeds
+from cnclik.reaching.single import each
+from cnclik.record import replace
+
+BLOCK = 4096  # targets that a core searches for at a time
+FEW = 8  # targets that are sooner searched for one by one
+MANY = 2000  # targets from which the unrolled form is worth its compiling
+TRIES_BEYOND = 24  # seeds of the search that tells why there is no answer
+DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
+DRAWN = 12  # seeds for each solution asked for
+
+
+def many(asked: Asked, pose, near, progress=None) -> Reached:
+    """Answers for (B, 12) targets, near (B, n) or None."""
+    if len(pose) <= FEW:
+        return each(asked, pose, near, progress)
+    B, n = len(pose), asked.chain.n
+    setup = _setup(asked)
+    made = Answers.empty(B, n)
+    beyond = np.zeros(B, bool)
+    finite = np.flatnonzero(np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1)))
+    workers = cores()
+    size = max(min(BLOCK, -(-len(finite) // workers)), 1)
+
+    def block(ids):
+        mine = Targets(pose[ids], asked.bounds(None if near is None else near[ids]), None if near is None else near[ids])
+        found = search.find(setup, mine)
+        made.put(ids, found)
+        left = np.flatnonzero(~found.found)
+        if len(left) and (wider := asked.beyond()) is not None:
+            free = mine.part(left)._replace(bounds=wider)
+            beyond[ids[left]] = search.find(setup._replace(tries=TRIES_BEYOND), free, downhill=False).found
+        return len(ids)
+
+    with use_form(form() or ("rolled" if B < MANY else "unrolled")), jax.enable_x64(True):
+        with ThreadPoolExecutor(workers) as pool:
+            done = 0
+            for count in pool.map(as_here(block), [finite[i : i + size] for i in range(0, len(finite), size)]):
+                done += count
+                if progress is not None:
+                    progress(done, len(finite))
+    return asked.reached(pose, near, *made.as_asked(), beyond)
+
+
+def _setup(asked: Asked) -> Setup:
+    known = seeds(asked.chain)
+    limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
+    return Setup(asked.chain, asked.task, known, compared(known, asked.task), *limits)
+
+
+def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
+    """Up to `solutions` different answers for each of (B, 12) targets: the nearest of those that many seeds lead to."""
+    first = many(asked, pose, near, progress)
+    B, n, copies = len(pose), asked.chain.n, max(SETS, DRAWN * solutions)
+    known = seeds(asked.chain)
+    with use_form(form() or ("rolled" if B * copies < MANY else "unrolled")), jax.enable_x64(True):
+        setup = _setup(asked)
+        start = np.stack([_seed(setup, pose, k + int(asked.seed)) for k in range(copies)], 1)
+        ids = np.repeat(np.arange(B), copies)
+        bounds = asked.bounds(near)
+        mine = Targets(pose, bounds, None).part(ids)
+        found = search.from_starts(setup, mine, start.reshape(-1, n))
+    drawn = asked.reached(mine.pose, None if near is None else near[ids], *found.as_asked(), np.zeros(len(ids), bool))
+    rows = {name: getattr(drawn, name).reshape(B, copies, *getattr(drawn, name).shape[1:]) for name in PER_TARGET}
+    both = {name: np.concatenate([getattr(first, name)[:, None], rows[name]], 1) for name in PER_TARGET}
+    around = np.mean(known.postures, axis=0) if near is None else near[:, None]
+    away = np.max(np.abs(both["q"] - around), axis=2)
+    usable = both["status"] <= ReachStatus.ACCEPTED
+    order = np.argsort(np.where(usable, away, np.inf), axis=1)
+    taken = _different(asked, np.take_along_axis(both["q"], order[..., None], 1), np.take_along_axis(usable, order, 1))
+    rank = np.argsort(~taken, axis=1, kind="stable")[:, :solutions]
+    picked = np.take_along_axis(order, rank, 1)
+    there = np.take_along_axis(taken, rank, 1)
+    none = ~usable.any(axis=1)
+    picked[none, 0], there[none, 0] = 0, True  # why there is none, and the nearest pose, as of one solution
+    out = {name: np.take_along_axis(v, picked.reshape(*picked.shape, *(1,) * (v.ndim - 2)), 1) for name, v in both.items()}
+    out["status"] = np.where(there, out["status"], int(ReachStatus.NO_OTHER))
+    for name in ("q", "position_error", "orientation_error", "distance"):
+        out[name][~there] = np.nan
+    out["at_limit"][~there] = False
+    return replace(first, **out)
+
+
+def _seed(setup, pose, number):
+    """A posture to start from for each target: the nearest of a set while there are sets, then any."""
+    if number < SETS:
+        return setup.seeds.postures[nearest(setup.compared, pose, number)]
+    return setup.seeds.postures[(number * 2654435761 + 40503 * np.arange(len(pose))) % len(setup.seeds.postures)]
+
+
+def _different(asked, q, usable):
+    """Which of (B, K) answers, in order, differ from all that were taken before them."""
+    turns = np.array([u == "rad" for u in asked.chain.units])
+    least = DIFFERENT if asked.chain.n <= asked.task.m else DIFFERENT_REDUNDANT
+    taken = np.zeros(usable.shape, bool)
+    for k in range(q.shape[1]):
+        gap = np.abs(q[:, k : k + 1] - q[:, :k])
+        gap = np.where(turns, np.abs(gap - 2 * np.pi * np.round(gap / (2 * np.pi))), gap)
+        same = (np.max(gap, axis=2, initial=0.0) < least) & taken[:, :k]
+        taken[:, k] = usable[:, k] & ~same.any(axis=1)
+    return taken

@@ -1,0 +1,90 @@
+"""The compiled programs of a search in batches: so many steps for the first lanes of arrays of a fixed size.
+
+How many lanes, and how many steps, is decided as it runs: one program serves any number of targets.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik.hints import form, one_function, quick_jit
+from cnclik.integrate.lanes import OPTIONS, tiled
+from cnclik.reaching.step import begin, iterate
+from cnclik.record import cast
+from cnclik.robot import spatial as sp
+from cnclik.robot.rolled import in_form, roll
+
+CAPACITY, TILE = 2048, 128  # lanes
+
+
+class Found(NamedTuple):
+    """What a search of (B, n) lanes comes to."""
+
+    q: object  # the best posture of each (B, n)
+    onward: object  # where the next look would be (B, n)
+    squares: object  # squared position and orientation error there (B, 2)
+    cost: object
+    steep: object
+    looks: object
+
+
+def _lane(chain, task, bounds, tolerance, q, target, steps, careful):
+    chain, q = in_form(cast(chain, q.dtype), q)
+    position, rotation = target[:3], target[3:].reshape(3, 3)
+    if sp.unrolled(q):
+        position, rotation = tuple(position), tuple(map(tuple, rotation))
+    bounds = tuple(sp.like(q, bound) for bound in bounds)
+
+    def go(steps, careful, q, position, rotation, bounds, tolerance):
+        def once(carry):
+            i, at = carry
+            return i + 1, iterate(chain, task, at, (position, rotation), bounds, tolerance, careful)
+
+        start = begin(q, q[0] * 0.0)
+        return lax.while_loop(lambda c: (c[0] < steps) & ~c[1].arrived, once, (jnp.zeros_like(steps), start))[1]
+
+    at = one_function(go)(steps, careful, q, position, rotation, bounds, (tolerance[0], tolerance[1]))
+    return Found(sp.packed(at.best), sp.packed(at.q), jnp.stack(at.squares), at.cost, at.steep, at.looks)
+
+
+def _many(chain, task, bounds, tolerance, q, target, steps, careful, count):
+    def lane(q, target, *own):
+        return _lane(chain, task, own or bounds, tolerance, q, target, steps, careful)
+
+    own = bounds if bounds[0].ndim > 1 else ()
+    return tiled(lane, min(TILE, q.shape[0]), q, target, *own, count=count)
+
+
+_quick, _soon = quick_jit(_many, compiler=OPTIONS), quick_jit(_many)
+
+
+def search(chain, task, bounds, tolerance, q, target, steps, careful=False) -> Found:
+    """At most `steps` steps from each of (B, n) postures to its target (B, 12), in the dtype of q; NumPy arrays.
+
+    Args:
+      bounds: lower and upper, (n,) for all or (B, n), in that dtype.
+    """
+    rolled = form() == "rolled"
+    chain, run = (roll(chain), _soon) if rolled else (chain, _quick)
+    parts = []
+    for i in range(0, len(q), CAPACITY):
+        part = q[i : i + CAPACITY], target[i : i + CAPACITY]
+        own = tuple(b[i : i + CAPACITY] if b.ndim > 1 else b for b in bounds)
+        size = len(part[0])
+        filled = [_filled(v) for v in part]
+        own = tuple(_filled(b) if b.ndim > 1 else b for b in own)
+        found = run(chain, task, own, tolerance, *filled, np.int32(steps), np.bool_(careful), np.int32(size))
+        parts.append([np.asarray(v)[:size] for v in found])
+    return Found(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _filled(rows):
+    """The array with CAPACITY rows."""
+    if len(rows) == CAPACITY:
+        return rows
+    out = np.zeros((CAPACITY, *rows.shape[1:]), rows.dtype)
+    out[: len(rows)] = rows
+    return out

@@ -1,0 +1,116 @@
+"""reach: joint values for targets, as a record with one status each."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from cnclik import errors
+from cnclik.reaching.asked import Asked
+from cnclik.reaching.many import many, several
+from cnclik.reaching.result import PER_TARGET, Reached
+from cnclik.reaching.single import along, traced
+from cnclik.reaching.targets import read, task_of
+from cnclik.record import leaf, replace
+from cnclik.robot.chain import Chain
+
+
+def reach(
+    chain: Chain,
+    targets: ArrayLike,
+    *,
+    task="pose",
+    tolerance=(1e-6, 1e-6),
+    accept=None,
+    near: ArrayLike | None = None,
+    jump: float | None = None,
+    solutions: int = 1,
+    seeds: int = 64,
+    budget: int = 4000,
+    limits: bool = True,
+    base: ArrayLike | None = None,
+    seed: int = 0,
+    progress=None,
+) -> Reached:
+    """Joint values that put the tip at each of some targets, or the reason why none do.
+
+    Called with numbers it works in float64 whatever the setting, on all cores, and returns NumPy arrays; the same
+    numbers give the same answers. Under jit, vmap and grad it is a pure function in JAX's dtype, in which the tolerance
+    is at least 1e-5 where that is float32; derivatives with respect to targets and geometry are those of the implicit
+    function theorem, dq = J# de with the joints that are at limits held.
+
+    Args:
+      chain: the robot.
+      targets: one target or an array of them along a first axis: 4×4 transforms; position and quaternion
+        [x, y, z, w, x, y, z]; positions (3,) for a position task; rotations (3, 3) or quaternions (4,) for an
+        orientation task; a `Pose`; or a pair (positions, rotations). [m]
+      task: "pose", "position", "orientation" or a `Task`, of which weights count for the nearest pose.
+      tolerance: of position [m] and orientation [rad], to search for.
+      accept: a wider pair: what is within it is ACCEPTED where the tolerance is not met.
+      near: joint values (n,) or (B, n) to search from, such as where the arm is now; "previous" for a path: each
+        target from the answer before it, the first from a posture of its own.
+      jump: the most that any joint may be away from `near` [rad, m]; where there are answers, but none so near, the
+        status is JUMP.
+      solutions: how many different ones are wanted for each target; the record's arrays get an axis for them, the
+        nearest to `near`, or to the middle of the limits, first.
+      seeds: postures to start from, at most, for each target; a multiple of 8 where it is one.
+      budget: evaluations for each target, at most, while there is no answer.
+      limits: whether to keep the chain's joint limits. A joint without any is given within half a turn of `near` or 0.
+      base: (4, 4) or (B, 4, 4), where the chain's base stands in the frame of the targets.
+      seed: another number starts from other seeds.
+      progress: called as progress(done, total).
+
+    Returns: `Reached`.
+    Raises: ArgumentError for shapes, types and concrete values that do not fit.
+    """
+    task = task_of(task)
+    if not isinstance(chain, Chain):
+        raise errors.fail("chain", "be a Chain", f"is {type(chain).__name__}")
+    tolerance, accept = _pair("tolerance", tolerance), None if accept is None else _pair("accept", accept)
+    for name, value, least in (("solutions", solutions, 1), ("seeds", seeds, 1), ("budget", budget, 1)):
+        errors.integer(name, value, at_least=least)
+    errors.integer("seed", seed, at_least=0)
+    if jump is not None:
+        errors.number("jump", jump, positive=True)
+        if near is None:
+            raise errors.fail("near", "be given with `jump`", "is not")
+    pose, alone = read(targets, task, base)
+    known = all(map(errors.concrete, jax.tree.leaves((chain, pose, near))))
+    previous = isinstance(near, str)
+    if previous:
+        errors.one_of("near", near, ("previous",))
+    elif near is not None:
+        near = errors.array("near", near, (chain.n,), (len(pose), chain.n))
+        near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n))
+    asked = Asked(
+        chain=chain,
+        task=task,
+        tolerance=tolerance,
+        accept=accept,
+        jump=leaf(jump),
+        seeds=np.int32(seeds),
+        budget=np.int32(budget),
+        seed=np.int32(seed),
+        limits=bool(limits),
+    )
+    if not known and (solutions > 1 or previous):
+        name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
+        raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
+    if not known:
+        made = traced(asked, pose, near)
+    elif previous:
+        made = along(asked, pose, progress)
+    elif solutions > 1:
+        made = several(asked, pose, near, solutions, progress)
+    else:
+        made = many(asked, pose, near, progress)
+    return replace(made, **{name: getattr(made, name)[0] for name in PER_TARGET}) if alone else made
+
+
+def _pair(name, value):
+    if np.ndim(value) == 0:
+        raise errors.fail(name, "be a pair, of position [m] and orientation [rad]", f"is {value!r}")
+    value = errors.array(name, value, (2,), finite=False)
+    if not errors.concrete(value) or not (np.asarray(value) > 0).all():
+        raise errors.fail(name, "hold positive numbers", f"is {value!r}")
+    return np.asarray(value, float)

@@ -1,0 +1,73 @@
+"""What a search for poses found, and how it went: one status per target, never a silent wrong answer."""
+
+import enum
+
+import numpy as np
+
+from cnclik.record import record
+from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.rolled import roll
+
+
+class ReachStatus(enum.IntEnum):
+    """How it went for a target; up to ACCEPTED the joint values are an answer."""
+
+    SOLVED = 0  # both errors within `tolerance`
+    ACCEPTED = 1  # within `accept`, but not `tolerance`
+    AT_LIMIT = 2  # the arm would get there, its joint limits don't let it; q is the nearest pose found within them
+    OUT_OF_REACH = 3  # too far: q is the nearest pose found, and the error is stationary there
+    JUMP = 4  # there are answers, but none within `jump` of `near`; q is NaN
+    OUT_OF_BUDGET = 5  # neither an answer nor a nearest pose when seeds or budget were used up
+    NON_FINITE = 6  # the target is not finite; q is NaN
+    NO_OTHER = 7  # fewer different solutions were found than asked for; q is NaN
+
+
+PER_TARGET = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
+
+
+@record
+class Reached:
+    """Answers for B targets; for one target without the axis B, with k `solutions` with an axis k after it.
+
+    NumPy arrays in float64; under jit, vmap and grad JAX's, in its dtype.
+    """
+
+    q: object  # (B, n) joint values [rad, m]
+    status: object  # (B,) of `ReachStatus`
+    position_error: object  # (B,) [m], of the task's coordinates, looked at once more in float64
+    orientation_error: object  # (B,) [rad]
+    evaluations: object  # (B,) looks at a posture (forward kinematics, Jacobian, step) that the target took
+    at_limit: object  # (B, n) true for joints at a limit
+    distance: object  # (B,) largest joint's distance from `near` [rad, m]; NaN without it
+    chain: object  # the `Chain` and the `Task` that were asked of
+    task: object
+
+    @property
+    def solved(self):
+        """Whether q is an answer: SOLVED or ACCEPTED."""
+        return self.status <= ReachStatus.ACCEPTED
+
+    @property
+    def least_singular_value(self):
+        """(B,) least singular value of the task's Jacobian at q, in the Jacobian's own units; NaN where q is.
+
+        Worked out when it is asked for: it takes longer than the search.
+        """
+        q = np.asarray(self.q, float)
+        chain = roll(self.chain)
+        rows = jacobian_rows(chain, frames(chain, q.reshape(-1, q.shape[-1])), self.task.linear, self.task.angular)
+        known = np.isfinite(rows).all(axis=(1, 2))
+        found = np.full(len(rows), np.nan)
+        found[known] = np.linalg.svd(rows[known], compute_uv=False)[:, -1]
+        return found.reshape(q.shape[:-1])
+
+    def __str__(self):
+        status = np.atleast_1d(np.asarray(self.status))
+        parts = [f"{np.sum(status == s):,} {s.name}" for s in ReachStatus if np.any(status == s)]
+        return f"Reached: {status.size:,} target{'s' * (status.size != 1)}: {', '.join(parts)}"
+
+
+def count(status) -> dict:
+    """How many targets have each status."""
+    status = np.asarray(status)
+    return {s.name: int(np.sum(status == s)) for s in ReachStatus if np.any(status == s)}

@@ -1,0 +1,216 @@
+"""The search for one target as a pure function: what a single call runs, and what jit, vmap and grad go through.
+
+A handful of seeds step side by side, carefully, until one arrives; then others. Where none does, the same is tried
+without limits, to tell what is out of reach from what only the limits forbid.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from cnclik import errors
+from cnclik.hints import few_lanes, one_function, quick_jit
+from cnclik.integrate.lanes import OPTIONS
+from cnclik.law import dense
+from cnclik.law.inverse import tiny_shift
+from cnclik.reaching.asked import TOUCHING
+from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
+from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
+from cnclik.reaching.step import begin, iterate, look
+from cnclik.record import cast, kept, replace
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.posture import evenly
+from cnclik.robot.rolled import in_form
+
+TOGETHER = 8  # seeds side by side
+STEPS = 40  # of a round, at most
+FREE = 2  # rounds without limits
+AROUND = 0.3  # of the range of seeds, about `near`
+
+
+def each(asked, pose, near, progress=None):
+    """Answers for a few targets (B, 12), one after the other."""
+    rows = []
+    for k in range(len(pose)):
+        rows.append(_alone(asked, pose[k], None if near is None else near[k]))
+        if progress is not None:
+            progress(k + 1, len(pose))
+    return _together_again(asked, rows)
+
+
+def along(asked, pose, progress=None):
+    """Answers for the targets of a path, each from the answer before it; where there was none, from the last one."""
+    rows, at = [], None
+    for k in range(len(pose)):
+        rows.append(_alone(asked if at is not None else replace(asked, jump=None), pose[k], at))
+        if rows[-1]["status"] <= ReachStatus.ACCEPTED:
+            at = rows[-1]["q"]
+        if progress is not None:
+            progress(k + 1, len(pose))
+    return _together_again(asked, rows)
+
+
+def _together_again(asked, rows):
+    return Reached(**{name: np.stack([row[name] for row in rows]) for name in PER_TARGET}, chain=asked.chain, task=asked.task)
+
+
+def _alone(asked, pose, near):
+    """The answer for one target, as numbers by their names."""
+    with jax.enable_x64(True):
+        made = _program(asked, pose, near, *_placed(asked.chain, asked.task))
+    return {name: np.asarray(value) for name, value in made.items()}
+
+
+def _placed(chain, task):
+    """Seeds and what they are to a task, on JAX's device; kept for the next call."""
+    name = f"_seeds_of_{task.position}_{bool(task.orientation)}"
+    return kept(chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(seeds(chain), task))))
+
+
+def traced(asked, pose, near):
+    """Answers for (B, 12) targets as part of another program."""
+    if all(map(errors.concrete, jax.tree.leaves(asked.chain))):
+        postures, to = seeds(asked.chain).postures, compared(seeds(asked.chain), asked.task)
+    else:  # where their tips are depends on what is traced
+        low, high = spans(asked.chain)
+        postures, to = low + (high - low) * evenly(SETS * SIZE, asked.chain.n), None
+
+    def one(pose, near):
+        return _answer(asked, pose, near, postures, to, derivative=True)
+
+    made = jax.vmap(one, (0, None if near is None else 0))(pose, near)
+    return Reached(**made, chain=asked.chain, task=asked.task)
+
+
+def _answer(asked, pose, near, postures, to, derivative=False):
+    """Fields of the record of one target (12,)."""
+    dtype = pose.dtype
+    held = lax.stop_gradient((asked.chain, pose, near))
+    made, bounds = _search(replace(asked, chain=held[0]), *held[1:], jnp.asarray(postures, dtype), to)
+    q = made.q
+    if derivative:
+        q = refined(asked.chain, asked.task, pose, q, (q <= bounds[0] + TOUCHING) | (q >= bounds[1] - TOUCHING))
+    found = asked.reached(pose, near, q, *made[1:], xp=jnp)
+    return {name: getattr(found, name) for name in PER_TARGET}
+
+
+_program = quick_jit(_answer, compiler=OPTIONS)
+
+
+def _search(asked, pose, near, postures, to):
+    """The outcome, and the bounds that it kept."""
+    dtype = pose.dtype
+    least = 64 * float(jnp.finfo(dtype).eps)
+    tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), least)
+    bounds = tuple(jnp.asarray(b, dtype) for b in asked.bounds(near, jnp))
+    beyond = asked.beyond()
+    free = 0 if beyond is None else FREE
+    beyond = bounds if beyond is None else tuple(jnp.asarray(b, dtype) for b in beyond)
+    if near is not None:
+        middle = jnp.mean(postures, axis=0)
+        first = near + AROUND * (postures[:TOGETHER] - middle).at[0].set(0.0)
+    elif to is None:
+        first = postures[:TOGETHER]
+    else:
+        first = postures[nearest_each(to, pose, TOGETHER)]
+    rounds = -(-asked.seeds // TOGETHER)
+    return outcome(asked.chain, asked.task, pose, bounds, beyond, tolerance, postures, first, rounds, free), bounds
+
+
+class Outcome(NamedTuple):
+    """What the search for one target came to."""
+
+    q: object  # (n,) the answer, or the nearest posture found
+    squares: object  # (2,) squared errors there
+    steep: object  # gradient there, see `step.Search`
+    looks: object
+    found: object  # within the limits
+    beyond: object  # there is an answer, but beyond the limits
+
+
+def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, rounds, free) -> Outcome:
+    """Search for a target (12,).
+
+    Args:
+      bounds: lower and upper (n,) to keep. beyond: those of the search without limits.
+      postures: (K, n) to start later rounds from. first: (TOGETHER, n) to start from at first.
+      rounds: of seeds, at most; and after them `free` more without limits.
+    """
+    dtype = target.dtype
+    chain = cast(chain, dtype)
+
+    def again(carry):
+        r, kept, found, _ = carry
+        wide = r >= rounds
+        low, high = (jnp.where(wide, b, a) for a, b in zip(bounds, beyond, strict=True))
+        others = lax.dynamic_slice_in_dim(postures, (r * 37 * TOGETHER) % (len(postures) - TOGETHER), TOGETHER)
+        starts = jnp.clip(jnp.where((r == 0) | (r == rounds), first, others), low, high)
+        at = _together(chain, task, starts, target, low, high, tolerance)
+        q = sp.packed(at.best, axis=-1)
+        k = jnp.argmin(jnp.where(at.arrived, -1.0, jnp.where(jnp.isfinite(at.cost), at.cost, jnp.inf)))
+        new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
+        better = ~wide & ((new[2] < kept[2]) | at.arrived[k])
+        kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), kept[4] + jnp.sum(at.looks))
+        return r + 1, kept, at.arrived[k] & ~wide, at.arrived[k] & wide
+
+    far = jnp.full((), jnp.inf, dtype)
+    start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, jnp.zeros((), dtype)
+    never = jnp.zeros((), bool)
+    _, (q, squares, _, steep, looks), found, beyond = lax.while_loop(
+        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + free), again, (jnp.zeros((), jnp.int32), start, never, never)
+    )
+    return Outcome(q, squares, steep, looks, found, beyond)
+
+
+def _together(chain, task, starts, target, low, high, tolerance):
+    """Steps of some seeds side by side, until one has arrived."""
+    law, form = in_form(chain, starts[0])
+
+    def start(q):
+        q = in_form(chain, q)[1]
+        return begin(q, q[0] * 0.0)
+
+    def go(at, target, low, high, tolerance, careful):
+        def once(carry):
+            i, at = carry
+            step = jax.vmap(lambda at: iterate(law, task, at, target, (low, high), tolerance, careful))
+            return i + 1, step(at)
+
+        def goes_on(carry):
+            i, at = carry
+            return (i < STEPS) & ~jnp.any(at.arrived)
+
+        return lax.while_loop(goes_on, once, (jnp.zeros((), jnp.int32), at))[1]
+
+    bounds = [sp.like(form, bound) for bound in (low, high)]
+    careful = jnp.ones((), bool)
+    with few_lanes(TOGETHER):
+        return one_function(go)(
+            jax.vmap(start)(starts), _parts(target, form), *bounds, (tolerance[0], tolerance[1]), careful
+        )
+
+
+def _parts(target, q):
+    """Position and rotation of a target (12,) in the form of q."""
+    position, rotation = target[:3], target[3:].reshape(3, 3)
+    return (tuple(position), tuple(map(tuple, rotation))) if sp.unrolled(q) else (position, rotation)
+
+
+def refined(chain, task, target, q, held):
+    """q with the derivative that the implicit function theorem gives it: dq = J# de of the joints that are free.
+
+    The value stays. Of what the target and the chain's geometry do to the error, J# of the joints that no limit holds
+    makes joint motion: the least, where the arm is redundant.
+    """
+    q, held = lax.stop_gradient((q, held))
+    chain, parts = in_form(cast(chain, q.dtype), q)
+    e, _ = look(chain, task, parts, _parts(target, parts))
+    at = frames(lax.stop_gradient(chain), parts)
+    rows = jacobian_rows(lax.stop_gradient(chain), at, task.linear, task.angular)
+    rows = sp.rescale(rows, sp.like(parts, jnp.where(held, 0.0, 1.0).astype(q.dtype)))
+    step = sp.packed(sp.combine(dense.ldl_solve(dense.ldl(dense.gram(rows, tiny_shift(rows))), e), rows))
+    return q + step - lax.stop_gradient(step)

@@ -1,0 +1,147 @@
+"""One look at a posture, and the damped step from it: the iteration behind every search for a pose.
+
+With the error e (metres, then radians), the Jacobian J without the columns of joints that push against a bound, and
+λ² = τ (0.03 ‖e‖² + λ₀²),
+
+  q ← clip(q + clip(Jᵀ (J Jᵀ + λ² I)⁻¹ e, ±1), lower, upper)
+
+(Levenberg 1944; damping by the error's square after Sugihara 2011). Far off it is careful, near the pose it is
+Newton's. τ is 1 while nothing else is asked; a `careful` search takes back a step that made the error grow and raises
+τ (Marquardt 1963), which finds what is left at bounds and singularities, and the nearest pose where there is none.
+The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from cnclik.hints import opaque
+from cnclik.law import dense
+from cnclik.law.inverse import tiny_shift
+from cnclik.law.task import Task
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames, jacobian_rows
+
+OF_ERROR = 0.03  # λ² per squared error
+LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9
+LONGEST = 1.0  # [rad, m] that a joint moves in a step
+SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # of τ, after a step that helped and one that did not
+MOST_TRUST = 1e3  # beyond it steps are so short that an error which still grows with them is at a kink
+STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
+
+
+class Search(NamedTuple):
+    """Where a search stands; a pytree of lanes."""
+
+    q: object  # where to look next
+    best: object  # the posture of the least error so far
+    squares: object  # its squared position and orientation error [m², rad²], a pair
+    cost: object  # and their weighted sum; infinite before the first look
+    steep: object  # squared length of the cost's free gradient there, over ‖e‖² ‖J‖²; 0 where no step helps
+    trust: object  # τ
+    looks: object  # evaluations so far
+    arrived: object
+
+
+def begin(q, zero) -> Search:
+    """A search that has not looked yet. `zero`: a 0 of a lane's dtype."""
+    never, far = zero > 1, zero + jnp.inf
+    return Search(q, q, (far, far), far, far, zero + 1.0, zero, never)
+
+
+def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful) -> Search:
+    """Look at `q`, and step on; a search that has arrived stays.
+
+    Args:
+      target: position (3,) and rows of the rotation. bounds: lower and upper (n,). tolerance: [m], [rad].
+      careful: whether to take back steps that did not help; may be traced.
+    """
+    e, rows, squares, weighted = _look(chain, task, at.q, target)
+    low, high = bounds
+    cost = sp.dot(weighted, weighted)
+    here = (squares[0] <= tolerance[0] ** 2) & (squares[1] <= tolerance[1] ** 2)
+    better = (cost <= at.cost) | ~careful
+    helped = jnp.where(cost < at.cost, jnp.maximum(at.trust * SHRINK, LEAST_TRUST), at.trust)
+    changed = jnp.where(better, helped, jnp.minimum(at.trust * GROW, MOST_TRUST))
+    trust = jnp.where(careful, changed, at.trust)
+    step, steep = _step(rows, weighted, cost, at.q, low, high, trust)
+
+    def choose(wanted, new, old):
+        return sp.each(lambda a, b: jnp.where(wanted, a, b), new, old)
+
+    best = choose(better, at.q, at.best)
+    onward = sp.each(lambda q, d, l, h: jnp.clip(q + d, l, h), at.q, step, low, high)
+    moved = Search(
+        q=choose(here, at.q, choose(better, onward, at.best)),
+        best=best,
+        squares=choose(better, squares, at.squares),
+        cost=jnp.where(better, cost, at.cost),
+        steep=jnp.where(trust >= MOST_TRUST, 0.0, jnp.where(better, steep, at.steep)),
+        trust=trust,
+        looks=at.looks + 1.0,
+        arrived=here,
+    )
+    return _keep(at.arrived, at, moved)
+
+
+def _keep(stays, old: Search, new: Search) -> Search:
+    made = {}
+    for name, a in old._asdict().items():
+        b = getattr(new, name)
+        vector = sp.unrolled(a) or getattr(a, "ndim", 0)
+        made[name] = sp.each(lambda x, y: jnp.where(stays, x, y), a, b) if vector else jnp.where(stays, a, b)
+    return Search(**made)
+
+
+def look(chain, task: Task, q, target):
+    """Error e (m,) and its squares: position [m²] and orientation [rad²]."""
+    e, _, squares, _ = _look(chain, task, q, target)
+    return e, squares
+
+
+def _look(chain, task, q, target):
+    at = frames(chain, q)
+    e, squares = _error(task, at.position, at.rotation, *target)
+    rows = jacobian_rows(chain, at, task.linear, task.angular)
+    if task.weights is None:
+        return e, rows, squares, e
+    roots = sp.like(e, jnp.sqrt(jnp.asarray(task.weights)))
+    return e, sp.each(sp.scale, roots, rows) if sp.unrolled(rows) else roots[:, None] * rows, squares, sp.each(
+        sp.mul, roots, e
+    )
+
+
+@opaque
+def _error(task, position, rotation, position_d, rotation_d):
+    """e (m,), and the squares of its two parts."""
+    where = sp.pick(sp.vsub(position_d, position), task.linear)
+    zero = 0.0 * position[0]
+    squares = [sp.dot(where, where) + zero if task.position else zero]
+    e = where
+    if task.orientation:
+        turn = sp.quaternion_from_rotation(sp.matmul(rotation_d, sp.transpose(rotation)))[1:]
+        turn = sp.pick(sp.scale(2.0, turn), task.angular)
+        squares.append(sp.dot(turn, turn))
+        e = sp.join(where, turn) if task.position else turn
+    else:
+        squares.append(zero)
+    return e, tuple(squares)
+
+
+@opaque
+def _step(rows, e, cost, q, low, high, trust):
+    """The step, each joint's clipped, and how steep the cost is for the joints that may move."""
+    least = LEAST_DAMPING if jnp.finfo(cost.dtype).bits <= 32 else 1e-9
+    shift = trust * (OF_ERROR * cost + least) + tiny_shift(rows)
+    downhill = sp.combine(e, rows)
+
+    def free(q, d, l, h):
+        pushes = ((q <= l) & (d < 0)) | ((q >= h) & (d > 0))
+        return jnp.where(pushes, 0.0, 1.0).astype(cost.dtype)
+
+    may = sp.each(free, q, downhill, low, high)
+    downhill, left = sp.each(sp.mul, may, downhill), sp.rescale(rows, may)
+    step = sp.combine(dense.ldl_solve(dense.ldl(dense.gram(left, shift)), e), left)
+    scale = cost * sp.squares(rows)
+    steep = sp.dot(downhill, downhill) / jnp.where(scale > 0, scale, 1.0)
+    return sp.each(lambda d: jnp.clip(d, -LONGEST, LONGEST), step), steep

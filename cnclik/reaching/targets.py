@@ -1,0 +1,111 @@
+"""Targets: the many ways to say where the tip shall be, read into 12 numbers each."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.law.task import Task, orientation, pose, position
+from cnclik.robot import spatial as sp
+from cnclik.robot.kinematics import Pose
+
+TASKS = {"pose": pose, "position": position, "orientation": orientation}
+_FORMS = {
+    "pose": "4×4 transforms, [x, y, z, w, x, y, z] (position and quaternion), or a pair (positions, rotations)",
+    "position": "positions (3,), 4×4 transforms, or a pair (positions, None)",
+    "orientation": "rotations (3, 3), quaternions (4,), 4×4 transforms, or a pair (None, rotations)",
+}
+
+
+def task_of(task) -> Task:
+    """A task from its name, or as it is."""
+    if isinstance(task, Task):
+        return task
+    return TASKS[errors.one_of("task", task, TASKS)]()
+
+
+def read(targets, task: Task, base=None):
+    """Targets as ((B, 12) position and rows of the rotation, whether it was one alone).
+
+    Args:
+      targets: see `cnclik.reach`. base: (4, 4) or (B, 4, 4), where the chain's base stands in the targets' frame.
+
+    Raises: ArgumentError for shapes that don't fit, and rotations that are none; numbers that are not finite pass.
+    """
+    where, turn = _parts(targets, task)
+    single = (where.ndim if where is not None else turn.ndim - 1) == 1
+    where, turn = (None if v is None else v[None] if single else v for v in (where, turn))
+    sizes = {len(v) for v in (where, turn) if v is not None}
+    if len(sizes) > 1:
+        raise errors.fail("targets", "have as many positions as rotations", f"have {' and '.join(map(str, sizes))}")
+    (size,) = sizes
+    xp = _library(where, turn, base)
+    where = xp.zeros((size, 3)) if where is None else where
+    turn = xp.broadcast_to(xp.eye(3), (size, 3, 3)) if turn is None else turn
+    if base is not None:
+        base = errors.array("base", base, (4, 4), (None, 4, 4))
+        if base.ndim == 3 and len(base) != size:
+            raise errors.fail("base", f"be one transform or {size}, one per target", f"holds {len(base)}")
+        back = xp.swapaxes(base[..., :3, :3], -1, -2)
+        where = xp.einsum("...ij,...j->...i", back, where - base[..., :3, 3])
+        turn = back @ turn
+    return xp.concatenate([where, turn.reshape(size, 9)], axis=1), single
+
+
+def _parts(targets, task):
+    """Positions (..., 3) or None, rotations (..., 3, 3) or None."""
+    if isinstance(targets, Pose):
+        targets = targets.position, targets.rotation
+    if isinstance(targets, tuple) and len(targets) == 2 and not np.isscalar(targets[0]):
+        return _position(targets[0], task), _rotation(targets[1], task)
+    found = errors.array("targets", targets, finite=False)
+    shape = found.shape
+    if shape[-2:] == (4, 4) and len(shape) in (2, 3):
+        _check_rotation(found[..., :3, :3])
+        return found[..., :3, 3], found[..., :3, :3]
+    if task.position and task.orientation and shape[-1:] == (7,) and len(shape) in (1, 2):
+        return found[..., :3], _rotation(found[..., 3:], task)
+    if not task.orientation and shape[-1:] == (3,) and len(shape) in (1, 2):
+        return found, None
+    if not task.position:
+        return None, _rotation(found, task)
+    kind = "pose" if task.orientation else "position"
+    raise errors.fail("targets", f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
+
+
+def _position(value, task):
+    if value is None and not task.position:
+        return None
+    return errors.array("targets", value, (3,), (None, 3), finite=False)
+
+
+def _rotation(value, task):
+    """Rotations of an array of rotation matrices or quaternions (w, x, y, z)."""
+    if value is None and not task.orientation:
+        return None
+    value = errors.array("targets", value, (3, 3), (None, 3, 3), (4,), (None, 4), finite=False)
+    if value.shape[-1] == 3:
+        _check_rotation(value)
+        return value
+    xp = _library(value)
+    norm = xp.linalg.norm(value, axis=-1, keepdims=True)
+    if errors.concrete(value) and (np.asarray(norm) == 0).any():
+        raise errors.fail("targets", "hold quaternions other than 0", "holds one")
+    rows = sp.rotation_from_quaternion(xp.moveaxis(value / norm, -1, 0))
+    return xp.moveaxis(xp.stack([xp.stack(row) for row in rows]), (0, 1), (-2, -1))
+
+
+def _check_rotation(r):
+    if not errors.concrete(r):
+        return
+    r = np.asarray(r, float)
+    gap = np.abs(r @ np.swapaxes(r, -1, -2) - np.eye(3)).max(axis=(-1, -2))
+    wrong = np.atleast_1d((gap > 1e-5) | (np.linalg.det(np.where(np.isfinite(r), r, 0.0)) < 0) & np.isfinite(gap))
+    if wrong.any():
+        where = f" at index {np.flatnonzero(wrong)[0]}" if r.ndim > 2 else ""
+        raise errors.fail("targets", "hold rotations, with rows of length 1 at right angles", f"does not{where}")
+
+
+def _library(*arrays):
+    """NumPy where all is known, JAX's where something is traced."""
+    return np if all(map(errors.concrete, jax.tree.leaves(arrays))) else jnp
