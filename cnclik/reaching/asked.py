@@ -7,7 +7,8 @@ from cnclik.law.task import Task
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.step import STATIONARY
 from cnclik.record import record
-from cnclik.robot.chain import Chain
+from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.posture import arm_length
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
 
@@ -47,6 +48,15 @@ class Asked:
         if not (np.isfinite(lower) | np.isfinite(upper)).any():
             return None
         return np.full_like(lower, -np.inf), np.full_like(upper, np.inf)
+
+    def too_far(self, pose, xp=np):
+        """Which targets (..., 12) are farther from the first joint than the stretched arm is long, whatever the limits."""
+        first = self.chain.joints[0]
+        turning = all(joint.kind == REVOLUTE for joint in self.chain.joints)
+        if not turning or self.task.linear != (0, 1, 2):
+            return xp.zeros(pose.shape[:-1], bool)
+        away = pose[..., :3] - xp.stack(first.origin.position)
+        return xp.sqrt(xp.sum(away * away, axis=-1)) > arm_length(self.chain) + self.tolerance[0]
 
     def reached(self, pose, near, q, squares, steep, looks, found, beyond, xp=np) -> Reached:
         """The record of answers: of one target, or of (B,) with that axis first."""

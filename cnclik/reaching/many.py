@@ -17,7 +17,8 @@ from cnclik.record import replace
 BLOCK = 4096  # targets that a core searches for at a time
 FEW = 8  # targets that are sooner searched for one by one
 MANY = 2000  # targets from which the unrolled form is worth its compiling
-TRIES_BEYOND = 24  # seeds of the search that tells why there is no answer
+TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
+TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
 DRAWN = 12  # seeds for each solution asked for
 
@@ -36,9 +37,11 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
 
     def block(ids):
         mine = Targets(pose[ids], asked.bounds(None if near is None else near[ids]), None if near is None else near[ids])
-        found = search.find(setup, mine)
-        made.put(ids, found)
-        left = np.flatnonzero(~found.found)
+        far = asked.too_far(mine.pose)
+        for some, tries in ((np.flatnonzero(~far), setup.tries), (np.flatnonzero(far), min(TRIES_FAR, setup.tries))):
+            if len(some):
+                made.put(ids[some], search.find(setup._replace(tries=tries), mine.part(some)))
+        left = np.flatnonzero(~made.found[ids] & ~far)
         if len(left) and (wider := asked.beyond()) is not None:
             free = mine.part(left)._replace(bounds=wider)
             beyond[ids[left]] = search.find(setup._replace(tries=TRIES_BEYOND), free, downhill=False).found

@@ -28,7 +28,8 @@ from cnclik.robot.rolled import in_form
 
 TOGETHER = 8  # seeds side by side
 STEPS = 40  # of a round, at most
-FREE = 2  # rounds without limits
+FREE = 6  # rounds without limits
+ROUNDS_FAR = 3  # where the target is farther off than the arm is long
 AROUND = 0.3  # of the range of seeds, about `near`
 
 
@@ -117,8 +118,10 @@ def _search(asked, pose, near, postures, to):
         first = postures[:TOGETHER]
     else:
         first = postures[nearest_each(to, pose, TOGETHER)]
-    rounds = -(-asked.seeds // TOGETHER)
-    return outcome(asked.chain, asked.task, pose, bounds, beyond, tolerance, postures, first, rounds, free), bounds
+    far = asked.too_far(pose, jnp)
+    rounds, free = jnp.where(far, ROUNDS_FAR, -(-asked.seeds // TOGETHER)), jnp.where(far, 0, free)
+    most = rounds, free, asked.budget
+    return outcome(asked.chain, asked.task, pose, bounds, beyond, tolerance, postures, first, most), bounds
 
 
 class Outcome(NamedTuple):
@@ -132,16 +135,17 @@ class Outcome(NamedTuple):
     beyond: object  # there is an answer, but beyond the limits
 
 
-def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, rounds, free) -> Outcome:
+def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, most) -> Outcome:
     """Search for a target (12,).
 
     Args:
       bounds: lower and upper (n,) to keep. beyond: those of the search without limits.
       postures: (K, n) to start later rounds from. first: (TOGETHER, n) to start from at first.
-      rounds: of seeds, at most; and after them `free` more without limits.
+      most: rounds of seeds; rounds without limits after them; looks.
     """
     dtype = target.dtype
     chain = cast(chain, dtype)
+    rounds, free, budget = most
 
     def again(carry):
         r, kept, found, _ = carry
@@ -161,7 +165,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, rou
     start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, jnp.zeros((), dtype)
     never = jnp.zeros((), bool)
     _, (q, squares, _, steep, looks), found, beyond = lax.while_loop(
-        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + free), again, (jnp.zeros((), jnp.int32), start, never, never)
+        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + free) & (c[1][4] < budget), again, (jnp.zeros((), jnp.int32), start, never, never)
     )
     return Outcome(q, squares, steep, looks, found, beyond)
 
