@@ -229,6 +229,12 @@ def compose(first: Offset, second: Offset) -> Offset:
     )
 
 
+def inverse(offset: Offset) -> Offset:
+    """The transform that takes a fixed one back."""
+    back = sp.transpose(offset.rotation)
+    return Offset(position=sp.scale(-1.0, sp.matvec(back, offset.position)), rotation=back)
+
+
 # --- reading arguments --------------------------------------------------------------------------------
 
 

@@ -59,20 +59,23 @@ class Tree:
     def leaves(self) -> tuple:
         return tuple(link for link in self.links if not self.below[link])
 
-    def way(self, tip, base=None) -> tuple | None:
-        """The joints from base (by default the root) to tip, or None where tip does not hang on base."""
-        found, link = [], tip
-        while link != (base or self.root):
-            if link not in self.above:
-                return None
-            found.append(self.above[link])
-            link = found[-1].parent
-        return tuple(reversed(found))
+    def way(self, tip, base=None) -> tuple:
+        """The way from base (by default the root) to tip: joints up to the link where both hang, and down from there."""
+        up, down = ([*self._upward(link)] for link in (base or self.root, tip))
+        while up and down and up[-1] is down[-1]:
+            up.pop(), down.pop()
+        return tuple(up), tuple(reversed(down))
+
+    def _upward(self, link):
+        """The joints from a link to the root."""
+        while link in self.above:
+            yield self.above[link]
+            link = self.above[link].parent
 
     def tips(self, base=None) -> tuple:
         """Leaf links that some joint moves against the base: the candidates for a tip."""
         ways = {leaf: self.way(leaf, base) for leaf in self.leaves}
-        return tuple(leaf for leaf, way in ways.items() if way and any(e.type != "fixed" for e in way))
+        return tuple(leaf for leaf, (up, down) in ways.items() if not up and any(e.type != "fixed" for e in down))
 
 
 def read_urdf(path) -> Tree:

@@ -1,7 +1,8 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
 from cnclik import errors
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose, inverse
 from cnclik.robot.tree import Tree, read_urdf
 
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
@@ -11,7 +12,8 @@ def load_urdf(path, tip=None, base=None) -> Chain:
     """Chain from base to tip of a robot in a URDF file, read without its meshes.
 
     Revolute, continuous and prismatic joints become coordinates in order from the base; fixed joints are
-    folded in; side branches are left out. A mimic joint shares the coordinate of the joint it follows, with
+    folded in; side branches are left out. The way may lead up from the base to where tip and base part, such as from
+    a humanoid's foot to its hand: joints on the way up keep their values and limits, and act the other way around. A mimic joint shares the coordinate of the joint it follows, with
     its multiplier and offset, also where that joint is on a side branch; the limits are those of the joint that
     is followed (the mimics' own contradict it in files such as PR2's). Omitted position limits mean none, as
     does a velocity limit of 0, which exporters write where they know none.
@@ -19,7 +21,7 @@ def load_urdf(path, tip=None, base=None) -> Chain:
     Args:
       path: the file, plain URDF (run xacro first).
       tip: name of the last link; by default the only leaf link that the joints move.
-      base: name of the first link, by default the root.
+      base: name of the first link, by default the root; anywhere in the tree.
 
     Raises: ArgumentError, one line, for a file that cannot be read or is not a robot's tree, for unknown
       links, and where no single tip can be meant.
@@ -38,16 +40,16 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
             named = ", ".join(candidates)
             raise errors.fail("tip", f"be given for {tree.file}", f"is not, and the candidates are {named}")
         tip = candidates[0]
-    way = tree.way(_link(tree, "tip", tip), base)
-    if way is None:
-        raise errors.fail("base", f"be a link between the root and {tip!r}", f"is {base!r}")
+    up, down = tree.way(_link(tree, "tip", tip), base)
 
     by_name = {e.name: e for e in tree.edges}
     joints, before, names, lower, upper, velocity = [], Offset(), [], [], [], []
-    for edge in way:
-        position, rotation = edge.origin
-        before = compose(before, Offset(position=position, rotation=rotation))
+    for edge, turned in (*((e, True) for e in up), *((e, False) for e in down)):
+        origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
+        if not turned:
+            before = compose(before, origin)
         if edge.type == "fixed":
+            before = compose(before, inverse(origin)) if turned else before
             continue
         if edge.type not in _MOVING:
             odd = f"joint {edge.name!r} on the way is {edge.type!r}"
@@ -60,14 +62,14 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
             velocity.append(leader.velocity)
         joint = Joint(
             kind=_MOVING[edge.type],
-            axis=edge.axis,
+            axis=sp.scale(-1.0, edge.axis) if turned else edge.axis,  # from its child a joint turns the other way
             origin=before,
             coordinate=names.index(leader.name),
             multiplier=multiplier,
             offset=offset,
         )
         joints.append(joint)
-        before = Offset()
+        before = inverse(origin) if turned else Offset()
     if not joints:
         raise errors.fail("tip", "be moved by a joint", f"is {tip!r}, fixed to {base!r}")
     return assemble(joints, before, joint_names=names, lower=lower, upper=upper, velocity_limit=velocity)
