@@ -1,7 +1,7 @@
 """cnclik: closed-loop inverse kinematics as a time-stepping problem.
 
 A robot (`load_urdf`, `planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), many of them
-studied (`sweep`), judged (`recommend`) and tuned (`tune`). Pure functions over frozen records; jit, vmap and grad go
+studied (`sweep`), judged (`recommend`) and tuned (`tune`); and joint values for targets (`reach`). Pure functions over frozen records; jit, vmap and grad go
 through everything.
 """
 
@@ -12,7 +12,7 @@ from cnclik.lazy import on_use
 from cnclik.version import __version__
 
 if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type checkers
-    from cnclik import bench, measure, paper, problem, show, stability, sweeps, tuning
+    from cnclik import bench, measure, paper, problem, reaching, show, stability, sweeps, tuning
     from cnclik.compilation import use_cache
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
@@ -34,6 +34,9 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.measure.dataset import to_dataset
     from cnclik.measure.metrics import Metrics, measure_run
     from cnclik.problem.build import problem_from
+    from cnclik.reaching.map import reachability
+    from cnclik.reaching.reach import reach
+    from cnclik.reaching.result import Reached, ReachStatus
     from cnclik.record import replace
     from cnclik.robot.builtin import panda, ur5
     from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
@@ -50,7 +53,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
 
 # Where each name is: nothing is loaded before it is asked for, so that the command line answers at once where no
 # number is asked of it.
-_ROOMS = ("bench", "measure", "paper", "problem", "show", "stability", "sweeps", "tuning")
+_ROOMS = ("bench", "measure", "paper", "problem", "reaching", "show", "stability", "sweeps", "tuning")
 _INNER = ("compilation", "errors", "hints", "integrate", "law", "precision", "record", "robot", "version")
 _ON_USE = {
     "compilation": "use_cache",
@@ -73,6 +76,7 @@ _ON_USE = {
     "measure.dataset": "to_dataset",
     "measure.metrics": "Metrics measure_run",
     "problem.build": "problem_from",
+    "reaching.map": "reachability",
     "reaching.reach": "reach",
     "reaching.result": "Reached ReachStatus",
     "record": "replace",
@@ -90,16 +94,17 @@ _ON_USE = {
     "tuning.tune": "tune",
 }
 __all__ = [
-    *("ArgumentError", "CN", "Chain", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method", "Metrics"),
-    *("Multistep", "Pose", "RK4", "Reference", "Status", "Step", "StepError", "TRAPEZOID", "Task", "Trajectory"),
-    *("__version__", "bench", "calibrate", "causal", "chord", "circle", "damped", "exponential", "from_dh"),
-    *("from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf", "manipulability"),
-    *("manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run", "newton", "orientation"),
-    *("panda", "paper", "path", "picard", "planar_arm", "plot", "pose", "pose_task", "position", "posture", "problem"),
-    *("problem_from", "pseudoinverse", "recommend", "replace", "require_ok", "saturation", "settle", "show"),
-    *("singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep", "sweeps"),
-    *("to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints", "velocity_scaling"),
-    *("verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
+    *("ArgumentError", "CN", "Chain", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method"),
+    *("Metrics", "Multistep", "Pose", "RK4", "ReachStatus", "Reached", "Reference", "Status", "Step", "StepError"),
+    *("TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate", "causal", "chord", "circle", "damped"),
+    *("exponential", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
+    *("manipulability", "manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run"),
+    *("newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot", "pose", "pose_task"),
+    *("position", "posture", "problem", "problem_from", "pseudoinverse", "reach", "reachability", "reaching"),
+    *("recommend", "replace", "require_ok", "saturation", "settle", "show", "singular_damped", "solve"),
+    *("spectral_radius", "stability", "stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose"),
+    *("tune", "tuning", "ur5", "use_cache", "use_form", "use_hints", "velocity_scaling", "verdict", "waypoints"),
+    *("weighted_least_norm", "with_feedforward", "with_tool"),
 ]
 
 

@@ -18,6 +18,7 @@ VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
     "robots": "show a URDF file: its tree, joints, limits and candidate tips",
     "solve": "run one loop on one robot: trajectory, figures, summary",
+    "reach": "joint values that put the tip at targets: one or a million, with a reason where none do",
     "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",

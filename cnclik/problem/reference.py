@@ -1,6 +1,5 @@
 """References by name, with what is left out filled in from the tip's pose at the start."""
 
-import csv
 import pathlib
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.problem import words
 from cnclik.problem.names import fitting
+from cnclik.problem.tables import read_csv
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import arm_length
@@ -159,34 +159,15 @@ def _point(name, given, task, default):
 
 def _waypoints(scene, file):
     """Waypoints of a CSV file: time, position, optional quaternion w x y z."""
-    path = pathlib.Path(file)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is no text"
-        raise errors.fail("reference", "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
-    if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
-        rows = rows[1:]
-    for k, row in enumerate(rows):
-        if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
-            raise errors.fail("reference", "hold numbers, as many in every row", f"row {k + 1} of {path.name} does not")
-    if len(rows) < 2:
-        raise errors.fail("reference", "hold at least two waypoints", f"{path.name} holds {len(rows)}")
-    table = np.array(rows, float)
-    points = [_point(f"{path.name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
+    name, table = pathlib.Path(file).name, read_csv("reference", file)
+    if len(table) < 2:
+        raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(table)}")
+    points = [_point(f"{name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
     if np.any(np.diff(table[:, 0]) <= 0):
         k = int(np.argmax(np.diff(table[:, 0]) <= 0))
         first, second = table[k : k + 2, 0]
-        raise errors.fail("reference", "hold times that increase", f"{path.name} has {first:g} and then {second:g}")
+        raise errors.fail("reference", "hold times that increase", f"{name} has {first:g} and then {second:g}")
     positions = np.stack([p for p, _ in points]) if scene.task.position else None
     rotations = np.stack([r for _, r in points]) if scene.task.orientation else None
     return ref.waypoints(table[:, 0], positions, rotations)
 
-
-def _is_number(text):
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -12,11 +12,11 @@ from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.search import Answers, Setup, Targets
 from cnclik.reaching.seeds import SETS, compared, nearest, seeds
 from cnclik.reaching.single import each
-from cnclik.record import replace
+from cnclik.record import kept, replace
 
 BLOCK = 4096  # targets that a core searches for at a time
 FEW = 8  # targets that are sooner searched for one by one
-MANY = 2000  # targets from which the unrolled form is worth its compiling
+MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
@@ -25,8 +25,10 @@ DRAWN = 12  # seeds for each solution asked for
 
 def many(asked: Asked, pose, near, progress=None) -> Reached:
     """Answers for (B, 12) targets, near (B, n) or None."""
+    chosen = use_form(form() or _form(asked.chain, len(pose)))
     if len(pose) <= FEW:
-        return each(asked, pose, near, progress)
+        with chosen:
+            return each(asked, pose, near, progress)
     B, n = len(pose), asked.chain.n
     setup = _setup(asked)
     made = Answers.empty(B, n)
@@ -47,14 +49,28 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             beyond[ids[left]] = search.find(setup._replace(tries=TRIES_BEYOND), free, downhill=False).found
         return len(ids)
 
-    with use_form(form() or ("rolled" if B < MANY else "unrolled")), jax.enable_x64(True):
+    with chosen, jax.enable_x64(True):
         with ThreadPoolExecutor(workers) as pool:
+            if len(finite) and form() == "unrolled":  # both programs compile at once
+                list(pool.map(as_here(lambda dtype: search.warm(setup, asked.bounds(near), dtype)), ("float32", "float64")))
             done = 0
             for count in pool.map(as_here(block), [finite[i : i + size] for i in range(0, len(finite), size)]):
                 done += count
                 if progress is not None:
                     progress(done, len(finite))
     return asked.reached(pose, near, *made.as_asked(), beyond)
+
+
+def _form(chain, targets) -> str:
+    """The form of programs for so many targets: rolled until a chain has been asked of so often that compiling pays.
+
+    One by one a call of the unrolled form is several times quicker, and in batches each target twenty times; compiling
+    takes seconds.
+    """
+    asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
+    alone = targets == 1
+    asked_of[0 if alone else 1] += targets
+    return "unrolled" if (asked_of[0] > ALONE if alone else asked_of[1] > MANY) else "rolled"
 
 
 def _setup(asked: Asked) -> Setup:
@@ -68,7 +84,7 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
     first = many(asked, pose, near, progress)
     B, n, copies = len(pose), asked.chain.n, max(SETS, DRAWN * solutions)
     known = seeds(asked.chain)
-    with use_form(form() or ("rolled" if B * copies < MANY else "unrolled")), jax.enable_x64(True):
+    with use_form(form() or _form(asked.chain, B * copies)), jax.enable_x64(True):
         setup = _setup(asked)
         start = np.stack([_seed(setup, pose, k + int(asked.seed)) for k in range(copies)], 1)
         ids = np.repeat(np.arange(B), copies)

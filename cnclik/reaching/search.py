@@ -99,6 +99,14 @@ def find(setup: Setup, targets: Targets, downhill=True) -> Answers:
     return made
 
 
+def warm(setup: Setup, bounds, dtype) -> None:
+    """Compile the program of a precision, where it is not yet."""
+    n = setup.chain.n
+    own = tuple((b[:1] if b.ndim > 1 else b).astype(dtype) for b in bounds)
+    start, pose = np.zeros((1, n), dtype), np.eye(1, 12, dtype=dtype)
+    programs.search(setup.chain, setup.task, own, setup.tolerance.astype(dtype), start, pose, 0, careful=False)
+
+
 def from_starts(setup: Setup, targets: Targets, start) -> Answers:
     """One careful search from each of (B, n) postures."""
     made = Answers.empty(*start.shape)

@@ -56,7 +56,8 @@ def along(asked, pose, progress=None):
 
 
 def _together_again(asked, rows):
-    return Reached(**{name: np.stack([row[name] for row in rows]) for name in PER_TARGET}, chain=asked.chain, task=asked.task)
+    fields = {name: np.stack([row[name] for row in rows]) for name in PER_TARGET}
+    return Reached(**fields, chain=asked.chain, task=asked.task)
 
 
 def _alone(asked, pose, near):
@@ -159,13 +160,14 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
         new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
         better = ~wide & ((new[2] < kept[2]) | at.arrived[k])
         kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), kept[4] + jnp.sum(at.looks))
-        return r + 1, kept, at.arrived[k] & ~wide, at.arrived[k] & wide
+        spent = (r < rounds) & (kept[4] >= budget)
+        return jnp.where(spent, rounds, r + 1), kept, at.arrived[k] & ~wide, at.arrived[k] & wide
 
     far = jnp.full((), jnp.inf, dtype)
     start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, jnp.zeros((), dtype)
     never = jnp.zeros((), bool)
     _, (q, squares, _, steep, looks), found, beyond = lax.while_loop(
-        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + free) & (c[1][4] < budget), again, (jnp.zeros((), jnp.int32), start, never, never)
+        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + free), again, (jnp.zeros_like(rounds), start, never, never)
     )
     return Outcome(q, squares, steep, looks, found, beyond)
 

@@ -39,6 +39,8 @@ def read(targets, task: Task, base=None):
     if len(sizes) > 1:
         raise errors.fail("targets", "have as many positions as rotations", f"have {' and '.join(map(str, sizes))}")
     (size,) = sizes
+    if size == 0:
+        raise errors.fail("targets", "hold at least one target", "hold none")
     xp = _library(where, turn, base)
     where = xp.zeros((size, 3)) if where is None else where
     turn = xp.broadcast_to(xp.eye(3), (size, 3, 3)) if turn is None else turn
@@ -99,8 +101,9 @@ def _check_rotation(r):
     if not errors.concrete(r):
         return
     r = np.asarray(r, float)
+    r = np.where(np.isfinite(r).all(axis=(-1, -2), keepdims=True), r, np.eye(3))  # of those the status tells
     gap = np.abs(r @ np.swapaxes(r, -1, -2) - np.eye(3)).max(axis=(-1, -2))
-    wrong = np.atleast_1d((gap > 1e-5) | (np.linalg.det(np.where(np.isfinite(r), r, 0.0)) < 0) & np.isfinite(gap))
+    wrong = np.atleast_1d((gap > 1e-5) | (np.linalg.det(r) < 0))
     if wrong.any():
         where = f" at index {np.flatnonzero(wrong)[0]}" if r.ndim > 2 else ""
         raise errors.fail("targets", "hold rotations, with rows of length 1 at right angles", f"does not{where}")

@@ -1,0 +1,238 @@
+"""`cnclik reach`: joint values for targets of a file, for random ones, or over a map of places."""
+
+import dataclasses
+import json
+import pathlib
+import time
+from typing import Annotated, Literal
+
+import tyro
+
+from cnclik import errors
+from cnclik.cli import progress
+from cnclik.cli.common import ComputeOptions
+from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions
+
+
+@dataclasses.dataclass(kw_only=True)
+class Args(ComputeOptions, TaskOptions, RobotOptions):
+    targets: Annotated[
+        tyro.conf.Positional[pathlib.Path | None], tyro.conf.arg(metavar="TARGETS", help_behavior_hint="")
+    ] = None
+    """FILE.csv, .npy or .npz: a target per row, position [m] and, for a pose, a quaternion w x y z; or 4×4 transforms."""
+    random: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """So many poses that can be reached, at random, in place of TARGETS."""
+    map: Literal["xy", "xz", "yz", "box"] | None = None
+    """Where the robot can reach, over a plane or a box, in place of TARGETS."""
+    cells: int = 40
+    """Places of --map along each axis."""
+    orientations: int = 24
+    """Orientations of --map at each place."""
+    at: float = 0.0
+    """Where on the third axis the plane of --map lies [m]."""
+    seed: int = 0
+    """Of --random and of the search."""
+    tolerance: tuple[float, float] = (1e-6, 1e-6)
+    """Of position [m] and orientation [rad]."""
+    accept: Annotated[tuple[float, float] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """A wider pair, within which an answer is ACCEPTED where the tolerance is not met."""
+    near: Numbers = None
+    """Joint values to search from [rad, m], such as where the robot is now."""
+    path: bool = False
+    """Targets are a path: search each from the answer before it."""
+    jump: Number = None
+    """The most that any joint may be away from --near, or from the answer before [rad, m]."""
+    solutions: int = 1
+    """Different answers for each target."""
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Postures to start from, at most, for each target; 256, of --map 32."""
+    budget: int = 10_000
+    """Evaluations for each target, at most, while there is no answer."""
+    limits: bool = True
+    """Keep the joint limits."""
+    json: bool = False
+    """Print the summary as JSON."""
+    out: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Where to write the answers: FILE.npz, .nc or .csv; of --map a folder, reach-out."""
+
+
+def run(args: Args) -> None:
+    from cnclik.problem.names import robot_from, task_from
+
+    _check(args)
+    chain = robot_from(args.robot, args.tip, args.base, args.lengths)
+    task = task_from(args.task, chain)
+    if args.map:
+        _map(args, chain, task)
+    else:
+        _answers(args, chain, task)
+
+
+def _check(args):
+    given = [n for n, v in (("TARGETS", args.targets), ("--random", args.random), ("--map", args.map)) if v is not None]
+    if len(given) != 1:
+        found = f"are {' and '.join(given)}" if given else "is none of them"
+        raise errors.ArgumentError(f"One of TARGETS, --random N and --map PLANE must be given, but there {found}.")
+    if args.random is not None:
+        errors.integer("random", args.random, at_least=1)
+    if args.out is not None and not args.map:
+        from cnclik.measure.answers import ENDINGS
+
+        if args.out.suffix.lower() not in ENDINGS:
+            raise errors.fail("out", f"end with {', '.join(ENDINGS)}", f"is {str(args.out)!r}")
+        if not args.out.parent.is_dir() or args.out.is_dir():
+            raise errors.fail("out", "name a file in a folder that is there", f"is {str(args.out)!r}")
+    if args.path and args.near is not None:
+        raise errors.fail("near", "be left out with --path", "is given")
+
+
+def _options(args):
+    near = "previous" if args.path else args.near
+    seeds = {} if args.seeds is None else {"seeds": args.seeds}
+    named = ("tolerance", "accept", "jump", "solutions", "budget", "limits", "seed")
+    return {name: getattr(args, name) for name in named} | seeds | {"near": near}
+
+
+def _answers(args, chain, task):
+    import cnclik as ck
+    from cnclik.measure.answers import answers, save, transforms
+    from cnclik.problem.tables import read_targets
+    from cnclik.reaching.targets import read
+
+    targets = _random(chain, args) if args.random else read_targets(args.targets, task)
+    pose, _ = read(targets, task)
+    options = _options(args)
+    begun = time.perf_counter()
+    with progress.bar("targets", len(pose)) as report:
+        made = ck.reach(chain, targets, task=task, **options, progress=report)
+    first = time.perf_counter() - begun
+    again = first
+    if args.json:  # the same once more: what is left without compiling
+        begun = time.perf_counter()
+        ck.reach(chain, targets, task=task, **options)
+        again = time.perf_counter() - begun
+    if made.q.ndim == 1:
+        made = ck.replace(made, **{n: getattr(made, n)[None] for n in _FIELDS})
+    if args.out is not None:
+        from cnclik.show.output import output_folder
+
+        with output_folder(args.out.parent) as folder:
+            save(answers(made, transforms(pose)), folder / args.out.name)
+    summary = _summary(made, first, again)
+    if args.json:
+        print(json.dumps(summary))
+        return
+    _tell(made, summary, first)
+    if args.out is not None:
+        print(f"Wrote {args.out}.")
+
+
+_FIELDS = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
+
+
+def _random(chain, args):
+    """Poses of joint values drawn evenly within the limits."""
+    import numpy as np
+
+    from cnclik.reaching.seeds import spans
+    from cnclik.robot.frames import frames
+    from cnclik.robot.rolled import roll
+
+    low, high = spans(chain)
+    q = np.random.default_rng(args.seed).uniform(low, high, (args.random, chain.n))
+    at = frames(roll(chain), q)
+    made = np.tile(np.eye(4), (args.random, 1, 1))
+    made[:, :3, 3], made[:, :3, :3] = at.position, at.rotation
+    return made
+
+
+def _summary(made, first, again):
+    from cnclik.hints import cores
+    from cnclik.reaching.result import count
+
+    first_of_each = made.status[..., 0] if made.status.ndim == 2 else made.status
+    total = len(first_of_each)
+    return {
+        "targets": total,
+        "solve_rate": float((first_of_each <= 1).mean()),
+        "status": count(first_of_each),
+        "us_per_target": 1e6 * again / total,
+        "compile_s": max(first - again, 0.0),
+        "cores": cores(),
+        "evaluations_per_target": float(made.evaluations.mean()),
+    }
+
+
+def _tell(made, summary, seconds):
+    """The summary for people: how many of each status and what that means, the first joint values where there is one."""
+    import numpy as np
+
+    print(f"{summary['targets']:,} targets in {seconds:.2f} s, {summary['evaluations_per_target']:.0f} evaluations each")
+    for name, number in summary["status"].items():
+        print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
+    if summary["targets"] == 1:
+        q = made.q.reshape(-1, made.chain.n)
+        for row in q[np.isfinite(q).all(axis=1)]:
+            shown = zip(made.chain.joint_names, row, made.chain.units, strict=True)
+            print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
+        error = f"{made.position_error.flat[0]:.3g} m, {made.orientation_error.flat[0]:.3g} rad"
+        print(f"  error {error}; least singular value {made.least_singular_value.flat[0]:.3g}")
+    held = made.at_limit.reshape(-1, made.chain.n)[(made.status == 2).ravel()]
+    if len(held):
+        often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
+        print("  at limits: " + ", ".join(f"{name} ({n:,} times)" for n, name in sorted(often, reverse=True)[:4]))
+
+
+_MEANING = {
+    "SOLVED": "within the tolerance",
+    "ACCEPTED": "within --accept, not the tolerance",
+    "AT_LIMIT": "the arm would get there, its joint limits don't let it; the nearest pose is given",
+    "OUT_OF_REACH": "too far; the nearest pose is given",
+    "JUMP": "only by a jump; no joint values are given",
+    "OUT_OF_BUDGET": "not found, and not shown to be out of reach: try more --seeds or a larger --budget",
+    "NON_FINITE": "the target is not finite",
+    "NO_OTHER": "fewer solutions than asked for",
+}
+
+
+def _map(args, chain, task):
+    import numpy as np
+
+    from cnclik.problem.names import robot_name
+    from cnclik.reaching.map import reachability
+    from cnclik.show.output import draw, output_folder
+    from cnclik.show.reach import reachability as figure
+
+    if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
+        raise errors.ArgumentError("Options of single targets must be left out with --map, but some are given.")
+    kind = "pose" if task.orientation else "position"
+    out = args.out or pathlib.Path("reach-out")
+    options = {"tolerance": args.tolerance, "budget": args.budget, "limits": args.limits, "seed": args.seed}
+    options |= {} if args.seeds is None else {"seeds": args.seeds}
+    count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
+    begun = time.perf_counter()
+    with output_folder(out) as folder:
+        with progress.bar("targets", count) as report:
+            found = reachability(
+                chain,
+                args.map,
+                task=kind,
+                cells=args.cells,
+                orientations=args.orientations,
+                at=args.at,
+                progress=report,
+                **options,
+            )
+        places = dict(zip(found.axes, found.places, strict=True))
+        np.savez_compressed(folder / "map.npz", share=found.share, least_singular_value=found.worst, **places)
+    seconds = time.perf_counter() - begun
+    title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
+    about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
+    draw({"map.png": (lambda: figure(found, title=title), about)}, out)
+    summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
+    if args.json:
+        print(json.dumps(summary))
+        return
+    print(f"{count:,} targets in {seconds:.2f} s: {100 * np.mean(found.share > 0):.1f} % of the places can be reached, "
+          f"{100 * np.mean(found.share == 1):.1f} % in every orientation tried")  # fmt: skip
+    print(f"Wrote map.png and map.npz to {out}/.")

@@ -1,0 +1,80 @@
+"""Answers of `cnclik.reach` as labelled data and files; and how they did, in a few numbers."""
+
+import pathlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.measure.files import save_netcdf
+from cnclik.reaching.result import Reached, ReachStatus
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ENDINGS = (".npz", ".nc", ".csv")
+
+
+def answers(reached: Reached, transforms) -> "xr.Dataset":
+    """Answers for (B, 4, 4) targets as an `xarray.Dataset` with dimension `target` (and `solution`), units on all."""
+    import xarray as xr
+
+    dims = ("target", "solution")[: np.ndim(reached.status)]
+    units = " or ".join(dict.fromkeys(reached.chain.units))
+    flags = {"flag_values": [int(s) for s in ReachStatus], "flag_meanings": " ".join(s.name for s in ReachStatus)}
+
+    def about(name, unit):
+        return {"long_name": name, "units": unit}
+
+    variables = {
+        "transform": (("target", "row", "column"), transforms, about("target pose", "m, 1")),
+        "q": ((*dims, "joint"), reached.q, about("joint value", units)),
+        "status": (dims, reached.status, about("status", "1") | flags),
+        "position_error": (dims, reached.position_error, about("position error", "m")),
+        "orientation_error": (dims, reached.orientation_error, about("orientation error", "rad")),
+        "least_singular_value": (dims, reached.least_singular_value, about("least singular value", "m or 1")),
+        "at_limit": ((*dims, "joint"), reached.at_limit, about("joint at a limit", "1")),
+        "evaluations": (dims, reached.evaluations, about("evaluations", "1")),
+        "distance": (dims, reached.distance, about("largest joint's distance from near", units)),
+    }
+    return xr.Dataset(variables, coords={"joint": list(reached.chain.joint_names)})
+
+
+def save(data: "xr.Dataset", path) -> None:
+    """Write answers as .npz (`targets`, and a name for each variable), .nc, or .csv (a row per target and solution)."""
+    path = pathlib.Path(path)
+    ending = errors.one_of("out", path.suffix.lower(), ENDINGS)
+    if ending == ".nc":
+        save_netcdf(data, path)
+    elif ending == ".npz":
+        arrays = {name: variable.values for name, variable in data.data_vars.items()}
+        np.savez_compressed(path, targets=arrays.pop("transform"), joint=np.array(data.joint.values, str), **arrays)
+    else:
+        _save_csv(data, path)
+
+
+def _save_csv(data, path):
+    import csv
+
+    several = "solution" in data.sizes
+    count = data.sizes.get("solution", 1)
+    joints = [str(name) for name in data.joint.values]
+    numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        poses = [f"t{i}{j}" for i in range(4) for j in range(4)]
+        out.writerow(["target", *["solution"] * several, "status", *joints, *numbers, *poses])
+        shape = (data.sizes["target"], count)
+        status, q = data.status.values.reshape(shape), data.q.values.reshape(*shape, -1)
+        columns = [data[name].values.reshape(shape) for name in numbers]
+        for b in range(shape[0]):
+            for k in range(count):
+                row = [b, *[k] * several, ReachStatus(int(status[b, k])).name, *map(repr, q[b, k].tolist())]
+                out.writerow([*row, *(repr(c[b, k].item()) for c in columns), *data.transform.values[b].ravel().tolist()])
+
+
+def transforms(pose) -> np.ndarray:
+    """(B, 4, 4) of (B, 12) positions and rotations' rows."""
+    out = np.tile(np.eye(4), (len(pose), 1, 1))
+    out[:, :3, 3], out[:, :3, :3] = pose[:, :3], np.asarray(pose)[:, 3:].reshape(-1, 3, 3)
+    return out

@@ -1,0 +1,63 @@
+"""Files of numbers that a user brings: a CSV table, and targets in any of the forms they come in."""
+
+import csv
+import pathlib
+
+import numpy as np
+
+from cnclik import errors
+
+
+def read_csv(argument: str, file) -> np.ndarray:
+    """The numbers (rows, columns) of a CSV file; a header and # comments are skipped.
+
+    Raises: ArgumentError, naming the argument, for a file that can't be read, or rows that don't fit.
+    """
+    path = pathlib.Path(file)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is no text"
+        raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
+    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
+        rows = rows[1:]
+    for k, row in enumerate(rows):
+        if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
+            raise errors.fail(argument, "hold numbers, as many in every row", f"row {k + 1} of {path.name} does not")
+    return np.array(rows, float)
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def read_targets(file, task) -> np.ndarray:
+    """Targets of a file, as `cnclik.reach` takes them.
+
+    A CSV file has a target per row: position [m] and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4
+    transform row by row; a .npy file an array of such rows or of transforms; a .npz file has it under `targets`.
+    """
+    path = pathlib.Path(file)
+    ending = path.suffix.lower()
+    errors.one_of("TARGETS", ending, (".csv", ".npy", ".npz"))
+    if ending == ".csv":
+        found = read_csv("TARGETS", path)
+    else:
+        try:
+            found = np.load(path, allow_pickle=False)
+            found = found["targets"] if ending == ".npz" else found
+        except (OSError, ValueError, KeyError) as error:
+            reason = getattr(error, "strerror", None) or "holds no array `targets`" * (ending == ".npz") or "is damaged"
+            raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
+    if found.size == 0:
+        raise errors.fail("TARGETS", "hold at least one target", f"{path.name} holds none")
+    if found.ndim == 2 and found.shape[1] == 16:
+        return found.reshape(-1, 4, 4)
+    if found.ndim == 2 and found.shape[1] == 7 and not (task.position and task.orientation):
+        return found[:, :3] if task.position else found[:, 3:]
+    return found

@@ -1,0 +1,85 @@
+"""Where a robot can reach: the share of orientations that it can take, over a plane or a box of places."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.law.task import position
+from cnclik.reaching.reach import reach
+from cnclik.reaching.result import Reached
+from cnclik.reaching.seeds import seeds
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import Chain
+from cnclik.robot.frames import frames
+from cnclik.robot.posture import evenly, start_posture
+from cnclik.robot.rolled import roll
+
+PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+class Reachability(NamedTuple):
+    """What can be reached at each of the places of a grid."""
+
+    axes: tuple  # names of the grid's axes, such as ("x", "z")
+    places: tuple  # one vector of places [m] per axis
+    share: np.ndarray  # of orientations that can be taken there; of a position task, whether there is an answer
+    worst: np.ndarray  # least singular value, median over the answers there; NaN without one
+    arm: np.ndarray  # (j, 3) the base, joints and tip of the arm in a posture of its own [m]
+    reached: Reached  # every answer, (cells · orientations,)
+
+
+def reachability(
+    chain: Chain, where="xz", *, task="pose", cells=40, orientations=24, at=0.0, span=None, **options
+) -> Reachability:
+    """Reach every place of a grid in many orientations that fill the turns evenly.
+
+    Args:
+      where: a plane, "xy", "xz" or "yz", or "box".
+      task: "pose", or "position" for places alone.
+      cells: places along each axis.
+      orientations: how many at each place.
+      at: where on the third axis the plane lies [m].
+      span: half the width of the grid [m] about the first joint; by default a little more than the arm gets to.
+      options: of `cnclik.reach`, such as `tolerance` and `seeds`, 32 here.
+    """
+    errors.one_of("where", where, (*PLANES, "box"))
+    errors.one_of("task", task, ("pose", "position"))
+    cells, orientations = errors.integer("cells", cells, at_least=2), errors.integer("orientations", orientations, at_least=1)
+    middle = np.array([float(x) for x in chain.joints[0].origin.position])
+    over = PLANES.get(where, (0, 1, 2))
+    if span is None:
+        known = seeds(chain)
+        span = 1.08 * np.abs(known.tips[:, over] / known.scale - middle[list(over)]).max()
+    span = float(errors.number("span", span, positive=True))
+    places = tuple(middle[i] + np.linspace(-span, span, cells) for i in over)
+    grid = np.stack(np.meshgrid(*places, indexing="ij"), -1).reshape(-1, len(over))
+    points = np.full((len(grid), 3), float(errors.number("at", at)))
+    points[:, over] = grid
+    turns = turns_evenly(orientations) if task == "pose" else [None]
+    targets = np.repeat(points, len(turns), 0)
+    if task == "pose":
+        targets = targets, np.tile(turns, (len(points), 1, 1))
+    made = reach(chain, targets, task=task, **{"seeds": 32} | options)
+    shape = (*(cells,) * len(over), len(turns))
+    solved = made.solved.reshape(shape)
+    sigma = np.where(solved, made.least_singular_value.reshape(shape), np.nan)
+    known = solved.any(axis=-1)
+    worst = np.full(known.shape, np.nan)
+    worst[known] = np.nanmedian(sigma[known], axis=-1)
+    return Reachability(tuple("xyz"[i] for i in over), places, solved.mean(axis=-1), worst, outline(chain), made)
+
+
+def turns_evenly(count: int) -> np.ndarray:
+    """Rotations (count, 3, 3) that fill all turns evenly (Shoemake 1992, of an even sequence)."""
+    u, v, w = evenly(count, 3).T
+    a, b, v, w = np.sqrt(1 - u), np.sqrt(u), 2 * np.pi * v, 2 * np.pi * w
+    rows = sp.rotation_from_quaternion((b * np.cos(w), a * np.sin(v), a * np.cos(v), b * np.sin(w)))
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def outline(chain: Chain) -> np.ndarray:
+    """Base, joints and tip (j, 3) of the arm in the posture that a loop would start from [m]."""
+    q = start_posture(chain, position())
+    at = frames(roll(chain), q)
+    return np.concatenate([np.zeros((1, 3)), at.points, at.position[None]])

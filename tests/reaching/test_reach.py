@@ -1,0 +1,330 @@
+"""reach against Pinocchio's kinematics: every answer is one, and what is none is said to be none."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import cnclik as ck
+from cnclik import ReachStatus
+from cnclik.reaching import programs
+from cnclik.reaching.map import turns_evenly
+from cnclik.reaching.seeds import spans
+from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.robot.test_urdf import Pinocchio, oracle
+
+WRIST = ck.from_dh(
+    [0.0, 0.4, 0.0, 0.0, 0.0, 0.0],
+    [np.pi / 2, 0.0, np.pi / 2, -np.pi / 2, np.pi / 2, 0.0],
+    [0.3, 0.0, 0.0, 0.35, 0.0, 0.1],
+    lower=[-2.5] * 6,
+    upper=[2.5] * 6,
+)
+ARM = ck.planar_arm([1.0, 1.0])
+PLANE = ck.position("xy")
+
+
+def tips(chain, q):
+    """4×4 transforms of the tip."""
+    at = jax.vmap(lambda q: ck.pose(chain, q))(jnp.asarray(q))
+    made = np.tile(np.eye(4), (len(q), 1, 1))
+    made[:, :3, 3], made[:, :3, :3] = at.position, at.rotation
+    return made
+
+
+def drawn(chain, count, seed=0):
+    low, high = spans(chain)
+    return np.random.default_rng(seed).uniform(low, high, (count, chain.n))
+
+
+@pytest.mark.parametrize("name", ["Panda", pytest.param("Kinova", marks=pytest.mark.slow), "UR5"])
+def test_every_answer_is_one(name):
+    """By Pinocchio's forward kinematics, and within the limits."""
+    file, tip, base = ROBOTS[name]
+    chain = ck.load_urdf(folder() / file, tip, base)
+    model, _ = oracle(folder() / file)
+    other = Pinocchio(folder() / file, model)
+    tip, base = tip or "tool0", base or model.frames[1].name
+    targets = tips(chain, drawn(chain, 120))
+    made = ck.reach(chain, targets)
+    assert made.solved.all()
+    assert (made.q >= np.array(chain.lower)).all() and (made.q <= np.array(chain.upper)).all()
+    for q, target, error, turn in zip(made.q, targets, made.position_error, made.orientation_error, strict=True):
+        position, rotation, _ = other.at(chain.joint_names, q, tip, base)
+        away = np.linalg.norm(position - target[:3, 3])
+        angle = np.arccos(np.clip((np.trace(rotation.T @ target[:3, :3]) - 1) / 2, -1, 1))
+        assert away <= 1.0001e-6 and angle <= 2e-6  # arccos is good for 1e-8 there
+        assert abs(away - error) < 1e-12 and abs(angle - turn) < 1e-6
+    assert made.evaluations.mean() < 60
+
+
+def test_few_and_many_and_one_agree_that_there_is_an_answer():
+    targets = tips(WRIST, drawn(WRIST, 40))
+    many, few = ck.reach(WRIST, targets), ck.reach(WRIST, targets[:3])
+    one = ck.reach(WRIST, targets[0])
+    assert many.solved.all() and few.solved.all() and one.solved and one.q.shape == (6,)
+    for made, wanted in ((many.q, targets), (few.q, targets[:3]), (one.q[None], targets[:1])):
+        np.testing.assert_allclose(tips(WRIST, made), wanted, atol=3e-6)
+
+
+def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
+    targets = tips(WRIST, drawn(WRIST, 20))
+    first, again, other = ck.reach(WRIST, targets), ck.reach(WRIST, targets), ck.reach(WRIST, targets, seed=3)
+    assert (first.q == again.q).all() and first.q.dtype == np.float64 and isinstance(first.q, np.ndarray)
+    assert other.solved.all() and not (first.q == other.q).all()
+    with jax.enable_x64(False):
+        single, alone = ck.reach(WRIST, targets), ck.reach(WRIST, targets[0])
+    assert (single.q == first.q).all() and single.position_error.max() <= 1e-6 and alone.q.dtype == np.float64
+
+
+def test_another_number_of_targets_compiles_nothing():
+    targets = tips(WRIST, drawn(WRIST, 300))
+    ck.reach(WRIST, targets[:20])
+    before = programs._soon._cache_size()
+    for count in (9, 33, 150, 300):
+        ck.reach(WRIST, targets[:count])
+    assert programs._soon._cache_size() == before
+
+
+@pytest.mark.form(None)
+def test_forms_agree_that_there_is_an_answer():
+    targets = tips(ARM, drawn(ARM, 30))[:, :3, 3]
+    for form in ("rolled", "unrolled"):
+        with ck.use_form(form):
+            for some in (targets, targets[:2]):
+                made = ck.reach(ARM, some, task=PLANE)
+                assert made.solved.all()
+                np.testing.assert_allclose(tips(ARM, made.q)[:, :2, 3], some[:, :2], atol=2e-6)
+
+
+# --- why there is no answer ---------------------------------------------------------------------------
+
+
+def test_out_of_reach_is_told_and_the_nearest_pose_given():
+    rng = np.random.default_rng(1)
+    ways = rng.normal(size=(40, 3)) * [1, 1, 0]
+    targets = 2.0 * ways / np.linalg.norm(ways, axis=1, keepdims=True) * rng.uniform(1.05, 3, (40, 1))
+    for made in (ck.reach(ARM, targets, task=PLANE), ck.reach(ARM, targets[:2], task=PLANE)):
+        assert (made.status == ReachStatus.OUT_OF_REACH).all()
+        far = np.linalg.norm(targets[: len(made.q)], axis=1) - 2.0
+        np.testing.assert_allclose(made.position_error, far, rtol=1e-4)
+    assert "40 OUT_OF_REACH" in str(ck.reach(ARM, targets, task=PLANE))
+
+
+def test_in_a_hole_of_the_limits():
+    """A place that the arm reaches with its elbow the other way or bent further than it may."""
+    held = ck.replace(ARM, lower=(-0.5, 0.2), upper=(0.5, 1.0))
+    q = np.random.default_rng(2).uniform([-0.5, 1.3], [0.5, 2.5], (60, 2))
+    targets = tips(ARM, q)[:, :3, 3]
+    made = ck.reach(held, targets, task=PLANE)
+    assert (made.status == ReachStatus.AT_LIMIT).all() and made.at_limit.any(axis=1).all()
+    assert (ck.reach(held, targets[:3], task=PLANE).status == ReachStatus.AT_LIMIT).all()
+    assert ck.reach(held, targets, task=PLANE, limits=False).solved.all()
+    for target, error in list(zip(targets, made.position_error, strict=True))[:12]:  # the nearest there is
+
+        def away(q, target=target):
+            return np.sum((np.array([-np.sin(q[0]) - np.sin(q.sum()), np.cos(q[0]) + np.cos(q.sum())]) - target[:2]) ** 2)
+
+        starts = ([-0.4, 0.3], [0.4, 0.3], [-0.4, 0.9], [0.4, 0.9])
+        found = min(minimize(away, s, bounds=[(-0.5, 0.5), (0.2, 1.0)]).fun for s in starts)
+        assert error <= 1.01 * np.sqrt(found) + 1e-6
+
+
+def test_targets_that_are_not_finite():
+    targets = tips(WRIST, drawn(WRIST, 10))
+    targets[3, 0, 3], targets[4] = np.nan, np.inf
+    made = ck.reach(WRIST, targets)
+    assert made.status[[3, 4]].tolist() == [ReachStatus.NON_FINITE] * 2 and np.isnan(made.q[[3, 4]]).all()
+    assert made.solved.sum() == 8
+    assert ck.reach(WRIST, targets[3]).status == ReachStatus.NON_FINITE
+
+
+def test_two_tolerances():
+    targets = np.array([[2.001, 0.0, 0.0]] * 10)
+    for some in (targets, targets[0]):
+        made = ck.reach(ARM, some, task=PLANE, accept=(0.01, 0.01))
+        assert np.all(made.status == ReachStatus.ACCEPTED) and np.all(made.solved)
+        assert np.allclose(made.position_error, 0.001, rtol=1e-3)
+
+
+# --- near, jump, several ------------------------------------------------------------------------------
+
+
+def test_near_stays_on_the_branch():
+    q = drawn(WRIST, 60, seed=5) * 0.9
+    moved = q + np.random.default_rng(6).uniform(-0.02, 0.02, q.shape)
+    made = ck.reach(WRIST, tips(WRIST, moved), near=q)
+    assert made.solved.all() and np.median(made.distance) < 0.05
+    assert (made.distance == np.abs(made.q - q).max(axis=1)).all()
+    alone = ck.reach(WRIST, tips(WRIST, moved)[0], near=q[0])
+    assert alone.solved and alone.distance < 0.1 and alone.evaluations < 60
+
+
+def test_a_jump_is_reported_and_not_made():
+    q = drawn(WRIST, 40, seed=7)
+    far = tips(WRIST, drawn(WRIST, 40, seed=8))
+    made = ck.reach(WRIST, far, near=q, jump=0.1)
+    assert (made.status == ReachStatus.JUMP).sum() >= 38 and np.isnan(made.q[made.status == ReachStatus.JUMP]).all()
+    close = ck.reach(WRIST, tips(WRIST, q + 0.01), near=q, jump=0.1)
+    assert (close.distance[close.solved] <= 0.1 + 1e-12).all() and close.solved.mean() > 0.95
+    assert ck.reach(WRIST, far[0], near=q[0], jump=0.1).status == ReachStatus.JUMP
+
+
+def test_a_path_has_no_jump_that_is_not_reported():
+    t = np.linspace(0, 2 * np.pi, 200)
+    path = np.stack([1.2 + 0.5 * np.cos(t), 0.5 * np.sin(t), 0 * t], axis=1)
+    made = ck.reach(ARM, path, task=PLANE, near="previous", jump=0.1)
+    assert made.solved.all() and np.abs(np.diff(made.q, axis=0)).max() <= 0.1
+    bent = ck.replace(ARM, lower=(-np.inf, 0.0), upper=(np.inf, 3.0))
+    through = np.stack([np.linspace(-1.9, 1.9, 60), np.full(60, 0.16), np.zeros(60)], axis=1)  # past its base
+    made = ck.reach(bent, through, task=PLANE, near="previous", jump=0.2)
+    assert (made.status == ReachStatus.JUMP).any()
+    solved = made.q[np.flatnonzero(made.solved)]
+    assert np.isnan(made.q[made.status == ReachStatus.JUMP]).all() and len(solved) > 10
+
+
+def test_several_solutions_are_different_and_all_are_answers():
+    targets = tips(ARM, np.array([[0.3, 1.0], [-0.4, -0.7], [0.5, 1.5]]))[:, :3, 3]
+    made = ck.reach(ARM, targets, task=PLANE, solutions=3)
+    assert made.q.shape == (3, 3, 2) and (made.status[:, :2] == ReachStatus.SOLVED).all()
+    assert (made.status[:, 2] == ReachStatus.NO_OTHER).all() and np.isnan(made.q[:, 2]).all()  # elbow up, elbow down
+    for k in range(2):
+        np.testing.assert_allclose(tips(ARM, made.q[:, k])[:, :2, 3], targets[:, :2], atol=2e-6)
+    assert (np.sign(made.q[:, 0, 1]) == -np.sign(made.q[:, 1, 1])).all()
+    near = ck.reach(ARM, targets, task=PLANE, solutions=2, near=[0.3, 1.0])
+    assert near.distance[0, 0] < 1e-5 and (near.distance[:, 0] <= near.distance[:, 1]).all()
+    far = ck.reach(ARM, [[5.0, 0, 0]], task=PLANE, solutions=2)
+    assert far.status[0].tolist() == [ReachStatus.OUT_OF_REACH, ReachStatus.NO_OTHER] and np.isfinite(far.q[0, 0]).all()
+
+
+@pytest.mark.slow
+def test_all_eight_branches_of_an_arm_with_a_spherical_wrist():
+    free = ck.replace(WRIST, lower=(-np.inf,) * 6, upper=(np.inf,) * 6)
+    targets = tips(free, drawn(free, 20, seed=3) * 0.5)
+    made = ck.reach(free, targets, solutions=10)
+    assert ((made.status == ReachStatus.SOLVED).sum(axis=1) >= 4).all() and (made.status[:, 8:] == ReachStatus.NO_OTHER).all()
+
+
+# --- as part of other programs ------------------------------------------------------------------------
+
+
+def test_jit_vmap_and_the_implicit_derivative():
+    targets = tips(WRIST, drawn(WRIST, 3, seed=9) * 0.8)
+    near = ck.reach(WRIST, targets).q
+    made = jax.jit(lambda t: ck.reach(WRIST, t, near=near))(targets)
+    assert np.all(made.status == 0) and isinstance(made.q, jax.Array)
+    np.testing.assert_allclose(made.q, near, atol=1e-5)
+    by_vmap = jax.vmap(lambda t, q: ck.reach(WRIST, t, near=q).q)(jnp.asarray(targets), near)
+    np.testing.assert_allclose(by_vmap, near, atol=1e-5)
+
+    def q_at(shift):
+        return ck.reach(WRIST, jnp.asarray(targets[0]).at[:3, 3].add(shift), near=near[0], tolerance=(1e-12, 1e-12)).q
+
+    found = jax.jacfwd(q_at)(jnp.zeros(3))
+    by_reverse = jax.jacrev(q_at)(jnp.zeros(3))
+    j = ck.jacobian(WRIST, q_at(jnp.zeros(3)))
+    np.testing.assert_allclose(found, jnp.linalg.inv(j)[:, :3], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(by_reverse, found, rtol=1e-9, atol=1e-12)
+
+
+def test_derivative_with_respect_to_geometry():
+    def q_of(lengths):
+        return ck.reach(ck.planar_arm(lengths), [1.2, 0.5, 0.0], task=PLANE, near=[-1.5, 1.2], tolerance=(1e-12, 1e-12)).q
+
+    lengths = jnp.array([1.0, 0.9])
+    found, h = jax.jacfwd(q_of)(lengths), 1e-5
+    wanted = np.stack([(q_of(lengths.at[i].add(h)) - q_of(lengths.at[i].add(-h))) / (2 * h) for i in range(2)], 1)
+    np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)
+
+
+def test_a_joint_at_its_limit_has_no_derivative():
+    held = ck.replace(WRIST, lower=(-2.5, 0.3, -2.5, -2.5, -2.5, -2.5))
+    q = jnp.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+    made = jax.jacfwd(lambda s: ck.reach(held, tips_traced(held, q, s), near=q, accept=(1e-3, 1e-3)).q)(jnp.zeros(3))
+    assert np.isfinite(made).all() and (made[1] == 0).all()
+
+
+def tips_traced(chain, q, shift):
+    at = ck.pose(chain, q)
+    return at.position + shift, at.rotation
+
+
+# --- what targets look like ---------------------------------------------------------------------------
+
+
+def test_the_forms_of_targets():
+    made = tips(WRIST, drawn(WRIST, 9))
+    position, rotation = made[:, :3, 3], made[:, :3, :3]
+    quaternion = np.stack([np.array(jax.jit(quaternion_of)(r)) for r in rotation])
+    first = ck.reach(WRIST, made)
+    for same in ((position, rotation), (position, quaternion), np.concatenate([position, quaternion], 1), made.tolist()):
+        np.testing.assert_allclose(ck.reach(WRIST, same).q, first.q, atol=1e-5)
+    one = ck.reach(WRIST, ck.pose(WRIST, jnp.array(first.q[0])))
+    assert one.solved and one.q.shape == (6,)
+    places = ck.reach(WRIST, position, task="position")
+    assert places.solved.all() and (places.orientation_error == 0).all()
+    turns = ck.reach(WRIST, rotation, task="orientation")
+    assert turns.solved.all() and (turns.position_error == 0).all()
+    assert ck.reach(WRIST, quaternion, task="orientation").solved.all()
+    assert ck.reach(WRIST, made, task=ck.pose_task("xyz", "z")).solved.all()
+
+
+def quaternion_of(r):
+    from cnclik.robot import spatial as sp
+
+    return sp.quaternion_from_rotation(r)
+
+
+def test_a_base_of_its_own_for_each_target():
+    q = drawn(WRIST, 10)
+    base = np.tile(np.eye(4), (10, 1, 1))
+    base[:, :3, :3], base[:, :3, 3] = turns_evenly(10), np.random.default_rng(0).normal(size=(10, 3))
+    made = ck.reach(WRIST, base @ tips(WRIST, q), base=base)
+    assert made.solved.all()
+    np.testing.assert_allclose(base @ tips(WRIST, made.q), base @ tips(WRIST, q), atol=3e-6)
+
+
+def test_joints_without_limits_are_given_within_half_a_turn():
+    targets = tips(ARM, drawn(ARM, 30))[:, :3, 3]
+    assert np.abs(ck.reach(ARM, targets, task=PLANE).q).max() <= np.pi
+    around = ck.reach(ARM, targets, task=PLANE, near=[20.0, -20.0])
+    assert around.distance.max() <= np.pi
+
+
+def test_turns_are_even():
+    turns = turns_evenly(500)
+    np.testing.assert_allclose(turns @ np.swapaxes(turns, 1, 2), np.tile(np.eye(3), (500, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0)
+    assert np.abs(turns.mean(axis=0)).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"targets": np.zeros((2, 5))}, "`targets` must be 4×4 transforms"),
+        ({"targets": 2 * np.eye(4)}, "`targets` must hold rotations"),
+        ({"targets": (np.zeros((2, 3)), np.eye(3)[None])}, "as many positions as rotations"),
+        ({"targets": np.zeros((0, 4, 4))}, "at least one target"),
+        ({"task": "elbow"}, "`task` must be one of"),
+        ({"tolerance": 1e-6}, "`tolerance` must be a pair"),
+        ({"tolerance": (1e-6, -1)}, "`tolerance` must hold positive"),
+        ({"jump": 0.1}, "`near` must be given with `jump`"),
+        ({"near": [0.0, 1.0]}, "`near` must have shape"),
+        ({"near": "last"}, "`near` must be one of previous"),
+        ({"solutions": 0}, "`solutions` must be at least 1"),
+        ({"seeds": 2.5}, "`seeds` must be an integer"),
+        ({"base": np.zeros((3, 3))}, "`base` must have shape"),
+        ({"chain": 3}, "`chain` must be a Chain"),
+    ],
+)
+def test_what_cannot_be_asked(change, told):
+    given = {"chain": WRIST, "targets": np.eye(4)} | change
+    with pytest.raises(ck.ArgumentError, match=told):
+        ck.reach(given.pop("chain"), given.pop("targets"), **given)
+
+
+def test_what_cannot_be_asked_while_tracing():
+    for name, value in (("solutions", 2), ("near", "previous")):
+        with pytest.raises(ck.ArgumentError, match=f"`{name}` must be left out under jit"):
+            jax.jit(lambda t, n=name, v=value: ck.reach(WRIST, t, **{n: v}).q)(np.eye(4))
