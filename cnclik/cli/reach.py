@@ -19,7 +19,7 @@ class Args(ComputeOptions, TaskOptions, RobotOptions):
     targets: Annotated[
         tyro.conf.Positional[pathlib.Path | None], tyro.conf.arg(metavar="TARGETS", help_behavior_hint="")
     ] = None
-    """FILE.csv, .npy or .npz: a target per row, position [m] and, for a pose, a quaternion w x y z; or 4×4 transforms."""
+    """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms."""
     random: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
     """So many poses that can be reached, at random, in place of TARGETS."""
     map: Literal["xy", "xz", "yz", "box"] | None = None
@@ -94,25 +94,27 @@ def _options(args):
 
 
 def _answers(args, chain, task):
-    import cnclik as ck
     from cnclik.measure.answers import answers, save, transforms
     from cnclik.problem.tables import read_targets
+    from cnclik.reaching.reach import reach
+    from cnclik.reaching.result import PER_TARGET
     from cnclik.reaching.targets import read
+    from cnclik.record import replace
 
     targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
     options = _options(args)
     begun = time.perf_counter()
     with progress.bar("targets", len(pose)) as report:
-        made = ck.reach(chain, targets, task=task, **options, progress=report)
+        made = reach(chain, targets, task=task, **options, progress=report)
     first = time.perf_counter() - begun
     again = first
     if args.json:  # the same once more: what is left without compiling
         begun = time.perf_counter()
-        ck.reach(chain, targets, task=task, **options)
+        reach(chain, targets, task=task, **options)
         again = time.perf_counter() - begun
     if made.q.ndim == 1:
-        made = ck.replace(made, **{n: getattr(made, n)[None] for n in _FIELDS})
+        made = replace(made, **{n: getattr(made, n)[None] for n in PER_TARGET})
     if args.out is not None:
         from cnclik.show.output import output_folder
 
@@ -125,9 +127,6 @@ def _answers(args, chain, task):
     _tell(made, summary, first)
     if args.out is not None:
         print(f"Wrote {args.out}.")
-
-
-_FIELDS = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
 
 
 def _random(chain, args):
@@ -164,10 +163,12 @@ def _summary(made, first, again):
 
 
 def _tell(made, summary, seconds):
-    """The summary for people: how many of each status and what that means, the first joint values where there is one."""
+    """The summary for people: how many of each status and what that means; joint values of a target that is alone."""
     import numpy as np
 
-    print(f"{summary['targets']:,} targets in {seconds:.2f} s, {summary['evaluations_per_target']:.0f} evaluations each")
+    print(
+        f"{summary['targets']:,} targets in {seconds:.2f} s, {summary['evaluations_per_target']:.0f} evaluations each"
+    )
     for name, number in summary["status"].items():
         print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
     if summary["targets"] == 1:

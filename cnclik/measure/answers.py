@@ -70,7 +70,9 @@ def _save_csv(data, path):
         for b in range(shape[0]):
             for k in range(count):
                 row = [b, *[k] * several, ReachStatus(int(status[b, k])).name, *map(repr, q[b, k].tolist())]
-                out.writerow([*row, *(repr(c[b, k].item()) for c in columns), *data.transform.values[b].ravel().tolist()])
+                out.writerow(
+                    [*row, *(repr(c[b, k].item()) for c in columns), *data.transform.values[b].ravel().tolist()]
+                )
 
 
 def transforms(pose) -> np.ndarray:

@@ -170,4 +170,3 @@ def _waypoints(scene, file):
     positions = np.stack([p for p, _ in points]) if scene.task.position else None
     rotations = np.stack([r for _, r in points]) if scene.task.orientation else None
     return ref.waypoints(table[:, 0], positions, rotations)
-

@@ -7,4 +7,6 @@ together and says how it went.
 
 from cnclik.lazy import on_use
 
-__getattr__, __all__ = on_use(__name__, {"map": "Reachability reachability", "reach": "reach", "result": "Reached ReachStatus"})
+__getattr__, __all__ = on_use(
+    __name__, {"map": "Reachability reachability", "reach": "reach", "result": "Reached ReachStatus"}
+)

@@ -1,6 +1,7 @@
 """What is asked of all targets of a call, and how an answer becomes a status."""
 
 import math
+
 import numpy as np
 
 from cnclik.law.task import Task
@@ -50,7 +51,7 @@ class Asked:
         return np.full_like(lower, -np.inf), np.full_like(upper, np.inf)
 
     def too_far(self, pose, xp=np):
-        """Which targets (..., 12) are farther from the first joint than the stretched arm is long, whatever the limits."""
+        """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""
         first = self.chain.joints[0]
         turning = all(joint.kind == REVOLUTE for joint in self.chain.joints)
         if not turning or self.task.linear != (0, 1, 2):
@@ -75,7 +76,9 @@ class Asked:
         around = xp.zeros_like(q) if near is None else near
         turns = np.array([u == "rad" for u in self.chain.units]) & np.isinf(lower) & np.isinf(upper)
         q = xp.where(turns, q - 2 * math.pi * xp.round((q - around) / (2 * math.pi)), q)
-        q, position, turn = (xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn)))
+        q, position, turn = (
+            xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn))
+        )
         return Reached(
             q=q,
             status=status,

@@ -38,7 +38,9 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     size = max(min(BLOCK, -(-len(finite) // workers)), 1)
 
     def block(ids):
-        mine = Targets(pose[ids], asked.bounds(None if near is None else near[ids]), None if near is None else near[ids])
+        mine = Targets(
+            pose[ids], asked.bounds(None if near is None else near[ids]), None if near is None else near[ids]
+        )
         far = asked.too_far(mine.pose)
         for some, tries in ((np.flatnonzero(~far), setup.tries), (np.flatnonzero(far), min(TRIES_FAR, setup.tries))):
             if len(some):
@@ -49,15 +51,14 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             beyond[ids[left]] = search.find(setup._replace(tries=TRIES_BEYOND), free, downhill=False).found
         return len(ids)
 
-    with chosen, jax.enable_x64(True):
-        with ThreadPoolExecutor(workers) as pool:
-            if len(finite) and form() == "unrolled":  # both programs compile at once
-                list(pool.map(as_here(lambda dtype: search.warm(setup, asked.bounds(near), dtype)), ("float32", "float64")))
-            done = 0
-            for count in pool.map(as_here(block), [finite[i : i + size] for i in range(0, len(finite), size)]):
-                done += count
-                if progress is not None:
-                    progress(done, len(finite))
+    with chosen, jax.enable_x64(True), ThreadPoolExecutor(workers) as pool:
+        if len(finite) and form() == "unrolled":  # both programs compile at once
+            list(pool.map(as_here(lambda dtype: search.warm(setup, asked.bounds(near), dtype)), ("float32", "float64")))
+        done = 0
+        for count in pool.map(as_here(block), [finite[i : i + size] for i in range(0, len(finite), size)]):
+            done += count
+            if progress is not None:
+                progress(done, len(finite))
     return asked.reached(pose, near, *made.as_asked(), beyond)
 
 
@@ -104,7 +105,9 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
     there = np.take_along_axis(taken, rank, 1)
     none = ~usable.any(axis=1)
     picked[none, 0], there[none, 0] = 0, True  # why there is none, and the nearest pose, as of one solution
-    out = {name: np.take_along_axis(v, picked.reshape(*picked.shape, *(1,) * (v.ndim - 2)), 1) for name, v in both.items()}
+    out = {
+        name: np.take_along_axis(v, picked.reshape(*picked.shape, *(1,) * (v.ndim - 2)), 1) for name, v in both.items()
+    }
     out["status"] = np.where(there, out["status"], int(ReachStatus.NO_OTHER))
     for name in ("q", "position_error", "orientation_error", "distance"):
         out[name][~there] = np.nan

@@ -45,7 +45,10 @@ def reachability(
     """
     errors.one_of("where", where, (*PLANES, "box"))
     errors.one_of("task", task, ("pose", "position"))
-    cells, orientations = errors.integer("cells", cells, at_least=2), errors.integer("orientations", orientations, at_least=1)
+    cells, orientations = (
+        errors.integer("cells", cells, at_least=2),
+        errors.integer("orientations", orientations, at_least=1),
+    )
     middle = np.array([float(x) for x in chain.joints[0].origin.position])
     over = PLANES.get(where, (0, 1, 2))
     if span is None:

@@ -5,7 +5,6 @@ How many lanes, and how many steps, is decided as it runs: one program serves an
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax

@@ -144,7 +144,9 @@ def _single(setup, mine, start, steps, careful):
     coarse = np.maximum(setup.tolerance, COARSE).astype(np.float32)
     bounds = tuple(b.astype(np.float32) for b in mine.bounds)
     pose = mine.pose.astype(np.float32)
-    return programs.search(setup.chain, setup.task, bounds, coarse, start.astype(np.float32), pose, steps, careful), coarse
+    return programs.search(
+        setup.chain, setup.task, bounds, coarse, start.astype(np.float32), pose, steps, careful
+    ), coarse
 
 
 def _rounds(setup, mine, start):

@@ -149,7 +149,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
     rounds, free, budget = most
 
     def again(carry):
-        r, kept, found, _ = carry
+        r, kept, _, _ = carry
         wide = r >= rounds
         low, high = (jnp.where(wide, b, a) for a, b in zip(bounds, beyond, strict=True))
         others = lax.dynamic_slice_in_dim(postures, (r * 37 * TOGETHER) % (len(postures) - TOGETHER), TOGETHER)

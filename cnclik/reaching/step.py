@@ -13,6 +13,7 @@ The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a tur
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from cnclik.hints import opaque
@@ -56,7 +57,7 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful) -
       target: position (3,) and rows of the rotation. bounds: lower and upper (n,). tolerance: [m], [rad].
       careful: whether to take back steps that did not help; may be traced.
     """
-    e, rows, squares, weighted = _look(chain, task, at.q, target)
+    _, rows, squares, weighted = _look(chain, task, at.q, target)
     low, high = bounds
     cost = sp.dot(weighted, weighted)
     here = (squares[0] <= tolerance[0] ** 2) & (squares[1] <= tolerance[1] ** 2)
@@ -81,16 +82,7 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful) -
         looks=at.looks + 1.0,
         arrived=here,
     )
-    return _keep(at.arrived, at, moved)
-
-
-def _keep(stays, old: Search, new: Search) -> Search:
-    made = {}
-    for name, a in old._asdict().items():
-        b = getattr(new, name)
-        vector = sp.unrolled(a) or getattr(a, "ndim", 0)
-        made[name] = sp.each(lambda x, y: jnp.where(stays, x, y), a, b) if vector else jnp.where(stays, a, b)
-    return Search(**made)
+    return jax.tree.map(lambda old, new: jnp.where(at.arrived, old, new), at, moved)
 
 
 def look(chain, task: Task, q, target):
@@ -100,15 +92,17 @@ def look(chain, task: Task, q, target):
 
 
 def _look(chain, task, q, target):
+    """The error, and the rows of J, its squares, and the error by its weights' roots, as the rows are."""
     at = frames(chain, q)
     e, squares = _error(task, at.position, at.rotation, *target)
     rows = jacobian_rows(chain, at, task.linear, task.angular)
     if task.weights is None:
         return e, rows, squares, e
     roots = sp.like(e, jnp.sqrt(jnp.asarray(task.weights)))
-    return e, sp.each(sp.scale, roots, rows) if sp.unrolled(rows) else roots[:, None] * rows, squares, sp.each(
-        sp.mul, roots, e
-    )
+    weighted = sp.each(sp.mul, roots, e)
+    if sp.unrolled(rows):
+        return e, tuple(map(sp.scale, roots, rows)), squares, weighted
+    return e, roots[:, None] * rows, squares, weighted
 
 
 @opaque

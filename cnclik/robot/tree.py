@@ -60,7 +60,7 @@ class Tree:
         return tuple(link for link in self.links if not self.below[link])
 
     def way(self, tip, base=None) -> tuple:
-        """The way from base (by default the root) to tip: joints up to the link where both hang, and down from there."""
+        """The way from base (by default the root) to tip: joints up to where both hang, and down from there."""
         up, down = ([*self._upward(link)] for link in (base or self.root, tip))
         while up and down and up[-1] is down[-1]:
             up.pop(), down.pop()

@@ -13,10 +13,11 @@ def load_urdf(path, tip=None, base=None) -> Chain:
 
     Revolute, continuous and prismatic joints become coordinates in order from the base; fixed joints are
     folded in; side branches are left out. The way may lead up from the base to where tip and base part, such as from
-    a humanoid's foot to its hand: joints on the way up keep their values and limits, and act the other way around. A mimic joint shares the coordinate of the joint it follows, with
-    its multiplier and offset, also where that joint is on a side branch; the limits are those of the joint that
-    is followed (the mimics' own contradict it in files such as PR2's). Omitted position limits mean none, as
-    does a velocity limit of 0, which exporters write where they know none.
+    a humanoid's foot to its hand: joints on the way up keep their values and limits, and act the other way around. A
+    mimic joint shares the coordinate of the joint it follows, with its multiplier and offset, also where that joint is
+    on a side branch; the limits are those of the joint that is followed (the mimics' own contradict it in files such as
+    PR2's). Omitted position limits mean none, as does a velocity limit of 0, which exporters write where they know
+    none.
 
     Args:
       path: the file, plain URDF (run xacro first).

@@ -42,7 +42,9 @@ def _panel(figure, panel, found, values, axes, what, vmax=None):
     mesh = panel.pcolormesh(across, up, shown, cmap="viridis", vmin=0.0, vmax=vmax, shading="nearest", rasterized=True)
     i, j = ("xyz".index(a) for a in axes)
     for width, color in ((3.2, "white"), (1.4, style.BLACK)):
-        panel.plot(found.arm[:, i], found.arm[:, j], "o-", color=color, linewidth=width, markersize=width + 1.2, zorder=4)
+        panel.plot(
+            found.arm[:, i], found.arm[:, j], "o-", color=color, linewidth=width, markersize=width + 1.2, zorder=4
+        )
     figure.colorbar(mesh, ax=panel, label=what, location="top", shrink=0.9, pad=0.02)
     panel.set(xlabel=_LONG[axes[0]], ylabel=_LONG[axes[1]], aspect="equal")
     panel.grid(False)

@@ -124,7 +124,9 @@ def test_in_a_hole_of_the_limits():
     for target, error in list(zip(targets, made.position_error, strict=True))[:12]:  # the nearest there is
 
         def away(q, target=target):
-            return np.sum((np.array([-np.sin(q[0]) - np.sin(q.sum()), np.cos(q[0]) + np.cos(q.sum())]) - target[:2]) ** 2)
+            return np.sum(
+                (np.array([-np.sin(q[0]) - np.sin(q.sum()), np.cos(q[0]) + np.cos(q.sum())]) - target[:2]) ** 2
+            )
 
         starts = ([-0.4, 0.3], [0.4, 0.3], [-0.4, 0.9], [0.4, 0.9])
         found = min(minimize(away, s, bounds=[(-0.5, 0.5), (0.2, 1.0)]).fun for s in starts)
@@ -203,7 +205,9 @@ def test_all_eight_branches_of_an_arm_with_a_spherical_wrist():
     free = ck.replace(WRIST, lower=(-np.inf,) * 6, upper=(np.inf,) * 6)
     targets = tips(free, drawn(free, 20, seed=3) * 0.5)
     made = ck.reach(free, targets, solutions=10)
-    assert ((made.status == ReachStatus.SOLVED).sum(axis=1) >= 4).all() and (made.status[:, 8:] == ReachStatus.NO_OTHER).all()
+    assert ((made.status == ReachStatus.SOLVED).sum(axis=1) >= 4).all() and (
+        made.status[:, 8:] == ReachStatus.NO_OTHER
+    ).all()
 
 
 # --- as part of other programs ------------------------------------------------------------------------
@@ -230,7 +234,9 @@ def test_jit_vmap_and_the_implicit_derivative():
 
 def test_derivative_with_respect_to_geometry():
     def q_of(lengths):
-        return ck.reach(ck.planar_arm(lengths), [1.2, 0.5, 0.0], task=PLANE, near=[-1.5, 1.2], tolerance=(1e-12, 1e-12)).q
+        return ck.reach(
+            ck.planar_arm(lengths), [1.2, 0.5, 0.0], task=PLANE, near=[-1.5, 1.2], tolerance=(1e-12, 1e-12)
+        ).q
 
     lengths = jnp.array([1.0, 0.9])
     found, h = jax.jacfwd(q_of)(lengths), 1e-5
@@ -258,7 +264,12 @@ def test_the_forms_of_targets():
     position, rotation = made[:, :3, 3], made[:, :3, :3]
     quaternion = np.stack([np.array(jax.jit(quaternion_of)(r)) for r in rotation])
     first = ck.reach(WRIST, made)
-    for same in ((position, rotation), (position, quaternion), np.concatenate([position, quaternion], 1), made.tolist()):
+    for same in (
+        (position, rotation),
+        (position, quaternion),
+        np.concatenate([position, quaternion], 1),
+        made.tolist(),
+    ):
         np.testing.assert_allclose(ck.reach(WRIST, same).q, first.q, atol=1e-5)
     one = ck.reach(WRIST, ck.pose(WRIST, jnp.array(first.q[0])))
     assert one.solved and one.q.shape == (6,)

@@ -179,7 +179,9 @@ def test_a_way_through_the_root(file, base, tip):
     assert compare(arm, base, ROOT / file, model, tip) < 1e-12
     back = ck.load_urdf(ROOT / file, tip=base, base=tip)
     limits = dict(zip(arm.joint_names, zip(arm.lower, arm.upper, arm.velocity_limit, strict=True), strict=True))
-    assert limits == dict(zip(back.joint_names, zip(back.lower, back.upper, back.velocity_limit, strict=True), strict=True))
+    assert limits == dict(
+        zip(back.joint_names, zip(back.lower, back.upper, back.velocity_limit, strict=True), strict=True)
+    )
 
 
 def test_a_base_in_the_middle():

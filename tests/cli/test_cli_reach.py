@@ -1,0 +1,106 @@
+"""`cnclik reach` as a user meets it: targets from files, answers in files, a map, and one line for bad input."""
+
+import csv
+import json
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+
+import cnclik as ck
+from cnclik.cli import main
+
+ARM = "planar:1,0.8"
+CHAIN = ck.planar_arm([1.0, 0.8])
+
+
+@pytest.fixture
+def targets(tmp_path):
+    """Two places that can be reached and one that can't."""
+    path = tmp_path / "targets.csv"
+    path.write_text("x,y,z\n0.5,1,0\n# a comment\n-0.3,0.7,0\n4,0,0\n")
+    return path
+
+
+def errors_of(q, x):
+    return np.linalg.norm(np.asarray(ck.pose(CHAIN, q).position)[:2] - x)
+
+
+def test_answers_in_every_kind_of_file(targets, tmp_path, capsys):
+    for ending in ("csv", "npz", "nc"):
+        main(["reach", ARM, str(targets), "--task", "xy", "--out", str(tmp_path / f"out.{ending}")])
+    shown = capsys.readouterr().out
+    assert "3 targets" in shown and "SOLVED" in shown and "OUT_OF_REACH" in shown and "nearest pose" in shown
+    rows = list(csv.DictReader((tmp_path / "out.csv").open()))
+    assert [r["status"] for r in rows] == ["SOLVED", "SOLVED", "OUT_OF_REACH"]
+    with np.load(tmp_path / "out.npz") as arrays, xr.open_dataset(tmp_path / "out.nc") as data:
+        assert arrays["targets"].shape == (3, 4, 4) and (arrays["q"] == data.q.values).all()
+        assert data.q.attrs["units"] == "rad" and data.position_error.attrs["units"] == "m"
+        for k, x in enumerate([(0.5, 1.0), (-0.3, 0.7)]):
+            q = arrays["q"][k]
+            assert errors_of(q, x) < 1e-6 and [float(rows[k]["q1"]), float(rows[k]["q2"])] == q.tolist()
+        assert abs(arrays["position_error"][2] - 2.2) < 1e-4
+    main(["reach", ARM, str(tmp_path / "out.npz"), "--task", "xy"])  # what it wrote it also reads
+    assert "2  within the tolerance" in capsys.readouterr().out
+
+
+def test_random_targets_as_json(capsys):
+    main(["reach", ARM, "--random", "50", "--task", "xy", "--seed", "3", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert said["targets"] == 50 and said["solve_rate"] == 1.0 and said["status"] == {"SOLVED": 50}
+    assert said["us_per_target"] > 0 and said["compile_s"] >= 0 and said["cores"] >= 1
+
+
+def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
+    (tmp_path / "one.csv").write_text("0.5,1,0\n")
+    main(["reach", ARM, str(tmp_path / "one.csv"), "--task", "xy", "--near", "1", "-1", "--solutions", "2"])
+    shown = capsys.readouterr().out
+    assert shown.count("q1 ") == 2 and "rad" in shown and "least singular value" in shown
+
+
+def test_a_path_with_a_jump(tmp_path, capsys):
+    (tmp_path / "path.csv").write_text("0.5,1,0\n0.52,1,0\n-0.5,-1,0\n")
+    main(["reach", ARM, str(tmp_path / "path.csv"), "--task", "xy", "--path", "--jump", "0.3"])
+    shown = capsys.readouterr().out
+    assert "SOLVED" in shown and "JUMP" in shown and "no joint values" in shown
+
+
+@pytest.mark.parametrize("where", ["xy", "box"])
+def test_a_map(where, tmp_path, capsys):
+    options = ["--cells", "6", "--orientations", "2", "--out", str(tmp_path)]
+    main(["reach", ARM, "--map", where, "--task", "position", *options])
+    assert "of the places can be reached" in capsys.readouterr().out
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+    with np.load(tmp_path / "map.npz") as data:
+        assert data["share"].shape == (6,) * len(set("xy") if where == "xy" else "xyz")
+        if where == "xy":
+            away = np.hypot(*np.meshgrid(data["x"], data["y"], indexing="ij"))
+            assert (data["share"][away > 1.8] == 0).all() and (data["share"][(away > 0.25) & (away < 1.75)] == 1).all()
+    assert not plt.get_fignums()
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        ([], "One of TARGETS, --random N and --map PLANE must be given, but there is none of them."),
+        (["t.csv", "--random", "3"], "are TARGETS and --random"),
+        (["none.csv"], "name a CSV file that can be read"),
+        (["none.npz"], "name a file that can be read"),
+        (["none.txt"], "must be one of .csv, .npy, .npz"),
+        (["--random", "0"], "`random` must be at least 1"),
+        (["--random", "3", "--out", "x.txt"], "`out` must end with .npz, .nc, .csv"),
+        (["--random", "3", "--out", "nowhere/x.csv"], "`out` must name a file in a folder that is there"),
+        (["--random", "3", "--path", "--near", "0", "0"], "`near` must be left out"),
+        (["--random", "3", "--near", "0"], "`near` must have shape"),
+        (["--random", "3", "--tolerance", "0", "1"], "`tolerance` must hold positive"),
+        (["--map", "xy", "--solutions", "2"], "must be left out with --map"),
+        (["--map", "xy", "--cells", "1"], "`cells` must be at least 2"),
+    ],
+)
+def test_bad_input_is_one_line(argv, told, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as leaving:
+        main(["reach", ARM, *argv])
+    said = capsys.readouterr().err
+    assert leaving.value.code == 2 and told in said and said.count("\n") == 1
