@@ -37,6 +37,7 @@ FEWER = {
     ],  # one set of programs
     "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
 }
+SMALLER_REACH = {"--random": ["--random", "12"], "--map": ["--cells", "3", "--orientations", "2"]}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 HEAVY = ("saturation",)  # linear programs of seven joints compile for half a minute: with `-m slow` only
@@ -93,6 +94,8 @@ def fewer(argv):
         rest = [SMALL if word in ("panda", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
+    if verb == "reach":
+        rest += [word for option, few in SMALLER_REACH.items() if option in rest for word in few]
     return [verb, *rest, *FEWER.get(verb, [])]
 
 
@@ -105,6 +108,7 @@ def prepare(folder, less):
         spec.write_text(SPEC, encoding="utf-8")
     rows = ("time,x,y,z,qw,qx,qy,qz", "0,0.4,0.0,0.4,0,1,0,0", "2,0.45,0.1,0.4,0,1,0,0", "4,0.4,0.0,0.4,0,1,0,0")
     (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    (folder / "targets.csv").write_text("0.5,0.1,0.4,0,1,0,0\n0.3,-0.4,0.5,0,1,0,0\n", encoding="utf-8")
 
 
 def read_aloud(page, folder, less):

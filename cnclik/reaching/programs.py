@@ -31,7 +31,9 @@ class Found(NamedTuple):
 
 
 def _lane(chain, task, bounds, tolerance, q, target, steps, careful):
-    chain, q = in_form(cast(chain, q.dtype), q)
+    dtype = q.dtype
+    chain, q = in_form(chain, q)
+    chain = cast(chain, dtype)
     position, rotation = target[:3], target[3:].reshape(3, 3)
     if sp.unrolled(q):
         position, rotation = tuple(position), tuple(map(tuple, rotation))

@@ -83,6 +83,7 @@ def reach(
     elif near is not None:
         near = errors.array("near", near, (chain.n,), (len(pose), chain.n))
         near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n))
+        near = near.astype(pose.dtype)
     asked = Asked(
         chain=chain,
         task=task,

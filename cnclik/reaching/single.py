@@ -28,6 +28,7 @@ from cnclik.robot.rolled import in_form
 
 TOGETHER = 8  # seeds side by side
 STEPS = 40  # of a round, at most
+DOWNHILL, CLOSE = 3, 0.02  # rounds from the best place found, and from so far about it, of the way to other seeds
 FREE = 6  # rounds without limits
 ROUNDS_FAR = 3  # where the target is farther off than the arm is long
 AROUND = 0.3  # of the range of seeds, about `near`
@@ -145,15 +146,17 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
       most: rounds of seeds; rounds without limits after them; looks.
     """
     dtype = target.dtype
-    chain = cast(chain, dtype)
+    chain = cast(in_form(chain, first[0])[0], dtype)
     rounds, free, budget = most
 
     def again(carry):
         r, kept, _, _ = carry
-        wide = r >= rounds
+        wide = r >= rounds + DOWNHILL
         low, high = (jnp.where(wide, b, a) for a, b in zip(bounds, beyond, strict=True))
         others = lax.dynamic_slice_in_dim(postures, (r * 37 * TOGETHER) % (len(postures) - TOGETHER), TOGETHER)
-        starts = jnp.clip(jnp.where((r == 0) | (r == rounds), first, others), low, high)
+        starts = jnp.where((r == 0) | (r == rounds + DOWNHILL), first, others)
+        starts = jnp.where((r >= rounds) & ~wide, kept[0] + CLOSE * (starts - kept[0]), starts)
+        starts = jnp.clip(starts, low, high).at[0].set(jnp.where((r >= rounds) & ~wide, kept[0], starts[0]))
         at = _together(chain, task, starts, target, low, high, tolerance)
         q = sp.packed(at.best, axis=-1)
         k = jnp.argmin(jnp.where(at.arrived, -1.0, jnp.where(jnp.isfinite(at.cost), at.cost, jnp.inf)))
@@ -167,7 +170,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
     start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, jnp.zeros((), dtype)
     never = jnp.zeros((), bool)
     _, (q, squares, _, steep, looks), found, beyond = lax.while_loop(
-        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + free), again, (jnp.zeros_like(rounds), start, never, never)
+        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + DOWNHILL + free), again, (jnp.zeros_like(rounds), start, never, never)
     )
     return Outcome(q, squares, steep, looks, found, beyond)
 
@@ -213,7 +216,8 @@ def refined(chain, task, target, q, held):
     makes joint motion: the least, where the arm is redundant.
     """
     q, held = lax.stop_gradient((q, held))
-    chain, parts = in_form(cast(chain, q.dtype), q)
+    chain, parts = in_form(chain, q)
+    chain = cast(chain, q.dtype)
     e, _ = look(chain, task, parts, _parts(target, parts))
     at = frames(lax.stop_gradient(chain), parts)
     rows = jacobian_rows(lax.stop_gradient(chain), at, task.linear, task.angular)

@@ -51,7 +51,8 @@ def read(targets, task: Task, base=None):
         back = xp.swapaxes(base[..., :3, :3], -1, -2)
         where = xp.einsum("...ij,...j->...i", back, where - base[..., :3, 3])
         turn = back @ turn
-    return xp.concatenate([where, turn.reshape(size, 9)], axis=1), single
+    made = xp.concatenate([where, turn.reshape(size, 9)], axis=1)
+    return made.astype(float) if xp is np else made, single
 
 
 def _parts(targets, task):

@@ -75,6 +75,8 @@ def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
     assert other.solved.all() and not (first.q == other.q).all()
     with jax.enable_x64(False):
         single, alone = ck.reach(WRIST, targets), ck.reach(WRIST, targets[0])
+        arrays = ck.reach(WRIST, jnp.asarray(targets[0]), near=jnp.asarray(first.q[0]))  # in float32
+        assert arrays.solved and arrays.q.dtype == np.float64
     assert (single.q == first.q).all() and single.position_error.max() <= 1e-6 and alone.q.dtype == np.float64
 
 
