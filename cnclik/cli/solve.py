@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import ComputeOptions, as_options
 from cnclik.cli.problem import ProblemOptions, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
@@ -52,13 +52,25 @@ def run(args: Args) -> None:
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
+    print(f"{_loop(made)}, along {args.reference}")
     Console().print(_summary(made, trajectory, seconds))
-    print(f"{told.sentence[0].upper()}{told.sentence[1:]}")
+    print(as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}"))
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
     if args.figures:
         with progress.bar("figures") as report:
             written += draw(_figures(data, made), args.out, progress=report)
     print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
+
+
+def _loop(made) -> str:
+    """Method, stage, gain and the dimensionless gain per step: "CN by picard(5), alpha = 5 1/s, z = alpha·Ts = 0.05"."""
+    import numpy as np
+
+    from cnclik.record import in_words
+
+    gain, stage = np.asarray(made.law.alpha, float), f" by {made.stage}" * made.method.implicit
+    inverse = type(made.law.inverse).__name__.lower()
+    return f"{made.method}{stage}, {inverse}, alpha = {in_words(gain)} 1/s, z = alpha·Ts = {in_words(gain * made.Ts)}"
 
 
 def _march(made, report):

@@ -169,9 +169,13 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
     far = jnp.full((), jnp.inf, dtype)
     start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, jnp.zeros((), dtype)
     never = jnp.zeros((), bool)
-    _, (q, squares, _, steep, looks), found, beyond = lax.while_loop(
-        lambda c: ~(c[2] | c[3]) & (c[0] < rounds + DOWNHILL + free), again, (jnp.zeros_like(rounds), start, never, never)
-    )
+
+    def goes_on(carry):
+        r, _, found, beyond = carry
+        return ~(found | beyond) & (r < rounds + DOWNHILL + free)
+
+    ended = lax.while_loop(goes_on, again, (jnp.zeros_like(rounds), start, never, never))
+    _, (q, squares, _, steep, looks), found, beyond = ended
     return Outcome(q, squares, steep, looks, found, beyond)
 
 

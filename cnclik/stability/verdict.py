@@ -8,6 +8,7 @@ where the run ended? The thresholds are the constants below and in `observed`; q
 import enum
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -16,10 +17,13 @@ from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law import reference as ref
+from cnclik.law.inverse import Transpose
 from cnclik.law.law import Law
 from cnclik.law.limits import Saturated
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.reaching.reach import reach
+from cnclik.reaching.result import ReachStatus
+from cnclik.record import record, replace
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
 from cnclik.stability.linear import checked
@@ -121,6 +125,7 @@ class _Case(NamedTuple):
     end: Instant
     start: Instant
     target: np.ndarray | None  # the position wanted at the end
+    turn: np.ndarray | None  # and the rotation
     behind: float  # how far the target moves in a step, over the last quarter
     rows: np.ndarray  # J (m, n) at the end
     radius: float
@@ -156,6 +161,7 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
         end=end,
         start=start,
         target=None if wanted[0] is None else wanted[0][-2],
+        turn=None if wanted[1] is None else wanted[1][-2],
         behind=rms(np.linalg.norm(wanted[2][:-1], axis=1)) * Ts,
         rows=rows,
         radius=radius,
@@ -203,6 +209,8 @@ def _judged(case):
         if seen.arrived and case.null_radius > 1:
             inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
             return Behaviour.SHAKING, f"{fast} {inside}", _LESS_NULL
+        if not seen.arrived and (gap := _gap(case)):
+            return Behaviour.OUT_OF_REACH, f"{gap}, and {fast}", _reach_remedy(case)
         return Behaviour.SHAKING, f"{fast}, {error}; {radius}", _lower(case)
     limited = law.limits is not None and seen.often(Status.AT_LIMIT)
     if limited and not (seen.arrived or seen.shrinks or (moving and seen.largest <= case.behind)):
@@ -234,6 +242,8 @@ def _held(case, error, radius):
         return Behaviour.CONVERGING, f"{error} and shrinking; {radius}", "run for more steps"
     if _hopeless(case) or _beyond(case) > 0:
         return Behaviour.OUT_OF_REACH, f"{error}, and {_reach(case)}", _reach_remedy(case)
+    if gap := _gap(case):
+        return Behaviour.OUT_OF_REACH, f"{error}; {gap}", _reach_remedy(case)
     if np.all(np.diff(seen.late) < 0) and case.radius < 1:
         return Behaviour.CONVERGING, f"slowly, {error}; {radius}", "raise alpha, or run for more steps"
     if seen.often(Status.NEAR_SINGULAR):
@@ -287,6 +297,23 @@ def _beyond(case):
     return float(np.linalg.norm(case.target - base) - arm_length(case.law.chain))
 
 
+def _gap(case):
+    """How far from the target the tip stays at best, in words; empty where it can get there, or that isn't known."""
+    chain, task = case.law.chain, replace(case.law.task, weights=None)
+    if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
+        return ""
+    position, rotation = np.zeros(3), np.eye(3) if case.turn is None else case.turn
+    if case.target is not None:
+        position[list(task.linear) if len(case.target) < 3 else slice(None)] = case.target
+    made = reach(chain, (position, rotation), task=task, tolerance=(1e-4, 1e-4), limits=case.law.limits is not None)
+    if made.solved or made.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):
+        return ""
+    best = [f"{made.position_error:.3g} m"] * bool(task.position)
+    best += [f"{made.orientation_error:.3g} rad"] * bool(task.orientation)
+    held = " within the joint limits" if made.status == ReachStatus.AT_LIMIT else ""
+    return f"the tip can get no nearer than {' and '.join(best)}{held}"
+
+
 def _reach(case):
     beyond, (m, n) = _beyond(case), case.rows.shape
     if beyond > 0:
@@ -316,7 +343,10 @@ def _lower(case):
     share = min((stable_share(law, at, *case.loop) for at in ends), default=1.0)
     if 0 < share < 1:
         solved = method.implicit and isinstance(stage, Picard)
-        return f"reduce {_gain(law, share, 'below')}" + (", or solve the stage with chord(2)" if solved else "")
+        other = ", or solve the stage with chord(2)" if solved else ""
+        if not (method.exponential or solved or isinstance(law.inverse, Transpose)):
+            other = ", or use method EXP-MIDPOINT, which has no such limit"
+        return f"reduce {_gain(law, share, 'below')}{other}"
     if share == 0:
         more = "raise the damping" if np.any(getattr(law.inverse, "damping", 0.0)) else "use damped(...)"
         return f"no gain is stable in this posture: {more}"
