@@ -63,14 +63,15 @@ def run(args: Args) -> None:
 
 
 def _loop(made) -> str:
-    """Method, stage, gain and the dimensionless gain per step: "CN by picard(5), alpha = 5 1/s, z = alpha·Ts = 0.05"."""
+    """Method, stage, inverse, gain and gain per step, such as "CN by picard(5), damped, alpha = 5 1/s, z = 0.05"."""
     import numpy as np
 
     from cnclik.record import in_words
 
-    gain, stage = np.asarray(made.law.alpha, float), f" by {made.stage}" * made.method.implicit
-    inverse = type(made.law.inverse).__name__.lower()
-    return f"{made.method}{stage}, {inverse}, alpha = {in_words(gain)} 1/s, z = alpha·Ts = {in_words(gain * made.Ts)}"
+    gain = np.asarray(made.law.alpha, float)
+    alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
+    stage = f" by {made.stage}" * made.method.implicit
+    return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, alpha = {alpha} 1/s, z = alpha·Ts = {z}"
 
 
 def _march(made, report):

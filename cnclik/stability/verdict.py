@@ -192,7 +192,7 @@ def _resting(law, at) -> Instant:
 
 
 def _judged(case):
-    law, seen, error = case.law, case.seen, f"the error is {case.size}"
+    law, seen, error = case.law, case.seen, f"the late error is up to {case.size}"
     radius = f"the loop's spectral radius at the end is {case.radius:.3g}"
     if seen.bad is not None:
         what = f"not finite from t = {case.t[seen.bad]:.4g} s on (step {seen.bad})"
