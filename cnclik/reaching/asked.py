@@ -27,6 +27,7 @@ class Asked:
     budget: object  # looks, at most
     seed: object  # of the first set of seeds
     limits: bool
+    explain: bool  # why there is no answer
 
     def limited(self):
         """Lower and upper limits (n,), infinite where they are not to be kept."""
@@ -43,6 +44,8 @@ class Asked:
 
     def beyond(self):
         """Where the search goes that tells why there is no answer: without `jump`, or without limits; None: nowhere."""
+        if not self.explain:
+            return None
         if self.jump is not None:
             return self.limited()
         lower, upper = self.limited()
@@ -71,7 +74,7 @@ class Asked:
             status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)
         status = xp.where(found, int(ReachStatus.SOLVED), status)
         status = xp.where(xp.isfinite(pose).all(axis=-1), status, int(ReachStatus.NON_FINITE))
-        none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE)
+        none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE) | ~xp.isfinite(squares).all(axis=-1)
         lower, upper = self.limited()
         around = xp.zeros_like(q) if near is None else near
         turns = np.array([u == "rad" for u in self.chain.units]) & np.isinf(lower) & np.isinf(upper)

@@ -42,9 +42,11 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             pose[ids], asked.bounds(None if near is None else near[ids]), None if near is None else near[ids]
         )
         far = asked.too_far(mine.pose)
-        for some, tries in ((np.flatnonzero(~far), setup.tries), (np.flatnonzero(far), min(TRIES_FAR, setup.tries))):
-            if len(some):
-                made.put(ids[some], search.find(setup._replace(tries=tries), mine.part(some)))
+        made.steep[ids[far]] = 0.0
+        few = min(TRIES_FAR, setup.tries) if asked.explain else 0
+        for some, tries in ((np.flatnonzero(~far), setup.tries), (np.flatnonzero(far), few)):
+            if len(some) and tries:
+                made.put(ids[some], search.find(setup._replace(tries=tries), mine.part(some), downhill=asked.explain))
         left = np.flatnonzero(~made.found[ids] & ~far)
         if len(left) and (wider := asked.beyond()) is not None:
             free = mine.part(left)._replace(bounds=wider)

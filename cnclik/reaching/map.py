@@ -63,7 +63,7 @@ def reachability(
     targets = np.repeat(points, len(turns), 0)
     if task == "pose":
         targets = targets, np.tile(turns, (len(points), 1, 1))
-    made = reach(chain, targets, task=task, **{"seeds": 32} | options)
+    made = reach(chain, targets, task=task, **{"seeds": 32, "explain": False} | options)
     shape = (*(cells,) * len(over), len(turns))
     solved = made.solved.reshape(shape)
     sigma = np.where(solved, made.least_singular_value.reshape(shape), np.nan)

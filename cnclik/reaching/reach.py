@@ -28,6 +28,7 @@ def reach(
     seeds: int = 256,
     budget: int = 10_000,
     limits: bool = True,
+    explain: bool = True,
     base: ArrayLike | None = None,
     seed: int = 0,
     progress=None,
@@ -57,6 +58,8 @@ def reach(
         none, all are tried before that is said, so that 32 answer ten times as soon, and are wrong in 1 of 1,000.
       budget: evaluations for each target, at most, while there is no answer.
       limits: whether to keep the chain's joint limits. A joint without any is given within half a turn of `near` or 0.
+      explain: whether to find out, where there is no answer, why, and what the nearest pose is: most of the time that
+        such a target takes. Else its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without a q.
       base: (4, 4) or (B, 4, 4), where the chain's base stands in the frame of the targets.
       seed: another number starts from other seeds.
       progress: called as progress(done, total).
@@ -94,6 +97,7 @@ def reach(
         budget=np.int32(budget),
         seed=np.int32(seed),
         limits=bool(limits),
+        explain=bool(explain),
     )
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)

@@ -135,6 +135,14 @@ def test_in_a_hole_of_the_limits():
         assert error <= 1.01 * np.sqrt(found) + 1e-6
 
 
+def test_without_a_reason_there_is_no_pose():
+    targets = np.array([[0.5, 1.0, 0.0], [5.0, 0.0, 0.0], [1.2, 0.3, 0.0]] * 4)
+    held = ck.replace(ARM, lower=(-0.5, 0.2), upper=(0.5, 1.0))
+    made = ck.reach(held, targets, task=PLANE, explain=False, seeds=16)
+    assert made.status.reshape(4, 3).tolist() == [[ReachStatus.OUT_OF_BUDGET, ReachStatus.OUT_OF_REACH, 5]] * 4
+    assert np.isnan(made.q).all() and np.isnan(made.position_error).all()
+
+
 def test_targets_that_are_not_finite():
     targets = tips(WRIST, drawn(WRIST, 10))
     targets[3, 0, 3], targets[4] = np.nan, np.inf
