@@ -57,9 +57,9 @@ class Asked:
         """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""
         first = self.chain.joints[0]
         turning = all(joint.kind == REVOLUTE for joint in self.chain.joints)
-        if not turning or self.task.linear != (0, 1, 2):
+        if not turning or not self.task.linear:
             return xp.zeros(pose.shape[:-1], bool)
-        away = pose[..., :3] - xp.stack(first.origin.position)
+        away = (pose[..., :3] - xp.stack(first.origin.position))[..., np.array(self.task.linear)]
         return xp.sqrt(xp.sum(away * away, axis=-1)) > arm_length(self.chain) + self.tolerance[0]
 
     def reached(self, pose, near, q, squares, steep, looks, found, beyond, xp=np) -> Reached:
