@@ -10,6 +10,7 @@ from cnclik.sweeps import expression
 from cnclik.sweeps.grid import Axis, axis
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # never expressions
+MOST_VALUES = 10_000_000  # of an axis
 KINDS = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed", "per")}
 
 
@@ -48,15 +49,23 @@ def _generated(where, value, joints):
     if kind == "range":
         if not isinstance(numbers, list) or len(numbers) != 2 or any(type(v) is not int for v in numbers):
             raise errors.fail(where, "be range = [first, last] of two integers", f"is {numbers!r}")
+        _few_enough(where, numbers[1] - numbers[0] + 1)
         return list(range(numbers[0], numbers[1] + 1))
     if not isinstance(numbers, list) or len(numbers) != 3 or type(numbers[2]) is not int or numbers[2] < 1:
         raise errors.fail(where, f"be {kind} = [first, last, count]", f"is {numbers!r}")
+    _few_enough(where, numbers[2])
     first, last = (_numbers(where, v) for v in numbers[:2])
     if first.shape != last.shape:
         raise errors.fail(where, "have ends of one shape", f"is {numbers!r}")
     if kind == "geomspace" and not np.all(first * last > 0):
         raise errors.fail(where, "have ends of one sign, not 0, for geomspace", f"is {numbers!r}")
     return getattr(np, kind)(first, last, numbers[2])
+
+
+def _few_enough(where, count):
+    """Raise ArgumentError for more values than fit into memory, before they are made."""
+    if count > MOST_VALUES:
+        raise errors.fail(where, f"hold at most {MOST_VALUES:,} values", f"asks for {count:,}")
 
 
 def _numbers(where, value):
@@ -68,6 +77,7 @@ def _numbers(where, value):
 
 def _samples(where, value, width):
     count = errors.integer(f"{where}.samples", value["samples"], at_least=1)
+    _few_enough(where, count)
     seed = errors.integer(f"{where}.seed", value.get("seed", 0), at_least=0)
     if value.get("per", "joint") != "joint":
         raise errors.fail(f"{where}.per", "be 'joint'", f"is {value['per']!r}")

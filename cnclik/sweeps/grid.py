@@ -16,6 +16,7 @@ import numpy as np
 
 from cnclik import errors
 
+MOST_POINTS = 10_000_000_000  # of a grid: tens of gigabytes for each metric
 LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
 COMPILED_IN = ("N", "delay")  # numbers on which the shape of a program depends
 COUNTED = ("M",)  # numbers that stay integers: passes are masked, one program does them all
@@ -106,6 +107,11 @@ class Grid:
 
     axes: tuple
     lanes: int
+
+    def __post_init__(self):
+        if self.size > MOST_POINTS:
+            counts = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
+            raise errors.fail("axes", f"span at most {MOST_POINTS:,} points", f"span {counts}")
 
     @property
     def shape(self) -> tuple:

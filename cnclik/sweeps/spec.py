@@ -216,7 +216,7 @@ def read(path, changes=()) -> Spec:
             written = tomllib.load(file)
     except OSError as error:
         raise errors.fail("SPEC", "be a file that can be read", f"{str(path)!r} is not: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
         raise errors.fail("SPEC", "be a TOML file", f"{str(path)!r} is not: {error}") from None
     for change in changes:
         _change(written, change)
@@ -229,7 +229,7 @@ def _change(written, change):
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         value = text  # a bare word, such as CN, or an expression
     fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))
     *path, key = name.split(".")

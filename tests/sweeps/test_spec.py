@@ -10,7 +10,7 @@ import pytest
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.problem import problem_from
-from cnclik.sweeps import check, expression, spec
+from cnclik.sweeps import check, expression, grid, spec
 
 TEXT = """
 question = "Is it so?"
@@ -247,6 +247,9 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"axes__z": {"geomspace": [0, 1, 2]}}, "ends of one sign"),
         ({"axes__z": {"linspace": [0, 1]}}, "[first, last, count]"),
         ({"axes__z": []}, "`axes.z` must"),
+        ({"axes__z": {"linspace": [0, 1, 10**12]}}, "at most 10,000,000 values, but asks for 1,000,000,000,000"),
+        ({"axes__z": {"range": [0, 10**12]}}, "at most 10,000,000 values"),
+        ({"axes__z": {"samples": 10**12}}, "at most 10,000,000 values"),
         ({"axes__M": [-1, 2]}, "at least 0"),
         ({"fixed__period": "2*lift"}, "`period` must be positive"),
         ({"fixed__damping": "z", "axes__damping": [0.1, -0.1]}, "`axes.damping` must not be in [fixed]"),
@@ -307,6 +310,20 @@ def test_files_that_are_no_toml(tmp_path, text):
         spec.read(tmp_path / "none.toml")
 
 
+def test_no_grid_beyond_what_can_be_stored():
+    with pytest.raises(
+        ArgumentError, match="span at most 10,000,000,000 points, but span 9,000,000 of a × 9,000,000 of b"
+    ):
+        grid.Grid(tuple(grid.axis(name, np.arange(9e6)) for name in "ab"), 1)
+
+
+def test_an_integer_of_thousands_of_digits(tmp_path):
+    path = tmp_path / "long.toml"
+    path.write_text("question = " + "9" * 5000)
+    with pytest.raises(ArgumentError, match="`SPEC` must be a TOML file"):
+        spec.read(path)
+
+
 def test_expressions_are_arithmetic():
     known = {"a": 2.0, "n": 3}.__getitem__
     assert expression.evaluate("x", "-a**2 + 3*sqrt(4)/n - +1", known) == -4 + 2 - 1
@@ -315,6 +332,12 @@ def test_expressions_are_arithmetic():
     assert expression.names("x", ["a + b", 3, "sin(c)*pi"]) == {"a", "b", "c"}
     with pytest.raises(ArgumentError, match="worked out"):
         expression.evaluate("x", "a/0", known)
+    for huge in ("9**9**9", "(2**900)**900", "n**9**9"):
+        with pytest.raises(ArgumentError, match="a power is too large"):
+            expression.evaluate("x", huge, known)
+    assert expression.evaluate("x", "2**10 + 10**-2 + (-1)**3", known) == 1024 + 0.01 - 1
+    with pytest.raises(ArgumentError, match="be a number or an expression"):
+        expression.parse("x", "1" + "0" * 400)
     for bad in ("a.b", "a[0]", "lambda: 1", "f(a)", "sin(a, a)", "a if a else a", "'s'", "1j", "sin", "a and a"):
         with pytest.raises(ArgumentError, match="be a number or an expression"):
             expression.parse("x", bad)
