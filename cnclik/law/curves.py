@@ -9,6 +9,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.record import record
@@ -161,31 +162,60 @@ def cubic(times, values, closed, name):
     known = errors.concrete(times) and errors.concrete(values)
     xp = np if known else jnp  # NumPy compiles nothing
     times, values = xp.asarray(times), xp.asarray(values)
-    h = xp.diff(times)
-    slope = xp.diff(values, axis=0) / h[:, None]
-    zero, one = xp.zeros(1), xp.ones(1)
-    # Unknown: the velocities v at the knots. Rows: continuity of acceleration, and the two end conditions.
-    a = (
-        xp.diag(xp.concatenate([one, 2 * (h[:-1] + h[1:]), one]))
-        + xp.diag(xp.concatenate([h[1:], zero]), -1)
-        + xp.diag(xp.concatenate([zero, h[:-1]]), 1)
-    )
-    b = 3 * (h[1:, None] * slope[:-1] + h[:-1, None] * slope[1:])
-    rest = xp.zeros_like(values[:1])
-    last = rest
-    if closed:
-        # A full turn comes back with the quaternion's other sign, which is the same rotation.
-        sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
-        if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
-            raise errors.fail(name, "end where it starts for a closed path", "does not")
-        inner = a[1:-1]
-        eye = xp.eye(times.shape[0])
-        same_velocity = eye[-1] - sign * eye[0]
-        same_acceleration = sign * h[-1] * (2 * eye[0] + eye[1]) + h[0] * (eye[-2] + 2 * eye[-1])
-        a = xp.concatenate([same_velocity[None], inner, same_acceleration[None]])
-        last = 3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:])
-    v = xp.linalg.solve(a, xp.concatenate([rest, b, last]))
-    hh = h[:, None]
-    second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
-    third = (v[:-1] + v[1:] - 2 * slope) / hh**2
-    return jnp.asarray(xp.stack([values[:-1], v[:-1], second, third]))
+    with np.errstate(all="ignore"):
+        h = xp.diff(times)
+        slope = xp.diff(values, axis=0) / h[:, None]
+        rest = xp.zeros_like(values[:1])
+        if not closed:
+            v = _velocities(h, slope, rest, rest)
+        else:
+            # A full turn comes back with the quaternion's other sign, which is the same rotation.
+            sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
+            if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+                raise errors.fail(name, "end where it starts for a closed path", "does not")
+            # With a velocity p at the start, and sign·p at the end, v = still + p·moved; its acceleration is continuous.
+            still, moved = _velocities(h, slope, rest, rest), _velocities(h, 0 * slope, rest + 1, rest + sign)
+            ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (still, moved)]
+            v = still + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
+        hh = h[:, None]
+        second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
+        third = (v[:-1] + v[1:] - 2 * slope) / hh**2
+    found = xp.stack([values[:-1], v[:-1], second, third])
+    if known and not np.isfinite(found).all():
+        k = int(np.argmin(np.isfinite(found).all(axis=(0, 2))))
+        between = f"{values[k].tolist()} and {values[k + 1].tolist()} within {h[k]:.3g} s"
+        raise errors.fail(name, "be such that a smooth path leads through them", f"has {between}")
+    return jnp.asarray(found)
+
+
+def _velocities(h, slope, first, last):
+    """Velocities (K, d) at the knots, given those at both ends, for which the acceleration is continuous.
+
+    hₖ vₖ₋₁ + 2 (hₖ₋₁ + hₖ) vₖ + hₖ₋₁ vₖ₊₁ = 3 (hₖ sₖ₋₁ + hₖ₋₁ sₖ): tridiagonal and dominated by its diagonal, so that
+    elimination from one end to the other, and back, is stable (Thomas 1949).
+    """
+    xp, before, after = sp.library(h), h[:-1, None], h[1:, None]
+    right = 3 * (after * slope[:-1] + before * slope[1:])
+
+    def down(above, row):
+        before, after, right = row
+        pivot = 2 * (before + after) - after * above[0]
+        return (before / pivot, (right - after * above[1]) / pivot)
+
+    def up(below, row):
+        return row[1] - row[0] * below
+
+    inner = _running(xp, down, (xp.zeros(1), first[0]), (before, after, right))
+    back = _running(xp, up, last[0], tuple(v[::-1] for v in inner)) if len(right) else right
+    return xp.concatenate([first, back[::-1], last])
+
+
+def _running(xp, fn, state, rows):
+    """All states of a recursion over the rows of some arrays, as arrays."""
+    if xp is jnp:
+        return lax.scan(lambda state, row: (fn(state, row),) * 2, state, rows)[1]
+    made = []
+    for row in zip(*rows, strict=True):
+        state = fn(state, row)
+        made.append(state)
+    return tuple(map(np.stack, zip(*made, strict=True))) if made and isinstance(state, tuple) else np.array(made)
