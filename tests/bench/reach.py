@@ -12,6 +12,7 @@ README.md and its figures (see `reach_page`).
 """
 
 import argparse
+import functools
 import json
 import os
 import pathlib
@@ -20,6 +21,29 @@ import subprocess
 import sys
 import tempfile
 import time
+
+import jax
+import numpy as np
+import pinocchio
+
+import cnclik as ck
+from cnclik.bench.cold import environment
+from cnclik.bench.timing import processor
+from cnclik.reaching.result import count as counts
+from cnclik.robot.posture import start_posture
+from tests.bench import reach_more, reach_page
+from tests.bench.reach_peers import (
+    CNCLIK,
+    ROBOTS,
+    PinocchioReach,
+    Robot,
+    Worker,
+    micro,
+    seconds_of,
+    share,
+    toolbox,
+    warm,
+)
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "reach"
 TARGETS, PEERS, ROUNDS = 10_000, 2000, 7
@@ -33,46 +57,20 @@ def say(*words):
     print(*words, file=sys.stderr, flush=True)
 
 
-def seconds_of(call):
-    """(seconds, what the call returns)."""
-    begun = time.perf_counter()
-    made = call()
-    return time.perf_counter() - begun, made
-
-
-def warm(call, rounds=5):
-    """Median seconds of some calls after the first."""
-    return statistics.median(seconds_of(call)[0] for _ in range(rounds))
-
-
-def micro(seconds, count=1):
-    """Microseconds each."""
-    return round(1e6 * seconds / count, 2)
-
-
-def share(of):
-    """A share, as a float with digits enough for one of ten thousand."""
-    return round(float(sum(of) / len(of)), 6)
-
-
 # --- sections: each gets how many targets are asked for, and returns what goes into the JSON ----------
 
 
 def robots(count):
     """Solve rate, wrong answers, evaluations and time on eight robots."""
-    import numpy as np
-
-    import cnclik as ck
-    from tests.bench.reach_peers import ROBOTS, Robot
-
     rows = []
     for name in ROBOTS:
         robot = Robot(name)
         targets = robot.pose(robot.drawn(count))
-        cold, made = seconds_of(lambda: ck.reach(robot.chain, targets))  # noqa: B023
+        call = functools.partial(ck.reach, robot.chain, targets)
+        cold, made = seconds_of(call)
         solved = made.status == 0
         wrong = solved & ~robot.right(made.q, targets)
-        times = warm(lambda: ck.reach(robot.chain, targets))  # noqa: B023
+        times, cpu = warm(call), warm(call, clock=time.process_time)
         spent = np.unique(np.round(np.geomspace(1, max(made.evaluations.max(), 2), 80)))
         rows.append(
             {
@@ -83,6 +81,7 @@ def robots(count):
                 "statuses": counts(made.status),
                 "evaluations": round(float(made.evaluations.mean()), 2),
                 "us": micro(times, count),
+                "cpu_us": micro(cpu, count),
                 "first_s": round(cold, 2),
                 "curve": [[int(k), share(solved & (made.evaluations <= k))] for k in spent],
             }
@@ -91,17 +90,8 @@ def robots(count):
     return rows
 
 
-def counts(status):
-    """How many targets have each status."""
-    from cnclik.reaching.result import count
-
-    return count(status)
-
-
 def peers(count):
     """In turn, on the same targets: reach, reach without AVX-512, Pinocchio C++, Robotics Toolbox."""
-    from tests.bench.reach_peers import CNCLIK, PinocchioReach, Robot, Worker, toolbox
-
     rows = []
     for name in ("Panda", "UR5"):
         robot = Robot(name)
@@ -132,7 +122,6 @@ def peers(count):
 
 def timed_reach(chain, targets):
     """A call for (seconds, q, found), made once before."""
-    import cnclik as ck
 
     def run():
         seconds, made = seconds_of(lambda: ck.reach(chain, targets))
@@ -182,9 +171,6 @@ def rounds_of(robot, contenders):
 
 def papers(count):
     """At the tolerance of papers on GPUs, the Panda."""
-    import cnclik as ck
-    from tests.bench.reach_peers import Robot
-
     robot, rows = Robot("Panda"), []
     targets = robot.pose(robot.drawn(max(count, PEERS), seed=29))
     for size in (1, PEERS, max(count, PEERS)):
@@ -193,9 +179,9 @@ def papers(count):
         right = robot.right(made.q, some, PAPERS)
         if size == 1:
             each = iter(list(targets[:200]) * 2)
-            seconds = warm(lambda: ck.reach(robot.chain, next(each), tolerance=PAPERS), 300)  # noqa: B023
+            seconds = warm(lambda each=each: ck.reach(robot.chain, next(each), tolerance=PAPERS), 300)
         else:
-            seconds = warm(lambda: ck.reach(robot.chain, some, tolerance=PAPERS))  # noqa: B023
+            seconds = warm(functools.partial(ck.reach, robot.chain, some, tolerance=PAPERS))
         row = {"batch": size, "solved": share(made.solved), "wrong": share(made.solved & ~right)}
         rows.append(row | {"us_per_target": micro(seconds, size), "us_per_batch": micro(seconds)})
         say(rows[-1])
@@ -204,17 +190,12 @@ def papers(count):
 
 def single(count):
     """One target from Python, warm; steps along a line; and first answers in fresh processes."""
-    import numpy as np
-
-    import cnclik as ck
-    from tests.bench.reach_peers import Robot
-
     out = {}
     for name in ("Panda", "UR5"):
         robot = Robot(name)
         targets = robot.pose(robot.drawn(400, seed=31))
         ck.reach(robot.chain, targets[0])
-        times, found = zip(*(seconds_of(lambda T=T: ck.reach(robot.chain, T)) for T in targets), strict=True)  # noqa: B023
+        times, found = zip(*(seconds_of(functools.partial(ck.reach, robot.chain, T)) for T in targets), strict=True)
         q = np.stack([f.q for f in found])
         solved = np.array([bool(f.solved) for f in found])
         row = {"us": micro(statistics.median(times)), "us_mean": micro(statistics.fmean(times))}
@@ -228,11 +209,6 @@ def single(count):
 
 def near(robot, steps=200):
     """1 mm steps along a line, each from the answer before it."""
-    import numpy as np
-
-    import cnclik as ck
-    from cnclik.robot.posture import start_posture
-
     q = start_posture(robot.chain, ck.pose_task())
     start = robot.pose(q[None])[0]
     line = np.tile(start, (steps, 1, 1))
@@ -241,7 +217,7 @@ def near(robot, steps=200):
     ck.reach(robot.chain, line[0], near=q, jump=0.1)
     times, found, looks = [], [], []
     for T in line:
-        seconds, made = seconds_of(lambda T=T, q=q: ck.reach(robot.chain, T, near=q, jump=0.1))
+        seconds, made = seconds_of(functools.partial(ck.reach, robot.chain, T, near=q, jump=0.1))
         q = made.q if made.solved else q
         times.append(seconds), found.append(made.q), looks.append(int(made.evaluations))
     right = robot.right(np.stack(found), line)
@@ -261,11 +237,6 @@ print(ready - begun, time.perf_counter() - ready)
 
 def cold(robot, targets, rounds=3):
     """Seconds of the import and of the first call, in fresh processes without compiled programs of others; medians."""
-    import numpy as np
-
-    from cnclik.bench.cold import environment
-    from tests.bench.reach_peers import ROBOTS
-
     said = []
     for _ in range(rounds):
         with tempfile.TemporaryDirectory() as folder:
@@ -282,21 +253,20 @@ def cold(robot, targets, rounds=3):
 
 def scaling(count):
     """µs per target of the Panda for batches of many sizes, on the cores this process may use."""
-    import cnclik as ck
-    from tests.bench.reach_peers import Robot
-
     robot = Robot("Panda")
     targets = robot.pose(robot.drawn(BATCHES[-1], seed=37))
     rows = []
     for size in BATCHES:
         some = targets[0] if size == 1 else targets[:size]
         ck.reach(robot.chain, some)
-        rows.append([size, micro(warm(lambda: ck.reach(robot.chain, some), 41 if size < 100 else 5), size)])  # noqa: B023
+        call = functools.partial(ck.reach, robot.chain, some)
+        rows.append([size, micro(warm(call, 41 if size < 100 else 5), size)])
         say(rows[-1])
     return {str(len(os.sched_getaffinity(0))): rows}
 
 
-SECTIONS = {f.__name__: f for f in (robots, peers, papers, single, scaling)}
+more = reach_more.beyond, reach_more.path, reach_more.parts
+SECTIONS = {f.__name__: f for f in (robots, peers, papers, single, *more, scaling)}
 
 
 # --- the run ------------------------------------------------------------------------------------------
@@ -304,12 +274,6 @@ SECTIONS = {f.__name__: f for f in (robots, peers, papers, single, scaling)}
 
 def machine():
     """What it ran on."""
-    import jax
-    import numpy as np
-    import pinocchio
-
-    from cnclik.bench.timing import processor
-
     with open("/proc/cpuinfo") as info:
         flags = info.read()
     versions = {"jax": jax.__version__, "numpy": np.__version__, "pinocchio": pinocchio.__version__}
@@ -347,7 +311,8 @@ def main():
         if section == "scaling" and len(os.sched_getaffinity(0)) > 1:
             found[section] |= apart(section, asked.targets, 2)
         RESULTS.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(found, indent=1) + "\n")
+        file.write_text(reach_page.text(found))
+    reach_page.write(found, RESULTS)
 
 
 if __name__ == "__main__":

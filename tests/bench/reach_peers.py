@@ -8,6 +8,7 @@ import ctypes
 import json
 import os
 import pathlib
+import statistics
 import subprocess
 import sys
 import time
@@ -25,6 +26,28 @@ from tests.integrate.test_real_robots import ROBOTS, folder
 TOLERANCE = 1e-6  # [m], [rad]
 SLACK = 1e-9  # [m, rad] between two forward kinematics
 LEAF = "link_eef"  # xArm7's only leaf
+
+
+def seconds_of(call, clock=time.perf_counter):
+    """(seconds, what the call returns)."""
+    begun = clock()
+    made = call()
+    return clock() - begun, made
+
+
+def warm(call, rounds=5, clock=time.perf_counter):
+    """Median seconds of some calls after the first."""
+    return statistics.median(seconds_of(call, clock)[0] for _ in range(rounds))
+
+
+def micro(seconds, count=1):
+    """Microseconds each."""
+    return round(1e6 * seconds / count, 2)
+
+
+def share(of):
+    """A share, as a float with digits enough for one of ten thousand."""
+    return round(float(sum(of) / len(of)), 6)
 
 
 class Robot:
@@ -64,10 +87,7 @@ class Robot:
         """Pinocchio's 4×4 transforms of the tip, seen from the base, for (B, n) joint values."""
         out = np.tile(np.eye(4), (len(q), 1, 1))
         for k, values in enumerate(q):
-            full = pin.neutral(self.model)
-            for joint, v in zip(self._joints, values, strict=True):
-                full[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(v), np.sin(v)] if joint.nq == 2 else v
-            pin.forwardKinematics(self.model, self._data, full)
+            pin.forwardKinematics(self.model, self._data, self._full(values))
             m = pin.updateFramePlacement(self.model, self._data, self._tip)
             if self._root is not None:
                 m = pin.updateFramePlacement(self.model, self._data, self._root).actInv(m)
@@ -84,6 +104,23 @@ class Robot:
         )
         kept = ((q >= self.lower - SLACK) & (q <= self.upper + SLACK)).all(axis=1)
         return there & kept & np.isfinite(q).all(axis=1)
+
+    def position(self, q):
+        """Position (3,) of the tip and its Jacobian (3, n) at q (n,), seen from the base."""
+        pin.computeJointJacobians(self.model, self._data, self._full(q))
+        m = pin.updateFramePlacement(self.model, self._data, self._tip)
+        j = pin.getFrameJacobian(self.model, self._data, self._tip, pin.LOCAL_WORLD_ALIGNED)
+        j = j[:3, [joint.idx_v for joint in self._joints]]
+        if self._root is None:
+            return m.translation.copy(), j
+        base = pin.updateFramePlacement(self.model, self._data, self._root)
+        return base.actInv(m.translation), base.rotation.T @ j
+
+    def _full(self, q):
+        full = pin.neutral(self.model)
+        for joint, v in zip(self._joints, q, strict=True):
+            full[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(v), np.sin(v)] if joint.nq == 2 else v
+        return full
 
     def about_z(self):
         """(origins (n, 4, 4), tip (4, 4)) of the same arm with every joint about the z of its own frame."""
