@@ -172,7 +172,7 @@ def solve_figure(rows, path):
                 panel.plot(spent[last[0]], 1 / row["targets"], "v", color=style.COLORS[k], clip_on=False)
         panel.set(xscale="log", yscale="log", xlabel="evaluations spent on a target", ylabel="share not solved yet")
         panel.set_ylim(0.9 / rows[0]["targets"], 1.1)
-        panel.legend(loc="upper right", ncols=2)
+        panel.legend(loc="lower left")
         style.save(figure, path, {"Title": "Share of targets not solved against evaluations"})
 
 
