@@ -118,7 +118,7 @@ def _starts(setup, mine, done, copies, places):
         shake = setup.seeds.postures[number % len(setup.seeds.postures)]
         middle, wide = np.mean(setup.seeds.postures, axis=0), np.ptp(setup.seeds.postures, axis=0)
         start = mine.near + AROUND * done / PLAIN * 2 * (shake - middle) / np.maximum(wide, 1e-9)
-    elif done < SETS or copies == 1:
+    elif done < SETS:
         picked = np.empty(len(number), np.intp)
         for k in np.unique(number):
             picked[number == k] = nearest(setup.compared, mine.pose[number == k], k)
