@@ -66,13 +66,17 @@ def peers(rows):
         [r["robot"], r["name"], f"{r['targets']:,}", percent(r["solved"]), f"{r['us']:.1f}", f"{r['ratio']:.2f}"]
         for r in rows
     ]
-    options = "; ".join(f"{r['name']} on the {r['robot']}: {r['options']}" for r in rows if r["options"])
+    options = "; ".join(
+        f"{r['name']} on the {r['robot']}: {', '.join(f'{k} {v:g}' for k, v in r['options'].items() if k != 'version')}"
+        for r in rows
+        if r["options"]
+    )
     head = ["robot", "", "targets", "solved", "µs per target", "times reach's"]
     absent = "" if any("Toolbox" in r["name"] for r in rows) else " Robotics Toolbox was not installed."
     return (
         "The same targets, tolerance and limits, in turn, one core, a thread each; medians of 7 rounds; solved is what "
         f"Pinocchio's kinematics confirm. Peers have the options that were best for them on 200 of the targets.{absent}"
-        f"\n\n{markdown(head, lines, left=2)}\n{options}\n"
+        f"\n\n{markdown(head, lines, left=2)}\n{options}.\n"
     )
 
 
@@ -118,7 +122,7 @@ def beyond(found):
     lines = []
     for name, r in found.items():
         near = percent(r["within_1_percent"]) if "within_1_percent" in r else ""
-        lines.append([name, statuses(r), percent(r["wrong"]), r.get("missed", ""), near, f"{r['us']:.0f}"])
+        lines.append([name, statuses(r), percent(r["wrong"]), r.get("missed", ""), near, f"{r['us']:,.0f}"])
     head = ["targets", "statuses", "wrong", "missed", "nearest within 1 %", "µs per target"]
     return (
         "Missed: an answer that a long search finds (of positions: brute force, on 50 of those without an answer; of "
@@ -129,7 +133,14 @@ def beyond(found):
 def path(found):
     """Paths."""
     lines = [
-        [n, f"{r['waypoints']:,}", statuses(r), f"{r['largest_step']:.4f}", f"{r['evaluations']:.1f}", f"{r['us']:.0f}"]
+        [
+            n,
+            f"{r['waypoints']:,}",
+            statuses(r),
+            f"{r['largest_step']:.4f}",
+            f"{r['evaluations']:.1f}",
+            f"{r['us']:,.0f}",
+        ]
         for n, r in found.items()
     ]
     head = ["robot", "waypoints", "statuses", "largest step [rad]", "evaluations", "µs each"]
@@ -212,5 +223,8 @@ def write(found, folder) -> None:
             made.append("![Share of targets not solved against evaluations](solved.png)\n")
     if "scaling" in found:
         batch_figure(found["scaling"], folder / "batch.png")
-        made.append("## Batch size\n\n![Time per target against batch size](batch.png)\n")
+        busy = "Others kept the cores busy meanwhile: this does not tell what a second core gives.\n\n" * (
+            m["load"][0] > 1
+        )
+        made.append(f"## Batch size\n\n{busy}![Time per target against batch size](batch.png)\n")
     (folder / "README.md").write_text("\n".join(made), encoding="utf-8")
