@@ -16,7 +16,7 @@ from cnclik.reaching.seeds import SETS, nearest
 PLAIN, ROUNDS = 5, (6, 3)  # tries without taking back steps, and the steps of their rounds
 WIDE, COPIES, CAREFUL = 384, 12, 24  # later: lanes of a try, seeds per target at once at most, steps
 COARSE = 2e-5  # [m, rad]: float32 is good for no less
-POLISH, DOWNHILL = 4, 150  # steps in float64, at most: to the tolerance, and to the nearest pose
+POLISH, SLOW, DOWNHILL = 4, 30, 150  # steps in float64: to the tolerance, near singularities, and to the nearest pose
 PLACES = 4  # downhill from so many of the best places
 AROUND = 0.5  # [rad, m] about `near` that later tries start in
 NEARBY = 0.2  # of the range of seeds, about a place found
@@ -91,6 +91,9 @@ def find(setup: Setup, targets: Targets, downhill=True) -> Answers:
         if arrived.any():
             ids = left[arrived]
             _settle(setup, targets.part(ids), ids, q[arrived], POLISH, made)
+            slow = ~made.found[ids]
+            if slow.any():
+                _settle(setup, targets.part(ids[slow]), ids[slow], q[arrived][slow], SLOW, made)
         left = left[~made.found[left] & (made.looks[left] < setup.budget)]
         done += copies
     left = np.flatnonzero(~made.found)
@@ -126,7 +129,7 @@ def _starts(setup, mine, done, copies, places):
         shake = setup.seeds.postures[number % len(setup.seeds.postures)]
         middle, wide = np.mean(setup.seeds.postures, axis=0), np.ptp(setup.seeds.postures, axis=0)
         start = mine.near + AROUND * done / PLAIN * 2 * (shake - middle) / np.maximum(wide, 1e-9)
-    elif done < SETS or copies == 1:
+    elif done < SETS:
         picked = np.empty(len(number), np.intp)
         for k in np.unique(number):
             picked[number == k] = nearest(setup.compared, mine.pose[number == k], k)

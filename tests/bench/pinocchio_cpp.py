@@ -1,7 +1,8 @@
-"""`pinocchio_clik.cpp` compiled against the headers in the `pin` wheel, and called through ctypes."""
+"""C++ peers compiled against the headers in the `pin` wheel, and called through ctypes."""
 
 import ctypes
 import hashlib
+import os
 import pathlib
 import subprocess
 
@@ -10,27 +11,27 @@ import numpy as np
 HERE = pathlib.Path(__file__).parent
 SOURCE = HERE / "pinocchio_clik.cpp"
 BUILD = HERE.parents[1] / "build" / "bench"
-EIGEN = "/usr/include/eigen3"
+EIGEN = os.environ.get("EIGEN3_INCLUDE_DIR", "/usr/include/eigen3")
 FLAGS = [
     *("-O3", "-march=native", "-std=c++17", "-DNDEBUG", "-shared", "-fPIC"),
     *("-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS"),
 ]
 
 
-def compiled() -> pathlib.Path:
+def compiled(source=SOURCE) -> pathlib.Path:
     """The shared library; compiled (about a minute and a half) unless this source was compiled before."""
     import pinocchio
 
     prefix = next(p for p in pathlib.Path(pinocchio.__file__).parents if p.name == "cmeel.prefix")
     command = ["g++", *FLAGS, "-isystem", str(prefix / "include"), "-isystem", EIGEN]
-    key = hashlib.sha256(SOURCE.read_bytes() + " ".join([*command, pinocchio.__version__]).encode()).hexdigest()[:16]
-    library = BUILD / f"pinocchio_clik-{key}.so"
+    key = hashlib.sha256(source.read_bytes() + " ".join([*command, pinocchio.__version__]).encode()).hexdigest()[:16]
+    library = BUILD / f"{source.stem}-{key}.so"
     if not library.exists():
         if not pathlib.Path(EIGEN).exists():
             raise SystemExit(f"Eigen's headers are not in {EIGEN}: install libeigen3-dev.")
         BUILD.mkdir(parents=True, exist_ok=True)
         part = library.with_suffix(".part")
-        done = subprocess.run([*command, str(SOURCE), "-o", str(part)], capture_output=True, text=True)
+        done = subprocess.run([*command, str(source), "-o", str(part)], capture_output=True, text=True)
         if done.returncode != 0:  # else only warnings, a great many, about the headers
             raise SystemExit(done.stderr)
         part.rename(library)
