@@ -173,7 +173,7 @@ def cubic(times, values, closed, name):
             sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
             if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
                 raise errors.fail(name, "end where it starts for a closed path", "does not")
-            # With a velocity p at the start, and sign·p at the end, v = still + p·moved; its acceleration is continuous.
+            # With velocities p at the start and sign·p at the end v = still + p·moved: p makes acceleration continuous.
             still, moved = _velocities(h, slope, rest, rest), _velocities(h, 0 * slope, rest + 1, rest + sign)
             ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (still, moved)]
             v = still + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved

@@ -14,7 +14,7 @@ from cnclik.reaching.seeds import SETS, compared, nearest, seeds
 from cnclik.reaching.single import each
 from cnclik.record import kept, replace
 
-BLOCK = 4096  # targets that a core searches for at a time
+BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 FEW = 8  # targets that are sooner searched for one by one
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
@@ -33,34 +33,45 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     setup = _setup(asked)
     made = Answers.empty(B, n)
     beyond = np.zeros(B, bool)
-    finite = np.flatnonzero(np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1)))
-    workers = cores()
-    size = max(min(BLOCK, -(-len(finite) // workers)), 1)
+    targets = Targets(pose, asked.bounds(near), near)
+    far = asked.too_far(pose)
+    known = np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1))
+    made.steep[far] = 0.0
 
-    def block(ids):
-        mine = Targets(
-            pose[ids], asked.bounds(None if near is None else near[ids]), None if near is None else near[ids]
-        )
-        far = asked.too_far(mine.pose)
-        made.steep[ids[far]] = 0.0
-        few = min(TRIES_FAR, setup.tries) if asked.explain else 0
-        for some, tries in ((np.flatnonzero(~far), setup.tries), (np.flatnonzero(far), few)):
-            if len(some) and tries:
-                made.put(ids[some], search.find(setup._replace(tries=tries), mine.part(some), downhill=asked.explain))
-        left = np.flatnonzero(~made.found[ids] & ~far)
-        if len(left) and (wider := asked.beyond()) is not None:
-            free = mine.part(left)._replace(bounds=wider)
-            beyond[ids[left]] = search.find(setup._replace(tries=TRIES_BEYOND), free, downhill=False).found
-        return len(ids)
+    def first(ids):
+        made.put(ids, search.first_tries(setup, targets.part(ids)))
 
-    with chosen, jax.enable_x64(True), ThreadPoolExecutor(workers) as pool:
-        if len(finite) and form() == "unrolled":  # both programs compile at once
-            list(pool.map(as_here(lambda dtype: search.warm(setup, asked.bounds(near), dtype)), ("float32", "float64")))
-        done = 0
-        for count in pool.map(as_here(block), [finite[i : i + size] for i in range(0, len(finite), size)]):
-            done += count
-            if progress is not None:
-                progress(done, len(finite))
+    def later(ids):
+        tries = min(TRIES_FAR, setup.tries) if far[ids[0]] else setup.tries
+        mine = setup._replace(tries=tries)
+        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), asked.explain))
+
+    def free(ids):
+        mine, wider = setup._replace(tries=TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
+        found = search.first_tries(mine, wider)
+        beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
+
+    with chosen, jax.enable_x64(True), ThreadPoolExecutor(cores()) as pool:
+
+        def on_all_cores(fn, which):
+            """fn of blocks of those of some targets that have no answer yet."""
+            ids = np.flatnonzero(which & known & ~made.found)
+            size = max(min(BLOCK, -(-len(ids) // cores())), SMALLEST)
+            parts = [ids[i : i + size] for i in range(0, len(ids), size)]
+            for _ in pool.map(as_here(fn), parts):
+                if progress is not None:
+                    progress(int(made.found.sum()), B)
+
+        if form() == "unrolled":  # both programs compile at once
+            list(pool.map(as_here(lambda dtype: search.warm(setup, targets.bounds, dtype)), ("float32", "float64")))
+        on_all_cores(first, ~far if not asked.explain else known)
+        on_all_cores(later, ~far)
+        if asked.explain:
+            on_all_cores(later, far)
+            if asked.beyond() is not None:
+                on_all_cores(free, ~far)
+    if progress is not None:
+        progress(B, B)
     return asked.reached(pose, near, *made.as_asked(), beyond)
 
 

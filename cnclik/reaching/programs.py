@@ -23,7 +23,6 @@ class Found(NamedTuple):
     """What a search of (B, n) lanes comes to."""
 
     q: object  # the best posture of each (B, n)
-    onward: object  # where the next look would be (B, n)
     squares: object  # squared position and orientation error there (B, 2)
     cost: object
     steep: object
@@ -48,7 +47,7 @@ def _lane(chain, task, bounds, tolerance, q, target, steps, careful):
         return lax.while_loop(lambda c: (c[0] < steps) & ~c[1].arrived, once, (jnp.zeros_like(steps), start))[1]
 
     at = one_function(go)(steps, careful, q, position, rotation, bounds, (tolerance[0], tolerance[1]))
-    return Found(sp.packed(at.best), sp.packed(at.q), jnp.stack(at.squares), at.cost, at.steep, at.looks)
+    return Found(sp.packed(at.best), jnp.stack(at.squares), at.cost, at.steep, at.looks)
 
 
 def _many(chain, task, bounds, tolerance, q, target, steps, careful, count):

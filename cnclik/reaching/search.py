@@ -1,9 +1,8 @@
-"""Searching for many targets at once: tries from ever new seeds, in rounds after which those that arrived leave.
+"""Searching for many targets at once: tries from ever new seeds, of which those that arrived take no further part.
 
-Short rounds with compaction cost what the mean target costs, and not the hardest. Float32 to near the tolerance, then
-a step or two in float64, where every answer is checked. The first tries start from the nearest seeds; the targets that
-are left get several seeds each at once, more steps, and a careful iteration. What still has not arrived goes downhill
-in float64 from the best places found: to the nearest pose.
+Float32 to near the tolerance, then a step or two in float64, where every answer is checked. The first tries start from
+the nearest seeds, and end early; the targets that are left get several seeds each at once, more steps, and a careful
+iteration. What still has not arrived goes downhill in float64 from the best places found: to the nearest pose.
 """
 
 from typing import NamedTuple
@@ -13,10 +12,12 @@ import numpy as np
 from cnclik.reaching import programs
 from cnclik.reaching.seeds import SETS, nearest
 
-PLAIN, ROUNDS = 5, (6, 3)  # tries without taking back steps, and the steps of their rounds
+PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
 WIDE, COPIES, CAREFUL = 384, 12, 24  # later: lanes of a try, seeds per target at once at most, steps
 COARSE = 2e-5  # [m, rad]: float32 is good for no less
-POLISH, SLOW, DOWNHILL = 4, 30, 150  # steps in float64: to the tolerance, near singularities, and to the nearest pose
+POLISH, SLOW = 2, 30  # steps in float64 to the tolerance: nearly always, and near singularities
+DOWNHILL = 150  # and to the nearest pose
+TOGETHER = 4  # later tries of which the outcomes go into float64 together
 PLACES = 4  # downhill from so many of the best places
 AROUND = 0.5  # [rad, m] about `near` that later tries start in
 NEARBY = 0.2  # of the range of seeds, about a place found
@@ -49,18 +50,25 @@ class Targets(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """What a search comes to, for each target."""
+    """What a search comes to, for each target; written to as it goes on."""
 
     q: np.ndarray  # (B, n), the best posture found
     squares: np.ndarray  # (B, 2) squared position and orientation error there
     looks: np.ndarray  # (B,)
     steep: np.ndarray  # (B,) gradient there, see `step.Search`; NaN where it was not looked at
     found: np.ndarray  # (B,)
+    places: np.ndarray  # (B, PLACES, n) the best places of tries that did not arrive
+    costs: np.ndarray  # (B, PLACES) and what they cost
 
     @classmethod
     def empty(cls, B, n):
         """Nothing found yet."""
-        return cls(np.zeros((B, n)), np.full((B, 2), np.inf), np.zeros(B), np.full(B, np.nan), np.zeros(B, bool))
+        one = np.zeros((B, n)), np.full((B, 2), np.inf), np.zeros(B), np.full(B, np.nan), np.zeros(B, bool)
+        return cls(*one, np.zeros((B, PLACES, n)), np.full((B, PLACES), np.inf))
+
+    def part(self, ids):
+        """A copy of the answers for some of the targets."""
+        return Answers(*(v[ids] for v in self))
 
     def put(self, ids, some):
         """Write down the answers for some of the targets."""
@@ -72,34 +80,59 @@ class Answers(NamedTuple):
         return self.q, self.squares, self.steep, self.looks, self.found
 
 
-def find(setup: Setup, targets: Targets, downhill=True) -> Answers:
-    """A posture for every target, or, with `downhill`, one whose pose is as near as can be."""
-    B, n = len(targets.pose), setup.chain.n
-    made = Answers.empty(B, n)
-    places = np.zeros((B, PLACES, n)), np.full((B, PLACES), np.inf)
-    left, done = np.arange(B), 0
-    while len(left) and done < setup.tries:
-        wide = done >= PLAIN
-        copies = min(max(WIDE // len(left), 1), COPIES, setup.tries - done) if wide else 1
-        mine = targets.part(np.repeat(left, copies))
-        start = _starts(setup, mine, done, copies, places[0][np.repeat(left, copies)])
-        q, cost, arrived, looks = _careful(setup, mine, start) if wide else _rounds(setup, mine, start)
-        made.looks[left] += looks.reshape(-1, copies).sum(axis=1)
-        best = _preferred(q, cost, arrived, mine.near, copies)
-        q, cost, arrived = q[best], cost[best], arrived[best]
-        _keep(places, left, q, cost)
-        if arrived.any():
-            ids = left[arrived]
-            _settle(setup, targets.part(ids), ids, q[arrived], POLISH, made)
-            slow = ~made.found[ids]
-            if slow.any():
-                _settle(setup, targets.part(ids[slow]), ids[slow], q[arrived][slow], SLOW, made)
-        left = left[~made.found[left] & (made.looks[left] < setup.budget)]
-        done += copies
-    left = np.flatnonzero(~made.found)
-    if len(left) and downhill:
-        _downhill(setup, targets, left, places, made)
+def first_tries(setup: Setup, targets: Targets) -> Answers:
+    """The tries that nearly all targets need no more than."""
+    made = Answers.empty(len(targets.pose), setup.chain.n)
+    left, arrived = np.arange(len(targets.pose)), []
+    for done in range(min(PLAIN, setup.tries)):
+        left = _try(setup, targets, left, done, 1, made, arrived)
+    _polish(setup, targets, arrived, made)
     return made
+
+
+def later_tries(setup: Setup, targets: Targets, made: Answers, downhill=True) -> Answers:
+    """For targets without an answer: until there is one, or seeds or budget are used up; then, with `downhill`, to the
+    nearest pose."""
+    left, done, arrived = np.flatnonzero(~made.found), PLAIN, []
+    while done < setup.tries and (len(left) or arrived):
+        if len(left):
+            copies = min(max(WIDE // len(left), 1), COPIES, setup.tries - done)
+            left = _try(setup, targets, left, done, copies, made, arrived)
+            done += copies
+        if not len(left) or done >= setup.tries or len(arrived) == TOGETHER:  # what float64 does not confirm goes on
+            ids = _polish(setup, targets, arrived, made)
+            left, arrived = np.union1d(left, ids[~made.found[ids]]), []
+        left = left[made.looks[left] < setup.budget]
+    if downhill:
+        _downhill(setup, targets, np.flatnonzero(~made.found), made)
+    return made
+
+
+def _try(setup, targets, left, done, copies, made, arrived):
+    """One try for the targets `left`; those that did not arrive. What arrived is appended to `arrived`."""
+    if not len(left):
+        return left
+    mine = targets.part(np.repeat(left, copies))
+    start = _starts(setup, mine, done, copies, made.places[np.repeat(left, copies)])
+    careful = done >= PLAIN
+    q, cost, here, looks = _in_float32(setup, mine, start, CAREFUL if careful else STEPS, careful)
+    made.looks[left] += looks.reshape(-1, copies).sum(axis=1)
+    best = _preferred(q, cost, here, mine.near, copies)
+    q, cost, here = q[best], cost[best], here[best]
+    _keep(made, left, q, cost)
+    arrived.append((left[here], q[here]))
+    return left[~here]
+
+
+def _polish(setup, targets, arrived, made):
+    """Steps in float64 from what arrived in float32; whose they are."""
+    ids = np.concatenate([ids for ids, _ in arrived]) if arrived else np.zeros(0, int)
+    if len(ids):
+        q = np.concatenate([q for _, q in arrived])
+        _settle(setup, targets, ids, q, POLISH, made)
+        slow = ~made.found[ids]
+        _settle(setup, targets, ids[slow], q[slow], SLOW, made)
+    return ids
 
 
 def warm(setup: Setup, bounds, dtype) -> None:
@@ -113,11 +146,9 @@ def warm(setup: Setup, bounds, dtype) -> None:
 def from_starts(setup: Setup, targets: Targets, start) -> Answers:
     """One careful search from each of (B, n) postures."""
     made = Answers.empty(*start.shape)
-    q, _, arrived, looks = _careful(setup, targets, np.clip(start, *targets.bounds))
+    q, _, here, looks = _in_float32(setup, targets, np.clip(start, *targets.bounds), CAREFUL, careful=True)
     made.looks[:] = looks
-    ids = np.flatnonzero(arrived)
-    if len(ids):
-        _settle(setup, targets.part(ids), ids, q[ids], POLISH, made)
+    _polish(setup, targets, [(np.flatnonzero(here), q[here])], made)
     return made
 
 
@@ -142,34 +173,13 @@ def _starts(setup, mine, done, copies, places):
     return np.clip(start, *mine.bounds)
 
 
-def _single(setup, mine, start, steps, careful):
-    """A search in float32."""
+def _in_float32(setup, mine, start, steps, careful):
+    """A search in float32 from each start: q, cost, whether it arrived, looks."""
     coarse = np.maximum(setup.tolerance, COARSE).astype(np.float32)
     bounds = tuple(b.astype(np.float32) for b in mine.bounds)
     pose = mine.pose.astype(np.float32)
-    return programs.search(
-        setup.chain, setup.task, bounds, coarse, start.astype(np.float32), pose, steps, careful
-    ), coarse
-
-
-def _rounds(setup, mine, start):
-    """One try without taking back steps: rounds, after which those that arrived leave."""
-    L = len(start)
-    q, cost, looks, arrived = np.empty((L, setup.chain.n)), np.empty(L), np.zeros(L), np.zeros(L, bool)
-    left, at = np.arange(L), start
-    for steps in ROUNDS:
-        found, coarse = _single(setup, mine.part(left), at, steps, careful=False)
-        q[left], cost[left] = found.q, found.cost
-        looks[left] += found.looks
-        arrived[left] = here = (found.squares <= coarse**2).all(axis=1)
-        left, at = left[~here], found.onward[~here]
-        if not len(left):
-            break
-    return q, cost, arrived, looks
-
-
-def _careful(setup, mine, start):
-    found, coarse = _single(setup, mine, start, CAREFUL, careful=True)
+    start = start.astype(np.float32)
+    found = programs.search(setup.chain, setup.task, bounds, coarse, start, pose, steps, careful)
     return found.q.astype(float), found.cost, (found.squares <= coarse**2).all(axis=1), found.looks
 
 
@@ -184,16 +194,18 @@ def _preferred(q, cost, arrived, near, copies):
     return np.arange(0, len(q), copies) + np.argmin(value.reshape(-1, copies), axis=1)
 
 
-def _keep(places, ids, q, cost):
+def _keep(made, ids, q, cost):
     """Take places in where they are better than the worst of those kept."""
-    kept, costs = places
-    worst = np.argmax(costs[ids], axis=1)
-    better = cost < costs[ids, worst]  # False for NaN
-    kept[ids[better], worst[better]], costs[ids[better], worst[better]] = q[better], cost[better]
+    worst = np.argmax(made.costs[ids], axis=1)
+    better = cost < made.costs[ids, worst]  # False for NaN
+    made.places[ids[better], worst[better]], made.costs[ids[better], worst[better]] = q[better], cost[better]
 
 
-def _settle(setup, mine, ids, q, steps, made):
+def _settle(setup, targets, ids, q, steps, made):
     """Steps in float64; the outcome is the answer where it is better than what there was."""
+    if not len(ids):
+        return
+    mine = targets.part(ids)
     q = np.clip(np.asarray(q, float), *mine.bounds)
     at = programs.search(setup.chain, setup.task, mine.bounds, setup.tolerance, q, mine.pose, steps, careful=True)
     made.looks[ids] += at.looks
@@ -204,11 +216,9 @@ def _settle(setup, mine, ids, q, steps, made):
     made.found[ids] = here[better]
 
 
-def _downhill(setup, targets, left, places, made):
+def _downhill(setup, targets, left, made):
     """From the best places found to where the error is stationary."""
-    order = np.argsort(places[1][left], axis=1)
+    order = np.argsort(made.costs[left], axis=1)
     for k in range(PLACES):
-        ids = left[np.isfinite(places[1][left, order[:, k]]) & ~made.found[left]]
-        if len(ids):
-            column = order[np.searchsorted(left, ids), k]
-            _settle(setup, targets.part(ids), ids, places[0][ids, column], DOWNHILL, made)
+        go = np.isfinite(made.costs[left, order[:, k]]) & ~made.found[left]
+        _settle(setup, targets, left[go], made.places[left[go], order[go, k]], DOWNHILL, made)
