@@ -51,7 +51,7 @@ class Args(ComputeOptions, TaskOptions, RobotOptions):
     limits: bool = True
     """Keep the joint limits."""
     json: bool = False
-    """Print the summary as JSON."""
+    """Print the summary as JSON; the search runs twice, for the time without compiling."""
     out: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Where to write the answers: FILE.npz, .nc or .csv; of --map a folder, reach-out."""
 
@@ -207,6 +207,8 @@ def _map(args, chain, task):
     if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
         raise errors.ArgumentError("Options of single targets must be left out with --map, but some are given.")
     kind = "pose" if task.orientation else "position"
+    if args.task not in (None, "pose", "position"):
+        raise errors.fail("task", "be pose or position with --map", f"is {args.task!r}")
     out = args.out or pathlib.Path("reach-out")
     options = {"tolerance": args.tolerance, "budget": args.budget, "limits": args.limits, "seed": args.seed}
     options |= {} if args.seeds is None else {"seeds": args.seeds}

@@ -57,22 +57,21 @@ def _save_csv(data, path):
     import csv
 
     several = "solution" in data.sizes
-    count = data.sizes.get("solution", 1)
+    shape = data.sizes["target"], data.sizes.get("solution", 1)
     joints = [str(name) for name in data.joint.values]
     numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
+    columns = [data[name].values.reshape(shape).tolist() for name in numbers]
+    status, q, held = (data[name].values.reshape(*shape, -1) for name in ("status", "q", "at_limit"))
+    poses = data.transform.values.reshape(shape[0], 16).tolist()
     with open(path, "w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
-        poses = [f"t{i}{j}" for i in range(4) for j in range(4)]
-        out.writerow(["target", *["solution"] * several, "status", *joints, *numbers, *poses])
-        shape = (data.sizes["target"], count)
-        status, q = data.status.values.reshape(shape), data.q.values.reshape(*shape, -1)
-        columns = [data[name].values.reshape(shape) for name in numbers]
-        for b in range(shape[0]):
-            for k in range(count):
-                row = [b, *[k] * several, ReachStatus(int(status[b, k])).name, *map(repr, q[b, k].tolist())]
-                out.writerow(
-                    [*row, *(repr(c[b, k].item()) for c in columns), *data.transform.values[b].ravel().tolist()]
-                )
+        entries = [f"t{i}{j}" for i in range(4) for j in range(4)]
+        out.writerow(["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *entries])
+        for b, k in np.ndindex(shape):
+            name = ReachStatus(int(status[b, k, 0])).name
+            limits = " ".join(joint for joint, is_there in zip(joints, held[b, k], strict=True) if is_there)
+            found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits]
+            out.writerow([b, *[k] * several, name, *found, *poses[b]])
 
 
 def transforms(pose) -> np.ndarray:

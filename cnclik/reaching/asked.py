@@ -39,8 +39,8 @@ class Asked:
         lower, upper = self.limited()
         if self.jump is None:
             return lower, upper
-        middle = xp.clip(near, lower, upper)
-        return xp.maximum(lower, middle - self.jump), xp.minimum(upper, middle + self.jump)
+        low, high = xp.maximum(lower, near - self.jump), xp.minimum(upper, near + self.jump)
+        return xp.minimum(low, upper), xp.maximum(high, lower)  # outside the limits: what is nearest to `near`
 
     def beyond(self):
         """Where the search goes that tells why there is no answer: without `jump`, or without limits; None: nowhere."""
@@ -73,11 +73,17 @@ class Asked:
             near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])
             status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)
         status = xp.where(found, int(ReachStatus.SOLVED), status)
-        status = xp.where(xp.isfinite(pose).all(axis=-1), status, int(ReachStatus.NON_FINITE))
+        if self.jump is not None:  # where `near` is outside the limits
+            away = xp.max(xp.abs(q - near), axis=-1) > self.jump * (1 + 1e-9)
+            status = xp.where((status <= ReachStatus.ACCEPTED) & away, int(ReachStatus.JUMP), status)
+        finite = xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
+        status = xp.where(finite, status, int(ReachStatus.NON_FINITE))
         none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE) | ~xp.isfinite(squares).all(axis=-1)
+        if not self.explain:
+            none = none | (status > ReachStatus.ACCEPTED)
         lower, upper = self.limited()
         around = xp.zeros_like(q) if near is None else near
-        turns = np.array([u == "rad" for u in self.chain.units]) & np.isinf(lower) & np.isinf(upper)
+        turns = np.array(self.chain.periodic) & np.isinf(lower) & np.isinf(upper)
         q = xp.where(turns, q - 2 * math.pi * xp.round((q - around) / (2 * math.pi)), q)
         q, position, turn = (
             xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn))

@@ -25,7 +25,7 @@ DRAWN = 12  # seeds for each solution asked for
 
 def many(asked: Asked, pose, near, progress=None) -> Reached:
     """Answers for (B, 12) targets, near (B, n) or None."""
-    chosen = use_form(form() or _form(asked.chain, len(pose)))
+    chosen = use_form(form() or form_for(asked.chain, len(pose)))
     if len(pose) <= FEW:
         with chosen:
             return each(asked, pose, near, progress)
@@ -37,6 +37,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     far = asked.too_far(pose)
     known = np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1))
     made.steep[far] = 0.0
+    downhill = asked.explain or asked.accept is not None
 
     def first(ids):
         made.put(ids, search.first_tries(setup, targets.part(ids)))
@@ -44,7 +45,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     def later(ids):
         tries = min(TRIES_FAR, setup.tries) if far[ids[0]] else setup.tries
         mine = setup._replace(tries=tries)
-        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), asked.explain))
+        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill))
 
     def free(ids):
         mine, wider = setup._replace(tries=TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
@@ -75,7 +76,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     return asked.reached(pose, near, *made.as_asked(), beyond)
 
 
-def _form(chain, targets) -> str:
+def form_for(chain, targets) -> str:
     """The form of programs for so many targets: rolled until a chain has been asked of so often that compiling pays.
 
     One by one a call of the unrolled form is several times quicker, and in batches each target twenty times; compiling
@@ -90,42 +91,53 @@ def _form(chain, targets) -> str:
 def _setup(asked: Asked) -> Setup:
     known = seeds(asked.chain)
     limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
-    return Setup(asked.chain, asked.task, known, compared(known, asked.task), *limits)
+    weights = asked.task.weights
+    roots = None if weights is None else np.sqrt(np.asarray(weights, float))
+    return Setup(asked.chain, replace(asked.task, weights=None), roots, known, compared(known, asked.task), *limits)
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
     """Up to `solutions` different answers for each of (B, 12) targets: the nearest of those that many seeds lead to."""
     first = many(asked, pose, near, progress)
-    B, n, copies = len(pose), asked.chain.n, max(SETS, DRAWN * solutions)
-    known = seeds(asked.chain)
-    with use_form(form() or _form(asked.chain, B * copies)), jax.enable_x64(True):
-        setup = _setup(asked)
-        start = np.stack([_seed(setup, pose, k + int(asked.seed)) for k in range(copies)], 1)
-        ids = np.repeat(np.arange(B), copies)
-        bounds = asked.bounds(near)
-        mine = Targets(pose, bounds, None).part(ids)
-        found = search.from_starts(setup, mine, start.reshape(-1, n))
-    drawn = asked.reached(mine.pose, None if near is None else near[ids], *found.as_asked(), np.zeros(len(ids), bool))
-    rows = {name: getattr(drawn, name).reshape(B, copies, *getattr(drawn, name).shape[1:]) for name in PER_TARGET}
-    both = {name: np.concatenate([getattr(first, name)[:, None], rows[name]], 1) for name in PER_TARGET}
-    around = np.mean(known.postures, axis=0) if near is None else near[:, None]
+    copies = max(SETS, DRAWN * solutions)
+    size = max(4 * BLOCK // copies, 1)
+
+    def block(start):
+        cut = slice(start, start + size)
+        mine = {name: getattr(first, name)[cut] for name in PER_TARGET}
+        return _several(asked, mine, pose[cut], None if near is None else near[cut], solutions, copies)
+
+    chosen = use_form(form() or form_for(asked.chain, len(pose) * copies))
+    with chosen, jax.enable_x64(True), ThreadPoolExecutor(cores()) as pool:
+        made = list(pool.map(as_here(block), range(0, len(pose), size)))
+    return replace(first, **{name: np.concatenate([part[name] for part in made]) for name in PER_TARGET})
+
+
+def _several(asked, first, pose, near, solutions, copies) -> dict:
+    """The fields of the record for some targets, from those of their first answers."""
+    B, n, setup = len(pose), asked.chain.n, _setup(asked)
+    start = np.stack([_seed(setup, pose, k + int(asked.seed)) for k in range(copies)], 1)
+    mine = Targets(pose, asked.bounds(near), near).part(np.repeat(np.arange(B), copies))
+    found = search.from_starts(setup, mine, start.reshape(-1, n))
+    drawn = asked.reached(mine.pose, mine.near, *found.as_asked(), np.zeros(B * copies, bool))
+    rows = {name: getattr(drawn, name) for name in PER_TARGET}
+    rows = {name: v.reshape(B, copies, *v.shape[1:]) for name, v in rows.items()}
+    both = {name: np.concatenate([first[name][:, None], v], 1) for name, v in rows.items()}
+    around = np.mean(setup.seeds.postures, axis=0) if near is None else near[:, None]
     away = np.max(np.abs(both["q"] - around), axis=2)
     usable = both["status"] <= ReachStatus.ACCEPTED
     order = np.argsort(np.where(usable, away, np.inf), axis=1)
     taken = _different(asked, np.take_along_axis(both["q"], order[..., None], 1), np.take_along_axis(usable, order, 1))
     rank = np.argsort(~taken, axis=1, kind="stable")[:, :solutions]
-    picked = np.take_along_axis(order, rank, 1)
-    there = np.take_along_axis(taken, rank, 1)
+    picked, there = np.take_along_axis(order, rank, 1), np.take_along_axis(taken, rank, 1)
     none = ~usable.any(axis=1)
     picked[none, 0], there[none, 0] = 0, True  # why there is none, and the nearest pose, as of one solution
-    out = {
-        name: np.take_along_axis(v, picked.reshape(*picked.shape, *(1,) * (v.ndim - 2)), 1) for name, v in both.items()
-    }
+    out = {n: np.take_along_axis(v, picked.reshape(B, -1, *(1,) * (v.ndim - 2)), 1) for n, v in both.items()}
     out["status"] = np.where(there, out["status"], int(ReachStatus.NO_OTHER))
     for name in ("q", "position_error", "orientation_error", "distance"):
         out[name][~there] = np.nan
     out["at_limit"][~there] = False
-    return replace(first, **out)
+    return out
 
 
 def _seed(setup, pose, number):
@@ -137,7 +149,7 @@ def _seed(setup, pose, number):
 
 def _different(asked, q, usable):
     """Which of (B, K) answers, in order, differ from all that were taken before them."""
-    turns = np.array([u == "rad" for u in asked.chain.units])
+    turns = np.array(asked.chain.periodic)
     least = DIFFERENT if asked.chain.n <= asked.task.m else DIFFERENT_REDUNDANT
     taken = np.zeros(usable.shape, bool)
     for k in range(q.shape[1]):

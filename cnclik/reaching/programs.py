@@ -29,7 +29,7 @@ class Found(NamedTuple):
     looks: object
 
 
-def _lane(chain, task, bounds, tolerance, q, target, steps, careful):
+def _lane(chain, task, bounds, tolerance, q, target, steps, careful, roots):
     dtype = q.dtype
     chain, q = in_form(chain, q)
     chain = cast(chain, dtype)
@@ -38,21 +38,23 @@ def _lane(chain, task, bounds, tolerance, q, target, steps, careful):
         position, rotation = tuple(position), tuple(map(tuple, rotation))
     bounds = tuple(sp.like(q, bound) for bound in bounds)
 
-    def go(steps, careful, q, position, rotation, bounds, tolerance):
+    roots = tuple(roots) if roots is not None and sp.unrolled(q) else roots
+
+    def go(steps, careful, q, position, rotation, bounds, tolerance, roots):
         def once(carry):
             i, at = carry
-            return i + 1, iterate(chain, task, at, (position, rotation), bounds, tolerance, careful)
+            return i + 1, iterate(chain, task, at, (position, rotation), bounds, tolerance, careful, roots)
 
         start = begin(q, q[0] * 0.0)
         return lax.while_loop(lambda c: (c[0] < steps) & ~c[1].arrived, once, (jnp.zeros_like(steps), start))[1]
 
-    at = one_function(go)(steps, careful, q, position, rotation, bounds, (tolerance[0], tolerance[1]))
+    at = one_function(go)(steps, careful, q, position, rotation, bounds, (tolerance[0], tolerance[1]), roots)
     return Found(sp.packed(at.best), jnp.stack(at.squares), at.cost, at.steep, at.looks)
 
 
-def _many(chain, task, bounds, tolerance, q, target, steps, careful, count):
+def _many(chain, task, bounds, tolerance, q, target, steps, careful, roots, count):
     def lane(q, target, *own):
-        return _lane(chain, task, own or bounds, tolerance, q, target, steps, careful)
+        return _lane(chain, task, own or bounds, tolerance, q, target, steps, careful, roots)
 
     own = bounds if bounds[0].ndim > 1 else ()
     return tiled(lane, min(TILE, q.shape[0]), q, target, *own, count=count)
@@ -61,11 +63,11 @@ def _many(chain, task, bounds, tolerance, q, target, steps, careful, count):
 _quick, _soon = quick_jit(_many, compiler=OPTIONS), quick_jit(_many)
 
 
-def search(chain, task, bounds, tolerance, q, target, steps, careful=False) -> Found:
+def search(chain, task, bounds, tolerance, q, target, steps, careful=False, roots=None) -> Found:
     """At most `steps` steps from each of (B, n) postures to its target (B, 12), in the dtype of q; NumPy arrays.
 
     Args:
-      bounds: lower and upper, (n,) for all or (B, n), in that dtype.
+      bounds: lower and upper, (n,) for all or (B, n), in that dtype. careful, roots: see `step.iterate`.
     """
     rolled = form() == "rolled"
     chain, run = (roll(chain), _soon) if rolled else (chain, _quick)
@@ -76,7 +78,7 @@ def search(chain, task, bounds, tolerance, q, target, steps, careful=False) -> F
         size = len(part[0])
         filled = [_filled(v) for v in part]
         own = tuple(_filled(b) if b.ndim > 1 else b for b in own)
-        found = run(chain, task, own, tolerance, *filled, np.int32(steps), np.bool_(careful), np.int32(size))
+        found = run(chain, task, own, tolerance, *filled, np.int32(steps), np.bool_(careful), roots, np.int32(size))
         parts.append([np.asarray(v)[:size] for v in found])
     return Found(*map(np.concatenate, zip(*parts, strict=True)))
 

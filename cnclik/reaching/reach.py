@@ -6,8 +6,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.hints import form, use_form
 from cnclik.reaching.asked import Asked
-from cnclik.reaching.many import many, several
+from cnclik.reaching.many import form_for, many, several
 from cnclik.reaching.result import PER_TARGET, Reached
 from cnclik.reaching.single import along, traced
 from cnclik.reaching.targets import read, task_of
@@ -70,23 +71,29 @@ def reach(
     task = task_of(task)
     if not isinstance(chain, Chain):
         raise errors.fail("chain", "be a Chain", f"is {type(chain).__name__}")
+    if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
+        raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     tolerance, accept = _pair("tolerance", tolerance), None if accept is None else _pair("accept", accept)
     for name, value, least in (("solutions", solutions, 1), ("seeds", seeds, 1), ("budget", budget, 1)):
         errors.integer(name, value, at_least=least)
     errors.integer("seed", seed, at_least=0)
+    for name, value in (("seeds", seeds), ("budget", budget), ("seed", seed)):
+        if value >= 1 << 30:
+            raise errors.fail(name, f"be below {1 << 30}", f"is {value}")
     if jump is not None:
         errors.number("jump", jump, positive=True)
         if near is None:
             raise errors.fail("near", "be given with `jump`", "is not")
     pose, alone = read(targets, task, base)
-    known = all(map(errors.concrete, jax.tree.leaves((chain, pose, near))))
+    known = all(map(errors.concrete, jax.tree.leaves((chain, pose, near, jump))))
     previous = isinstance(near, str)
     if previous:
         errors.one_of("near", near, ("previous",))
     elif near is not None:
-        near = errors.array("near", near, (chain.n,), (len(pose), chain.n))
+        near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
         near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n))
         near = near.astype(pose.dtype)
+    tolerance[1] = 2 * np.sin(min(tolerance[1], np.pi) / 2)  # the error that is looked at is a chord
     asked = Asked(
         chain=chain,
         task=task,
@@ -104,8 +111,11 @@ def reach(
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
     if not known:
         made = traced(asked, pose, near)
+    elif previous and solutions > 1:
+        raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
     elif previous:
-        made = along(asked, pose, progress)
+        with use_form(form() or form_for(chain, len(pose))):
+            made = along(asked, pose, progress)
     elif solutions > 1:
         made = several(asked, pose, near, solutions, progress)
     else:

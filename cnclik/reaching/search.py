@@ -27,7 +27,8 @@ class Setup(NamedTuple):
     """What all targets of a search share."""
 
     chain: object
-    task: object
+    task: object  # without weights
+    roots: np.ndarray | None  # of the weights by which the nearest pose is the nearest
     seeds: object
     compared: object
     tolerance: np.ndarray  # [m], [rad]
@@ -54,6 +55,7 @@ class Answers(NamedTuple):
 
     q: np.ndarray  # (B, n), the best posture found
     squares: np.ndarray  # (B, 2) squared position and orientation error there
+    cost: np.ndarray  # (B,) and their sum, weighted where the search goes downhill
     looks: np.ndarray  # (B,)
     steep: np.ndarray  # (B,) gradient there, see `step.Search`; NaN where it was not looked at
     found: np.ndarray  # (B,)
@@ -63,7 +65,8 @@ class Answers(NamedTuple):
     @classmethod
     def empty(cls, B, n):
         """Nothing found yet."""
-        one = np.zeros((B, n)), np.full((B, 2), np.inf), np.zeros(B), np.full(B, np.nan), np.zeros(B, bool)
+        one = np.zeros((B, n)), np.full((B, 2), np.inf), np.full(B, np.inf), np.zeros(B)
+        one += np.full(B, np.nan), np.zeros(B, bool)
         return cls(*one, np.zeros((B, PLACES, n)), np.full((B, PLACES), np.inf))
 
     def part(self, ids):
@@ -201,24 +204,26 @@ def _keep(made, ids, q, cost):
     made.places[ids[better], worst[better]], made.costs[ids[better], worst[better]] = q[better], cost[better]
 
 
-def _settle(setup, targets, ids, q, steps, made):
+def _settle(setup, targets, ids, q, steps, made, roots=None):
     """Steps in float64; the outcome is the answer where it is better than what there was."""
     if not len(ids):
         return
     mine = targets.part(ids)
     q = np.clip(np.asarray(q, float), *mine.bounds)
-    at = programs.search(setup.chain, setup.task, mine.bounds, setup.tolerance, q, mine.pose, steps, careful=True)
+    at = programs.search(setup.chain, setup.task, mine.bounds, setup.tolerance, q, mine.pose, steps, True, roots)
     made.looks[ids] += at.looks
     here = (at.squares <= setup.tolerance**2).all(axis=1)
-    better = here | (at.squares.sum(axis=1) < made.squares[ids].sum(axis=1))
+    better = here | (at.cost < made.cost[ids])
     ids = ids[better]
+    made.cost[ids] = at.cost[better]
     made.q[ids], made.squares[ids], made.steep[ids] = at.q[better], at.squares[better], at.steep[better]
     made.found[ids] = here[better]
 
 
 def _downhill(setup, targets, left, made):
-    """From the best places found to where the error is stationary."""
+    """From the best places found to where the error, weighted, is stationary."""
+    made.cost[left] = np.inf
     order = np.argsort(made.costs[left], axis=1)
     for k in range(PLACES):
         go = np.isfinite(made.costs[left, order[:, k]]) & ~made.found[left]
-        _settle(setup, targets, left[go], made.places[left[go], order[go, k]], DOWNHILL, made)
+        _settle(setup, targets, left[go], made.places[left[go], order[go, k]], DOWNHILL, made, setup.roots)

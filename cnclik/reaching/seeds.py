@@ -41,7 +41,7 @@ def spans(chain: Chain):
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - turn, -math.pi))
     high = np.where(np.isfinite(upper), upper, low + turn)
     middle = np.clip(0.0, np.minimum(low + math.pi, (low + high) / 2), np.maximum(high - math.pi, (low + high) / 2))
-    wide = (high - low > turn) & (np.array(chain.units) == "rad")
+    wide = (high - low > turn) & np.array(chain.periodic)
     return np.where(wide, middle - math.pi, low), np.where(wide, middle + math.pi, high)
 
 
@@ -82,8 +82,9 @@ def nearest(to: Compared, targets, number) -> np.ndarray:
     return out + SIZE * (number % SETS)
 
 
-def nearest_each(to: Compared, target, count: int):
-    """Index (count,) of the nearest seed to one target (12,), of each of the first sets; traced."""
+def nearest_each(to: Compared, target, count: int, number):
+    """Index (count,) of the nearest seed to one target (12,), of each of the sets from `number` on; traced."""
     asked = jnp.concatenate([target * to.factors, jnp.ones(1, target.dtype)]).astype(np.float32)
-    distances = jnp.einsum("kij,i->kj", to.features[:count], asked, precision="highest")
-    return jnp.argmin(distances, axis=1) + SIZE * jnp.arange(count)
+    sets = (jnp.arange(count) + number) % SETS
+    distances = jnp.einsum("kij,i->kj", jnp.asarray(to.features)[sets], asked, precision="highest")
+    return jnp.argmin(distances, axis=1) + SIZE * sets

@@ -23,7 +23,7 @@ from cnclik.reaching.step import begin, iterate, look
 from cnclik.record import cast, kept, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.posture import evenly
+from cnclik.robot.posture import evenly, start_posture
 from cnclik.robot.rolled import in_form
 
 TOGETHER = 8  # seeds side by side
@@ -31,6 +31,7 @@ STEPS = 40  # of a round, at most
 DOWNHILL, CLOSE = 3, 0.02  # rounds from the best place found, and from so far about it, of the way to other seeds
 FREE = 6  # rounds without limits
 ROUNDS_FAR = 3  # where the target is farther off than the arm is long
+FAR = np.asarray(1e3)  # [rad, m] of no jump
 AROUND = 0.3  # of the range of seeds, about `near`
 
 
@@ -46,9 +47,9 @@ def each(asked, pose, near, progress=None):
 
 def along(asked, pose, progress=None):
     """Answers for the targets of a path, each from the answer before it; where there was none, from the last one."""
-    rows, at = [], None
+    rows, at = [], start_posture(asked.chain, asked.task)
     for k in range(len(pose)):
-        rows.append(_alone(asked if at is not None else replace(asked, jump=None), pose[k], at))
+        rows.append(_alone(replace(asked, jump=asked.jump if k else FAR), pose[k], at))
         if rows[-1]["status"] <= ReachStatus.ACCEPTED:
             at = rows[-1]["q"]
         if progress is not None:
@@ -96,7 +97,8 @@ def _answer(asked, pose, near, postures, to, derivative=False):
     made, bounds = _search(replace(asked, chain=held[0]), *held[1:], jnp.asarray(postures, dtype), to)
     q = made.q
     if derivative:
-        q = refined(asked.chain, asked.task, pose, q, (q <= bounds[0] + TOUCHING) | (q >= bounds[1] - TOUCHING))
+        held = (q <= bounds[0] + TOUCHING) | (q >= bounds[1] - TOUCHING)
+        q = refined(asked.chain, asked.task, pose, q, held, made.found)
     found = asked.reached(pose, near, q, *made[1:], xp=jnp)
     return {name: getattr(found, name) for name in PER_TARGET}
 
@@ -119,11 +121,14 @@ def _search(asked, pose, near, postures, to):
     elif to is None:
         first = postures[:TOGETHER]
     else:
-        first = postures[nearest_each(to, pose, TOGETHER)]
+        first = postures[nearest_each(to, pose, TOGETHER, asked.seed)]
     far = asked.too_far(pose, jnp)
     rounds, free = jnp.where(far, ROUNDS_FAR, -(-asked.seeds // TOGETHER)), jnp.where(far, 0, free)
     most = rounds, free, asked.budget
-    return outcome(asked.chain, asked.task, pose, bounds, beyond, tolerance, postures, first, most), bounds
+    postures = jnp.roll(postures, asked.seed * 41 * TOGETHER, axis=0)
+    task, weights = replace(asked.task, weights=None), asked.task.weights
+    roots = None if weights is None else jnp.sqrt(jnp.asarray(weights, dtype))
+    return outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, first, most, roots), bounds
 
 
 class Outcome(NamedTuple):
@@ -137,12 +142,13 @@ class Outcome(NamedTuple):
     beyond: object  # there is an answer, but beyond the limits
 
 
-def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, most) -> Outcome:
+def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, most, roots) -> Outcome:
     """Search for a target (12,).
 
     Args:
       bounds: lower and upper (n,) to keep. beyond: those of the search without limits.
       postures: (K, n) to start later rounds from. first: (TOGETHER, n) to start from at first.
+      roots: of the weights by which the nearest pose is the nearest, or None.
       most: rounds of seeds; rounds without limits after them; looks.
     """
     dtype = target.dtype
@@ -157,11 +163,13 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
         starts = jnp.where((r == 0) | (r == rounds + DOWNHILL), first, others)
         starts = jnp.where((r >= rounds) & ~wide, kept[0] + CLOSE * (starts - kept[0]), starts)
         starts = jnp.clip(starts, low, high).at[0].set(jnp.where((r >= rounds) & ~wide, kept[0], starts[0]))
-        at = _together(chain, task, starts, target, low, high, tolerance)
+        down = (r >= rounds) & ~wide
+        own = None if roots is None else jnp.where(down, roots, 1.0)
+        at = _together(chain, task, starts, target, low, high, tolerance, own)
         q = sp.packed(at.best, axis=-1)
         k = jnp.argmin(jnp.where(at.arrived, -1.0, jnp.where(jnp.isfinite(at.cost), at.cost, jnp.inf)))
         new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
-        better = ~wide & ((new[2] < kept[2]) | at.arrived[k])
+        better = ~wide & ((new[2] < kept[2]) | at.arrived[k] | (r == rounds))
         kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), kept[4] + jnp.sum(at.looks))
         spent = (r < rounds) & (kept[4] >= budget)
         return jnp.where(spent, rounds, r + 1), kept, at.arrived[k] & ~wide, at.arrived[k] & wide
@@ -179,7 +187,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
     return Outcome(q, squares, steep, looks, found, beyond)
 
 
-def _together(chain, task, starts, target, low, high, tolerance):
+def _together(chain, task, starts, target, low, high, tolerance, roots):
     """Steps of some seeds side by side, until one has arrived."""
     law, form = in_form(chain, starts[0])
 
@@ -187,10 +195,10 @@ def _together(chain, task, starts, target, low, high, tolerance):
         q = in_form(chain, q)[1]
         return begin(q, q[0] * 0.0)
 
-    def go(at, target, low, high, tolerance, careful):
+    def go(at, target, low, high, tolerance, careful, roots):
         def once(carry):
             i, at = carry
-            step = jax.vmap(lambda at: iterate(law, task, at, target, (low, high), tolerance, careful))
+            step = jax.vmap(lambda at: iterate(law, task, at, target, (low, high), tolerance, careful, roots))
             return i + 1, step(at)
 
         def goes_on(carry):
@@ -201,9 +209,10 @@ def _together(chain, task, starts, target, low, high, tolerance):
 
     bounds = [sp.like(form, bound) for bound in (low, high)]
     careful = jnp.ones((), bool)
+    roots = tuple(roots) if roots is not None and sp.unrolled(form) else roots
     with few_lanes(TOGETHER):
         return one_function(go)(
-            jax.vmap(start)(starts), _parts(target, form), *bounds, (tolerance[0], tolerance[1]), careful
+            jax.vmap(start)(starts), _parts(target, form), *bounds, (tolerance[0], tolerance[1]), careful, roots
         )
 
 
@@ -213,18 +222,27 @@ def _parts(target, q):
     return (tuple(position), tuple(map(tuple, rotation))) if sp.unrolled(q) else (position, rotation)
 
 
-def refined(chain, task, target, q, held):
+def refined(chain, task, target, q, held, found):
     """q with the derivative that the implicit function theorem gives it: dq = J# de of the joints that are free.
 
     The value stays. Of what the target and the chain's geometry do to the error, J# of the joints that no limit holds
-    makes joint motion: the least, where the arm is redundant.
+    makes joint motion: the least, where the arm is redundant. Where there is no answer the derivative is 0.
     """
     q, held = lax.stop_gradient((q, held))
+    whole = q
     chain, parts = in_form(chain, q)
     chain = cast(chain, q.dtype)
     e, _ = look(chain, task, parts, _parts(target, parts))
     at = frames(lax.stop_gradient(chain), parts)
     rows = jacobian_rows(lax.stop_gradient(chain), at, task.linear, task.angular)
+    if 0 < len(task.angular) < 3:  # what is left of the turn about other axes turns these with it
+
+        def error(v):
+            parts = tuple(v) if sp.unrolled(rows) else v
+            return sp.packed(look(lax.stop_gradient(chain), task, parts, _parts(lax.stop_gradient(target), parts))[0])
+
+        exact = -jax.jacfwd(error)(whole)
+        rows = tuple(map(tuple, exact)) if sp.unrolled(rows) else exact
     rows = sp.rescale(rows, sp.like(parts, jnp.where(held, 0.0, 1.0).astype(q.dtype)))
     step = sp.packed(sp.combine(dense.ldl_solve(dense.ldl(dense.gram(rows, tiny_shift(rows))), e), rows))
-    return q + step - lax.stop_gradient(step)
+    return q + jnp.where(found, step - lax.stop_gradient(step), 0.0)

@@ -50,14 +50,15 @@ def begin(q, zero) -> Search:
     return Search(q, q, (far, far), far, far, zero + 1.0, zero, never)
 
 
-def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful) -> Search:
+def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, roots=None) -> Search:
     """Look at `q`, and step on; a search that has arrived stays.
 
     Args:
       target: position (3,) and rows of the rotation. bounds: lower and upper (n,). tolerance: [m], [rad].
       careful: whether to take back steps that did not help; may be traced.
+      roots: of weights of the task's coordinates (m,), in the form of q; the task's own are not looked at.
     """
-    _, rows, squares, weighted = _look(chain, task, at.q, target)
+    _, rows, squares, weighted = _look(chain, task, at.q, target, roots)
     low, high = bounds
     cost = sp.dot(weighted, weighted)
     here = (squares[0] <= tolerance[0] ** 2) & (squares[1] <= tolerance[1] ** 2)
@@ -87,18 +88,17 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful) -
 
 def look(chain, task: Task, q, target):
     """Error e (m,) and its squares: position [m²] and orientation [rad²]."""
-    e, _, squares, _ = _look(chain, task, q, target)
+    e, _, squares, _ = _look(chain, task, q, target, None)
     return e, squares
 
 
-def _look(chain, task, q, target):
-    """The error, and the rows of J, its squares, and the error by its weights' roots, as the rows are."""
+def _look(chain, task, q, target, roots):
+    """The error, the rows of J, the error's squares, and the error by its weights' roots, as the rows are."""
     at = frames(chain, q)
     e, squares = _error(task, at.position, at.rotation, *target)
     rows = jacobian_rows(chain, at, task.linear, task.angular)
-    if task.weights is None:
+    if roots is None:
         return e, rows, squares, e
-    roots = sp.like(e, jnp.sqrt(jnp.asarray(task.weights)))
     weighted = sp.each(sp.mul, roots, e)
     if sp.unrolled(rows):
         return e, tuple(map(sp.scale, roots, rows)), squares, weighted

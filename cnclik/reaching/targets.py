@@ -33,12 +33,13 @@ def read(targets, task: Task, base=None):
     Raises: ArgumentError for shapes that don't fit, and rotations that are none; numbers that are not finite pass.
     """
     where, turn = _parts(targets, task)
-    single = (where.ndim if where is not None else turn.ndim - 1) == 1
+    counts = {None if v.ndim == own else len(v) for v, own in ((where, 1), (turn, 2)) if v is not None}
+    if len(counts) > 1:
+        found = " and ".join("one" if c is None else f"{c}" for c in sorted(counts, key=lambda c: c or 0))
+        raise errors.fail("targets", "have as many positions as rotations", f"have {found}")
+    (size,) = counts
+    single, size = size is None, 1 if size is None else size
     where, turn = (None if v is None else v[None] if single else v for v in (where, turn))
-    sizes = {len(v) for v in (where, turn) if v is not None}
-    if len(sizes) > 1:
-        raise errors.fail("targets", "have as many positions as rotations", f"have {' and '.join(map(str, sizes))}")
-    (size,) = sizes
     if size == 0:
         raise errors.fail("targets", "hold at least one target", "hold none")
     xp = _library(where, turn, base)
@@ -48,6 +49,7 @@ def read(targets, task: Task, base=None):
         base = errors.array("base", base, (4, 4), (None, 4, 4))
         if base.ndim == 3 and len(base) != size:
             raise errors.fail("base", f"be one transform or {size}, one per target", f"holds {len(base)}")
+        _check_transform("base", base)
         back = xp.swapaxes(base[..., :3, :3], -1, -2)
         where = xp.einsum("...ij,...j->...i", back, where - base[..., :3, 3])
         turn = back @ turn
@@ -63,8 +65,9 @@ def _parts(targets, task):
         return _position(targets[0], task), _rotation(targets[1], task)
     found = errors.array("targets", targets, finite=False)
     shape = found.shape
-    if shape[-2:] == (4, 4) and len(shape) in (2, 3):
-        _check_rotation(found[..., :3, :3])
+    quaternions = shape == (4, 4) and not task.position and not _is_transform(found)
+    if shape[-2:] == (4, 4) and len(shape) in (2, 3) and not quaternions:
+        _check_transform("targets", found)
         return found[..., :3, 3], found[..., :3, :3]
     if task.position and task.orientation and shape[-1:] == (7,) and len(shape) in (1, 2):
         return found[..., :3], _rotation(found[..., 3:], task)
@@ -88,7 +91,7 @@ def _rotation(value, task):
         return None
     value = errors.array("targets", value, (3, 3), (None, 3, 3), (4,), (None, 4), finite=False)
     if value.shape[-1] == 3:
-        _check_rotation(value)
+        _check_rotation("targets", value)
         return value
     xp = _library(value)
     norm = xp.linalg.norm(value, axis=-1, keepdims=True)
@@ -98,7 +101,23 @@ def _rotation(value, task):
     return xp.moveaxis(xp.stack([xp.stack(row) for row in rows]), (0, 1), (-2, -1))
 
 
-def _check_rotation(r):
+def _is_transform(found) -> bool:
+    """Whether a 4×4 array, of an orientation task, is a transform and not four quaternions."""
+    return not errors.concrete(found) or np.array_equal(np.asarray(found)[3], [0, 0, 0, 1])
+
+
+def _check_transform(name, found):
+    """Raise ArgumentError unless 4×4 matrices, where they are finite, are rigid transforms."""
+    _check_rotation(name, found[..., :3, :3])
+    if errors.concrete(found):
+        last = np.asarray(found)[..., 3, :].reshape(-1, 4)
+        wrong = np.isfinite(last).all(axis=1) & (last != [0, 0, 0, 1]).any(axis=1)
+        if wrong.any():
+            shown = " ".join(f"{v:g}" for v in last[np.argmax(wrong)])
+            raise errors.fail(name, "have the last row 0 0 0 1", f"has {shown} at index {np.argmax(wrong)}")
+
+
+def _check_rotation(name, r):
     if not errors.concrete(r):
         return
     r = np.asarray(r, float)
@@ -107,7 +126,7 @@ def _check_rotation(r):
     wrong = np.atleast_1d((gap > 1e-5) | (np.linalg.det(r) < 0))
     if wrong.any():
         where = f" at index {np.flatnonzero(wrong)[0]}" if r.ndim > 2 else ""
-        raise errors.fail("targets", "hold rotations, with rows of length 1 at right angles", f"does not{where}")
+        raise errors.fail(name, "hold rotations, with rows of length 1 at right angles", f"does not{where}")
 
 
 def _library(*arrays):

@@ -66,6 +66,12 @@ class Chain:
         kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
         return tuple("m" if kinds.get(i) == PRISMATIC else "rad" for i in range(self.n))
 
+    @property
+    def periodic(self) -> tuple:
+        """Of each coordinate whether a whole turn of it changes nothing: all its joints turn, by whole multiples."""
+        slow = {j.coordinate for j in self.joints if j.kind != REVOLUTE or not _is_whole(j.multiplier)}
+        return tuple(i not in slow for i in range(self.n))
+
     def __repr__(self):
         kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
         return f"Chain({kinds}, joint_names={list(self.joint_names)})"
@@ -80,6 +86,10 @@ class Chain:
             fast = f", up to {speed:.5g} {unit}/s" if math.isfinite(speed) else ""
             lines.append(f"  {name}: {kind}, {room}{fast}")
         return "\n".join(lines)
+
+
+def _is_whole(number) -> bool:
+    return sp.is_number(number) and float(number).is_integer()
 
 
 def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:

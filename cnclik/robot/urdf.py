@@ -35,6 +35,8 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
     base = tree.root if base is None else _link(tree, "base", base)
     if tip is None:
         candidates = tree.tips(base)
+        if not candidates and base != tree.root:
+            raise errors.fail("tip", f"be given, as no moving joint hangs on {base!r} of {tree.file}", "is not")
         if not candidates:
             raise errors.fail("base", "have a moving joint after it", f"is {base!r} of {tree.file}, which has none")
         if len(candidates) > 1:
