@@ -9,7 +9,7 @@ _LONG = {"x": "x [m]", "y": "y [m]", "z": "z [m]"}
 
 
 def reachability(found, *, title=""):
-    """Share of orientations, and how far from singular the answers are, over a plane; of a box, the best along each axis.
+    """Share of orientations, and how far from singular answers are, over a plane; of a box, the best along each axis.
 
     Args:
       found: from `cnclik.reaching.reachability`.

@@ -160,6 +160,50 @@ def test_two_tolerances():
         assert np.allclose(made.position_error, 0.001, rtol=1e-2)
 
 
+@pytest.mark.form(None)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_weights_decide_what_is_nearest_and_nothing_else(dtype):
+    task = ck.pose_task("xy", "z", weights=np.array([1.0, 1.0, 1e-4], dtype))
+    arm = ck.planar_arm([1.0, 1.0, 0.5])
+    targets = tips(arm, drawn(arm, 12))
+    far = np.eye(4)
+    far[0, 3] = 4.0  # with the hand turned away: the place matters ten thousand times as much
+    for form in ("rolled", "unrolled"):
+        with ck.use_form(form):
+            assert ck.reach(arm, targets, task=task).solved.all()
+            assert all(ck.reach(arm, t, task=task).solved for t in targets[:3])
+            for some in (far, np.stack([far] * 10)):
+                made = ck.reach(arm, some, task=task)
+                assert np.all(made.status == ReachStatus.OUT_OF_REACH)
+                np.testing.assert_allclose(made.position_error, 1.5, rtol=1e-3)
+
+
+def test_an_orientation_tolerance_is_an_angle():
+    arm = ck.planar_arm([1.0, 1.0, 0.5])
+    for some in (np.eye(4)[None], np.stack([np.eye(4)] * 12)):
+        made = ck.reach(arm, some, task=ck.orientation("z"), tolerance=(1e-6, 1.0))
+        assert made.solved.all() and made.orientation_error.max() <= 1.0 + 1e-9
+
+
+MIMIC = """<robot name="m"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+<joint name="j1" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
+<joint name="j2" type="revolute"><parent link="b"/><child link="c"/><origin xyz="1 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-9" upper="9" velocity="1" effort="1"/><mimic joint="j1" multiplier="0.5"/></joint>
+<joint name="j3" type="revolute"><parent link="c"/><child link="d"/><origin xyz="1 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="1" effort="1"/></joint></robot>"""
+
+
+def test_a_joint_that_a_slower_one_follows_is_not_turned_back(tmp_path):
+    (tmp_path / "m.urdf").write_text(MIMIC)
+    arm = ck.with_tool(ck.load_urdf(tmp_path / "m.urdf"), [1.0, 0.0, 0.0])
+    assert arm.periodic == (False, True)
+    targets = tips(arm, np.random.default_rng(0).uniform(-6, 6, (40, 2)))
+    for some in (targets, targets[:5]):
+        made = ck.reach(arm, some[:, :3, 3], task=PLANE)
+        assert made.solved.mean() > 0.9
+        np.testing.assert_allclose(tips(arm, made.q[made.solved])[:, :2, 3], some[made.solved][:, :2, 3], atol=2e-6)
+
+
 # --- near, jump, several ------------------------------------------------------------------------------
 
 
@@ -181,6 +225,26 @@ def test_a_jump_is_reported_and_not_made():
     close = ck.reach(WRIST, tips(WRIST, q + 0.01), near=q, jump=0.1)
     assert (close.distance[close.solved] <= 0.1 + 1e-12).all() and close.solved.mean() > 0.95
     assert ck.reach(WRIST, far[0], near=q[0], jump=0.1).status == ReachStatus.JUMP
+
+
+def test_near_beyond_the_limits_is_no_way_around_a_jump():
+    held = ck.replace(ARM, lower=(-1.0, -1.0), upper=(1.0, 1.0))
+    target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
+    for some in (target, np.stack([target] * 12)):
+        made = ck.reach(held, some, task=PLANE, near=[1.4, 0.5], jump=0.1)
+        assert np.all(made.status == ReachStatus.JUMP) and np.isnan(made.q).all()
+
+
+def test_near_that_is_not_finite():
+    target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
+    for some in (target, np.stack([target] * 12)):
+        assert np.all(ck.reach(ARM, some, task=PLANE, near=[np.nan, 0.5]).status == ReachStatus.NON_FINITE)
+
+
+def test_another_seed_starts_elsewhere_for_one_target_too():
+    target = tips(WRIST, drawn(WRIST, 1))[0]
+    first, other = ck.reach(WRIST, target), ck.reach(WRIST, target, seed=5)
+    assert first.solved and other.solved and not (first.q == other.q).all()
 
 
 def test_a_path_has_no_jump_that_is_not_reported():
@@ -254,6 +318,35 @@ def test_derivative_with_respect_to_geometry():
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)
 
 
+def test_derivative_of_a_task_that_leaves_part_of_the_turn_free():
+    task, q = ck.pose_task("xyz", "z"), np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+    at = ck.pose(WRIST, q)
+    turned = np.array([[1, 0, 0], [0, np.cos(1.2), -np.sin(1.2)], [0, np.sin(1.2), np.cos(1.2)]])
+    rotation = turned @ np.asarray(at.rotation)  # about an axis that the task leaves free
+    near = ck.reach(WRIST, (at.position, rotation), task=task, near=q, tolerance=(1e-12, 1e-12)).q
+
+    def missing(shift):
+        """What of the task's coordinates is wrong after q has moved along its derivative."""
+        q = ck.reach(WRIST, (at.position + shift, rotation), task=task, near=near, tolerance=(1e-12, 1e-12)).q
+        return q
+
+    slope = jax.jacfwd(missing)(jnp.zeros(3))[:, 0]
+    h = 1e-5
+    again = ck.reach(
+        WRIST,
+        (at.position + jnp.array([h, 0, 0]), rotation),
+        task=task,
+        near=near + h * slope,
+        tolerance=(1e-13, 1e-13),
+    )
+    assert again.distance < 1e-8  # second order in h: the linear prediction met the task by itself
+
+
+def test_where_there_is_no_answer_the_derivative_is_zero():
+    slope = jax.jacfwd(lambda x: ck.reach(ARM, x, task=PLANE).q)(jnp.array([3.0, 0.5, 0.0]))
+    assert (slope == 0).all()
+
+
 def test_a_joint_at_its_limit_has_no_derivative():
     held = ck.replace(WRIST, lower=(-2.5, 0.3, -2.5, -2.5, -2.5, -2.5))
     q = jnp.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
@@ -287,7 +380,8 @@ def test_the_forms_of_targets():
     assert places.solved.all() and (places.orientation_error == 0).all()
     turns = ck.reach(WRIST, rotation, task="orientation")
     assert turns.solved.all() and (turns.position_error == 0).all()
-    assert ck.reach(WRIST, quaternion, task="orientation").solved.all()
+    for count in (3, 4, 5):  # four of them are no transform
+        assert ck.reach(WRIST, quaternion[:count], task="orientation").solved.all()
     assert ck.reach(WRIST, made, task=ck.pose_task("xyz", "z")).solved.all()
 
 
@@ -337,6 +431,11 @@ def test_turns_are_even():
         ({"seeds": 2.5}, "`seeds` must be an integer"),
         ({"base": np.zeros((3, 3))}, "`base` must have shape"),
         ({"chain": 3}, "`chain` must be a Chain"),
+        ({"targets": np.array(np.eye(4) + np.eye(4, k=-3))}, "`targets` must have the last row 0 0 0 1"),
+        ({"targets": ([0, 0, 0], np.stack([np.eye(3)] * 5))}, "as many positions as rotations, but have one and 5"),
+        ({"base": 2 * np.eye(4)}, "`base` must hold rotations"),
+        ({"budget": 10**10}, "`budget` must be below"),
+        ({"near": "previous", "solutions": 2}, "`solutions` must be 1 along a path"),
     ],
 )
 def test_what_cannot_be_asked(change, told):
