@@ -177,8 +177,7 @@ PARTS = {
     "later tries plain, too": {"PLAIN": 1000},
     "all tries careful": {"PLAIN": 0},
     "later tries one seed at a time": {"COPIES": 1},
-    "one round of 9 steps, not 6 and 3": {"ROUNDS": (9,)},
-    "one round of 24 steps": {"ROUNDS": (24,)},
+    "first tries of 24 steps, not 9": {"STEPS": 24},
 }
 
 
