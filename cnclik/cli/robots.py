@@ -9,6 +9,8 @@ import tyro
 
 from cnclik.cli.common import CacheOption
 
+DEEPEST = 120  # columns that the lines of the tree take; what is deeper stands below one another
+
 
 @dataclasses.dataclass(kw_only=True)
 class Args(CacheOption):
@@ -23,18 +25,19 @@ def run(args: Args) -> None:
 
     tree = read_urdf(args.file)
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    shown = Table(title=f"{tree.name}, base {tree.root}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    shown = Table(title=escape(f"{tree.name}, base {tree.root}"), title_justify="left", box=None, padding=(0, 2, 0, 0))
     for name in ("link", "joint", "type", "lower", "upper", "velocity"):
         right = name in ("lower", "upper", "velocity")
         shown.add_column(name, justify="right" if right else "left", overflow="fold", no_wrap=name == "link")
     tips = set(tree.tips())
-    shown.add_row(tree.root, *[""] * 5)
+    shown.add_row(escape(tree.root), *[""] * 5)
     for edge, lead in _branches(tree):
-        name = f"{lead}{edge.child}"
+        name = escape(f"{lead}{edge.child}")
         style = "bold" if edge.child in tips else None
-        shown.add_row(f"[{style}]{name}[/]" if style else name, *_joint(edge))
+        shown.add_row(f"[{style}]{name}[/]" if style else name, *map(escape, _joint(edge)))
     console = Console()
     if not console.is_terminal:
         console.width = 400  # a pipe or file shall not cut names
@@ -52,7 +55,7 @@ def _branches(tree):
     while waiting:
         edge, before, last = waiting.pop()
         yield edge, f"{before}{'└ ' if last else '├ '}"
-        inner = before + ("  " if last else "│ ")
+        inner = before + ("  " if last else "│ ") if len(before) < DEEPEST else before
         waiting += [(e, inner, k == 0) for k, e in enumerate(reversed(tree.below[edge.child]))]
 
 

@@ -1,11 +1,13 @@
 """Files of numbers that a user brings: a CSV table, and targets in any of the forms they come in."""
 
 import csv
+import io
 import pathlib
 
 import numpy as np
 
 from cnclik import errors
+from cnclik.reading import read_bytes
 
 
 def read_csv(argument: str, file) -> np.ndarray:
@@ -15,11 +17,11 @@ def read_csv(argument: str, file) -> np.ndarray:
     """
     path = pathlib.Path(file)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is no text"
+        text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
+        rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        reason = "is no text" if isinstance(error, UnicodeDecodeError) else error
         raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
     if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
         rows = rows[1:]
     for k, row in enumerate(rows):
@@ -49,8 +51,10 @@ def read_targets(file, task) -> np.ndarray:
         found = read_csv("TARGETS", path)
     else:
         try:
-            found = np.load(path, allow_pickle=False)
+            found = np.load(io.BytesIO(read_bytes("TARGETS", path, "a file of targets")), allow_pickle=False)
             found = found["targets"] if ending == ".npz" else found
+        except errors.ArgumentError:
+            raise
         except (OSError, ValueError, KeyError) as error:
             reason = getattr(error, "strerror", None) or "holds no array `targets`" * (ending == ".npz") or "is damaged"
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None

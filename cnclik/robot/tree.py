@@ -3,14 +3,15 @@
 Meshes, inertias and plugin sections are passed over, so nothing has to be found next to the file.
 """
 
+import collections
 import dataclasses
 import functools
 import math
-import os
 import pathlib
 from typing import NamedTuple
 
 from cnclik import errors
+from cnclik.reading import read_bytes
 
 MOVING = ("revolute", "continuous", "prismatic")
 NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -84,14 +85,7 @@ def read_urdf(path) -> Tree:
         path = pathlib.Path(path)
     except TypeError:
         raise errors.fail("path", "be a file name", f"is {path!r}") from None
-    if path.is_dir() or not path.exists():
-        what = "a folder" if path.is_dir() else "not there"
-        raise errors.fail("path", "name a URDF file", f"{os.fspath(path)!r} is {what}")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise errors.fail("path", "name a file that can be read", f"{path.name}: {error.strerror}") from None
-    root = _root(path.name, data)
+    root = _root(path.name, read_bytes("path", path, "a URDF file"))
     try:
         links = tuple(element.attrib["name"] for element in root.findall("link"))
         joints = [_written(element) for element in root.findall("joint")]
@@ -117,7 +111,7 @@ def _root(file, data):
     try:
         parser.Parse(data, True)
         root = builder.close()
-    except (expat.ExpatError, ValueError, AssertionError) as error:
+    except (expat.ExpatError, ValueError, AssertionError, LookupError) as error:  # LookupError: an unknown encoding
         empty = not data.strip()
         what = "is empty" if empty else f"is not well-formed XML: {error}"
         raise errors.fail("path", "name a URDF file", f"{file} {what}") from None
@@ -185,27 +179,34 @@ def _tree(file, name, links, joints) -> Tree:
 
     if not links:
         raise bad("has no links")
+    known = set(links)
     for kind, names in (("link", links), ("joint", [j.name for j in joints])):
-        twice = sorted({n for n in names if list(names).count(n) > 1})
+        twice = sorted(n for n, count in collections.Counter(names).items() if count > 1)
         if twice:
             raise bad(f"has more than one {kind} {twice[0]!r}")
     parent = {}
     for joint in joints:
         for link in (joint.parent, joint.child):
-            if link not in links:
+            if link not in known:
                 raise bad(f"has no link {link!r}, which joint {joint.name!r} connects")
         if joint.child in parent:
             raise bad(f"has a loop: link {joint.child!r} hangs on {parent[joint.child].name!r} and {joint.name!r}")
         parent[joint.child] = joint
-    for link in links:  # up from every link: more steps than links is a circle
-        seen = [link]
-        while seen[-1] in parent:
-            seen.append(parent[seen[-1]].parent)
-            if len(seen) > len(links):
-                raise bad(f"has a loop through link {seen[-1]!r}")
+    rooted = known - set(parent)
+    for (
+        link
+    ) in links:  # up from every link, as far as is not known to lead to a root: whoever meets itself is in a loop
+        way = {}
+        while link not in rooted:
+            if link in way:
+                raise bad(f"has a loop through link {link!r}")
+            way[link] = None
+            link = parent[link].parent
+        rooted |= set(way)
     roots = [link for link in links if link not in parent]
     if len(roots) > 1:
-        raise bad(f"has {len(roots)} roots: {', '.join(roots)}")
+        more = f" and {len(roots) - 5:,} more" if len(roots) > 6 else ""
+        raise bad(f"has {len(roots):,} roots: {', '.join(roots[: 5 if more else 6])}{more}")
     edges = tuple(_edge(file, joint) for joint in joints)
     return Tree(file=file, name=name, root=roots[0], links=links, edges=edges)
 

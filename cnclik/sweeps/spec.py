@@ -29,6 +29,7 @@ from cnclik.measure import metrics
 from cnclik.problem import options
 from cnclik.problem.build import problem_from
 from cnclik.problem.names import robot_from, stage_from
+from cnclik.reading import read_bytes
 from cnclik.robot.rolled import pays
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
@@ -211,11 +212,9 @@ def read(path, changes=()) -> Spec:
     from cnclik.sweeps.check import parse
 
     path = pathlib.Path(path)
+    text = read_bytes("SPEC", path, "a TOML file")
     try:
-        with path.open("rb") as file:
-            written = tomllib.load(file)
-    except OSError as error:
-        raise errors.fail("SPEC", "be a file that can be read", f"{str(path)!r} is not: {error.strerror}") from None
+        written = tomllib.loads(text.decode())
     except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
         raise errors.fail("SPEC", "be a TOML file", f"{str(path)!r} is not: {error}") from None
     for change in changes:

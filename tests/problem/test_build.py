@@ -131,7 +131,7 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"robot": "pandda"}, "`robot`"),
         ({"robot": "planar:"}, "planar:1,1,1"),
         ({"robot": "planar:1,-1"}, "at least 0"),
-        ({"robot": "no.urdf"}, "not there"),
+        ({"robot": "no.urdf"}, "No such file"),
         ({"tip": "hand"}, "`tip`"),
         ({"task": "xx"}, "`task`"),
         ({"task": ""}, "`task`"),

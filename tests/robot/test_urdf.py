@@ -316,7 +316,7 @@ def test_no_file_an_empty_file_and_no_robot(tmp_path):
     empty.write_text(" ")
     sdf.write_text("<sdf/>")
     for path, told in (
-        (tmp_path / "no.urdf", "not there"),
+        (tmp_path / "no.urdf", "No such file"),
         (tmp_path, "is a folder"),
         (empty, "is empty"),
         (sdf, "holds <sdf>"),
@@ -338,3 +338,53 @@ def test_what_is_not_kinematics_is_not_read(tmp_path):
     junk = '<link name="e"><visual><geometry/></visual></link><sensor:x y="1"/><gazebo><a>${b}</a></gazebo>'
     body = ROW + joint("j4", "d", "e") + junk
     assert ck.load_urdf(write(tmp_path, body)).n == 4
+
+
+def long_chain(count, mimic=False):
+    rows = ['<robot name="r"><link name="l0"/>']
+    for i in range(count):
+        more = f'<mimic joint="j{i - 1}"/>' if mimic and i else ""
+        rows.append(f'<link name="l{i + 1}"/><joint name="j{i}" type="continuous"><parent link="l{i}"/>')
+        rows.append(f'<child link="l{i + 1}"/>{more}</joint>')
+    return "".join(rows) + "</robot>"
+
+
+def test_large_trees_are_read_in_time_that_grows_with_their_size(tmp_path):
+    """Work counted in Python calls: doubling a file may not quadruple it."""
+    import cProfile
+    import pstats
+
+    def calls(text):
+        (tmp_path / "r.urdf").write_text(text)
+        profile = cProfile.Profile()
+        profile.runcall(read_urdf, tmp_path / "r.urdf")
+        return pstats.Stats(profile).total_calls
+
+    for make in (long_chain, lambda n: long_chain(n, mimic=True)):
+        assert calls(make(800)) < 2.3 * calls(make(400))
+    loose = "<robot name='r'>" + "".join(f"<link name='l{i}'/>" for i in range(5000)) + "</robot>"
+    (tmp_path / "loose.urdf").write_text(loose)
+    with pytest.raises(ck.ArgumentError, match="5,000 roots: l0, l1, l2, l3, l4 and 4,995 more"):
+        read_urdf(tmp_path / "loose.urdf")
+
+
+def test_loops_of_links_are_found_wherever_they_begin(tmp_path):
+    ring = "".join(
+        f'<link name="{a}"/><joint name="j{a}" type="continuous"><parent link="{a}"/><child link="{b}"/></joint>'
+        for a, b in ("xy", "yz", "zx")
+    )
+    (tmp_path / "ring.urdf").write_text(f'<robot name="r"><link name="free"/>{ring}</robot>')
+    with pytest.raises(ck.ArgumentError, match="has a loop through link 'x'"):
+        read_urdf(tmp_path / "ring.urdf")
+
+
+def test_names_with_markup_and_encodings_that_nobody_knows(tmp_path, capsys):
+    from cnclik.cli import main
+
+    (tmp_path / "m.urdf").write_text(long_chain(2).replace("l1", "[/]").replace("j1", "[red]"))
+    main(["robots", str(tmp_path / "m.urdf")])
+    shown = capsys.readouterr().out
+    assert "[/]" in shown and "[red]" in shown
+    (tmp_path / "e.urdf").write_text('<?xml version="1.0" encoding="klingon"?><robot name="a"/>')
+    with pytest.raises(ck.ArgumentError, match="unknown encoding: klingon"):
+        read_urdf(tmp_path / "e.urdf")
