@@ -12,6 +12,7 @@ from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.posture import arm_length
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
+CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
 
 
 @record
@@ -66,7 +67,10 @@ class Asked:
         """The record of answers: of one target, or of (B,) with that axis first."""
         position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
         turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
-        status = xp.where(steep <= STATIONARY**2, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
+        # Next to a singularity an error this small is stationary, too.
+        clear = (position > CLEAR * self.tolerance[0]) | (turn > CLEAR * self.tolerance[1])
+        rests = (steep <= STATIONARY**2) & clear | self.too_far(pose, xp)
+        status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
         why = ReachStatus.AT_LIMIT if self.jump is None else ReachStatus.JUMP
         status = xp.where(beyond, int(why), status)
         if self.accept is not None:

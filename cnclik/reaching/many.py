@@ -36,7 +36,6 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     targets = Targets(pose, asked.bounds(near), near)
     far = asked.too_far(pose)
     known = np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1))
-    made.steep[far] = 0.0
     downhill = asked.explain or asked.accept is not None
 
     def first(ids):

@@ -135,6 +135,15 @@ def test_in_a_hole_of_the_limits():
         assert error <= 1.01 * np.sqrt(found) + 1e-6
 
 
+def test_a_small_error_is_called_out_of_reach_only_where_that_is_known():
+    held = ck.replace(ARM, lower=(-np.inf, 1e-2), upper=(np.inf, 3.0))  # the arm can't be stretched
+    for target, status in (([2.00005, 0, 0], ReachStatus.OUT_OF_REACH), ([1.999985, 0, 0], ReachStatus.AT_LIMIT)):
+        for some in (target, [target] * 12):
+            assert np.all(ck.reach(held, some, task=PLANE).status == status)
+    folded = ck.replace(held, upper=(np.inf, 2 * np.pi - 1e-2))  # nor its base be met, from either side
+    assert ck.reach(folded, [1e-5, 0, 0], task=PLANE).solved
+
+
 def test_without_a_reason_there_is_no_pose():
     targets = np.array([[0.5, 1.0, 0.0], [5.0, 0.0, 0.0], [1.2, 0.3, 0.0]] * 4)
     held = ck.replace(ARM, lower=(-0.5, 0.2), upper=(0.5, 1.0))
