@@ -17,6 +17,7 @@ from cnclik.robot.posture import arm_length, evenly
 from cnclik.robot.rolled import roll
 
 SETS, SIZE = 16, 256
+ROWS = 64  # of a product: so few that distances stay in the cache, and that BLAS starts no threads beside ours
 TURN = 0.2  # of an arm's length, that a radian or so of orientation counts for when seeds are compared
 
 
@@ -77,8 +78,8 @@ def nearest(to: Compared, targets, number) -> np.ndarray:
     asked = np.ones((len(targets), 13), np.float32)
     asked[:, :12] = targets * to.factors
     out = np.empty(len(targets), np.intp)
-    for i in range(0, len(targets), 512):  # so few that the distances stay in the cache
-        out[i : i + 512] = np.argmin(asked[i : i + 512] @ to.features[number % SETS], axis=1)
+    for i in range(0, len(targets), ROWS):
+        out[i : i + ROWS] = np.argmin(asked[i : i + ROWS] @ to.features[number % SETS], axis=1)
     return out + SIZE * (number % SETS)
 
 
