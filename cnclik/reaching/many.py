@@ -16,6 +16,7 @@ from cnclik.record import kept, replace
 
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 FEW = 8  # targets that are sooner searched for one by one
+HARD = 50  # targets without an answer after the first tries, from which it is, too
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
@@ -51,7 +52,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         found = search.first_tries(mine, wider)
         beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
 
-    with chosen, jax.enable_x64(True), ThreadPoolExecutor(cores()) as pool:
+    with jax.enable_x64(True), ThreadPoolExecutor(cores()) as pool:
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
@@ -62,14 +63,17 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
                 if progress is not None:
                     progress(int(made.found.sum()), B)
 
-        if form() == "unrolled":  # both programs compile at once
-            list(pool.map(as_here(lambda dtype: search.warm(setup, targets.bounds, dtype)), ("float32", "float64")))
-        on_all_cores(first, ~far if not asked.explain else known)
-        on_all_cores(later, ~far)
-        if asked.explain:
-            on_all_cores(later, far)
-            if asked.beyond() is not None:
-                on_all_cores(free, ~far)
+        with chosen:
+            if form() == "unrolled":  # both programs compile at once
+                list(pool.map(as_here(lambda kind: search.warm(setup, targets.bounds, kind)), ("float32", "float64")))
+            on_all_cores(first, known & ~far | asked.explain)
+        # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
+        with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
+            on_all_cores(later, ~far)
+            if asked.explain:
+                on_all_cores(later, far)
+                if asked.beyond() is not None:
+                    on_all_cores(free, ~far)
     if progress is not None:
         progress(B, B)
     return asked.reached(pose, near, *made.as_asked(), beyond)
