@@ -15,6 +15,7 @@ from cnclik.reaching.single import each
 from cnclik.record import kept, replace
 
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
+POOL = 1 << 18  # targets whose leftovers are searched for together
 FEW = 8  # targets that are sooner searched for one by one
 HARD = 50  # targets without an answer after the first tries, from which it is, too
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
@@ -31,6 +32,12 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         with chosen:
             return each(asked, pose, near, progress)
     B, n = len(pose), asked.chain.n
+    if B > POOL:  # what a search remembers of each target is several times as large as the answer
+        parts = []
+        for i in range(0, B, POOL):
+            told = progress and (lambda done, total, i=i: progress(i + done, B))
+            parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
+        return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
     setup = _setup(asked)
     made = Answers.empty(B, n)
     beyond = np.zeros(B, bool)
