@@ -32,7 +32,7 @@ def read_bytes(argument: str, path, what: str) -> bytes:
     except errors.ArgumentError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
-        raise errors.fail(argument, f"name {what} that can be read", f"{shown!r}: {_reason(error)}") from None
+        raise errors.fail(argument, f"name {what} that can be read", f"{shown}: {_reason(error)}") from None
 
 
 def _reason(error) -> str:

@@ -86,7 +86,7 @@ def test_a_map(where, tmp_path, capsys):
         ([], "One of TARGETS, --random N and --map PLANE must be given, but there is none of them."),
         (["t.csv", "--random", "3"], "are TARGETS and --random"),
         (["none.csv"], "name a CSV file that can be read"),
-        (["none.npz"], "name a file that can be read"),
+        (["none.npz"], "name a file of targets that can be read"),
         (["none.txt"], "must be one of .csv, .npy, .npz"),
         (["--random", "0"], "`random` must be at least 1"),
         (["--random", "3", "--out", "x.txt"], "`out` must end with .npz, .nc, .csv"),

@@ -70,8 +70,8 @@ def test_a_joint_at_rest_is_drawn_at_rest(solved):
 @pytest.mark.parametrize(
     "argv, told",
     [
-        (["robots", "nowhere.urdf"], "not there"),
-        (["solve", "nowhere.urdf"], "not there"),
+        (["robots", "nowhere.urdf"], "No such file"),
+        (["solve", "nowhere.urdf"], "No such file"),
         (["solve", "panda", "--q0", "0", "nan", "0", "0", "0", "0", "0"], "must be finite"),
         (["solve", "panda", "--q0", "1"], "must have shape (7,)"),
         (["solve", "panda", "--alpha", "-1"], "at least 0"),
