@@ -48,8 +48,9 @@ def each(asked, pose, near, progress=None):
 def along(asked, pose, progress=None):
     """Answers for the targets of a path, each from the answer before it; where there was none, from the last one."""
     rows, at = [], start_posture(asked.chain, asked.task)
+    first = asked if asked.jump is None else replace(asked, jump=FAR)
     for k in range(len(pose)):
-        rows.append(_alone(replace(asked, jump=asked.jump if k else FAR), pose[k], at))
+        rows.append(_alone(asked if k else first, pose[k], at))
         if rows[-1]["status"] <= ReachStatus.ACCEPTED:
             at = rows[-1]["q"]
         if progress is not None:
