@@ -86,11 +86,10 @@ def _check(args):
         raise errors.fail("near", "be left out with --path", "is given")
 
 
-def _options(args):
-    near = "previous" if args.path else args.near
-    seeds = {} if args.seeds is None else {"seeds": args.seeds}
-    named = ("tolerance", "accept", "jump", "solutions", "budget", "limits", "seed")
-    return {name: getattr(args, name) for name in named} | seeds | {"near": near}
+def _options(args, *names):
+    """Options of the search by name, and of those that every search has; `seeds` where they are given."""
+    names = (*names, "tolerance", "budget", "limits", "seed", *["seeds"] * (args.seeds is not None))
+    return {name: getattr(args, name) for name in names}
 
 
 def _answers(args, chain, task):
@@ -103,7 +102,7 @@ def _answers(args, chain, task):
 
     targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
-    options = _options(args)
+    options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
     begun = time.perf_counter()
     with progress.bar("targets", len(pose)) as report:
         made = reach(chain, targets, task=task, **options, progress=report)
@@ -133,6 +132,7 @@ def _random(chain, args):
     """Poses of joint values drawn evenly within the limits."""
     import numpy as np
 
+    from cnclik.measure.answers import transforms
     from cnclik.reaching.seeds import spans
     from cnclik.robot.frames import frames
     from cnclik.robot.rolled import roll
@@ -140,20 +140,18 @@ def _random(chain, args):
     low, high = spans(chain)
     q = np.random.default_rng(args.seed).uniform(low, high, (args.random, chain.n))
     at = frames(roll(chain), q)
-    made = np.tile(np.eye(4), (args.random, 1, 1))
-    made[:, :3, 3], made[:, :3, :3] = at.position, at.rotation
-    return made
+    return transforms(np.concatenate([at.position, at.rotation.reshape(-1, 9)], axis=1))
 
 
 def _summary(made, first, again):
     from cnclik.hints import cores
-    from cnclik.reaching.result import count
+    from cnclik.reaching.result import ReachStatus, count
 
     first_of_each = made.status[..., 0] if made.status.ndim == 2 else made.status
     total = len(first_of_each)
     return {
         "targets": total,
-        "solve_rate": float((first_of_each <= 1).mean()),
+        "solve_rate": float((first_of_each <= ReachStatus.ACCEPTED).mean()),
         "status": count(first_of_each),
         "us_per_target": 1e6 * again / total,
         "compile_s": max(first - again, 0.0),
@@ -165,6 +163,8 @@ def _summary(made, first, again):
 def _tell(made, summary, seconds):
     """The summary for people: how many of each status and what that means; joint values of a target that is alone."""
     import numpy as np
+
+    from cnclik.reaching.result import ReachStatus
 
     print(
         f"{summary['targets']:,} targets in {seconds:.2f} s, {summary['evaluations_per_target']:.0f} evaluations each"
@@ -178,7 +178,7 @@ def _tell(made, summary, seconds):
             print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
         error = f"{made.position_error.flat[0]:.3g} m, {made.orientation_error.flat[0]:.3g} rad"
         print(f"  error {error}; least singular value {made.least_singular_value.flat[0]:.3g}")
-    held = made.at_limit.reshape(-1, made.chain.n)[(made.status == 2).ravel()]
+    held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
     if len(held):
         often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
         print("  at limits: " + ", ".join(f"{name} ({n:,} times)" for n, name in sorted(often, reverse=True)[:4]))
@@ -210,8 +210,6 @@ def _map(args, chain, task):
     if args.task not in (None, "pose", "position"):
         raise errors.fail("task", "be pose or position with --map", f"is {args.task!r}")
     out = args.out or pathlib.Path("reach-out")
-    options = {"tolerance": args.tolerance, "budget": args.budget, "limits": args.limits, "seed": args.seed}
-    options |= {} if args.seeds is None else {"seeds": args.seeds}
     count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
     begun = time.perf_counter()
     with output_folder(out) as folder:
@@ -220,14 +218,13 @@ def _map(args, chain, task):
                 chain,
                 args.map,
                 task=kind,
-                cells=args.cells,
-                orientations=args.orientations,
-                at=args.at,
                 progress=report,
-                **options,
+                **_options(args, "cells", "orientations", "at"),
             )
         places = dict(zip(found.axes, found.places, strict=True))
-        np.savez_compressed(folder / "map.npz", share=found.share, least_singular_value=found.worst, **places)
+        np.savez_compressed(
+            folder / "map.npz", share=found.share, least_singular_value=found.least_singular_value, **places
+        )
     seconds = time.perf_counter() - begun
     title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}

@@ -50,11 +50,10 @@ def read_targets(file, task) -> np.ndarray:
     if ending == ".csv":
         found = read_csv("TARGETS", path)
     else:
+        data = io.BytesIO(read_bytes("TARGETS", path, "a file of targets"))
         try:
-            found = np.load(io.BytesIO(read_bytes("TARGETS", path, "a file of targets")), allow_pickle=False)
+            found = np.load(data, allow_pickle=False)
             found = found["targets"] if ending == ".npz" else found
-        except errors.ArgumentError:
-            raise
         except (OSError, ValueError, KeyError) as error:
             reason = getattr(error, "strerror", None) or "holds no array `targets`" * (ending == ".npz") or "is damaged"
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
+from cnclik import errors
 from cnclik.law.task import Task
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.step import STATIONARY
-from cnclik.record import record
+from cnclik.record import leaf, record, replace
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.posture import arm_length
 
@@ -29,6 +30,11 @@ class Asked:
     seed: object  # of the first set of seeds
     limits: bool
     explain: bool  # why there is no answer
+
+    def unweighted(self, xp=np):
+        """The task without weights, by which answers are searched for, and the weights' roots (m,), or None."""
+        weights = self.task.weights
+        return replace(self.task, weights=None), None if weights is None else xp.sqrt(xp.asarray(weights, float))
 
     def limited(self):
         """Lower and upper limits (n,), infinite where they are not to be kept."""
@@ -103,3 +109,32 @@ class Asked:
             chain=self.chain,
             task=self.task,
         )
+
+
+def asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
+    """The arguments as a record. Raises ArgumentError for those that can't be asked."""
+    numbers = {"seeds": (seeds, 1), "budget": (budget, 1), "seed": (seed, 0)}
+    for name, (value, least) in numbers.items():
+        errors.integer(name, value, at_least=least)
+        if value >= 1 << 30:
+            raise errors.fail(name, f"be below {1 << 30}", f"is {value}")
+    tolerance = _pair("tolerance", tolerance)
+    return Asked(
+        chain=chain,
+        task=task,
+        tolerance=np.array([tolerance[0], 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # what is looked at is a chord
+        accept=None if accept is None else _pair("accept", accept),
+        jump=leaf(jump),
+        **{name: np.int32(value) for name, (value, _) in numbers.items()},
+        limits=bool(limits),
+        explain=bool(explain),
+    )
+
+
+def _pair(name, value):
+    if np.ndim(value) == 0:
+        raise errors.fail(name, "be a pair, of position [m] and orientation [rad]", f"is {value!r}")
+    value = errors.array(name, value, (2,), finite=False)
+    if not errors.concrete(value) or not (np.asarray(value) > 0).all():
+        raise errors.fail(name, "hold positive numbers", f"is {value!r}")
+    return np.asarray(value, float)

@@ -1,5 +1,6 @@
 """Many targets: blocks of them on all cores, each searched for in rounds; and several answers for each."""
 
+import functools
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -10,7 +11,7 @@ from cnclik.reaching import search
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.search import Answers, Setup, Targets
-from cnclik.reaching.seeds import SETS, compared, nearest, seeds
+from cnclik.reaching.seeds import SETS, compared, seeds
 from cnclik.reaching.single import each
 from cnclik.record import kept, replace
 
@@ -27,10 +28,6 @@ DRAWN = 12  # seeds for each solution asked for
 
 def many(asked: Asked, pose, near, progress=None) -> Reached:
     """Answers for (B, 12) targets, near (B, n) or None."""
-    chosen = use_form(form() or form_for(asked.chain, len(pose)))
-    if len(pose) <= FEW:
-        with chosen:
-            return each(asked, pose, near, progress)
     B, n = len(pose), asked.chain.n
     if B > POOL:  # what a search remembers of each target is several times as large as the answer
         parts = []
@@ -38,6 +35,10 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             told = progress and (lambda done, total, i=i: progress(i + done, B))
             parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
         return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
+    chosen = use_form(form() or form_for(asked.chain, B))
+    if B <= FEW:
+        with chosen:
+            return each(asked, pose, near, progress)
     setup = _setup(asked)
     made = Answers.empty(B, n)
     beyond = np.zeros(B, bool)
@@ -49,9 +50,8 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     def first(ids):
         made.put(ids, search.first_tries(setup, targets.part(ids)))
 
-    def later(ids):
-        tries = min(TRIES_FAR, setup.tries) if far[ids[0]] else setup.tries
-        mine = setup._replace(tries=tries)
+    def later(ids, tries=setup.tries):
+        mine = setup._replace(tries=min(tries, setup.tries))
         made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill))
 
     def free(ids):
@@ -73,14 +73,14 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         with chosen:
             if form() == "unrolled":  # both programs compile at once
                 list(pool.map(as_here(lambda kind: search.warm(setup, targets.bounds, kind)), ("float32", "float64")))
-            on_all_cores(first, known & ~far | asked.explain)
+            on_all_cores(first, ~far | downhill)
         # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
         with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
             on_all_cores(later, ~far)
-            if asked.explain:
-                on_all_cores(later, far)
-                if asked.beyond() is not None:
-                    on_all_cores(free, ~far)
+            if downhill:
+                on_all_cores(functools.partial(later, tries=TRIES_FAR), far)
+            if asked.beyond() is not None:
+                on_all_cores(free, ~far)
     if progress is not None:
         progress(B, B)
     return asked.reached(pose, near, *made.as_asked(), beyond)
@@ -101,9 +101,7 @@ def form_for(chain, targets) -> str:
 def _setup(asked: Asked) -> Setup:
     known = seeds(asked.chain)
     limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
-    weights = asked.task.weights
-    roots = None if weights is None else np.sqrt(np.asarray(weights, float))
-    return Setup(asked.chain, replace(asked.task, weights=None), roots, known, compared(known, asked.task), *limits)
+    return Setup(asked.chain, *asked.unweighted(), known, compared(known, asked.task), *limits)
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
@@ -126,14 +124,15 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
 def _several(asked, first, pose, near, solutions, copies) -> dict:
     """The fields of the record for some targets, from those of their first answers."""
     B, n, setup = len(pose), asked.chain.n, _setup(asked)
-    start = np.stack([_seed(setup, pose, k + int(asked.seed)) for k in range(copies)], 1)
-    mine = Targets(pose, asked.bounds(near), near).part(np.repeat(np.arange(B), copies))
+    each_of = np.arange(B)
+    start = np.stack([search.drawn(setup, pose, k, np.full(B, k + setup.seed), each_of) for k in range(copies)], 1)
+    mine = Targets(pose, asked.bounds(near), near).part(np.repeat(each_of, copies))
     found = search.from_starts(setup, mine, start.reshape(-1, n))
     drawn = asked.reached(mine.pose, mine.near, *found.as_asked(), np.zeros(B * copies, bool))
     rows = {name: getattr(drawn, name) for name in PER_TARGET}
     rows = {name: v.reshape(B, copies, *v.shape[1:]) for name, v in rows.items()}
     both = {name: np.concatenate([first[name][:, None], v], 1) for name, v in rows.items()}
-    around = np.mean(setup.seeds.postures, axis=0) if near is None else near[:, None]
+    around = setup.seeds.middle if near is None else near[:, None]
     away = np.max(np.abs(both["q"] - around), axis=2)
     usable = both["status"] <= ReachStatus.ACCEPTED
     order = np.argsort(np.where(usable, away, np.inf), axis=1)
@@ -148,13 +147,6 @@ def _several(asked, first, pose, near, solutions, copies) -> dict:
         out[name][~there] = np.nan
     out["at_limit"][~there] = False
     return out
-
-
-def _seed(setup, pose, number):
-    """A posture to start from for each target: the nearest of a set while there are sets, then any."""
-    if number < SETS:
-        return setup.seeds.postures[nearest(setup.compared, pose, number)]
-    return setup.seeds.postures[(number * 2654435761 + 40503 * np.arange(len(pose))) % len(setup.seeds.postures)]
 
 
 def _different(asked, q, usable):

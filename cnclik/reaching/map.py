@@ -24,7 +24,7 @@ class Reachability(NamedTuple):
     axes: tuple  # names of the grid's axes, such as ("x", "z")
     places: tuple  # one vector of places [m] per axis
     share: np.ndarray  # of orientations that can be taken there; of a position task, whether there is an answer
-    worst: np.ndarray  # least singular value, median over the answers there; NaN without one
+    least_singular_value: np.ndarray  # median over the answers there; NaN without one
     arm: np.ndarray  # (j, 3) the base, joints and tip of the arm in a posture of its own [m]
     reached: Reached  # every answer, (cells · orientations,)
 
@@ -45,10 +45,8 @@ def reachability(
     """
     errors.one_of("where", where, (*PLANES, "box"))
     errors.one_of("task", task, ("pose", "position"))
-    cells, orientations = (
-        errors.integer("cells", cells, at_least=2),
-        errors.integer("orientations", orientations, at_least=1),
-    )
+    cells = errors.integer("cells", cells, at_least=2)
+    orientations = errors.integer("orientations", orientations, at_least=1)
     middle = np.array([float(x) for x in chain.joints[0].origin.position])
     over = PLANES.get(where, (0, 1, 2))
     if span is None:
@@ -68,9 +66,9 @@ def reachability(
     solved = made.solved.reshape(shape)
     sigma = np.where(solved, made.least_singular_value.reshape(shape), np.nan)
     known = solved.any(axis=-1)
-    worst = np.full(known.shape, np.nan)
-    worst[known] = np.nanmedian(sigma[known], axis=-1)
-    return Reachability(tuple("xyz"[i] for i in over), places, solved.mean(axis=-1), worst, outline(chain), made)
+    middling = np.full(known.shape, np.nan)
+    middling[known] = np.nanmedian(sigma[known], axis=-1)
+    return Reachability(tuple("xyz"[i] for i in over), places, solved.mean(axis=-1), middling, outline(chain), made)
 
 
 def turns_evenly(count: int) -> np.ndarray:

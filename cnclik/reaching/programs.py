@@ -11,7 +11,7 @@ from jax import lax
 
 from cnclik.hints import form, one_function, quick_jit
 from cnclik.integrate.lanes import OPTIONS, tiled
-from cnclik.reaching.step import begin, iterate
+from cnclik.reaching.step import begin, in_parts, iterate
 from cnclik.record import cast
 from cnclik.robot import spatial as sp
 from cnclik.robot.rolled import in_form, roll
@@ -28,27 +28,27 @@ class Found(NamedTuple):
     steep: object
     looks: object
 
+    def within(self, tolerance):
+        """Which are within a tolerance [m], [rad]."""
+        return (self.squares <= tolerance**2).all(axis=1)
+
 
 def _lane(chain, task, bounds, tolerance, q, target, steps, careful, roots):
     dtype = q.dtype
     chain, q = in_form(chain, q)
     chain = cast(chain, dtype)
-    position, rotation = target[:3], target[3:].reshape(3, 3)
-    if sp.unrolled(q):
-        position, rotation = tuple(position), tuple(map(tuple, rotation))
+    target, roots = in_parts(target, roots, q)
     bounds = tuple(sp.like(q, bound) for bound in bounds)
 
-    roots = tuple(roots) if roots is not None and sp.unrolled(q) else roots
-
-    def go(steps, careful, q, position, rotation, bounds, tolerance, roots):
+    def go(steps, careful, q, target, bounds, tolerance, roots):
         def once(carry):
             i, at = carry
-            return i + 1, iterate(chain, task, at, (position, rotation), bounds, tolerance, careful, roots)
+            return i + 1, iterate(chain, task, at, target, bounds, tolerance, careful, roots)
 
         start = begin(q, q[0] * 0.0)
         return lax.while_loop(lambda c: (c[0] < steps) & ~c[1].arrived, once, (jnp.zeros_like(steps), start))[1]
 
-    at = one_function(go)(steps, careful, q, position, rotation, bounds, (tolerance[0], tolerance[1]), roots)
+    at = one_function(go)(steps, careful, q, target, bounds, (tolerance[0], tolerance[1]), roots)
     return Found(sp.packed(at.best), jnp.stack(at.squares), at.cost, at.steep, at.looks)
 
 
@@ -73,12 +73,11 @@ def search(chain, task, bounds, tolerance, q, target, steps, careful=False, root
     chain, run = (roll(chain), _soon) if rolled else (chain, _quick)
     parts = []
     for i in range(0, len(q), CAPACITY):
-        part = q[i : i + CAPACITY], target[i : i + CAPACITY]
-        own = tuple(b[i : i + CAPACITY] if b.ndim > 1 else b for b in bounds)
-        size = len(part[0])
-        filled = [_filled(v) for v in part]
-        own = tuple(_filled(b) if b.ndim > 1 else b for b in own)
-        found = run(chain, task, own, tolerance, *filled, np.int32(steps), np.bool_(careful), roots, np.int32(size))
+        cut = slice(i, i + CAPACITY)
+        size = len(q[cut])
+        own = tuple(_filled(b[cut]) if b.ndim > 1 else b for b in bounds)
+        part = _filled(q[cut]), _filled(target[cut])
+        found = run(chain, task, own, tolerance, *part, np.int32(steps), np.bool_(careful), roots, np.int32(size))
         parts.append([np.asarray(v)[:size] for v in found])
     return Found(*map(np.concatenate, zip(*parts, strict=True)))
 

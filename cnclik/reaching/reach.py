@@ -7,12 +7,12 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import form, use_form
-from cnclik.reaching.asked import Asked
+from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import form_for, many, several
 from cnclik.reaching.result import PER_TARGET, Reached
 from cnclik.reaching.single import along, traced
 from cnclik.reaching.targets import read, task_of
-from cnclik.record import leaf, replace
+from cnclik.record import replace
 from cnclik.robot.chain import Chain
 
 
@@ -73,13 +73,7 @@ def reach(
         raise errors.fail("chain", "be a Chain", f"is {type(chain).__name__}")
     if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
-    tolerance, accept = _pair("tolerance", tolerance), None if accept is None else _pair("accept", accept)
-    for name, value, least in (("solutions", solutions, 1), ("seeds", seeds, 1), ("budget", budget, 1)):
-        errors.integer(name, value, at_least=least)
-    errors.integer("seed", seed, at_least=0)
-    for name, value in (("seeds", seeds), ("budget", budget), ("seed", seed)):
-        if value >= 1 << 30:
-            raise errors.fail(name, f"be below {1 << 30}", f"is {value}")
+    errors.integer("solutions", solutions, at_least=1)
     if jump is not None:
         errors.number("jump", jump, positive=True)
         if near is None:
@@ -93,19 +87,7 @@ def reach(
         near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
         near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n))
         near = near.astype(pose.dtype)
-    tolerance[1] = 2 * np.sin(min(tolerance[1], np.pi) / 2)  # the error that is looked at is a chord
-    asked = Asked(
-        chain=chain,
-        task=task,
-        tolerance=tolerance,
-        accept=accept,
-        jump=leaf(jump),
-        seeds=np.int32(seeds),
-        budget=np.int32(budget),
-        seed=np.int32(seed),
-        limits=bool(limits),
-        explain=bool(explain),
-    )
+    asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
@@ -121,12 +103,3 @@ def reach(
     else:
         made = many(asked, pose, near, progress)
     return replace(made, **{name: getattr(made, name)[0] for name in PER_TARGET}) if alone else made
-
-
-def _pair(name, value):
-    if np.ndim(value) == 0:
-        raise errors.fail(name, "be a pair, of position [m] and orientation [rad]", f"is {value!r}")
-    value = errors.array(name, value, (2,), finite=False)
-    if not errors.concrete(value) or not (np.asarray(value) > 0).all():
-        raise errors.fail(name, "hold positive numbers", f"is {value!r}")
-    return np.asarray(value, float)

@@ -5,8 +5,7 @@ import enum
 import numpy as np
 
 from cnclik.record import record
-from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import roll
+from cnclik.robot.posture import task_jacobians
 
 
 class ReachStatus(enum.IntEnum):
@@ -54,8 +53,7 @@ class Reached:
         Worked out when it is asked for: it takes longer than the search.
         """
         q = np.asarray(self.q, float)
-        chain = roll(self.chain)
-        rows = jacobian_rows(chain, frames(chain, q.reshape(-1, q.shape[-1])), self.task.linear, self.task.angular)
+        rows = task_jacobians(self.chain, self.task, q.reshape(-1, q.shape[-1]))
         known = np.isfinite(rows).all(axis=(1, 2))
         found = np.full(len(rows), np.nan)
         found[known] = np.linalg.svd(rows[known], compute_uv=False)[:, -1]
@@ -63,8 +61,8 @@ class Reached:
 
     def __str__(self):
         status = np.atleast_1d(np.asarray(self.status))
-        parts = [f"{np.sum(status == s):,} {s.name}" for s in ReachStatus if np.any(status == s)]
-        return f"Reached: {status.size:,} target{'s' * (status.size != 1)}: {', '.join(parts)}"
+        parts = ", ".join(f"{number:,} {name}" for name, number in count(status).items())
+        return f"Reached: {status.size:,} target{'s' * (status.size != 1)}: {parts}"
 
 
 def count(status) -> dict:

@@ -157,23 +157,36 @@ def from_starts(setup: Setup, targets: Targets, start) -> Answers:
 
 def _starts(setup, mine, done, copies, places):
     """Postures (L·copies, n) to start from, within the bounds."""
-    L = len(mine.pose) // copies
+    L, known = len(mine.pose) // copies, setup.seeds
     number = setup.seed + done + np.tile(np.arange(copies), L)
     if mine.near is not None and done < PLAIN:
-        shake = setup.seeds.postures[number % len(setup.seeds.postures)]
-        middle, wide = np.mean(setup.seeds.postures, axis=0), np.ptp(setup.seeds.postures, axis=0)
-        start = mine.near + AROUND * done / PLAIN * 2 * (shake - middle) / np.maximum(wide, 1e-9)
-    elif done < SETS:
-        picked = np.empty(len(number), np.intp)
-        for k in np.unique(number):
-            picked[number == k] = nearest(setup.compared, mine.pose[number == k], k)
-        start = setup.seeds.postures[picked]
-    else:  # any of them, another each time; and every other one near the best places found
-        k = (number * 2654435761 + np.repeat(np.arange(L), copies) * 40503) % len(setup.seeds.postures)
-        start = setup.seeds.postures[k]
-        close = places[np.arange(len(k)), k % PLACES] + NEARBY * (start - np.mean(setup.seeds.postures, axis=0))
-        start = np.where((number % 2 == 0)[:, None], close, start)
+        shake = (known.postures[number % len(known.postures)] - known.middle) / np.maximum(known.width, 1e-9)
+        start = mine.near + AROUND * done / PLAIN * 2 * shake
+    else:
+        start = drawn(setup, mine.pose, done, number, np.repeat(np.arange(L), copies))
+        if done >= SETS:  # every other one near the best places found
+            place = places[np.arange(len(start)), _any(setup, number, np.repeat(np.arange(L), copies)) % PLACES]
+            close = place + NEARBY * (start - known.middle)
+            start = np.where((number % 2 == 0)[:, None], close, start)
     return np.clip(start, *mine.bounds)
+
+
+def drawn(setup, pose, done, number, target):
+    """Seeds (L, n) to start from: the nearest of a set while there are sets, then any, another for each try and target.
+
+    Args:
+      done: tries before. number: of each one's set (L,). target: the number of each one's target (L,).
+    """
+    if done >= SETS:
+        return setup.seeds.postures[_any(setup, number, target)]
+    picked = np.empty(len(number), np.intp)
+    for k in np.unique(number):
+        picked[number == k] = nearest(setup.compared, pose[number == k], k)
+    return setup.seeds.postures[picked]
+
+
+def _any(setup, number, target):
+    return (number * 2654435761 + target * 40503) % len(setup.seeds.postures)
 
 
 def _in_float32(setup, mine, start, steps, careful):
@@ -183,7 +196,7 @@ def _in_float32(setup, mine, start, steps, careful):
     pose = mine.pose.astype(np.float32)
     start = start.astype(np.float32)
     found = programs.search(setup.chain, setup.task, bounds, coarse, start, pose, steps, careful)
-    return found.q.astype(float), found.cost, (found.squares <= coarse**2).all(axis=1), found.looks
+    return found.q.astype(float), found.cost, found.within(coarse), found.looks
 
 
 def _preferred(q, cost, arrived, near, copies):
@@ -209,10 +222,10 @@ def _settle(setup, targets, ids, q, steps, made, roots=None):
     if not len(ids):
         return
     mine = targets.part(ids)
-    q = np.clip(np.asarray(q, float), *mine.bounds)
+    q = np.clip(q, *mine.bounds)
     at = programs.search(setup.chain, setup.task, mine.bounds, setup.tolerance, q, mine.pose, steps, True, roots)
     made.looks[ids] += at.looks
-    here = (at.squares <= setup.tolerance**2).all(axis=1)
+    here = at.within(setup.tolerance)
     better = here | (at.cost < made.cost[ids])
     ids = ids[better]
     made.cost[ids] = at.cost[better]

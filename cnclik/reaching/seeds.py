@@ -27,6 +27,8 @@ class Seeds:
 
     postures: object  # (SETS · SIZE, n), one set after the other, each of which fills the joint space by itself
     tips: object  # (SETS · SIZE, 12) position [arm lengths], and rotation times TURN
+    middle: object  # (n,) of the ranges that they fill
+    width: object  # (n,)
     scale: float  # what a target's position is multiplied with [1/m]
 
 
@@ -52,7 +54,7 @@ def _made(chain: Chain) -> Seeds:
     at = frames(roll(chain), postures)
     scale = 1.0 / arm_length(chain)
     tips = np.concatenate([at.position * scale, TURN * at.rotation.reshape(-1, 9)], axis=1)
-    return Seeds(postures=postures, tips=tips, scale=scale)
+    return Seeds(postures=postures, tips=tips, middle=(low + high) / 2, width=high - low, scale=scale)
 
 
 @record

@@ -19,7 +19,7 @@ from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
-from cnclik.reaching.step import begin, iterate, look
+from cnclik.reaching.step import begin, in_parts, iterate, look
 from cnclik.record import cast, kept, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
@@ -117,7 +117,7 @@ def _search(asked, pose, near, postures, to):
     free = 0 if beyond is None else FREE
     beyond = bounds if beyond is None else tuple(jnp.asarray(b, dtype) for b in beyond)
     if near is not None:
-        middle = jnp.mean(postures, axis=0)
+        middle = np.mean(spans(asked.chain), axis=0)  # known while tracing
         first = near + AROUND * (postures[:TOGETHER] - middle).at[0].set(0.0)
     elif to is None:
         first = postures[:TOGETHER]
@@ -125,10 +125,9 @@ def _search(asked, pose, near, postures, to):
         first = postures[nearest_each(to, pose, TOGETHER, asked.seed)]
     far = asked.too_far(pose, jnp)
     rounds, free = jnp.where(far, ROUNDS_FAR, -(-asked.seeds // TOGETHER)), jnp.where(far, 0, free)
-    most = rounds, free, asked.budget
-    postures = jnp.roll(postures, asked.seed * 41 * TOGETHER, axis=0)
-    task, weights = replace(asked.task, weights=None), asked.task.weights
-    roots = None if weights is None else jnp.sqrt(jnp.asarray(weights, dtype))
+    task, roots = asked.unweighted(jnp)
+    roots = None if roots is None else roots.astype(dtype)
+    most = rounds, free, asked.budget, asked.seed
     return outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, first, most, roots), bounds
 
 
@@ -150,21 +149,22 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
       bounds: lower and upper (n,) to keep. beyond: those of the search without limits.
       postures: (K, n) to start later rounds from. first: (TOGETHER, n) to start from at first.
       roots: of the weights by which the nearest pose is the nearest, or None.
-      most: rounds of seeds; rounds without limits after them; looks.
+      most: rounds of seeds; rounds without limits after them; looks; and the number of the first seeds.
     """
     dtype = target.dtype
     chain = cast(in_form(chain, first[0])[0], dtype)
-    rounds, free, budget = most
+    rounds, free, budget, seed = most
 
     def again(carry):
         r, kept, _, _ = carry
         wide = r >= rounds + DOWNHILL
-        low, high = (jnp.where(wide, b, a) for a, b in zip(bounds, beyond, strict=True))
-        others = lax.dynamic_slice_in_dim(postures, (r * 37 * TOGETHER) % (len(postures) - TOGETHER), TOGETHER)
-        starts = jnp.where((r == 0) | (r == rounds + DOWNHILL), first, others)
-        starts = jnp.where((r >= rounds) & ~wide, kept[0] + CLOSE * (starts - kept[0]), starts)
-        starts = jnp.clip(starts, low, high).at[0].set(jnp.where((r >= rounds) & ~wide, kept[0], starts[0]))
         down = (r >= rounds) & ~wide
+        low, high = (jnp.where(wide, b, a) for a, b in zip(bounds, beyond, strict=True))
+        number = (r * 37 + seed * 41) * TOGETHER % (len(postures) - TOGETHER)
+        others = lax.dynamic_slice_in_dim(postures, number, TOGETHER)
+        starts = jnp.where((r == 0) | (r == rounds + DOWNHILL), first, others)
+        starts = jnp.where(down, kept[0] + CLOSE * (starts - kept[0]).at[0].set(0.0), starts)
+        starts = jnp.clip(starts, low, high)
         own = None if roots is None else jnp.where(down, roots, 1.0)
         at = _together(chain, task, starts, target, low, high, tolerance, own)
         q = sp.packed(at.best, axis=-1)
@@ -209,18 +209,10 @@ def _together(chain, task, starts, target, low, high, tolerance, roots):
         return lax.while_loop(goes_on, once, (jnp.zeros((), jnp.int32), at))[1]
 
     bounds = [sp.like(form, bound) for bound in (low, high)]
-    careful = jnp.ones((), bool)
-    roots = tuple(roots) if roots is not None and sp.unrolled(form) else roots
+    target, roots = in_parts(target, roots, form)
+    pair, careful = (tolerance[0], tolerance[1]), jnp.ones((), bool)
     with few_lanes(TOGETHER):
-        return one_function(go)(
-            jax.vmap(start)(starts), _parts(target, form), *bounds, (tolerance[0], tolerance[1]), careful, roots
-        )
-
-
-def _parts(target, q):
-    """Position and rotation of a target (12,) in the form of q."""
-    position, rotation = target[:3], target[3:].reshape(3, 3)
-    return (tuple(position), tuple(map(tuple, rotation))) if sp.unrolled(q) else (position, rotation)
+        return one_function(go)(jax.vmap(start)(starts), target, *bounds, pair, careful, roots)
 
 
 def refined(chain, task, target, q, held, found):
@@ -233,14 +225,15 @@ def refined(chain, task, target, q, held, found):
     whole = q
     chain, parts = in_form(chain, q)
     chain = cast(chain, q.dtype)
-    e, _ = look(chain, task, parts, _parts(target, parts))
+    e, _ = look(chain, task, parts, in_parts(target, None, parts)[0])
     at = frames(lax.stop_gradient(chain), parts)
     rows = jacobian_rows(lax.stop_gradient(chain), at, task.linear, task.angular)
     if 0 < len(task.angular) < 3:  # what is left of the turn about other axes turns these with it
 
         def error(v):
             parts = tuple(v) if sp.unrolled(rows) else v
-            return sp.packed(look(lax.stop_gradient(chain), task, parts, _parts(lax.stop_gradient(target), parts))[0])
+            chain_there, target_there = lax.stop_gradient((chain, target))
+            return sp.packed(look(chain_there, task, parts, in_parts(target_there, None, parts)[0])[0])
 
         exact = -jax.jacfwd(error)(whole)
         rows = tuple(map(tuple, exact)) if sp.unrolled(rows) else exact

@@ -50,6 +50,14 @@ def begin(q, zero) -> Search:
     return Search(q, q, (far, far), far, far, zero + 1.0, zero, never)
 
 
+def in_parts(target, roots, q):
+    """Position and rotation of a target (12,), and the roots of weights (m,) or None, in the form of q."""
+    position, rotation = target[:3], target[3:].reshape(3, 3)
+    if not sp.unrolled(q):
+        return (position, rotation), roots
+    return (tuple(position), tuple(map(tuple, rotation))), None if roots is None else tuple(roots)
+
+
 def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, roots=None) -> Search:
     """Look at `q`, and step on; a search that has arrived stays.
 

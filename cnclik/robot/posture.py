@@ -34,10 +34,15 @@ def is_planar(chain: Chain) -> bool:
     )
 
 
+def task_jacobians(chain: Chain, task, postures):
+    """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which compiles nothing."""
+    rolled = roll(chain)
+    return jacobian_rows(rolled, frames(rolled, np.asarray(postures, float)), task.linear, task.angular)
+
+
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
-    rolled = roll(chain)  # in NumPy, which compiles nothing
-    j = jacobian_rows(rolled, frames(rolled, np.asarray(postures, float)), task.linear, task.angular)
+    j = task_jacobians(chain, task, postures)
     j[:, : len(task.linear)] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
 

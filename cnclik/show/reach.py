@@ -21,7 +21,7 @@ def reachability(found, *, title=""):
     what = "share of orientations reached" if many else "reached"
     _panel(figure, panels[0], found, found.share, found.axes, what, vmax=1.0)
     what = "least singular value, median (lengths in m)"
-    _panel(figure, panels[1], found, found.worst, found.axes, what)
+    _panel(figure, panels[1], found, found.least_singular_value, found.axes, what)
     figure.suptitle(title)
     return figure
 

@@ -21,8 +21,6 @@ from cnclik.law.inverse import Transpose
 from cnclik.law.law import Law
 from cnclik.law.limits import Saturated
 from cnclik.precision import in_float64
-from cnclik.reaching.reach import reach
-from cnclik.reaching.result import ReachStatus
 from cnclik.record import record, replace
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
@@ -299,6 +297,9 @@ def _beyond(case):
 
 def _gap(case):
     """How far from the target the tip stays at best, in words; empty where it can get there, or that isn't known."""
+    from cnclik.reaching.reach import reach  # here: most runs end where nothing is asked of it
+    from cnclik.reaching.result import ReachStatus
+
     chain, task = case.law.chain, replace(case.law.task, weights=None)
     if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
         return ""

@@ -10,14 +10,24 @@ import numpy as np
 
 from cnclik import errors
 
+MOST = 2.0**1000  # of a number in between: Python's integers would grow until memory is gone
+
+
+def _power(base, exponent):
+    """A power; of integers too, which are exact and have no largest one."""
+    whole = isinstance(base, int) and isinstance(exponent, int) and abs(base) > 1
+    if whole and exponent * math.log2(abs(base)) > math.log2(MOST):
+        raise OverflowError("a power is too large")
+    return operator.pow(base, exponent)
+
+
 _BINARY = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    ast.Pow: lambda base, exponent: _power(base, exponent),
+    ast.Pow: _power,
 }
-MOST = 2.0**1000  # of a number in between: Python's integers would grow until memory is gone
 _CALLS = {"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round"}
 _PAIRS = {"min": np.minimum, "max": np.maximum}
 _FUNCTIONS = _CALLS | set(_PAIRS)
@@ -99,14 +109,6 @@ def evaluate(name: str, value, known):
         return found
     except (ArithmeticError, ValueError, TypeError) as error:
         raise errors.fail(name, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
-
-
-def _power(base, exponent):
-    """A power; of integers too, which are exact and have no largest one."""
-    whole = isinstance(base, int) and isinstance(exponent, int) and abs(base) > 1
-    if whole and exponent * math.log2(abs(base)) > math.log2(MOST):
-        raise OverflowError("a power is too large")
-    return operator.pow(base, exponent)
 
 
 def _call(name, *arguments):

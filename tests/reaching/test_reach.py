@@ -167,6 +167,8 @@ def test_two_tolerances():
         made = ck.reach(ARM, some, task=PLANE, accept=(0.01, 0.01))
         assert np.all(made.status == ReachStatus.ACCEPTED) and np.all(made.solved)
         assert np.allclose(made.position_error, 0.001, rtol=1e-2)
+        hasty = ck.reach(ARM, some, task=PLANE, accept=(0.01, 0.01), explain=False)  # of one as of many
+        assert np.all(hasty.status == ReachStatus.ACCEPTED)
 
 
 @pytest.mark.form(None)
