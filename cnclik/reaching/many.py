@@ -18,7 +18,7 @@ from cnclik.record import kept, replace
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 POOL = 1 << 18  # targets whose leftovers are searched for together
 FEW = 8  # targets that are sooner searched for one by one
-HARD = 50  # targets without an answer after the first tries, from which it is, too
+EARLY, HARD = search.PLAIN + 4, 100  # so many targets without an answer after so many tries: it is worth it, too
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
@@ -50,9 +50,9 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     def first(ids):
         made.put(ids, search.first_tries(setup, targets.part(ids)))
 
-    def later(ids, tries=setup.tries):
+    def later(ids, done=search.PLAIN, tries=setup.tries, downhill=downhill):
         mine = setup._replace(tries=min(tries, setup.tries))
-        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill))
+        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill, done))
 
     def free(ids):
         mine, wider = setup._replace(tries=TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
@@ -74,9 +74,10 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             if form() == "unrolled":  # both programs compile at once
                 list(pool.map(as_here(lambda kind: search.warm(setup, targets.bounds, kind)), ("float32", "float64")))
             on_all_cores(first, ~far | downhill)
+            on_all_cores(functools.partial(later, tries=EARLY, downhill=False), ~far)
         # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
         with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
-            on_all_cores(later, ~far)
+            on_all_cores(functools.partial(later, done=EARLY), ~far)
             if downhill:
                 on_all_cores(functools.partial(later, tries=TRIES_FAR), far)
             if asked.beyond() is not None:

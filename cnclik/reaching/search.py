@@ -93,10 +93,10 @@ def first_tries(setup: Setup, targets: Targets) -> Answers:
     return made
 
 
-def later_tries(setup: Setup, targets: Targets, made: Answers, downhill=True) -> Answers:
-    """For targets without an answer: until there is one, or seeds or budget are used up; then, with `downhill`, to the
-    nearest pose."""
-    left, done, arrived = np.flatnonzero(~made.found), PLAIN, []
+def later_tries(setup: Setup, targets: Targets, made: Answers, downhill=True, done=PLAIN) -> Answers:
+    """For targets without an answer, after `done` tries: until there is one, or seeds or budget are used up; then, with
+    `downhill`, to the nearest pose."""
+    left, arrived = np.flatnonzero(~made.found), []
     while done < setup.tries and (len(left) or arrived):
         if len(left):
             copies = min(max(WIDE // len(left), 1), COPIES, setup.tries - done)
