@@ -54,7 +54,19 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
 # Where each name is: nothing is loaded before it is asked for, so that the command line answers at once where no
 # number is asked of it.
 _ROOMS = ("bench", "measure", "paper", "problem", "reaching", "show", "stability", "sweeps", "tuning")
-_INNER = ("compilation", "errors", "hints", "integrate", "law", "precision", "reading", "record", "robot", "version")
+_INNER = (
+    "compilation",
+    "errors",
+    "hints",
+    "integrate",
+    "law",
+    "precision",
+    "reading",
+    "record",
+    "robot",
+    "version",
+    "writing",
+)
 _ON_USE = {
     "compilation": "use_cache",
     "errors": "ArgumentError",

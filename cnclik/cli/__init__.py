@@ -11,6 +11,7 @@ import os
 import sys
 import time
 
+from cnclik.cli import terminal
 from cnclik.version import __version__
 
 _BEGUN = time.time()
@@ -30,16 +31,17 @@ VERBS = {
 def main(argv=None) -> None:
     """Entry point of `cnclik`.
 
-    What is wrong is one line on stderr; the exit code is 2 for arguments that can't be used, 1 for figures that could
-    not be drawn, 130 after an interrupt.
+    What is wrong is one line on stderr; the exit code is 2 for arguments that can't be used, 1 for figures or output
+    that could not be written, 130 after an interrupt, 143 after SIGTERM.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
-    if argv[:1] in (["-V"], ["--version"]):
-        print(f"cnclik {__version__}")
-    elif not argv or argv[0] in ("-h", "--help"):
-        print(_overview())
-    else:
-        _run(*argv)
+    with terminal.guarded():
+        if argv[:1] in (["-V"], ["--version"]):
+            print(f"cnclik {__version__}")
+        elif not argv or argv[0] in ("-h", "--help"):
+            print(_overview())
+        else:
+            _run(*argv)
 
 
 def _run(verb, *options) -> None:
@@ -65,9 +67,8 @@ def _run(verb, *options) -> None:
         _leave(1, error)
     except KeyboardInterrupt:
         _leave(130, "Interrupted; what was complete is kept.")
-    except BrokenPipeError:  # the reader of our output, such as `head`, has left
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+    except terminal.Terminated:
+        _leave(143, "Terminated; what was complete is kept.")
 
 
 def _leave(code, message) -> None:
@@ -106,6 +107,16 @@ def _prepare(cache: bool) -> None:
         use_cache()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        from cnclik.errors import fail
+
+        raise fail("JAX_PLATFORMS", "name a platform that is there", f"is {_platforms()}: {error}") from None
+
+
+def _platforms():
+    return repr(os.environ.get("JAX_PLATFORMS") or "not set")
 
 
 def _overview() -> str:

@@ -1,6 +1,8 @@
 """`cnclik reach`: joint values for targets of a file, for random ones, or over a map of places."""
 
+import contextlib
 import dataclasses
+import functools
 import json
 import pathlib
 import time
@@ -99,26 +101,25 @@ def _answers(args, chain, task):
     from cnclik.reaching.result import PER_TARGET
     from cnclik.reaching.targets import read
     from cnclik.record import replace
+    from cnclik.writing import output_folder
 
     targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
     options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
-    begun = time.perf_counter()
-    with progress.bar("targets", len(pose)) as report:
-        made = reach(chain, targets, task=task, **options, progress=report)
-    first = time.perf_counter() - begun
+    with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
+        begun = time.perf_counter()
+        with progress.bar("targets", len(pose)) as report:
+            made = reach(chain, targets, task=task, **options, progress=report)
+        first = time.perf_counter() - begun
+        if made.q.ndim == 1:
+            made = replace(made, **{n: getattr(made, n)[None] for n in PER_TARGET})
+        if folder is not None:
+            folder.write(args.out.name, functools.partial(save, answers(made, transforms(pose))))
     again = first
     if args.json:  # the same once more: what is left without compiling
         begun = time.perf_counter()
         reach(chain, targets, task=task, **options)
         again = time.perf_counter() - begun
-    if made.q.ndim == 1:
-        made = replace(made, **{n: getattr(made, n)[None] for n in PER_TARGET})
-    if args.out is not None:
-        from cnclik.show.output import output_folder
-
-        with output_folder(args.out.parent) as folder:
-            save(answers(made, transforms(pose)), folder / args.out.name)
     summary = _summary(made, first, again)
     if args.json:
         print(json.dumps(summary))
@@ -201,8 +202,9 @@ def _map(args, chain, task):
 
     from cnclik.problem.names import robot_name
     from cnclik.reaching.map import reachability
-    from cnclik.show.output import draw, output_folder
+    from cnclik.show.output import draw
     from cnclik.show.reach import reachability as figure
+    from cnclik.writing import output_folder
 
     if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
         raise errors.ArgumentError("Options of single targets must be left out with --map, but some are given.")
@@ -222,9 +224,8 @@ def _map(args, chain, task):
                 **_options(args, "cells", "orientations", "at"),
             )
         places = dict(zip(found.axes, found.places, strict=True))
-        np.savez_compressed(
-            folder / "map.npz", share=found.share, least_singular_value=found.least_singular_value, **places
-        )
+        numbers = dict(share=found.share, least_singular_value=found.least_singular_value, **places)
+        folder.write("map.npz", lambda path: np.savez_compressed(path, **numbers))
     seconds = time.perf_counter() - begun
     title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}

@@ -1,6 +1,5 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
-import csv
 import dataclasses
 import functools
 import time
@@ -30,9 +29,10 @@ def run(args: Args) -> None:
     from rich.console import Console
 
     from cnclik.hints import as_here
-    from cnclik.measure.files import save_netcdf
-    from cnclik.show.output import draw, load_ahead, output_folder
+    from cnclik.measure.files import save_csv, save_netcdf
+    from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
+    from cnclik.writing import output_folder
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
@@ -45,9 +45,9 @@ def run(args: Args) -> None:
         from cnclik.measure.dataset import to_dataset
 
         data = to_dataset(trajectory, made.law, config=config)
-        save_netcdf(data, folder / "trajectory.nc")
+        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         if args.csv:
-            _write_csv(folder / "trajectory.csv", data)
+            folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
     with progress.bar("verdict"):
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
@@ -101,7 +101,7 @@ def _march(made, report):
     return truncate(join(parts), made.N), seconds / (pieces * size)
 
 
-def _write_csv(path, data) -> None:
+def _rows(data):
     """One row per instant; what belongs to a step stands at its beginning."""
     import numpy as np
 
@@ -110,9 +110,8 @@ def _write_csv(path, data) -> None:
     header += [*(f"qdot_{j}" for j in joints), "status"]
     points = np.hstack([data.time.values[:, None], data.q.values, data.x.values, data.e.values]).tolist()
     steps = [[*qdot, bits] for qdot, bits in zip(data.qdot.values.tolist(), data.status.values.tolist(), strict=True)]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        rows = (point + step for point, step in zip(points, [*steps, [""] * (len(joints) + 1)], strict=True))
-        csv.writer(file).writerows([header, *rows])
+    yield header
+    yield from (point + step for point, step in zip(points, [*steps, [""] * (len(joints) + 1)], strict=True))
 
 
 def _figures(data, made) -> dict:

@@ -1,6 +1,7 @@
 """`cnclik stability`: which gain is safe at which sampling time, as numbers, regions and measured maps."""
 
 import dataclasses
+import functools
 import pathlib
 import time
 from typing import Annotated
@@ -43,7 +44,8 @@ class Args(ComputeOptions, LoopOptions, TaskOptions, RobotOptions):
 
 def run(args: Args) -> None:
     """Numbers on the terminal; figures and labelled data in the folder, the data first."""
-    from cnclik.show.output import draw, load_ahead, output_folder
+    from cnclik.show.output import draw, load_ahead
+    from cnclik.writing import output_folder
 
     _check(args)
     if not (args.plane or args.map):
@@ -146,8 +148,8 @@ def _plane(args, out):
         data = plane(args.methods, args.passes, progress=report)
     config = {"methods": args.methods, "passes": args.passes}
     data = data.assign_attrs(provenance(float) | {"config": as_json(config)})
-    save_netcdf(data, out / "plane.nc")
-    (out / "plane.md").write_text(plane_page(data), encoding="utf-8")
+    out.write("plane.nc", functools.partial(save_netcdf, data))
+    out.write_text("plane.md", plane_page(data))
     for title, header, rows in limit_tables(data):
         shown = Table(title=title, title_justify="left")
         for name in header:
@@ -188,7 +190,7 @@ def _map(args, out):
         )
     attributes = provenance(float) | {"config": config}
     data = data.assign_attrs(attributes)
-    save_netcdf(data, out / "map.nc")
+    out.write("map.nc", functools.partial(save_netcdf, data))
     from cnclik.show import stability as show
 
     title = f"{_name(found)}, N = {args.N}"
@@ -201,7 +203,7 @@ def _map(args, out):
             strip = passes_map(
                 found.law, found.reference, found.q0, z=z, M=some, Ts=found.Ts, progress=report, **loop
             ).assign_attrs(attributes)
-        save_netcdf(strip, out / "passes.nc")
+        out.write("passes.nc", functools.partial(save_netcdf, strip))
         name = f"{found.name}, {found.method}, {strip.attrs['stage']}(M)"
         figures["passes.png"] = (lambda: show.passes({name: strip}), {"Title": name, "Description": config})
     endings = data.ending.values

@@ -69,17 +69,18 @@ def finish(out: pathlib.Path, figures, *, export=None) -> None:
       export: "nc", "csv" or None.
     """
     from cnclik.cli.plot import draw
-    from cnclik.show.output import output_folder
     from cnclik.sweeps import store, summary
+    from cnclik.writing import output_folder
 
     data = store.read(out)
     with output_folder(out) as folder:
         made = summary.write(data, folder)
     if export:
         with output_folder(out) as folder:
-            made.append(summary.export(data, folder, export))
-    for path in made:
-        print(f"Wrote {out / path.name}")
+            folder.write(f"data.{export}", lambda path: summary.export(data, path.parent, export))
+        made.append(f"data.{export}")
+    for file in made:
+        print(f"Wrote {out / file}")
     if figures is not None:
         draw(data, out, tables=figures)
 

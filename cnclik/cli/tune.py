@@ -64,7 +64,8 @@ def run(args: Args) -> None:
     made, asked = _problem(args), _asked(args)
     from cnclik import tuning
     from cnclik.cli import progress
-    from cnclik.show.output import draw, load_ahead, output_folder
+    from cnclik.show.output import draw, load_ahead
+    from cnclik.writing import output_folder
 
     if args.figures:
         load_ahead("cnclik.show.style")
@@ -75,14 +76,14 @@ def run(args: Args) -> None:
             found = tuning.tune(made.law, made.reference, made.q0, **loop, progress=report, **asked)
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
-        (folder / "tuned.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+        folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
         drawn = {}
         if args.figures:
             from cnclik.show.tuning import drawings
 
             drawn = drawings(found)
         text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
-        (folder / "summary.md").write_text(text, encoding="utf-8")
+        folder.write_text("summary.md", text)
     print(text.split("\n## Figures")[0])
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}

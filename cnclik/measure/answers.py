@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnclik import errors
-from cnclik.measure.files import save_netcdf
+from cnclik.measure.files import save_csv, save_netcdf
 from cnclik.reaching.result import Reached, ReachStatus
 
 if TYPE_CHECKING:
@@ -50,12 +50,10 @@ def save(data: "xr.Dataset", path) -> None:
         arrays = {name: variable.values for name, variable in data.data_vars.items()}
         np.savez_compressed(path, targets=arrays.pop("transform"), joint=np.array(data.joint.values, str), **arrays)
     else:
-        _save_csv(data, path)
+        save_csv(_rows(data), path)
 
 
-def _save_csv(data, path):
-    import csv
-
+def _rows(data):
     several = "solution" in data.sizes
     shape = data.sizes["target"], data.sizes.get("solution", 1)
     joints = [str(name) for name in data.joint.values]
@@ -63,15 +61,13 @@ def _save_csv(data, path):
     columns = [data[name].values.reshape(shape).tolist() for name in numbers]
     status, q, held = (data[name].values.reshape(*shape, -1) for name in ("status", "q", "at_limit"))
     poses = data.transform.values.reshape(shape[0], 16).tolist()
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        entries = [f"t{i}{j}" for i in range(4) for j in range(4)]
-        out.writerow(["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *entries])
-        for b, k in np.ndindex(shape):
-            name = ReachStatus(int(status[b, k, 0])).name
-            limits = " ".join(joint for joint, is_there in zip(joints, held[b, k], strict=True) if is_there)
-            found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits]
-            out.writerow([b, *[k] * several, name, *found, *poses[b]])
+    entries = [f"t{i}{j}" for i in range(4) for j in range(4)]
+    yield ["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *entries]
+    for b, k in np.ndindex(shape):
+        name = ReachStatus(int(status[b, k, 0])).name
+        limits = " ".join(joint for joint, is_there in zip(joints, held[b, k], strict=True) if is_there)
+        found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits]
+        yield [b, *[k] * several, name, *found, *poses[b]]
 
 
 def transforms(pose) -> np.ndarray:

@@ -1,11 +1,20 @@
-"""Files of results: one way to write a dataset, one way to write a Markdown table."""
+"""Files of results: one way to write a dataset, a table, a Markdown table."""
+
+import csv
+import pathlib
 
 
 def save_netcdf(data, path) -> None:
-    """An `xarray.Dataset` as compressed netCDF."""
+    """An `xarray.Dataset` as compressed netCDF: made in memory, as HDF5 ends the process where a disk is full."""
     numbers = [name for name, values in data.variables.items() if values.dtype.kind in "fiub" and values.ndim]
     packed = {name: {"zlib": True, "complevel": 6} for name in numbers}
-    data.to_netcdf(path, engine="h5netcdf", encoding=packed)
+    pathlib.Path(path).write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
+
+
+def save_csv(rows, path) -> None:
+    """Rows as CSV, the first of them the names of the columns."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def markdown(header, rows, *, left=1) -> str:

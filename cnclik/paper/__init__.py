@@ -30,7 +30,8 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
     if out is None:
         return everything(progress)
     from cnclik.paper import figures
-    from cnclik.show.output import draw, output_folder
+    from cnclik.show.output import draw
+    from cnclik.writing import output_folder
 
     with output_folder(out) as folder:
         found = everything(progress)
@@ -41,6 +42,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
 
 
 def _write(folder, found, shown, captions) -> None:
+    import functools
     import json
 
     from cnclik.measure.files import save_netcdf
@@ -48,9 +50,9 @@ def _write(folder, found, shown, captions) -> None:
     from cnclik.paper.claims import judge
 
     for name, data in found._asdict().items():
-        save_netcdf(data, folder / f"{name}.nc")
+        folder.write(f"{name}.nc", functools.partial(save_netcdf, data))
     judged = judge(found.trajectories, found.passes)
     # allow_nan: a claim that rests on a NaN must not pass as JSON.
-    (folder / "claims.json").write_text(json.dumps(judged, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    folder.write_text("claims.json", json.dumps(judged, indent=1, allow_nan=False) + "\n")
     text = story.story(judged, found.trajectories, found.methods, shown, captions)
-    (folder / "claims.md").write_text(text, encoding="utf-8")
+    folder.write_text("claims.md", text)

@@ -1,6 +1,6 @@
 """Pictures: every function takes data and returns a matplotlib Figure; one `save` writes it.
 
-Modules: `run` (one loop), `stability`, `sweeps`, `tuning`; `style` (the look, `save`); `output` (folders, `draw`).
+Modules: `run` (one loop), `stability`, `sweeps`, `tuning`; `style` (the look, `save`); `output` (`draw`).
 """
 
 from cnclik.lazy import on_use
@@ -8,7 +8,7 @@ from cnclik.lazy import on_use
 __getattr__, __all__ = on_use(
     __name__,
     {
-        "output": "FigureError draw output_folder",
+        "output": "FigureError draw",
         "run": "plot",
         "style": "save",
     },

@@ -1,17 +1,12 @@
-"""Writing results so that nothing half-written looks whole, and no figure costs the data it was drawn from."""
+"""Drawing figures so that none costs the data it was drawn from."""
 
-import contextlib
+import functools
 import importlib
-import os
-import shutil
-import tempfile
 import threading
 import time
-from pathlib import Path
 
-from cnclik import errors
+from cnclik.writing import output_folder
 
-_PARTIAL = ".partial-"
 DRAWING = "/cnclik/drawing"  # the event by which `draw` tells jax.monitoring how long it took
 
 
@@ -24,42 +19,6 @@ class FigureError(RuntimeError):
     def __init__(self, message, written=()):
         super().__init__(message)
         self.written = list(written)
-
-
-@contextlib.contextmanager
-def output_folder(path, *, name="out"):
-    """A hidden folder inside `path` to write into; its files are moved into `path` when the block ends well.
-
-    `path` is created if need be, and found unwritable before any work is done. On an error or an interrupt
-    the hidden folder is removed and what `path` held before is untouched.
-
-    Args:
-      path: where the results shall be.
-      name: what the user calls it, for the message.
-
-    Yields: the folder (a `Path`) to write into.
-    Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into.
-    """
-    path = Path(path)
-    created = [p for p in (path, *path.parents) if not p.exists()]
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=path))
-    except OSError as error:
-        found = f"is {str(path)!r} ({error.strerror or error})"
-        raise errors.fail(name, "be a folder that can be written into", found) from None
-    try:
-        yield partial
-        for file in sorted(p for p in partial.rglob("*") if p.is_file()):
-            target = path / file.relative_to(partial)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(file, target)
-        created = []
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        for folder in created:  # deepest first; only what is still empty goes
-            with contextlib.suppress(OSError):
-                folder.rmdir()
 
 
 def load_ahead(*modules) -> None:
@@ -95,9 +54,8 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
             if progress is not None:
                 progress(done, len(figures), f"drawing {file}")
             try:
-                style.save(make(), folder / file, about)
+                folder.write(file, functools.partial(style.save, make(), about=about))
             except Exception as error:  # some mistakes, as in a title's mathematics, show only when it is saved
-                (folder / file).unlink(missing_ok=True)
                 failed[file] = error
     monitoring.record_event_time_span(DRAWING, begun, time.time())
     if failed:

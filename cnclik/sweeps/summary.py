@@ -1,14 +1,13 @@
 """Summary: the scalar metrics of a sweep as one small table, and its exports to other formats."""
 
-import csv
-import io
+import functools
 import json
 import pathlib
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.measure.files import save_netcdf
+from cnclik.measure.files import save_csv, save_netcdf
 
 
 def table(data):
@@ -41,21 +40,15 @@ def _statistics(values):
 
 
 def write(data, folder) -> list:
-    """Write summary.csv and config.json; returns their paths."""
-    folder = pathlib.Path(folder)
+    """Write summary.csv and config.json into an output folder; returns their names."""
     rows = table(data)
-    lines = io.StringIO(newline="")
-    writer = csv.DictWriter(lines, dict.fromkeys(name for row in rows for name in row), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[f"{v:.6g}" if isinstance(v, float) else v for v in (row.get(n, "") for n in names)] for row in rows]
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
-    paths = folder / "summary.csv", folder / "config.json"
-    for path, text in zip(
-        paths, (lines.getvalue(), json.dumps(config, indent=1, ensure_ascii=False) + "\n"), strict=True
-    ):
-        path.write_text(text, encoding="utf-8")
-    return list(paths)
+    folder.write("summary.csv", functools.partial(save_csv, [names, *cells]))
+    folder.write_text("config.json", json.dumps(config, indent=1, ensure_ascii=False) + "\n")
+    return ["summary.csv", "config.json"]
 
 
 def export(data, folder, kind: str) -> pathlib.Path:

@@ -9,6 +9,7 @@ import xarray
 
 from cnclik.errors import ArgumentError
 from cnclik.sweeps import export, summarize, summary
+from cnclik.writing import output_folder
 
 CASES = ["plain", "with, comma", 'with "quotes"', "two\nlines"]
 
@@ -52,8 +53,8 @@ def test_statistics_are_numpys_for_each_combination_of_names(data):
 
 
 def test_the_table_reads_back_whatever_the_names(data, tmp_path):
-    paths = summary.write(data, tmp_path)
-    assert [p.name for p in paths] == ["summary.csv", "config.json"]
+    with output_folder(tmp_path) as folder:
+        assert summary.write(data, folder) == ["summary.csv", "config.json"]
     with (tmp_path / "summary.csv").open(newline="") as file:
         read = list(csv.DictReader(file))
     assert list(read[0]) == ["case", "M", "metric", "units", "min", "q10", "median", "q90", "max", "mean", "finite"]

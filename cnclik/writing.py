@@ -1,0 +1,168 @@
+"""Files of results: nothing half-written looks whole, and what was computed is not lost where it can't be written."""
+
+import contextlib
+import errno
+import os
+import pathlib
+import shutil
+import tempfile
+import time
+
+from cnclik import errors
+
+_PARTIAL = ".partial-"
+_ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
+
+
+class Folder:
+    """A hidden folder to write into, whose files are moved to their place when all is well.
+
+    Where the disk does not take a file (full, over quota, gone) all files go to a folder for temporary files instead,
+    and the computation goes on; `finish` says so at the end.
+    """
+
+    def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str):
+        self.out, self.path, self.name, self.problem = out, hidden, name, None
+
+    def write(self, file: str, make) -> None:
+        """Write a file by make(path). Raises: ArgumentError where no folder for temporary files takes it either."""
+        try:
+            _write(self.path / file, make)
+        except Exception as error:
+            (self.path / file).unlink(missing_ok=True)
+            if not isinstance(error, OSError):
+                raise
+            self._elsewhere(error, lambda path: _write(path / file, make))
+
+    def write_text(self, file: str, text: str) -> None:
+        """Write a text. Raises: as `write`."""
+        self.write(file, lambda path: path.write_text(text, encoding="utf-8"))
+
+    def finish(self) -> None:
+        """Move all files to their place. Raises: ArgumentError that tells where they are, if they are not there."""
+        if not self.problem:
+            made = {p: self.out / p.relative_to(self.path) for p in sorted(self.path.rglob("*")) if p.is_file()}
+            try:
+                for target in made.values():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    if target.is_dir():
+                        raise IsADirectoryError(errno.EISDIR, f"{target.name} is a folder there")
+                for file, target in made.items():
+                    os.replace(file, target)
+            except OSError as error:
+                self._elsewhere(error)
+        if self.problem:
+            raise self._fail(f"{_reason(self.problem)}; what was computed is kept in {self.path}") from self.problem
+
+    def _elsewhere(self, problem, write=lambda path: None):
+        """Copy all files to the first folder for temporary files that has room, and write there from now on."""
+        for place in (tempfile.gettempdir(), pathlib.Path.home(), "/dev/shm"):
+            path = None
+            try:
+                path = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-", dir=place))
+                shutil.copytree(self.path, path, dirs_exist_ok=True)
+                write(path)
+            except OSError:
+                if path is not None:
+                    shutil.rmtree(path, ignore_errors=True)
+            else:
+                self.path, self.problem = path, self.problem or problem
+                return
+        raise self._fail(f"{_reason(problem)}, nor is there room anywhere else") from problem
+
+    def _fail(self, reason):
+        found = f"{str(self.out)[-80:]!r} does not: {reason}"
+        return errors.ArgumentError(f"Argument `{self.name}` must be a folder that takes all files, but {found}.")
+
+
+def _write(path, make):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    make(path)
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())  # some disks tell only now that they are full
+
+
+@contextlib.contextmanager
+def output_folder(path, *, name="out"):
+    """A `Folder` whose files are moved into `path` when the block ends well.
+
+    `path` is created if need be, and found unwritable before any work is done. On an error or an interrupt
+    the hidden folder is removed and what `path` held before is untouched.
+
+    Args:
+      path: where the results shall be.
+      name: what the user calls it, for the message.
+
+    Yields: the `Folder`, with `write(file, make)`.
+    Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into; and at the end where
+      it did not take all, naming the folder that the files are kept in.
+    """
+    path = pathlib.Path(path)
+    created, hidden = [], None
+    try:
+        created = [p for p in (path, *path.parents) if not p.exists()]
+        path.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(path)
+        hidden = pathlib.Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=path))
+        _write(hidden / "room", lambda file: file.write_bytes(bytes(_ROOM)))
+        (hidden / "room").unlink()
+    except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
+        _clear(hidden, created)
+        found = f"is {str(path)[-80:]!r} ({_reason(error)})"
+        raise errors.fail(name, "be a folder that can be written into", found) from None
+    try:
+        with _held(hidden):
+            folder = Folder(path, hidden, name)
+            yield folder
+            folder.finish()
+            created = []
+    finally:
+        _clear(hidden, created)
+
+
+def _clear(partial, created):
+    if partial is not None:
+        shutil.rmtree(partial, ignore_errors=True)
+    for folder in created:  # deepest first; only what is still empty goes
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def _reason(error) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+# --- what a killed process has left -------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _held(partial):
+    """The folder locked for as long as this process lives: so others know that it is not abandoned."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError, ImportError):
+            stack.callback(os.close, _lock(partial))
+        yield
+
+
+def _lock(folder):
+    """A descriptor that holds the folder's lock. Raises OSError where another process has it or there are no locks."""
+    import fcntl
+
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(opened)
+        raise
+    return opened
+
+
+def _remove_abandoned(path) -> None:
+    """Remove hidden folders of ours that no living process holds."""
+    for left in path.glob(f"{_PARTIAL}*"):
+        with contextlib.suppress(OSError, ImportError):
+            if time.time() - left.stat().st_mtime < 60:  # perhaps just made, and about to be locked
+                continue
+            opened = _lock(left)
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(opened)

@@ -1,0 +1,115 @@
+"""Output without a reader, room or letters; ends by signals: no traceback, and no results lost."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from cnclik.cli import main
+
+# A verb whose work writes a file after its first output.
+WORK = """
+import dataclasses, pathlib, sys, time, types
+import cnclik.cli as cli
+
+@dataclasses.dataclass
+class Args:
+    out: pathlib.Path
+
+def run(args):
+    from cnclik.writing import output_folder
+    with output_folder(args.out) as folder:
+        for _ in range(2000):
+            print("µ² → ∞ √2 α·Ts ☃ " + chr(0xDC80), flush=True)
+        print("begun", file=sys.stderr, flush=True)
+        time.sleep(SLEEP)
+        folder.write_text("one.txt", "1")
+
+sys.modules["cnclik.cli.bench"] = types.SimpleNamespace(Args=Args, run=run)
+cli.main(["bench", "--out", sys.argv[1]])
+"""
+
+
+def command(out, sleep=0, **options):
+    words = [sys.executable, "-c", WORK.replace("SLEEP", str(sleep)), str(out)]
+    return subprocess.Popen(words, text=True, errors="replace", **options)
+
+
+def ended(process):
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_a_full_disk_behind_the_output(tmp_path):
+    with open("/dev/full", "w") as full:
+        code, _, err = ended(command(tmp_path, stdout=full, stderr=subprocess.PIPE))
+    assert code == 1
+    assert err == "begun\ncnclik: The output could not be written (No space left on device); the work was done.\n"
+    assert (tmp_path / "one.txt").exists()
+    with open("/dev/full", "w") as full:
+        assert ended(command(tmp_path, stdout=subprocess.DEVNULL, stderr=full))[0] == 0
+
+
+def test_a_reader_that_leaves(tmp_path):
+    process = command(tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.readline()
+    process.stdout.close()
+    err = process.stderr.read()
+    assert (process.wait(), err) == (141, "begun\n") and (tmp_path / "one.txt").exists()
+
+
+@pytest.mark.parametrize("verb", [["--help"], ["--version"], ["robots", "--help"], ["solve", "--what"], []])
+@pytest.mark.parametrize("fate", ["full", "closed"])
+def test_answers_that_nobody_can_read(verb, fate):
+    if fate == "full" and not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    redirect = "> /dev/full" if fate == "full" else ">&-"
+    line = f'"{sys.executable}" -m cnclik {" ".join(verb)} {redirect}'
+    found = subprocess.run(line, shell=True, stderr=subprocess.PIPE, text=True)
+    assert found.stderr.count("\n") <= 1 and "Traceback" not in found.stderr
+    wanted = 2 if "--what" in verb else 1 if fate == "full" else 0
+    assert found.returncode == wanted
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
+def test_encodings_that_lack_our_letters(tmp_path, encoding):
+    env = os.environ | {"PYTHONIOENCODING": f"{encoding}:strict", "PYTHONUTF8": "0"}
+    words = [sys.executable, "-c", WORK.replace("SLEEP", "0"), str(tmp_path)]
+    found = subprocess.run(words, capture_output=True, env=env)
+    assert (found.returncode, found.stderr) == (0, b"begun\n")
+    first = found.stdout.decode(encoding).splitlines()[0]
+    if encoding == "ascii":
+        assert first == "u^2 -> inf sqrt 2 alpha*Ts ? ?"
+    assert "Ts" in first
+
+
+@pytest.mark.parametrize(("sent", "code", "says"), [(signal.SIGTERM, 143, "Terminated"), (signal.SIGINT, 130, "Inter")])
+def test_signals_leave_no_half_results(tmp_path, sent, code, says):
+    process = command(tmp_path, sleep=30, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr.readline() == "begun\n"
+    process.send_signal(sent)
+    found, _, err = ended(process)
+    assert found == code and err.startswith(f"cnclik: {says}") and err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_signal_is_as_before_afterwards(capsys):
+    before = signal.getsignal(signal.SIGTERM)
+    main(["--version"])
+    assert signal.getsignal(signal.SIGTERM) is before and capsys.readouterr().out.startswith("cnclik ")
+
+
+def test_platforms_that_are_not_there():
+    begun = time.perf_counter()
+    found = subprocess.run(
+        [sys.executable, "-m", "cnclik", "stability"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"JAX_PLATFORMS": "quantum"},
+    )
+    assert found.returncode == 2 and found.stderr.startswith("cnclik: Argument `JAX_PLATFORMS` must name a platform")
+    assert found.stderr.count("\n") == 1 and time.perf_counter() - begun < 60

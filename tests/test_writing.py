@@ -1,0 +1,196 @@
+"""Nothing half-written looks whole, and what was computed is not lost."""
+
+import errno
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+import pytest
+import xarray
+
+from cnclik import writing
+from cnclik.errors import ArgumentError
+from cnclik.measure.files import save_netcdf
+from cnclik.writing import output_folder
+
+
+def files(folder):
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
+
+
+def test_files_appear_at_the_end_only(tmp_path):
+    out = tmp_path / "a" / "b"
+    with output_folder(out) as folder:
+        folder.write_text("one.txt", "1")
+        folder.write_text("sub/two.txt", "2")
+        assert not (out / "one.txt").exists()
+    assert files(out) == ["one.txt", "sub", "sub/two.txt"]
+
+
+def test_replaces_its_own_files_and_keeps_others(tmp_path):
+    (tmp_path / "one.txt").write_text("old")
+    (tmp_path / "other.txt").write_text("kept")
+    with output_folder(tmp_path) as folder:
+        folder.write_text("one.txt", "new")
+    assert (tmp_path / "one.txt").read_text() == "new" and (tmp_path / "other.txt").read_text() == "kept"
+    assert files(tmp_path) == ["one.txt", "other.txt"]
+
+
+@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_failure_leaves_what_was(tmp_path, problem):
+    old = tmp_path / "old"
+    old.mkdir()
+    (old / "one.txt").write_text("old")
+    for out in (old, tmp_path / "new" / "deep"):
+        with pytest.raises(problem), output_folder(out) as folder:
+            folder.write_text("one.txt", "half")
+            raise problem
+    assert files(tmp_path) == ["old", "old/one.txt"] and (old / "one.txt").read_text() == "old"
+
+
+def test_a_file_in_the_way(tmp_path):
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        with (
+            pytest.raises(ArgumentError, match="Argument `out` must be a folder that can be written into"),
+            output_folder(out),
+        ):
+            pass
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(ArgumentError, match="Permission denied"), output_folder(tmp_path / "out"):
+        pass
+    tmp_path.chmod(0o700)
+
+
+def test_a_file_that_cannot_be_made_is_not_left_half(tmp_path):
+    def make(path):
+        path.write_text("half")
+        raise ValueError
+
+    with output_folder(tmp_path) as folder:
+        with pytest.raises(ValueError):
+            folder.write("one.txt", make)
+        folder.write_text("two.txt", "2")
+    assert files(tmp_path) == ["two.txt"]
+
+
+# --- full disks ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def spare(tmp_path, monkeypatch):
+    """A folder for temporary files of its own."""
+    place = tmp_path / "spare"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def full(path):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def kept_in(error):
+    return pathlib.Path(re.search(r"is kept in (\S+)\.$", str(error.value))[1])
+
+
+def test_a_disk_that_fills_up_costs_nothing(tmp_path, spare):
+    """What could be written before, what could not, and what came after are all kept in one other place."""
+    out, begun = tmp_path / "out", []
+
+    def once_full(path):
+        begun.append(path)
+        (full if len(begun) == 1 else lambda path: path.write_text("2"))(path)
+
+    with (
+        pytest.raises(ArgumentError, match=r"must be a folder that takes all files, but .*No space left") as error,
+        output_folder(out) as folder,
+    ):
+        folder.write_text("sub/one.txt", "1")
+        folder.write("two.txt", once_full)
+        folder.write_text("three.txt", "3")
+    kept = kept_in(error)
+    assert kept.parent == spare and files(kept) == ["sub", "sub/one.txt", "three.txt", "two.txt"]
+    assert [(kept / f).read_text() for f in ("sub/one.txt", "two.txt", "three.txt")] == ["1", "2", "3"]
+    assert not out.exists()
+
+
+def test_a_folder_in_the_place_of_a_file(tmp_path, spare):
+    (tmp_path / "out" / "one.txt" / "theirs").mkdir(parents=True)
+    with (
+        pytest.raises(ArgumentError, match=r"one\.txt is a folder there") as error,
+        output_folder(tmp_path / "out") as folder,
+    ):
+        folder.write_text("one.txt", "1")
+    assert (kept_in(error) / "one.txt").read_text() == "1"
+    assert files(tmp_path / "out") == ["one.txt", "one.txt/theirs"]
+
+
+def test_no_room_anywhere(tmp_path, spare):
+    with (
+        pytest.raises(ArgumentError, match="No space left on device, nor is there room anywhere else"),
+        output_folder(tmp_path / "out") as folder,
+    ):
+        folder.write("one.txt", full)
+    assert files(tmp_path) == ["spare"] and not list(pathlib.Path.home().glob("cnclik-*"))
+
+
+def test_no_room_is_known_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(writing, "_write", lambda path, make: full(path))
+    with pytest.raises(ArgumentError, match="No space left"), output_folder(tmp_path / "out"):
+        raise AssertionError
+    assert not files(tmp_path)
+
+
+def test_netcdf_never_opens_a_file_that_hdf5_could_crash_on(tmp_path):
+    """HDF5 ends the process where a disk is full; Python's own files raise."""
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        save_netcdf(xarray.Dataset({"a": ("x", np.arange(1e4))}), "/dev/full")
+
+
+# --- killed processes ---------------------------------------------------------------------------------
+
+WORK = """
+import sys, time
+from cnclik.writing import output_folder
+with output_folder(sys.argv[1]) as folder:
+    folder.write_text("one.txt", "1")
+    print("written", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_and_what_a_living_one_has_is_not(tmp_path):
+    first, second = (
+        subprocess.Popen([sys.executable, "-c", WORK, str(tmp_path)], stdout=subprocess.PIPE) for _ in range(2)
+    )
+    try:
+        for process in (first, second):
+            process.stdout.readline()
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+        left = list(tmp_path.iterdir())
+        assert len(left) == 2 and not (tmp_path / "one.txt").exists()
+        with output_folder(tmp_path):
+            pass
+        assert len(list(tmp_path.iterdir())) == 2  # too young to be sure
+        for folder in left:
+            os.utime(folder, (time.time() - 100,) * 2)
+        with output_folder(tmp_path):
+            pass
+        assert len(list(tmp_path.iterdir())) == 1
+    finally:
+        second.kill()
+        second.wait()
