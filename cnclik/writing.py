@@ -52,7 +52,7 @@ class Folder:
             except OSError as error:
                 self._elsewhere(error)
         if self.problem:
-            raise self._fail(f"{_reason(self.problem)}; what was computed is kept in {self.path}") from self.problem
+            raise self._fail(f"{_reason(self.problem)}; the files are kept in {self.path}") from self.problem
 
     def _elsewhere(self, problem, write=lambda path: None):
         """Copy all files to the first folder for temporary files that has room, and write there from now on."""

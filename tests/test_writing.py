@@ -101,7 +101,7 @@ def full(path):
 
 
 def kept_in(error):
-    return pathlib.Path(re.search(r"is kept in (\S+)\.$", str(error.value))[1])
+    return pathlib.Path(re.search(r"are kept in (\S+)\.$", str(error.value))[1])
 
 
 def test_a_disk_that_fills_up_costs_nothing(tmp_path, spare):

@@ -69,6 +69,21 @@ def _run(verb, *options) -> None:
         _leave(130, "Interrupted; what was complete is kept.")
     except terminal.Terminated:
         _leave(143, "Terminated; what was complete is kept.")
+    except Exception:
+        if _has_platform():
+            raise
+        named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
+        _leave(2, errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}"))
+
+
+def _has_platform() -> bool:
+    """Whether JAX finds what it is to run on, for which it looks when it first needs it."""
+    if "jax" in sys.modules:
+        try:
+            sys.modules["jax"].devices()
+        except Exception:  # of several kinds
+            return False
+    return True
 
 
 def _leave(code, message) -> None:
@@ -107,16 +122,6 @@ def _prepare(cache: bool) -> None:
         use_cache()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
-    try:
-        jax.devices()
-    except RuntimeError as error:
-        from cnclik.errors import fail
-
-        raise fail("JAX_PLATFORMS", "name a platform that is there", f"is {_platforms()}: {error}") from None
-
-
-def _platforms():
-    return repr(os.environ.get("JAX_PLATFORMS") or "not set")
 
 
 def _overview() -> str:

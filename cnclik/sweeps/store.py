@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import json
 import pathlib
+import re
 import shutil
 import tempfile
 import zlib
@@ -88,6 +89,13 @@ class Store:
                     del damaged[name]
         return list(damaged)
 
+    def foreign(self):
+        """The first file in the store that is no part of it, or None."""
+        array = "|".join(map(re.escape, (*self.names, *self._checked, "progress/checksum")))
+        own = re.compile(rf"((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?")
+        files = (p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if not p.is_dir())
+        return next((name for name in files if not own.fullmatch(name)), None)
+
     def repair(self, spec: Spec) -> None:
         """Write damaged coordinates anew: they follow from the spec."""
         damaged = self.damaged_coordinates()
@@ -157,6 +165,9 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         return None
     store = Store(folder)
     if fresh:
+        foreign = store.foreign()
+        if foreign is not None:
+            raise errors.fail("out", f"hold nothing but the sweep's own files in {DATA}", f"there is {foreign[:80]!r}")
         with _disk(folder):
             path.rename(folder / _OLD)  # at once: no reader meets half a store
             shutil.rmtree(folder / _OLD)

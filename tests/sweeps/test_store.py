@@ -153,6 +153,17 @@ def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
         store.run(spec.read(path), tmp_path, fresh=True)
     shutil.rmtree(tmp_path / "data.zarr")
     shutil.copytree(undisturbed / "data.zarr", tmp_path / "data.zarr")
+    for mine in ("mine", "alpha/mine", "c/0"):
+        file = tmp_path / "data.zarr" / mine
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("precious")
+        with pytest.raises(
+            ArgumentError, match=f"nothing but the sweep's own files in data.zarr, but there is '{mine}'"
+        ):
+            store.prepare(spec.read(path), tmp_path, fresh=True)
+        assert file.read_text() == "precious"
+        file.unlink()
+    (tmp_path / "data.zarr/alpha/c/0.0a1b.partial").write_text("of a write that was cut off")
     assert store.prepare(spec.read(path), tmp_path, fresh=True) is None
     assert [(tmp_path / name / "mine").exists() for name in names] == [False, True, True]
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
