@@ -22,10 +22,12 @@ class Status(enum.IntFlag):
     GROWING = 32  # the error grew by more than its target moved, see `growing`; `step` can't tell
     TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
     RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
+    DIVERGED = 256  # joint values beyond any meaning, see `far`, though still finite
 
 
 _REMEDY = {
     Status.NON_FINITE: "reduce alpha·Ts, use damped(...), or clamp the error (error_clamp)",
+    Status.DIVERGED: "reduce alpha·Ts, use damped(...) near a singularity, or count joint angles from a turn nearby",
     Status.TASK_TOO_LARGE: "control fewer coordinates, such as position()",
     Status.GROWING: "reduce alpha·Ts, use damped(...) near a singularity, or clamp the error (error_clamp)",
     Status.NOT_CONVERGED: "reduce alpha·Ts, raise M, or use a method that needs no implicit stage",
@@ -73,9 +75,12 @@ def require_ok(trajectory, *, allow=Status.OK):
 def flags(law, q, qdot, e, residual, tolerance, first):
     """Status bits of one step in component form; `first` is the law's evaluation at its start."""
     chain = law.chain
-    finite = jnp.isfinite(sp.total(q) + sp.total(e))
+    size = sp.total(sp.each(jnp.abs, q))
+    finite = jnp.isfinite(size + sp.total(e))
     status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
-    status |= jnp.where(first.least < law.near_singular, int(Status.NEAR_SINGULAR), 0)
+    status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
+    # A singular value that is not a number is not known to be large enough.
+    status |= jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
     rounding = 64 * jnp.finfo(residual.dtype).eps
     outside, fast = first.held, False
     if not unlimited(chain.lower, chain.upper):
@@ -88,6 +93,11 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     if law.task.m > chain.n:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
+
+
+def far(dtype) -> float:
+    """Σ|q_i| [rad, m] from which on joint values mean nothing: 1e6, or where a float's spacing is 0.002 (float32)."""
+    return min(1e6, 2.0**-9 / float(jnp.finfo(dtype).eps))
 
 
 GROWTH = 1.01  # an error that is larger than this times the one before has grown

@@ -106,7 +106,7 @@ def test_the_signal_is_as_before_afterwards(capsys):
 
 @pytest.mark.parametrize("name", ["quantum", "cuda"])
 def test_platforms_that_are_not_there(name):
-    if name in {d.platform for d in jax.devices()}:
+    if name == "cuda" and jax.default_backend() != "cpu":
         pytest.skip("it is there")
     begun = time.perf_counter()
     found = subprocess.run(
