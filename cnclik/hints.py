@@ -20,7 +20,7 @@ from cnclik.record import combine, partition
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
 _form = jax.make_user_context(default_value=None)
-KEPT_PROGRAMS = 512  # compiled or traced programs that a cache of this library keeps; the least recently used one goes
+KEPT_PROGRAMS = 128  # compiled or traced programs that a cache of this library keeps; the least recently used one goes
 
 
 def use_hints(on: bool):
@@ -156,6 +156,27 @@ def _same(x):
     return x
 
 
+def bounded_jit(fn=None, **options):
+    """`jax.jit` that forgets its programs when there are more than KEPT_PROGRAMS. Decorator, with jit's arguments.
+
+    Numbers of steps, literals and lambdas are parts of a program: a process that meets new ones all day would keep
+    them all, at some 5 MiB each.
+    """
+    if fn is None:
+        return functools.partial(bounded_jit, **options)
+    jitted = jax.jit(fn, **options)
+
+    @functools.wraps(fn)
+    def call(*args, **kwargs):
+        made = jitted(*args, **kwargs)
+        if jitted._cache_size() > KEPT_PROGRAMS:
+            jitted.clear_cache()
+        return made
+
+    call._cache_size = jitted._cache_size
+    return call
+
+
 def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
     """`jax.jit` for programs whose compile time is most of what a user waits for. Decorator, with jit's arguments.
 
@@ -167,12 +188,12 @@ def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
 
     @functools.lru_cache(maxsize=8)  # one with hints, one without, per backend
     def compiled(switch, backend):
-        return jax.jit(fn, compiler_options=known_options(compiler) or None, **options)
+        return bounded_jit(fn, compiler_options=known_options(compiler) or None, **options)
 
     def now():
         return compiled(switched_on(), jax.default_backend())
 
-    plain = jax.jit(fn, **options)
+    plain = bounded_jit(fn, **options)
 
     @functools.wraps(fn)
     def call(*args, **kwargs):

@@ -135,3 +135,29 @@ def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
         recent.get(0)  # in use all the time: it stays
     assert list(recent) == [3, 4, 0] and recent.get(2) is None
     assert recent.get(3) == "3" and list(recent) == [4, 0, 3]
+
+
+@pytest.mark.parametrize("jit", [hints.bounded_jit, hints.quick_jit])
+def test_programs_of_a_function_are_few_and_right(jit, monkeypatch):
+    """As in a process that meets new numbers of steps, literals and lambdas all day."""
+    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 3)
+    sizes = []
+
+    @jit(static_argnames="power")
+    def raised(x, *, power):
+        return x**power
+
+    for k in (*range(1, 9), 8, 8, 1):
+        assert raised(2.0, power=k) == 2.0**k
+        sizes.append(raised._cache_size())
+    assert sizes[:10] == [1, 2, 3, 0, 1, 2, 3, 0, 1, 1]  # the fourth makes room, and what is asked for again is there
+
+
+def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
+    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 4)
+    law = ck.Law(ck.planar_arm([0.5]), ck.position("x"), alpha=1.0)
+    from cnclik.integrate import solve as solving
+
+    for N in range(1, 8):
+        assert len(ck.solve(law, ck.hold([0.1]), [0.3], 0.1, N, "EE").status) == N
+        assert solving._solve_soon._cache_size() + solving._solve._cache_size() <= 8

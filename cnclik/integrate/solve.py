@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import alone, few_lanes, keeps_history, one_function, quick_jit
+from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance
 from cnclik.integrate.history import History
@@ -220,7 +220,7 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
     return run(law, reference, start, Ts, t0, stage)
 
 
-_solve = jax.jit(_run, static_argnames=("N", "method"))
+_solve = bounded_jit(_run, static_argnames=("N", "method"))
 _solve_soon = quick_jit(_run, static_argnames=("N", "method"))
 
 
@@ -245,5 +245,5 @@ def _one_step(law, reference, q, t, Ts, stage, history, *, method):
     return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")})
 
 
-_step = jax.jit(_one_step, static_argnames=("method",))
+_step = bounded_jit(_one_step, static_argnames=("method",))
 _step_soon = quick_jit(_one_step, static_argnames=("method",))

@@ -14,6 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.hints import bounded_jit
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, rows, vector
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
@@ -367,19 +368,19 @@ def rotation_matrix(name, value):
 # Compiled as wholes: one by one, their many small operations would each be compiled on first use.
 
 
-@jax.jit
+@bounded_jit
 def _from_quaternion(q):
     rows = sp.rotation_from_quaternion(vector(q / jnp.linalg.norm(q)))
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
-@jax.jit
+@bounded_jit
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
     return jnp.stack(sp.log_so3(rows(last @ first.T)))
 
 
-@jax.jit
+@bounded_jit
 def _quaternions(rotations):
     """Unit quaternions (K, 4) of rotations, each with the sign nearer to the one before."""
     if rotations.shape[1:] == (4,):

@@ -6,6 +6,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.hints import bounded_jit
 from cnclik.record import cast, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
@@ -33,7 +34,7 @@ def _computed(fn):
     Rolled in NumPy, which compiles nothing, where all are numbers; else one program, in either form.
     """
 
-    @jax.jit
+    @bounded_jit
     def program(chain, q):
         return [sp.packed(v, q.dtype) for v in fn(*in_form(cast(chain, q.dtype), q))]
 

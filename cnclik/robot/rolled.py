@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import form, in_a_kernel, quick_jit, use_form, use_hints
+from cnclik.hints import bounded_jit, form, in_a_kernel, quick_jit, use_form, use_hints
 from cnclik.record import kept, mapped, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
@@ -92,7 +92,7 @@ def one_off(fn=None, *, as_given=False, **options):
     """
     if fn is None:
         return functools.partial(one_off, as_given=as_given, **options)
-    jitted, quick = jax.jit(fn, **options), quick_jit(fn, **options)
+    jitted, quick = bounded_jit(fn, **options), quick_jit(fn, **options)
 
     @functools.wraps(fn)
     def call(*args, **named):

@@ -7,7 +7,6 @@ R(z) = e^{−z}, of all of them. A multistep method has a factor for each instan
 λᵖ = Σⱼ (aⱼ − z bⱼ) λᵖ⁻¹⁻ʲ; what counts is the largest. Everything here runs in float64 by itself.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import bounded_jit
 from cnclik.integrate.march import march
 from cnclik.integrate.method import named
 from cnclik.integrate.stage import picard
@@ -62,7 +62,7 @@ def _held(w, Ts, q):
     return lambda c, q: slope
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
+@bounded_jit(static_argnames=("method",))
 def _amplification(method, stage, a, b):
     def one(a, b):
         start, Ts = (jnp.ones_like(a), jnp.zeros_like(a)), jnp.ones_like(a)

@@ -113,7 +113,7 @@ class Spec:
         p = problem_from(**{name: value for name, value in v.items() if name not in options.MEASURED})
         return p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage
 
-    def measured(self, law, N, **values) -> dict:
+    def measured(self, law, N, /, **values) -> dict:
         """How the error of one loop of `build` is measured: `delay` and `noise` (N, m); {} where it is the true one."""
         v = self.values(**values)
         delay, noise = errors.integer("delay", v["delay"], at_least=0), v.get("noise")
