@@ -98,32 +98,24 @@ def output_folder(path, *, name="out"):
       it did not take all, naming the folder that the files are kept in.
     """
     path = pathlib.Path(path)
-    created, hidden = [], None
-    try:
-        created = [p for p in (path, *path.parents) if not p.exists()]
-        path.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(path)
-        hidden = pathlib.Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=path))
-        _write(hidden / "room", lambda file: file.write_bytes(bytes(_ROOM)))
-        (hidden / "room").unlink()
-    except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
-        _clear(hidden, created)
-        found = f"is {str(path)[-80:]!r} ({_reason(error)})"
-        raise errors.fail(name, "be a folder that can be written into", found) from None
-    try:
-        with _held(hidden):
-            folder = Folder(path, hidden, name)
-            yield folder
-            folder.finish()
-            created = []
-    finally:
-        _clear(hidden, created)
+    with contextlib.ExitStack() as stack:
+        try:
+            created = [p for p in (path, *path.parents) if not p.exists()]
+            stack.callback(_remove_empty, created)
+            path.mkdir(parents=True, exist_ok=True)
+            hidden = stack.enter_context(hidden_folder(path))
+            _write(hidden / "room", lambda file: file.write_bytes(bytes(_ROOM)))
+            (hidden / "room").unlink()
+        except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
+            found = f"is {str(path)[-80:]!r} ({_reason(error)})"
+            raise errors.fail(name, "be a folder that can be written into", found) from None
+        folder = Folder(path, hidden, name)
+        yield folder
+        folder.finish()
 
 
-def _clear(partial, created):
-    if partial is not None:
-        shutil.rmtree(partial, ignore_errors=True)
-    for folder in created:  # deepest first; only what is still empty goes
+def _remove_empty(folders):
+    for folder in folders:  # deepest first; what holds something stays
         with contextlib.suppress(OSError):
             folder.rmdir()
 
@@ -132,16 +124,31 @@ def _reason(error) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
-# --- what a killed process has left -------------------------------------------------------------------
+# --- hidden folders -----------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
-def _held(partial):
-    """The folder locked for as long as this process lives: so others know that it is not abandoned."""
-    with contextlib.ExitStack() as stack:
+def hidden_folder(path: pathlib.Path):
+    """A new hidden folder inside `path`, to make something in that is moved out when it is whole; removed at the end.
+
+    It is locked for as long as this process lives, and those that killed processes have left are removed first.
+    """
+    for left in path.glob(f"{_PARTIAL}*"):
         with contextlib.suppress(OSError, ImportError):
-            stack.callback(os.close, _lock(partial))
-        yield
+            if abs(time.time() - left.stat().st_mtime) > 60:  # else perhaps just made, and about to be locked
+                opened = _lock(left)
+                shutil.rmtree(left, ignore_errors=True)
+                os.close(opened)
+    hidden = pathlib.Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=path))
+    opened = None
+    try:
+        with contextlib.suppress(OSError, ImportError):
+            opened = _lock(hidden)
+        yield hidden
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
+        if opened is not None:
+            os.close(opened)
 
 
 def _lock(folder):
@@ -155,14 +162,3 @@ def _lock(folder):
         os.close(opened)
         raise
     return opened
-
-
-def _remove_abandoned(path) -> None:
-    """Remove hidden folders of ours that no living process holds."""
-    for left in path.glob(f"{_PARTIAL}*"):
-        with contextlib.suppress(OSError, ImportError):
-            if time.time() - left.stat().st_mtime < 60:  # perhaps just made, and about to be locked
-                continue
-            opened = _lock(left)
-            shutil.rmtree(left, ignore_errors=True)
-            os.close(opened)

@@ -1,7 +1,8 @@
 """`python -m tests.soak`: half an hour of all calls in one process, with new robots all the time: is memory flat?
 
 Every round has a robot, a path and functions that nobody has asked for before, as literals where that is how users
-write them. What a process holds (resident memory, and memory that is not shared) is looked at after each round.
+write them. What the process holds is looked at after each round. So that half an hour shows what a day does, caches of
+programs hold 16 in place of 128.
 
     python -m tests.soak                      # 30 minutes
     python -m tests.soak --minutes 3
@@ -23,6 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
+from cnclik import hints
 from cnclik.cli import main as cnclik
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
@@ -109,7 +111,9 @@ def main():
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", help="names of calls, such as lanes")
+    parser.add_argument("--kept", type=int, default=16, help="programs that a cache keeps")
     args = parser.parse_args()
+    hints.KEPT_PROGRAMS = args.kept
     rng, begun, held, calls, spent = np.random.default_rng(args.seed), time.time(), [], {}, {}
     with tempfile.TemporaryDirectory() as name, bar("minutes") as report:
         folder, out = pathlib.Path(name), sys.stdout

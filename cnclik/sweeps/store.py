@@ -12,8 +12,8 @@ import dataclasses
 import json
 import pathlib
 import re
-import shutil
 import tempfile
+import time
 import zlib
 
 import numpy as np
@@ -23,10 +23,9 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
+from cnclik.writing import hidden_folder
 
 DATA = "data.zarr"
-# While a store is made, and while one is deleted: names that nothing else has, so what bears them may be removed.
-_NEW, _OLD = ".cnclik-new-data.zarr", ".cnclik-old-data.zarr"
 _NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
 
 
@@ -120,18 +119,26 @@ def _coordinate_checksum(values) -> int:
 
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
-    """Make the empty store. It appears under its name only when it is whole."""
+    """Make the empty store. It appears under its name only when it is whole; one that another made meanwhile stays."""
+    with hidden_folder(folder) as hidden:
+        _build(hidden / DATA, spec, of, outputs)
+        try:
+            (hidden / DATA).rename(folder / DATA)
+        except OSError:
+            if not (folder / DATA).exists():
+                raise
+
+
+def _build(path, spec, of, outputs):
     import xarray
     import zarr
 
-    building = folder / _NEW
-    shutil.rmtree(building, ignore_errors=True)
     coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
     checksums = {name: _coordinate_checksum(v) for name, (_, v, _) in coords.items()}
     attrs = environment() | attributes(spec, of, outputs, coordinates=checksums)
     with _quiet():
-        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(building, zarr_format=3, consolidated=False)
-        group = zarr.open_group(building, mode="r+")
+        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(path, zarr_format=3, consolidated=False)
+        group = zarr.open_group(path, mode="r+")
         dims = tuple(a.name for a in of.axes)
         for o in outputs:
             group.create_array(
@@ -145,8 +152,7 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
             )
         checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
         group.create_group("progress").create_array("checksum", **checksums, dimension_names=("block",))
-        zarr.consolidate_metadata(building)
-    building.rename(folder / DATA)
+        zarr.consolidate_metadata(path)
 
 
 def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
@@ -160,7 +166,6 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass  # it can be written
-        shutil.rmtree(folder / _OLD, ignore_errors=True)
     if not path.exists():
         return None
     store = Store(folder)
@@ -168,9 +173,8 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         foreign = store.foreign()
         if foreign is not None:
             raise errors.fail("out", f"hold nothing but the sweep's own files in {DATA}", f"there is {foreign[:80]!r}")
-        with _disk(folder):
-            path.rename(folder / _OLD)  # at once: no reader meets half a store
-            shutil.rmtree(folder / _OLD)
+        with _disk(folder), hidden_folder(folder) as hidden:
+            path.rename(hidden / DATA)  # at once: no reader meets half a store
         return None
     found = {k: store.config[k] for k in ("data", "environment")}
     where = _difference(found, fingerprint(spec))
@@ -179,7 +183,9 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         raise errors.fail("out", words, f"differs in {where}")
     with _disk(folder):
         for left in path.rglob("*.partial"):  # of a write that was cut off
-            left.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                if abs(time.time() - left.stat().st_mtime) > 60:  # else perhaps another process is at it
+                    left.unlink()
         store.repair(spec)
     return store
 
@@ -226,7 +232,8 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, p
                 of, first = program.fit(spec.study, of)
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
-                store = Store(folder)
+                store = prepare(spec, folder)  # ours, or that of another process that was quicker
+                first = first if store.lanes == of.lanes else None
     with _together(meet, last=True):
         store = store or prepare(spec, folder)
         if store is None:

@@ -169,6 +169,27 @@ def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
 
 
+def test_several_writers_of_one_store_end_with_the_same_bytes(path, undisturbed, tmp_path):
+    """Nobody told them of each other: each makes the store or finds it, and writes what is missing."""
+    line = [sys.executable, "-m", "cnclik", "sweep", str(path), "--out", str(tmp_path / "out"), "--no-figures"]
+    writers = [subprocess.Popen(line, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    ended = [(*w.communicate(timeout=300), w.returncode) for w in writers]
+    assert all(code == 0 for *_, code in ended), ended
+    assert_same(tmp_path / "out", undisturbed)
+    assert not [p for p in (tmp_path / "out").rglob("*") if p.name.startswith(".") or "partial" in p.name]
+
+
+def test_a_store_that_another_made_meanwhile_stays(path, undisturbed, tmp_path):
+    s = spec.read(path)
+    shutil.copytree(undisturbed / "data.zarr", tmp_path / "data.zarr")
+    from cnclik.sweeps import program
+
+    of, first = program.fit(s.study, s.grid())
+    store.create(tmp_path, s, of, first.outputs)
+    assert_same(tmp_path, undisturbed) if not store.blocks_missing(tmp_path) else pytest.fail("made anew")
+    assert [p.name for p in tmp_path.iterdir()] == ["data.zarr"]
+
+
 @pytest.mark.parametrize("name", ["alpha", "method", "Ts", "limit"])
 @pytest.mark.parametrize("damage", ["empty", "gone"])
 def test_damaged_coordinates_are_named_by_a_reader_and_repaired_by_a_rerun(path, undisturbed, tmp_path, name, damage):
