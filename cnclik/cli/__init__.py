@@ -34,8 +34,9 @@ def main(argv=None) -> None:
     What is wrong is one line on stderr; the exit code is 2 for arguments that can't be used, 1 for figures or output
     that could not be written, 130 after an interrupt, 143 after SIGTERM.
     """
-    argv = list(sys.argv[1:] if argv is None else argv)
-    with terminal.guarded():
+    process = argv is None
+    argv = list(sys.argv[1:] if process else argv)
+    with terminal.guarded(process):
         if argv[:1] in (["-V"], ["--version"]):
             print(f"cnclik {__version__}")
         elif not argv or argv[0] in ("-h", "--help"):

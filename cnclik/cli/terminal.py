@@ -1,10 +1,13 @@
 """A command's output: what can't be printed, for want of a reader, room or letters, costs no results."""
 
+import _thread
 import contextlib
+import faulthandler
 import io
 import os
 import signal
 import sys
+import threading
 import unicodedata
 
 # Letters of ours that an encoding may lack.
@@ -38,6 +41,10 @@ _PLAIN = str.maketrans(
 
 class Terminated(BaseException):
     """SIGTERM, so that what must be cleaned up is."""
+
+
+_STOPS = {signal.SIGTERM: Terminated, signal.SIGINT: KeyboardInterrupt}
+_PATIENCE = 30.0  # [s] that cleaning up may take after a signal
 
 
 class _Stream:
@@ -74,18 +81,22 @@ def _in_letters_of(encoding, text):
 
 
 @contextlib.contextmanager
-def guarded():
-    """Context manager: a command's output, and an end by SIGTERM, in order.
+def guarded(process: bool):
+    """Context manager: a command's output, and its end by a signal, in order.
 
     A command goes on without output, to the end of its work. Then it leaves with exit code 141 where the reader, such
     as `head`, has left, as a shell has it, and otherwise with one line on stderr and exit code 1.
+
+    Args:
+      process: whether the command is all this process is for. Then it doesn't wait, when it leaves early, for threads
+        that are still loading or compiling something; Python would, and may crash or hang on them.
     """
     own = sys.stdout, sys.stderr
     out, err = (_Stream(stream or io.StringIO()) for stream in own)  # none: it was closed from the beginning
     sys.stdout, sys.stderr = out, err
     leaving = None
     try:
-        with _terminable():
+        with _stoppable(process):
             yield
     except SystemExit as ended:
         leaving = ended
@@ -98,6 +109,8 @@ def guarded():
                 with contextlib.suppress(OSError, ValueError):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     if leaving is not None and (leaving.code or out.problem is None):
+        if process and leaving.code and threading.active_count() > 1:
+            os._exit(leaving.code)
         raise leaving
     if isinstance(out.problem, BrokenPipeError):
         sys.exit(141)
@@ -108,18 +121,39 @@ def guarded():
 
 
 @contextlib.contextmanager
-def _terminable():
-    """SIGTERM as an exception, where this is the main thread."""
+def _stoppable(process):
+    """SIGTERM and SIGINT as exceptions, where this is the main thread; and neither gets lost.
 
-    def end(*_):
-        raise Terminated
+    What is raised while compiled code calls Python back, such as JAX when memory is collected, is dropped with a
+    remark: then the signal is sent once more. And where compiled code that was interrupted blocks all threads, as
+    LAPACK's first use in JAX does, the process ends after all.
+    """
 
-    try:
-        before = signal.signal(signal.SIGTERM, end)
-    except ValueError:  # signals are for the main thread
+    def end(sent, _):
+        if process:
+            faulthandler.dump_traceback_later(_PATIENCE, exit=True, file=nowhere)
+        raise _STOPS[sent]
+
+    def dropped(unraisable):
+        for sent, kind in _STOPS.items():
+            if isinstance(unraisable.exc_value, kind):
+                threading.Timer(0.05, _thread.interrupt_main, [sent]).start()
+                return
+        hook(unraisable)
+
+    if threading.current_thread() is not threading.main_thread():  # signals are for the main thread
         yield
         return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    hook = sys.unraisablehook
+    before = {sent: signal.signal(sent, end) for sent in _STOPS}
+    sys.unraisablehook = dropped
+    with open(os.devnull, "w") as nowhere:
+        try:
+            yield
+        finally:
+            if process:
+                faulthandler.cancel_dump_traceback_later()
+            sys.unraisablehook = hook
+            leaving = process and sys.exc_info()[0] is not None  # once is enough
+            for sent, handler in before.items():
+                signal.signal(sent, signal.SIG_IGN if leaving else handler)
