@@ -1,0 +1,20 @@
+"""A share of the inputs of `python -m tests.fuzz`, the same in every run."""
+
+import pytest
+
+from tests.fuzz.judge import judge, repeat
+from tests.fuzz.rooms import ROOMS
+
+COUNTS = {"urdf": 1000, "toml": 200, "tables": 600, "expressions": 1500, "arguments": 150, "stores": 25}
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_no_input_does_harm(name, tmp_path):
+    wrong = []
+    for number in range(COUNTS[name]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        verdict = judge(ROOMS[name], number, folder)
+        if verdict.outcome == "failed":
+            wrong.append(f"{repeat(verdict)}\n{verdict.why}")
+    assert not wrong, "\n".join(wrong)
