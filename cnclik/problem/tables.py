@@ -54,7 +54,7 @@ def read_targets(file, task) -> np.ndarray:
         try:
             found = np.load(data, allow_pickle=False)
             found = found["targets"] if ending == ".npz" else found
-        except (OSError, ValueError, KeyError) as error:
+        except Exception as error:  # whatever NumPy, zipfile and zlib make of damage
             reason = getattr(error, "strerror", None) or "holds no array `targets`" * (ending == ".npz") or "is damaged"
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
     if found.size == 0:

@@ -94,10 +94,11 @@ def _rotation(value, task):
         _check_rotation("targets", value)
         return value
     xp = _library(value)
-    norm = xp.linalg.norm(value, axis=-1, keepdims=True)
-    if errors.concrete(value) and (np.asarray(norm) == 0).any():
+    largest = xp.max(xp.abs(value), axis=-1, keepdims=True)  # a norm of huge or tiny numbers would be inf or 0
+    if errors.concrete(value) and (np.asarray(largest) == 0).any():
         raise errors.fail("targets", "hold quaternions other than 0", "holds one")
-    rows = sp.rotation_from_quaternion(xp.moveaxis(value / norm, -1, 0))
+    value = xp.where(xp.isfinite(largest), value, xp.nan) / xp.where(xp.isfinite(largest), largest, 1.0)
+    rows = sp.rotation_from_quaternion(xp.moveaxis(value / xp.linalg.norm(value, axis=-1, keepdims=True), -1, 0))
     return xp.moveaxis(xp.stack([xp.stack(row) for row in rows]), (0, 1), (-2, -1))
 
 

@@ -14,6 +14,9 @@ from cnclik.record import record
 from cnclik.robot import spatial as sp
 
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
+MOST = (
+    1e12  # of a length or angle [m, rad]: squares and products of larger ones leave the range of float32, then float64
+)
 
 
 @record
@@ -259,6 +262,8 @@ def _scalars(name, values, size=None) -> tuple:
         raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(out)},)")
     for i, value in enumerate(out):
         errors.number(f"{name}[{i}]", value)
+        if sp.is_number(value) and abs(value) > MOST:
+            raise errors.fail(f"{name}[{i}]", f"be within ±{MOST:g}", f"is {value:g}")
     return out
 
 

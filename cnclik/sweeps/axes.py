@@ -21,7 +21,8 @@ def read(name, value, joints=0) -> Axis:
       joints: of the widest robot: how many numbers a sample per joint has.
     """
     where = f"axes.{name}"
-    values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
+    with np.errstate(all="ignore"):  # between ends that are huge there are numbers that aren't finite: `axis` tells
+        values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
     if name in NAMES:
         if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
             raise errors.fail(where, "be a list of names", f"is {values!r}")

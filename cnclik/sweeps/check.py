@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import math
 import operator
 import pathlib
 
@@ -14,10 +15,11 @@ from cnclik.measure import metrics
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
-from cnclik.sweeps.grid import COMPILED_IN, Axis
+from cnclik.sweeps.grid import COMPILED_IN, MOST_AXES, MOST_PROGRAMS, Axis, few_enough
 from cnclik.sweeps.spec import DEFAULTS, KEYS, LIMIT, OPTIONS, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
+STEPS = 30  # values that follow one from another
 RESERVED = (LIMIT, "progress")  # what else stands in a store beside the axes
 FIGURES = {
     "heat": ("value", "x", "y", "boundary", "contours"),
@@ -81,6 +83,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         folder=pathlib.Path(folder),
     )
     spec = dataclasses.replace(spec, axes=_compiled_in(spec))
+    spec.shape()  # not too many programs, before each of them is tried
     _check_loops(spec)
     return dataclasses.replace(spec, figures=_figures(written.get("figure", []), spec))
 
@@ -112,6 +115,9 @@ def _bundles(written) -> dict:
         found[name] = {label: _table(labels, label, f"bundles.{name}.") for label in labels}
         if not labels:
             raise errors.fail(f"bundles.{name}", "hold tables", "is empty")
+    if math.prod(map(len, found.values())) > MOST_PROGRAMS or len(found) > MOST_AXES:
+        counts = " × ".join(f"{len(labels)} of {name}" for name, labels in found.items())
+        raise errors.fail("bundles", f"span at most {MOST_PROGRAMS:,} combinations", f"span {counts}")
     return found
 
 
@@ -177,13 +183,19 @@ def _given(fixed, bundles):
 
 
 def _check_cycles(known):
+    steps = {}  # from a name to the numbers that it follows from
+
     def walk(name, seen):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
-        value = ["M", "delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
-        if name not in NAMES and value is not None:
-            for need in expression.names(name, value):
-                walk(need, [*seen, name])
+        if name not in steps:
+            value = ["M", "delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
+            needs = set() if name in NAMES or value is None else expression.names(name, value)
+            if len(seen) < STEPS:
+                steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)
+        if steps.get(name, STEPS) >= STEPS:
+            raise errors.fail(name, f"follow from numbers in fewer than {STEPS} steps", "does not")
+        return steps[name]
 
     for name in known:
         walk(name, [])
@@ -219,6 +231,7 @@ def _compiled_in(spec: Spec) -> dict:
     out = dict(spec.axes)
     for name in wanted & out.keys():
         if out[name].inner:
+            few_enough(f"axes.{name}", out[name].values)
             if out[name].values.ndim != 1:
                 raise errors.fail(f"axes.{name}", "hold single numbers where N or delay depends on it", "holds vectors")
             values = tuple(v.item() for v in out[name].values)

@@ -10,6 +10,7 @@ too: one that is damaged is written anew by a rerun, and refused by a reader.
 import contextlib
 import dataclasses
 import json
+import os
 import pathlib
 import shutil
 import tempfile
@@ -26,6 +27,7 @@ from cnclik.sweeps.spec import Spec
 DATA = "data.zarr"
 # While a store is made, and while one is deleted: names that nothing else has, so what bears them may be removed.
 _NEW, _OLD = ".cnclik-new-data.zarr", ".cnclik-old-data.zarr"
+_MARK = ".cnclik"  # in a store: checksum of its description
 _NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
 
 
@@ -37,6 +39,7 @@ class Store:
 
         self.folder, self.path = folder, folder / DATA
         try:
+            _check_metadata(self.path)
             self.group = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(self.group.attrs["config"])
             self.lanes, self.names, self._checked = (self.config[k] for k in ("lanes", "variables", "coordinates"))
@@ -53,6 +56,11 @@ class Store:
         """The blocks that are not done, or whose data no longer have their checksum."""
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
+
+    def damaged(self) -> int:
+        """How many blocks were done and no longer have their checksum, or can't be read."""
+        known, missing = self._known(), self.missing()
+        return sum(known[b.number] != _NOT_DONE or self._checksum(b) is None for b in missing)
 
     def _known(self):
         with contextlib.suppress(*_UNREADABLE):
@@ -99,6 +107,24 @@ class Store:
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chunk raises
 
 
+def _metadata_checksum(path) -> str:
+    """Of what describes all arrays of a store, and never changes."""
+    return str(zlib.crc32((path / "zarr.json").read_bytes()))
+
+
+def _check_metadata(path) -> None:
+    """Raise ValueError where the description of a store is not what was written."""
+    if (path / _MARK).is_file() and (path / _MARK).read_text(errors="replace") != _metadata_checksum(path):
+        raise ValueError("its description is damaged")
+
+
+def _codecs():
+    """How chunks are written: small, and with a checksum of their bytes, so that none is unpacked that is damaged."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return [ZstdCodec(level=0), Crc32cCodec()]
+
+
 def _storable(values):
     """Names as variable-length strings: zarr has no settled form for others."""
     return values.astype(object) if values.dtype.kind == "U" else values
@@ -122,7 +148,12 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
     checksums = {name: _coordinate_checksum(v) for name, (_, v, _) in coords.items()}
     attrs = environment() | attributes(spec, of, outputs, coordinates=checksums)
     with _quiet():
-        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(building, zarr_format=3, consolidated=False)
+        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(
+            building,
+            zarr_format=3,
+            consolidated=False,
+            encoding={name: {"compressors": _codecs()} for name in coords},
+        )
         group = zarr.open_group(building, mode="r+")
         dims = tuple(a.name for a in of.axes)
         for o in outputs:
@@ -134,10 +165,13 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
                 dimension_names=dims + o.dims,
                 attributes=o.about,
+                compressors=_codecs(),
             )
         checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
+        checksums["compressors"] = _codecs()
         group.create_group("progress").create_array("checksum", **checksums, dimension_names=("block",))
         zarr.consolidate_metadata(building)
+    (building / _MARK).write_text(_metadata_checksum(building))
     building.rename(folder / DATA)
 
 
@@ -153,7 +187,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         with tempfile.TemporaryFile(dir=folder):
             pass  # it can be written
         shutil.rmtree(folder / _OLD, ignore_errors=True)
-    if not path.exists():
+    if not os.path.exists(path):
         return None
     store = Store(folder)
     if fresh:
@@ -263,18 +297,23 @@ def _share(spec, of, missing, process, processes):
 def read(folder):
     """The sweep of a folder as an `xarray.Dataset`, loaded on use.
 
-    Raises: ArgumentError where there is none, or one whose coordinates are damaged.
+    Every block is held against its checksum first, which reads all of it once.
+
+    Raises: ArgumentError where there is none, or one whose coordinates or blocks are damaged.
     """
     import xarray
 
     folder = pathlib.Path(folder)
-    if not (folder / DATA).exists():
+    if not os.path.exists(folder / DATA):  # which no name is too long for
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
     store = Store(folder, name="folder", mode="r")
     damaged = store.damaged_coordinates()
     if damaged:
         words = "hold whole coordinates (the command that made the sweep repairs them)"
         raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
+    if wrong := store.damaged():
+        words = "hold blocks as they were written (the command that made the sweep computes damaged ones again)"
+        raise errors.fail("folder", words, f"{wrong} of {str(folder)!r} are not")
     with _quiet():
         data = xarray.open_zarr(folder / DATA, chunks=None)
     # In the spec's order. A selection would lose the vectors beside the numbers of an axis of samples.

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cnclik import errors
 from cnclik.sweeps import expression
 from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, slipped
 
@@ -55,10 +56,14 @@ def _long(rng):
     )  # fmt: skip
 
 
+def _known(name):
+    return KNOWN[errors.one_of("name", name, KNOWN)]  # as a spec, which knows every name before it looks one up
+
+
 def attempt(value, folder) -> None:
     """A number, or a vector of them; nothing else may come of it."""
     expression.names("alpha", value)
-    found = expression.evaluate("alpha", value, KNOWN.__getitem__)
+    found = expression.evaluate("alpha", value, _known)
     if isinstance(value, list):
         assert found.shape[0] == len(value) and found.dtype == float, repr(found)
     elif value != "method":

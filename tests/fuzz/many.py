@@ -50,4 +50,6 @@ def verdicts(counts: dict, seed: int, processes: int):
             try:
                 yield done.result()
             except concurrent.futures.process.BrokenProcessPool:
-                raise SystemExit(f"A process died of one of the inputs {waiting[done]}, or of those beside them.") from None
+                raise SystemExit(
+                    f"A process died of one of the inputs {waiting[done]}, or of those beside them."
+                ) from None

@@ -79,7 +79,7 @@ def attempt(made, folder) -> None:
         _damage(folder, *one)
     refused = []
     with _expected(refused):
-        _same(store.read(folder).load(), data)
+        _vouched_for(folder, data)
     with _expected(refused):
         assert 0 <= store.blocks_missing(folder) <= 8
     with _expected(refused), _without_computing(data, first):
@@ -114,6 +114,15 @@ def _without_computing(data, first):
 
     outputs = first.outputs
     return mock.patch.multiple(program, run_blocks=run_blocks, fit=lambda study, of: (of, first))
+
+
+def _vouched_for(folder, wanted):
+    """Of every block that is done a reader gets the very numbers."""
+    found = store.read(folder).load()
+    for block in store.Store(folder, name="folder", mode="r").missing():
+        for name in wanted.data_vars:
+            found[name].values[block.region] = wanted[name].values[block.region]
+    _same(found, wanted)
 
 
 def _same(found, wanted):

@@ -47,19 +47,21 @@ def draw(rng):
     return damaged(rng, data) if chance(rng, 0.1) else data, changes
 
 
-def _places(table):
-    """Every (table or list, key) inside."""
-    for key in table if isinstance(table, dict) else range(len(table)):
-        yield table, key
-        if isinstance(table[key], (dict, list)):
-            yield from _places(table[key])
+def _places(table) -> list:
+    """Every (table or list, key) inside, however deep."""
+    found, todo = [], [table]
+    while todo:
+        one = todo.pop()
+        found += [(one, key) for key in (one if isinstance(one, dict) else range(len(one)))]
+        todo += [v for v in (one.values() if isinstance(one, dict) else one) if isinstance(v, (dict, list))]
+    return found
 
 
 def _mutate(rng, written):
     if chance(rng, 0.02):
         _grow(rng, written)
         return
-    where, key = any_of(rng, [*_places(written)] or [(written, "fixed")])
+    where, key = any_of(rng, _places(written) or [(written, "fixed")])
     where.setdefault(key, {}) if isinstance(where, dict) else None
     match int(rng.integers(10)):
         case 0 | 1:
@@ -79,7 +81,7 @@ def _mutate(rng, written):
             if isinstance(room, dict):
                 room[any_of(rng, NAMES)] = _value(rng)
         case 8:
-            there, other = any_of(rng, [*_places(written)])
+            there, other = any_of(rng, _places(written))
             where[key] = copy.deepcopy(there[other])
         case _:
             written.setdefault("fixed", {})

@@ -1,6 +1,7 @@
 """URDF files: random trees that are valid, then mutated, from a wrong number to a byte that flipped."""
 
 import contextlib
+import copy
 import io
 import xml.etree.ElementTree as ET
 
@@ -85,9 +86,7 @@ def _mutate(rng, robot):
             parent = any_of(rng, parents)
             parent.remove(any_of(rng, [*parent]))
         case 7 if parents:
-            any_of(rng, parents).append(
-                any_of(rng, [e for e in robot.iter() if e is not robot] or [ET.Element("link")])
-            )
+            any_of(rng, parents).append(copy.deepcopy(any_of(rng, [*robot.iter()][1:] or [robot])))
         case 8:
             one.tag = any_of(
                 rng, ("link", "joint", "origin", "mimic", "limit", "robot", "xacro:macro", "gazebo", "a:b")

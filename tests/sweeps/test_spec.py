@@ -260,7 +260,7 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
         ({"fixed__q0": ["(-1)**0.5", 0]}, "the result is complex"),
         ({"fixed__q0": ["round((-8)**0.5)", 0]}, "the result is complex"),
-        ({"fixed__q0": ["method + 1", 0]}, "'method + 1' is not: can only concatenate str"),
+        ({"fixed__q0": ["method + 1", 0]}, "'method + 1' is not: method is a name, not a number"),
         ({"fixed__q0": [[0], [0, 0]]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__q0": None, "axes__q0": {"samples": 2, "low": [0, 0], "high": [1, 1, 1]}}, "must have low ≤ high"),
