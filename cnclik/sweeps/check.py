@@ -157,8 +157,10 @@ def _check_names(fixed, axes, bundles):
     shared = {name: set.intersection(*map(set, labels.values())) for name, labels in bundles.items()}
     everywhere = set(fixed) | set(axes) | set(DEFAULTS) | {LIMIT} | set().union(*shared.values())
     used = set()
-    for table in (fixed, *tables.values()):
+    for table in (fixed, axes, *tables.values()):
         for name, value in table.items():
+            if table is axes and not isinstance(value, list):
+                continue
             needs = set() if name in NAMES else expression.names(name, value)
             used |= needs
             for need in needs - everywhere - (set(table) if table is not fixed else set()):
@@ -172,8 +174,9 @@ def _check_names(fixed, axes, bundles):
         if name not in everywhere:
             lacking = next((where for where, table in tables.items() if name not in table), "fixed")
             raise errors.fail(lacking, f"give {name}", "does not (nor do [axes])")
+    written = {name: value for name, value in axes.items() if isinstance(value, list)}
     for known in _given(fixed, bundles):
-        _check_cycles(known)
+        _check_cycles(known | written)
 
 
 def _given(fixed, bundles):
