@@ -12,11 +12,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot import spatial as sp
+from cnclik.robot.tree import MOST
 
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
-MOST = (
-    1e12  # of a length or angle [m, rad]: squares and products of larger ones leave the range of float32, then float64
-)
 
 
 @record
