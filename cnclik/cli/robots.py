@@ -28,20 +28,20 @@ def run(args: Args) -> None:
     tips = dict.fromkeys(tree.tips())
     rows = [(tree.root in tips, tree.root, *[""] * 5)]
     rows += [(edge.child in tips, f"{lead}{edge.child}", *_joint(edge)) for edge, lead in _branches(tree)]
-    print(f"{tree.name}, base {tree.root}")
+    print(_plain(f"{tree.name}, base {tree.root}"))
     _show([(False, "link", "joint", "type", "lower", "upper", "velocity"), *rows])
     moving = sum(edge.type != "fixed" for edge in tree.edges)
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     links = "1 link" if len(tree.links) == 1 else f"{len(tree.links)} links"
     print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
-    print(f"Tips (leaf links that a joint moves): {', '.join(tips) or 'none'}.")
+    print(f"Tips (leaf links that a joint moves): {_plain(', '.join(tips)) or 'none'}.")
 
 
 def _show(rows) -> None:
     """Rows of (whether it is bold, texts) as columns; by hand, as a table of rich takes half a minute for thousands."""
     from rich.cells import cell_len
 
-    rows = [(bold, *(t if t.isprintable() else ascii(t)[1:-1] for t in texts)) for bold, *texts in rows]
+    rows = [(bold, *map(_plain, texts)) for bold, *texts in rows]
     widths = [[cell_len(text) for text in texts] for _, *texts in rows]
     most = [max(column) for column in zip(*widths, strict=True)]
     for (bold, *texts), width in zip(rows, widths, strict=True):
@@ -49,6 +49,11 @@ def _show(rows) -> None:
         cells = [t + g if k < 3 else g + t for k, (t, g) in enumerate(zip(texts, gaps, strict=True))]  # numbers right
         line = "  ".join(cells).rstrip()
         print(f"\x1b[1m{line}\x1b[0m" if bold and sys.stdout.isatty() else line)
+
+
+def _plain(text) -> str:
+    """Without what would move a terminal's cursor, or end a line."""
+    return text if text.isprintable() else ascii(text)[1:-1]
 
 
 def _branches(tree):

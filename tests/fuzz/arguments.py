@@ -81,24 +81,25 @@ class Reached(BaseException):
 def draw(rng):
     """(the command line, the URDF file beside it)."""
     verb = any_of(rng, tuple(VERBS))
-    argv = [verb]
+    argv, odd = [verb], any_of(rng, (0.0, 0.05, 0.3))
     hints = typing.get_type_hints(_args(verb), include_extras=True)
     fields = [f for f in dataclasses.fields(_args(verb)) if f.name not in LEFT_OUT]
     for field in fields:
         if _positional(hints[field.name]) and chance(rng, 0.95):
-            argv.append(_word(rng, field.name.rstrip("_"), hints[field.name]))
+            argv.append(_word(rng, field.name.rstrip("_"), hints[field.name], odd))
+    named = [f for f in fields if not _positional(hints[f.name]) or chance(rng, odd / 5)]
     for _ in range(int(rng.integers(5))):
-        field = any_of(rng, fields)
+        field = any_of(rng, named or fields)
         name = field.name.rstrip("_").replace("_", "-")
-        count = 1 if chance(rng, 0.8) else int(rng.integers(5))
-        values = [_word(rng, field.name.rstrip("_"), hints[field.name]) for _ in range(count)]
-        if bool in _inner(hints[field.name]) and chance(rng, 0.9):
+        count = int(rng.integers(5)) if chance(rng, odd) else _count(hints[field.name])
+        values = [_word(rng, field.name.rstrip("_"), hints[field.name], odd) for _ in range(count)]
+        if bool in _inner(hints[field.name]) and chance(rng, 1 - odd):
             argv.append(any_of(rng, ("--", "--no-")) + name)
         elif chance(rng, 0.1):
             argv += [f"--{name}={v}" for v in values[:1]]
         else:
             argv += [f"--{name}", *values]
-    if chance(rng, 0.15):
+    if chance(rng, odd / 2):
         k = int(rng.integers(len(argv)))
         argv[k] = slipped(rng, argv[k])
     argv = [a for a in argv if a.partition("=")[0].lstrip("-") not in LEFT_OUT and "distrib" not in a]
@@ -125,18 +126,26 @@ def _inner(hint) -> set:
     return set().union(*map(_inner, arguments)) if arguments else {hint}
 
 
-def _word(rng, name, hint):
+def _count(hint) -> int:
+    """How many values an option takes: 2 of a pair, 1 of most."""
+    for one in (hint, *typing.get_args(hint)):
+        if typing.get_origin(one) is tuple and ... not in typing.get_args(one):
+            return len(typing.get_args(one))
+    return 1
+
+
+def _word(rng, name, hint, odd):
     """Right, nearly right, or anything."""
     kinds = _inner(hint)
     given = CHOICES.get(name) or tuple(k for k in kinds if isinstance(k, str))
-    if chance(rng, 0.1):
+    if chance(rng, odd / 3):
         return any_of(rng, (*TEXTS, *NUMBERS)).replace("\x00", "")
-    if given and chance(rng, 0.9):
+    if given and chance(rng, 1 - odd / 3):
         word = any_of(rng, given)
-        return slipped(rng, word) if chance(rng, 0.1) else word
+        return slipped(rng, word) if chance(rng, odd / 3) else word
     if kinds & {int, float} or OPTIONS.get(name, OPTIONS["robot"]).kind in ("number", "numbers", "integer"):
-        return any_of(rng, NUMERIC if chance(rng, 0.4) else NUMERIC[:10])
-    return any_of(rng, FILES if chance(rng, 0.7) else TEXTS).replace("\x00", "")
+        return any_of(rng, NUMERIC if chance(rng, odd) else NUMERIC[:6])
+    return any_of(rng, TEXTS if chance(rng, odd / 3) else FILES if chance(rng, odd) else FILES[:5]).replace("\x00", "")
 
 
 def attempt(made, folder) -> None:

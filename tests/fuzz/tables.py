@@ -21,20 +21,22 @@ ENDINGS = (".csv", ".csv", ".csv", ".csv", ".npy", ".npz", ".CSV", ".txt")
 def draw(rng):
     """(whether waypoints or targets, the file's ending, its bytes, which robot, the task's name)."""
     rows = int(rng.integers(5)) if chance(rng, 0.8) else int(10 ** rng.uniform(1, 3))
-    columns = any_of(rng, (1, 2, 3, 3, 4, 5, 7, 8, 8, 16, 17))
+    waypoints = chance(rng, 0.5)
+    name = any_of(rng, ("pose", "position", "orientation", "xy", "xyrz") if waypoints else tuple(targets.TASKS))
+    robot = int(rng.integers(2)) if name in ("position", "xy", "xyrz") else 1
+    columns = {"pose": 7, "orientation": 4, "xyrz": 6 + robot, "xy": 2 + robot}.get(name, 3) + waypoints
+    columns = any_of(rng, (1, 2, 3, 4, 5, 7, 8, 16, 17)) if chance(rng, 0.25) else columns
     values = rng.normal(size=(rows, columns))
     values[:, 0] = np.arange(rows) if chance(rng, 0.8) else values[:, 0]
-    if columns >= 7:
+    if columns >= 4:
         values[:, -4:] /= np.linalg.norm(values[:, -4:], axis=1, keepdims=True)
     if columns == 16:
         values[:] = np.eye(4).ravel()
-    waypoints = chance(rng, 0.5)
     ending = ".csv" if waypoints and chance(rng, 0.95) else any_of(rng, ENDINGS)
     data = _array(rng, values, ending) if ending.startswith(".np") else _text(rng, values)
-    if chance(rng, 0.15):
+    if chance(rng, 0.1):
         data = damaged(rng, data)
-    tasks = ("pose", "position", "orientation", "xy", "xyrz") if waypoints else tuple(targets.TASKS)
-    return waypoints, ending, data, int(rng.integers(2)), any_of(rng, tasks)
+    return waypoints, ending, data, robot, name
 
 
 def _array(rng, values, ending):
@@ -57,7 +59,7 @@ def _text(rng, values):
     cells = [[f"{v:.6g}" for v in row] for row in values]
     if chance(rng, 0.2):
         cells.insert(0, any_of(rng, (["t", "x", "y"], ["# a"], [""], ["1", "a"])))
-    for _ in range(int(rng.integers(3)) if cells else 0):
+    for _ in range(int(rng.integers(1, 4)) if cells and chance(rng, 0.6) else 0):
         row = any_of(rng, cells)
         k = int(rng.integers(len(row) + 1))
         match int(rng.integers(6)):
@@ -73,10 +75,10 @@ def _text(rng, values):
                 row[k : k + 1] = [slipped(rng, row[k] if k < len(row) else "1")]
     between, end = (
         any_of(rng, (",", ",", ",", ", ", ";", "\t")),
-        any_of(rng, ("\n", "\n", "\r\n", "\r", "\n\n", "\u2028")),
+        any_of(rng, (*("\n",) * 9, "\r\n", "\r", "\n\n", "\u2028")),
     )
     text = end.join(between.join(row) for row in cells) + end
-    return text.encode(any_of(rng, ("utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16", "cp037")), errors="replace")
+    return text.encode(any_of(rng, (*("utf-8",) * 9, "utf-8-sig", "utf-16", "cp037")), errors="replace")
 
 
 def attempt(made, folder) -> None:
