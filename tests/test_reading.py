@@ -80,6 +80,14 @@ def test_numpys_files_that_are_damaged(tmp_path):
                     read_targets(tmp_path / f"damaged{name[-4:]}", position())
 
 
+def test_little_that_unpacks_to_much(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "packed.npz", targets=np.zeros((2000, 3)))
+    monkeypatch.setattr(reading, "MOST_BYTES", 4 << 10)
+    assert (tmp_path / "packed.npz").stat().st_size < 1 << 10
+    with pytest.raises(ck.ArgumentError, match="`TARGETS` must name a file that can be read"):
+        read_targets(tmp_path / "packed.npz", position())
+
+
 def test_quaternions_of_any_length():
     for size in (1e-300, 1e300):
         rows, _ = targets.read(size * np.array([[1.0, 1.0, 0.0, 0.0]]), orientation())

@@ -22,12 +22,12 @@ from tests.fuzz.urdf import draw as robot
 from tests.specs import reaching
 
 LEFT_OUT = ("distributed", "coordinator", "processes", "process", "timings")  # these wait for others, or listen to JAX
-NUMERIC = ("0", "1", "2", "5", "0.1", "0.01", "-1", "3", "10", "1e-3", "100", "1e6", "1000000000", "1e308", "1e-320", "nan", "inf",
-           "99999999999999999999", "2.5", *NUMBERS[:20])  # fmt: skip
-FILES = ("arm.urdf", "way.csv", "targets.npy", "a.toml", "whole", ".", "/dev/zero", "/dev/null", "/dev/full", "none", "", "a/b/c",
-         "x" * 300, "pipe", "a\nb", "[/]", "é.csv", "arm.urdf/x", "\ud800")  # fmt: skip
-ROBOTS = ("panda", "ur5", "planar:1,1", "planar:1,1,1", "planar-clockwise:1,1", "arm.urdf", "planar", "planar:", "planar:nan",
-          "planar:1e308,1e308", "planar:-1", "planar:" + "1," * 40 + "1", "pandda", "way.csv")  # fmt: skip
+NUMERIC = ("0", "1", "2", "5", "0.1", "0.01", "-1", "3", "10", "1e-3", "100", "1e6", "1000000000", "1e308", "1e-320",
+           "nan", "inf", "99999999999999999999", "2.5", *NUMBERS[:20])  # fmt: skip
+FILES = ("arm.urdf", "way.csv", "targets.npy", "a.toml", "whole", ".", "/dev/zero", "/dev/null", "/dev/full", "none",
+         "", "a/b/c", "x" * 300, "pipe", "a\nb", "[/]", "é.csv", "arm.urdf/x", "\ud800")  # fmt: skip
+ROBOTS = ("panda", "ur5", "planar:1,1", "planar:1,1,1", "planar-clockwise:1,1", "arm.urdf", "planar", "planar:",
+          "planar:nan", "planar:1e308,1e308", "planar:-1", "planar:1" + ",1" * 40, "pandda", "way.csv")  # fmt: skip
 OUT = (
     "out",
     "out/a/b",
@@ -106,8 +106,9 @@ def draw(rng):
     return argv, robot(rng) if chance(rng, 0.3) else ARM
 
 
-ARM = b"""<robot name="r"><link name="l0"/><link name="l1"/><joint name="j" type="revolute"><parent link="l0"/><child link="l1"/>
-<origin xyz="0 0 1"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+ARM = b"""<robot name="r"><link name="l0"/><link name="l1"/><joint name="j" type="revolute">
+<parent link="l0"/><child link="l1"/><origin xyz="0 0 1"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 
 def _args(verb):

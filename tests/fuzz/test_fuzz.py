@@ -5,7 +5,7 @@ import pytest
 from tests.fuzz.judge import judge, repeat
 from tests.fuzz.rooms import ROOMS
 
-COUNTS = {"urdf": 1000, "toml": 200, "tables": 600, "expressions": 1500, "arguments": 150, "stores": 25}
+COUNTS = {"urdf": 700, "toml": 400, "tables": 600, "expressions": 1500, "arguments": 120, "stores": 15}
 
 
 @pytest.mark.parametrize("name", ROOMS)

@@ -21,11 +21,13 @@ BASES = tuple(map(tomllib.loads, (
     reaching(["final_error"], alpha="[1.0, 5.0]"),
     reaching(["mean_error", "ok"], method='["EE", "HEUN"]', alpha="{ linspace = [1, 20, 30] }", Ts="[0.01, 0.1]"),
     reaching(["mean_error"], more='[units]\ngain = "1/s"', alpha='["gain"]', gain="{ geomspace = [1, 9, 3] }"),
-    reaching(["final_error"], M="{ range = [0, 3] }") + '[cases.a]\nstage = "chord"\nmethod = "IE"\n[cases.b]\nalpha = "2*M"\n',
+    reaching(["final_error"], M="{ range = [0, 3] }")
+    + '[cases.a]\nstage = "chord"\nmethod = "IE"\n[cases.b]\nalpha = "2*M"\n',
     reaching(["final_error"], q0="{ samples = 3, seed = 1 }").replace('q0 = [0, "-pi/2"]\n', ""),
     reaching(["final_error"], turn="{ samples = 3, per = 'joint' }").replace('"-pi/2"]', '0]\nposture = "turn*pi"'),
     reaching(["final_error"], z="[0.1, 0.2]") + '[bundles.law.a]\nalpha = "z/Ts"\n[bundles.law.b]\nalpha = "2*z/Ts"\n',
-    reaching(["max_error"], N="[5, 7]", delay="[0, 1]") + '[[figure]]\nkind = "slices"\nx = "delay"\nvalue = "max_error"\n',
+    reaching(["max_error"], N="[5, 7]", delay="[0, 1]")
+    + '[[figure]]\nkind = "slices"\nx = "delay"\nvalue = "max_error"\n',
     reaching(["mean_error"], radius="[0.1, 0.2]").replace('"hold"\ntarget = [1, 0]', '"circle"\nperiod = "N*Ts"'),
 )))  # fmt: skip
 NAMES = (*SWEPT, "z", "w", "limit", "pi", "case", "progress", "question", "metrics", "time", "step", "joint", "lanes")

@@ -28,7 +28,7 @@ HEADS = (
 
 
 def draw(rng) -> bytes:
-    robot = _tree(rng, int(rng.integers(1, 12)) if chance(rng, 0.98) else int(rng.integers(200, 1500)))
+    robot = _tree(rng, int(rng.integers(1, 12)) if chance(rng, 0.995) else int(rng.integers(200, 1500)))
     for _ in range(int(rng.integers(4))):
         _mutate(rng, robot)
     with contextlib.suppress(TypeError, ValueError):  # what can't be written is no input
