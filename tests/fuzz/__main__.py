@@ -17,7 +17,7 @@ import time
 
 from tests.fuzz import judge, many
 
-SHARES = {"urdf": 0.3, "toml": 0.16, "tables": 0.2, "expressions": 0.2, "arguments": 0.12, "stores": 0.02}
+SHARES = {"urdf": 0.33, "toml": 0.18, "tables": 0.2, "expressions": 0.215, "arguments": 0.07, "stores": 0.005}
 
 
 def main() -> None:

@@ -22,9 +22,15 @@ DAMAGES = ("flip", "flip", "flip", "cut", "empty", "gone", "swap", "noise", "fol
 
 
 @functools.cache
+def _place():
+    """A folder that is there until the process ends."""
+    return tempfile.TemporaryDirectory(prefix="cnclik-fuzz-", ignore_cleanup_errors=True)
+
+
+@functools.cache
 def whole():
     """(the spec, the folder of its finished run, its data, its first program's outputs)."""
-    folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-fuzz-"))
+    folder = pathlib.Path(_place().name)
     (folder / "a.toml").write_text(TEXT, encoding="utf-8")
     read = spec.read(folder / "a.toml")
     assert store.run(read, folder)
