@@ -57,10 +57,19 @@ class Store:
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
 
-    def damaged(self) -> int:
-        """How many blocks were done and no longer have their checksum, or can't be read."""
-        known, missing = self._known(), self.missing()
-        return sum(known[b.number] != _NOT_DONE or self._checksum(b) is None for b in missing)
+    def damaged(self) -> set:
+        """Numbers of the blocks that were done and no longer have their checksum, or can't be read."""
+        known = self._known()
+        return {b.number for b in self.missing() if known[b.number] != _NOT_DONE or self._checksum(b) is None}
+
+    def without(self, name, damaged) -> np.ndarray:
+        """A variable as if some blocks were not done yet; they are not read."""
+        array = self.group[name]
+        values = np.full(array.shape, array.fill_value, array.dtype)
+        for block in self.blocks():
+            if block.number not in damaged:
+                values[block.region] = array[block.region]
+        return values
 
     def _known(self):
         with contextlib.suppress(*_UNREADABLE):
@@ -297,9 +306,10 @@ def _share(spec, of, missing, process, processes):
 def read(folder):
     """The sweep of a folder as an `xarray.Dataset`, loaded on use.
 
-    Every block is held against its checksum first, which reads all of it once.
+    Every block is held against its checksum first, which reads all of it once; one that is damaged counts as not done
+    (`blocks_missing`): NaN, never other numbers.
 
-    Raises: ArgumentError where there is none, or one whose coordinates or blocks are damaged.
+    Raises: ArgumentError where there is none, or one whose coordinates are damaged.
     """
     import xarray
 
@@ -311,13 +321,12 @@ def read(folder):
     if damaged:
         words = "hold whole coordinates (the command that made the sweep repairs them)"
         raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
-    if wrong := store.damaged():
-        words = "hold blocks as they were written (the command that made the sweep computes damaged ones again)"
-        raise errors.fail("folder", words, f"{wrong} of {str(folder)!r} are not")
     with _quiet():
         data = xarray.open_zarr(folder / DATA, chunks=None)
     # In the spec's order. A selection would lose the vectors beside the numbers of an axis of samples.
-    return data[list(store.names)].assign_coords(data.coords)
+    data = data[list(store.names)].assign_coords(data.coords)
+    damaged = store.damaged()
+    return data.assign({n: v.copy(data=store.without(n, damaged)) for n, v in data.items()}) if damaged else data
 
 
 def blocks_missing(folder) -> int:
