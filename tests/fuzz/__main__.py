@@ -9,8 +9,10 @@ Exit code 1, and the command that repeats it, for every input that fails.
 
 import argparse
 import collections
+import contextlib
 import os
 import pathlib
+import signal
 import sys
 import tempfile
 import time
@@ -35,20 +37,25 @@ def main() -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    for ends in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ends, signal.default_int_handler)
     total = sum(SHARES[name] for name in args.only)
     counts = {name: round(args.inputs * SHARES[name] / total) for name in args.only}
     found, begun = [], time.perf_counter()
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as shown:
         task = shown.add_task("inputs", total=sum(counts.values()))
-        for some in many.verdicts(counts, args.seed, args.processes):
-            found += some
-            shown.advance(task, len(some))
-            for bad in (v for v in some if v.outcome == "failed"):
-                print(f"\n{judge.repeat(bad, args.seed)}\n{bad.why.strip()}", file=sys.stderr)
+        with contextlib.suppress(KeyboardInterrupt):  # what was tried is told all the same
+            for some in many.verdicts(counts, args.seed, args.processes):
+                found += some
+                shown.advance(task, len(some))
+                for bad in (v for v in some if v.outcome == "failed"):
+                    print(f"\n{judge.repeat(bad, args.seed)}\n{bad.why.strip()}", file=sys.stderr)
     seconds = time.perf_counter() - begun
     print(table(found))
-    print(f"\n{len(found):,} inputs of seed {args.seed} in {seconds / 60:.1f} min on {args.processes} processes.")
+    print(
+        f"\n{len(found):,} of {sum(counts.values()):,} inputs of seed {args.seed} in {seconds / 60:.1f} min on {args.processes} processes."
+    )
     sys.exit(any(v.outcome == "failed" for v in found))
 
 

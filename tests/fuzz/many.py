@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pathlib
 import resource
+import signal
 import tempfile
 
 AT_ONCE = 50  # inputs that a process takes at a time
@@ -13,7 +14,8 @@ MOST_ADDRESSES = 16 << 30  # bytes of address space of a process: what asks for 
 
 
 def begin():
-    """This process is one for inputs: float64, on the processor, with few addresses."""
+    """This process is one for inputs: float64, on the processor, with few addresses; the one that began it ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     os.environ.setdefault("MPLBACKEND", "agg")
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, resource.getrlimit(resource.RLIMIT_AS)[1]))
@@ -44,12 +46,12 @@ def verdicts(counts: dict, seed: int, processes: int):
     ]
     work.sort(key=lambda one: one[1].start / counts[one[0]])
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(processes, context, begin) as pool:
-        waiting = {pool.submit(batch, *one): one for one in work}
+    pool = concurrent.futures.ProcessPoolExecutor(processes, context, begin)
+    waiting = {pool.submit(batch, *one): one for one in work}
+    try:
         for done in concurrent.futures.as_completed(waiting):
-            try:
-                yield done.result()
-            except concurrent.futures.process.BrokenProcessPool:
-                raise SystemExit(
-                    f"A process died of one of the inputs {waiting[done]}, or of those beside them."
-                ) from None
+            yield done.result()
+    except concurrent.futures.process.BrokenProcessPool:
+        raise SystemExit(f"A process died of one of the inputs {waiting[done]}, or of those beside them.") from None
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -103,11 +103,9 @@ def attempt(data: bytes, folder) -> None:
     file = folder / "robot.urdf"
     file.write_bytes(data)
     tree = read_urdf(file)
-    for tip in (None, *tree.tips()[:2], tree.links[len(tree.links) // 2]):
+    for base, tip in ((None, (*tree.tips(), None)[0]), (tree.links[0], tree.links[-1])):
         with contextlib.suppress(ArgumentError):
-            _sound(chain(tree, tip))
-    with contextlib.suppress(ArgumentError):
-        _sound(chain(tree, tree.root, tree.links[-1]))
+            _sound(chain(tree, tip, base))
     if len(data) % 8 == 0:
         said = io.StringIO()
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
