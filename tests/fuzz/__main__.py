@@ -53,9 +53,8 @@ def main() -> None:
                     print(f"\n{judge.repeat(bad, args.seed)}\n{bad.why.strip()}", file=sys.stderr)
     seconds = time.perf_counter() - begun
     print(table(found))
-    print(
-        f"\n{len(found):,} of {sum(counts.values()):,} inputs of seed {args.seed} in {seconds / 60:.1f} min on {args.processes} processes."
-    )
+    tried = f"{len(found):,} of {sum(counts.values()):,} inputs of seed {args.seed}"
+    print(f"\n{tried} in {seconds / 60:.1f} min on {args.processes} processes.")
     sys.exit(any(v.outcome == "failed" for v in found))
 
 
