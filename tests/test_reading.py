@@ -93,3 +93,8 @@ def test_quaternions_of_any_length():
         rows, _ = targets.read(size * np.array([[1.0, 1.0, 0.0, 0.0]]), orientation())
         np.testing.assert_allclose(rows[0, 3:].reshape(3, 3), [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
     assert not np.isfinite(targets.read(np.array([[np.inf, 1.0, 0.0, 0.0]]), orientation())[0][0, 3:]).any()
+
+
+def test_rotations_too_wild_to_multiply():
+    with np.errstate(all="raise"), pytest.raises(ck.ArgumentError, match="hold rotations"):
+        targets.read(np.diag([1e308, 1e308, 1.0, 1.0]), orientation())

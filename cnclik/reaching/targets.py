@@ -123,6 +123,7 @@ def _check_rotation(name, r):
         return
     r = np.asarray(r, float)
     r = np.where(np.isfinite(r).all(axis=(-1, -2), keepdims=True), r, np.eye(3))  # of those the status tells
+    r = np.clip(r, -1e3, 1e3)  # no rotation either way, and nothing overflows
     gap = np.abs(r @ np.swapaxes(r, -1, -2) - np.eye(3)).max(axis=(-1, -2))
     wrong = np.atleast_1d((gap > 1e-5) | (np.linalg.det(r) < 0))
     if wrong.any():
