@@ -8,13 +8,25 @@ import difflib
 import math
 import sys
 
+_MOST = 800  # characters of a message
+
 
 class ArgumentError(ValueError):
-    """An argument that cannot be used; the message is one line fit for a terminal."""
+    """An argument that cannot be used; the message is one line fit for a terminal, whatever it speaks of."""
+
+    def __init__(self, message: str):
+        line = " ".join(_shortened(message, 2 * _MOST).split())
+        line = line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        super().__init__(_shortened(line, _MOST))
+
+
+def _shortened(text, most):
+    """Without its middle: what it must be stands at the beginning, what it is at the end."""
+    return text if len(text) <= most else f"{text[: most - 301]} … {text[-298:]}"
 
 
 def fail(name: str, must: str, found) -> ArgumentError:
-    found = " ".join(found.split())  # one line, whatever the value's repr is
+    name, found = (name if len(name) <= 80 else f"{name[:79]}…"), " ".join(found.split())
     return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 

@@ -89,3 +89,9 @@ def test_numbers_pass_as_they_came():
     for value in (1, 0.5, np.float32(2), jnp.asarray(3.0)):
         assert errors.number("x", value, positive=True) is value
     assert errors.integer("N", np.int64(3), at_least=0) == 3
+
+
+def test_a_message_is_one_short_line_whatever_it_speaks_of():
+    for error in (errors.fail("n" * 10**6, "be", "is\n\x1b[31m"), ArgumentError("a\nb \x1b[2J" + "c" * 10**6)):
+        said = str(error)
+        assert len(said) <= 800 and said.isprintable() and "\\x1b" in said

@@ -1,5 +1,6 @@
 """Files that a user names: whatever they turn out to be, it is one line."""
 
+import contextlib
 import os
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 import cnclik as ck
 from cnclik import reading
 from cnclik.cli import main
-from cnclik.problem.tables import read_csv
+from cnclik.law.task import orientation, position
+from cnclik.problem.tables import read_csv, read_targets
+from cnclik.reaching import targets
 
 
 @pytest.fixture
@@ -63,3 +66,35 @@ def test_numbers_too_wild_for_a_spline():
         places = np.concatenate([places, np.zeros((3, 2))], axis=1)
         with pytest.raises(ck.ArgumentError, match="`positions` must be such that a smooth path leads through them"):
             ck.waypoints(times, places)
+
+
+def test_numpys_files_that_are_damaged(tmp_path):
+    np.savez(tmp_path / "whole.npz", targets=np.ones((2, 3)))
+    np.save(tmp_path / "whole.npy", np.ones((2, 3)))
+    for name in ("whole.npz", "whole.npy"):
+        data = (tmp_path / name).read_bytes()
+        for k in range(0, len(data), 3):
+            for damaged in (data[:k], data[:k] + bytes([data[k] ^ 16]) + data[k + 1 :]):
+                (tmp_path / f"damaged{name[-4:]}").write_bytes(damaged)
+                with contextlib.suppress(ck.ArgumentError):
+                    read_targets(tmp_path / f"damaged{name[-4:]}", position())
+
+
+def test_little_that_unpacks_to_much(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "packed.npz", targets=np.zeros((2000, 3)))
+    monkeypatch.setattr(reading, "MOST_BYTES", 4 << 10)
+    assert (tmp_path / "packed.npz").stat().st_size < 1 << 10
+    with pytest.raises(ck.ArgumentError, match="`TARGETS` must name a file that can be read"):
+        read_targets(tmp_path / "packed.npz", position())
+
+
+def test_quaternions_of_any_length():
+    for size in (1e-300, 1e300):
+        rows, _ = targets.read(size * np.array([[1.0, 1.0, 0.0, 0.0]]), orientation())
+        np.testing.assert_allclose(rows[0, 3:].reshape(3, 3), [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
+    assert not np.isfinite(targets.read(np.array([[np.inf, 1.0, 0.0, 0.0]]), orientation())[0][0, 3:]).any()
+
+
+def test_rotations_too_wild_to_multiply():
+    with np.errstate(all="raise"), pytest.raises(ck.ArgumentError, match="hold rotations"):
+        targets.read(np.diag([1e308, 1e308, 1.0, 1.0]), orientation())

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -24,29 +25,35 @@ def run(args: Args) -> None:
     from cnclik.robot.tree import read_urdf
 
     tree = read_urdf(args.file)
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    shown = Table(title=escape(f"{tree.name}, base {tree.root}"), title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for name in ("link", "joint", "type", "lower", "upper", "velocity"):
-        right = name in ("lower", "upper", "velocity")
-        shown.add_column(name, justify="right" if right else "left", overflow="fold", no_wrap=name == "link")
-    tips = set(tree.tips())
-    shown.add_row(escape(tree.root), *[""] * 5)
-    for edge, lead in _branches(tree):
-        name = escape(f"{lead}{edge.child}")
-        style = "bold" if edge.child in tips else None
-        shown.add_row(f"[{style}]{name}[/]" if style else name, *map(escape, _joint(edge)))
-    console = Console()
-    if not console.is_terminal:
-        console.width = 400  # a pipe or file shall not cut names
-    console.print(shown)
+    tips = dict.fromkeys(tree.tips())
+    rows = [(tree.root in tips, tree.root, *[""] * 5)]
+    rows += [(edge.child in tips, f"{lead}{edge.child}", *_joint(edge)) for edge, lead in _branches(tree)]
+    print(_plain(f"{tree.name}, base {tree.root}"))
+    _show([(False, "link", "joint", "type", "lower", "upper", "velocity"), *rows])
     moving = sum(edge.type != "fixed" for edge in tree.edges)
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     links = "1 link" if len(tree.links) == 1 else f"{len(tree.links)} links"
     print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
-    print(f"Tips (leaf links that a joint moves): {', '.join(tree.tips()) or 'none'}.")
+    print(f"Tips (leaf links that a joint moves): {_plain(', '.join(tips)) or 'none'}.")
+
+
+def _show(rows) -> None:
+    """Rows of (whether it is bold, texts) as columns; by hand, as a table of rich takes half a minute for thousands."""
+    from rich.cells import cell_len
+
+    rows = [(bold, *map(_plain, texts)) for bold, *texts in rows]
+    widths = [[cell_len(text) for text in texts] for _, *texts in rows]
+    most = [max(column) for column in zip(*widths, strict=True)]
+    for (bold, *texts), width in zip(rows, widths, strict=True):
+        gaps = [" " * (m - w) for m, w in zip(most, width, strict=True)]
+        cells = [t + g if k < 3 else g + t for k, (t, g) in enumerate(zip(texts, gaps, strict=True))]  # numbers right
+        line = "  ".join(cells).rstrip()
+        print(f"\x1b[1m{line}\x1b[0m" if bold and sys.stdout.isatty() else line)
+
+
+def _plain(text) -> str:
+    """Without what would move a terminal's cursor, or end a line."""
+    return text if text.isprintable() else ascii(text)[1:-1]
 
 
 def _branches(tree):

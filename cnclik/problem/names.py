@@ -1,6 +1,7 @@
 """Names: what a user may write, and what it stands for. To add a name, add its line here and in `words`."""
 
 import functools
+import os
 import pathlib
 import re
 
@@ -88,7 +89,7 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
             raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {str(text)!r}") from None
     elif str(text) not in ROBOTS:
         name = str(text)
-        if not pathlib.Path(name).exists() and not name.lower().endswith((".urdf", ".xml", ".xacro")):
+        if not os.path.exists(name) and not name.lower().endswith((".urdf", ".xml", ".xacro")):
             names = ", ".join(n for n in ROBOTS if not words.ROBOTS[n].needs)
             raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
         return load_urdf(name, **fitting("robot", name, words.URDF, given))

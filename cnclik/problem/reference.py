@@ -147,7 +147,8 @@ def _point(name, given, task, default):
         raise errors.fail(name, f"hold {' or '.join(map(str, fits))} numbers for this task", f"holds {len(values)}")
     if task.orientation and len(values) >= 4:
         values, quaternion = values[:-4], values[-4:]
-        norm = (np if errors.concrete(quaternion) else jnp).linalg.norm(quaternion)
+        with np.errstate(over="ignore"):
+            norm = (np if errors.concrete(quaternion) else jnp).linalg.norm(quaternion)
         if errors.concrete(norm) and abs(norm - 1) > 1e-2:
             raise errors.fail(name, "end with a unit quaternion w x y z", f"has one of norm {norm:.6g}")
         rotation = _known(ref.hold(None, quaternion / norm).curve.rotation)

@@ -12,6 +12,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot import spatial as sp
+from cnclik.robot.tree import MOST
 
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
 
@@ -259,6 +260,8 @@ def _scalars(name, values, size=None) -> tuple:
         raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(out)},)")
     for i, value in enumerate(out):
         errors.number(f"{name}[{i}]", value)
+        if sp.is_number(value) and abs(value) > MOST:
+            raise errors.fail(f"{name}[{i}]", f"be within ±{MOST:g}", f"is {value:g}")
     return out
 
 

@@ -14,6 +14,7 @@ from cnclik import errors
 from cnclik.reading import read_bytes
 
 MOVING = ("revolute", "continuous", "prismatic")
+MOST = 1e12  # of a length or angle [m, rad]: products of larger ones leave the range of floats
 NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -75,8 +76,12 @@ class Tree:
 
     def tips(self, base=None) -> tuple:
         """Leaf links that some joint moves against the base: the candidates for a tip."""
-        ways = {leaf: self.way(leaf, base) for leaf in self.leaves}
-        return tuple(leaf for leaf, (up, down) in ways.items() if not up and any(e.type != "fixed" for e in down))
+        moved, waiting = {}, [(base or self.root, False)]
+        while waiting:
+            link, moves = waiting.pop()
+            moved[link] = moves
+            waiting += [(e.child, moves or e.type != "fixed") for e in self.below[link]]
+        return tuple(leaf for leaf in self.leaves if moved.get(leaf))
 
 
 def read_urdf(path) -> Tree:
@@ -218,8 +223,8 @@ def _edge(file, joint) -> Edge:
     origin, axis = NO_OFFSET, (1.0, 0.0, 0.0)
     if joint.origin is not None:
         position, angles = joint.origin
-        if not all(map(math.isfinite, (*position, *angles))):
-            raise bad("has an origin that is not finite")
+        if not all(abs(x) <= MOST for x in (*position, *angles)):  # nor NaN
+            raise bad(f"has an origin that is not finite, or not within ±{MOST:g}")
         origin = _snapped(position), tuple(map(_snapped, _rotation(*angles)))
     lower, upper, velocity, mimic = -math.inf, math.inf, math.inf, None
     if joint.type not in (*MOVING, "fixed", "floating", "planar"):
@@ -241,10 +246,14 @@ def _edge(file, joint) -> Edge:
             raise bad("has a limit that is not a number")
         if lower > upper:
             raise bad(f"has lower limit {lower:g} above upper limit {upper:g}")
+        if lower > MOST or upper < -MOST:
+            raise bad(f"has limits from {lower:g} to {upper:g}, neither of them within ±{MOST:g}")
+        lower = lower if lower >= -MOST else -math.inf  # what exporters write for none, such as 1e16
+        upper = upper if upper <= MOST else math.inf
         if joint.mimic is not None:
             mimic = joint.mimic
-            if not all(math.isfinite(x) for x in mimic[1:]):
-                raise bad("has a mimic multiplier or offset that is not finite")
+            if not all(abs(x) <= MOST for x in mimic[1:]):
+                raise bad(f"has a mimic multiplier or offset that is not finite, or not within ±{MOST:g}")
     found = {"origin": origin, "axis": axis, "lower": lower, "upper": upper, "velocity": velocity, "mimic": mimic}
     return Edge(name=joint.name, type=joint.type, parent=joint.parent, child=joint.child, **found)
 

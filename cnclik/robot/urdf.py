@@ -3,7 +3,7 @@
 from cnclik import errors
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose, inverse
-from cnclik.robot.tree import Tree, read_urdf
+from cnclik.robot.tree import MOST, Tree, read_urdf
 
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 
@@ -46,7 +46,7 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
     up, down = tree.way(_link(tree, "tip", tip), base)
 
     by_name = {e.name: e for e in tree.edges}
-    joints, before, names, lower, upper, velocity = [], Offset(), [], [], [], []
+    joints, before, coordinates, leaders = [], Offset(), {}, {}  # {name of a joint that is followed: its coordinate}
     for edge, turned in (*((e, True) for e in up), *((e, False) for e in down)):
         origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
         if not turned:
@@ -57,17 +57,12 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
         if edge.type not in _MOVING:
             odd = f"joint {edge.name!r} on the way is {edge.type!r}"
             raise errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
-        leader, multiplier, offset = _leader(tree, by_name, edge)
-        if leader.name not in names:
-            names.append(leader.name)
-            lower.append(leader.lower)
-            upper.append(leader.upper)
-            velocity.append(leader.velocity)
+        leader, multiplier, offset = _leader(by_name, edge, leaders)
         joint = Joint(
             kind=_MOVING[edge.type],
             axis=sp.scale(-1.0, edge.axis) if turned else edge.axis,  # from its child a joint turns the other way
             origin=before,
-            coordinate=names.index(leader.name),
+            coordinate=coordinates.setdefault(leader.name, len(coordinates)),
             multiplier=multiplier,
             offset=offset,
         )
@@ -75,25 +70,45 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
         before = inverse(origin) if turned else Offset()
     if not joints:
         raise errors.fail("tip", "be moved by a joint", f"is {tip!r}, fixed to {base!r}")
-    return assemble(joints, before, joint_names=names, lower=lower, upper=upper, velocity_limit=velocity)
+    followed = [by_name[name] for name in coordinates]
+    return assemble(
+        joints,
+        before,
+        joint_names=list(coordinates),
+        lower=[e.lower for e in followed],
+        upper=[e.upper for e in followed],
+        velocity_limit=[e.velocity for e in followed],
+    )
 
 
-def _leader(tree, by_name, edge):
-    """The joint that an edge follows (itself, if it is no mimic) and how: value = multiplier·q + offset."""
-    multiplier, offset, seen = 1.0, 0.0, [edge.name]
-    while edge.mimic is not None:
-        name, factor, shift = edge.mimic
-        multiplier, offset = multiplier * factor, multiplier * shift + offset
-        if name in seen:
-            raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*seen, name))} do not")
-        seen.append(name)
-        edge = by_name.get(name)
+def _leader(by_name, edge, known):
+    """The joint that an edge follows (itself, if it is no mimic) and how: value = multiplier·q + offset.
+
+    Args:
+      known: {name: this of edges that were looked at}, which grows.
+    """
+    way = {}  # names of mimics, in the order in which they follow one another
+    while edge.mimic is not None and edge.name not in known:
+        way[edge.name] = edge
+        name = edge.mimic[0]
+        if name in way:
+            raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*way, name))} do not")
+        follower, edge = edge.name, by_name.get(name)
         if edge is None or edge.type not in _MOVING:
             what = "is not in the file" if edge is None else f"is {edge.type}"
             raise errors.fail(
-                "path", "have mimic joints that follow a moving joint", f"{seen[-2]!r} follows {name!r}, which {what}"
+                "path", "have mimic joints that follow a moving joint", f"{follower!r} follows {name!r}, which {what}"
             )
-    return edge, multiplier, offset
+    leader, multiplier, offset = known.get(edge.name, (edge, 1.0, 0.0))
+    for name, follower in reversed(way.items()):
+        _, factor, shift = follower.mimic
+        multiplier, offset = multiplier * factor, offset * factor + shift
+        if max(abs(multiplier), abs(offset)) > MOST:
+            raise errors.fail(
+                "path", f"have mimic joints within ±{MOST:g}", f"{name!r} is {multiplier:g}·q + {offset:g}"
+            )
+        known[name] = leader, multiplier, offset
+    return leader, multiplier, offset
 
 
 def _link(tree, name, link):

@@ -1,16 +1,18 @@
 """Axes as a spec writes them: lists, linspace, geomspace, range, samples."""
 
 import difflib
+import math
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.problem.options import NAME, OPTIONS, check_values
 from cnclik.sweeps import expression
-from cnclik.sweeps.grid import Axis, axis
+from cnclik.sweeps.grid import COMPILED_IN, COUNTED, Axis, axis
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # never expressions
 MOST_VALUES = 10_000_000  # of an axis
+MOST_WHOLE = 2**53  # integers beyond it are no floats
 KINDS = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed", "per")}
 
 
@@ -21,11 +23,14 @@ def read(name, value, joints=0) -> Axis:
       joints: of the widest robot: how many numbers a sample per joint has.
     """
     where = f"axes.{name}"
-    values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
+    with np.errstate(all="ignore"):  # between ends that are huge there are numbers that aren't finite: `axis` tells
+        values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
     if name in NAMES:
         if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
             raise errors.fail(where, "be a list of names", f"is {values!r}")
         values = {v: v for v in values}
+    if isinstance(values, np.ndarray) and name not in COUNTED + COMPILED_IN:
+        values = values.astype(float)
     found = axis(name, values, where)
     if found.inner:
         check_values(where, name, found.values)
@@ -50,13 +55,16 @@ def _generated(where, value, joints):
         if not isinstance(numbers, list) or len(numbers) != 2 or any(type(v) is not int for v in numbers):
             raise errors.fail(where, "be range = [first, last] of two integers", f"is {numbers!r}")
         _few_enough(where, numbers[1] - numbers[0] + 1)
-        return list(range(numbers[0], numbers[1] + 1))
+        if max(map(abs, numbers)) > MOST_WHOLE:
+            raise errors.fail(where, f"have a range within ±{MOST_WHOLE:,}", f"is {numbers!r}")
+        return np.arange(numbers[0], numbers[1] + 1)
     if not isinstance(numbers, list) or len(numbers) != 3 or type(numbers[2]) is not int or numbers[2] < 1:
         raise errors.fail(where, f"be {kind} = [first, last, count]", f"is {numbers!r}")
     _few_enough(where, numbers[2])
     first, last = (_numbers(where, v) for v in numbers[:2])
     if first.shape != last.shape:
         raise errors.fail(where, "have ends of one shape", f"is {numbers!r}")
+    _few_enough(where, numbers[2] * first.size)
     if kind == "geomspace" and not np.all(first * last > 0):
         raise errors.fail(where, "have ends of one sign, not 0, for geomspace", f"is {numbers!r}")
     return getattr(np, kind)(first, last, numbers[2])
@@ -89,6 +97,7 @@ def _samples(where, value, width):
         fits = False
     if not fits:
         raise errors.fail(where, "have low ≤ high, each a number or one for every joint", f"is {value!r}")
+    _few_enough(where, count * math.prod(shape))
     return low + (high - low) * np.random.default_rng(seed).random((count, *shape))
 
 

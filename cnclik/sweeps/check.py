@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import math
 import operator
 import pathlib
 
@@ -14,10 +15,11 @@ from cnclik.measure import metrics
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
-from cnclik.sweeps.grid import COMPILED_IN, Axis
+from cnclik.sweeps.grid import COMPILED_IN, MOST_AXES, MOST_PROGRAMS, Axis, few_enough
 from cnclik.sweeps.spec import DEFAULTS, KEYS, LIMIT, OPTIONS, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
+STEPS = 30  # values that follow one from another
 RESERVED = (LIMIT, "progress")  # what else stands in a store beside the axes
 FIGURES = {
     "heat": ("value", "x", "y", "boundary", "contours"),
@@ -81,6 +83,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         folder=pathlib.Path(folder),
     )
     spec = dataclasses.replace(spec, axes=_compiled_in(spec))
+    spec.shape()  # not too many programs, before each of them is tried
     _check_loops(spec)
     return dataclasses.replace(spec, figures=_figures(written.get("figure", []), spec))
 
@@ -112,6 +115,9 @@ def _bundles(written) -> dict:
         found[name] = {label: _table(labels, label, f"bundles.{name}.") for label in labels}
         if not labels:
             raise errors.fail(f"bundles.{name}", "hold tables", "is empty")
+    if math.prod(map(len, found.values())) > MOST_PROGRAMS or len(found) > MOST_AXES:
+        counts = " × ".join(f"{len(labels)} of {name}" for name, labels in found.items())
+        raise errors.fail("bundles", f"span at most {MOST_PROGRAMS:,} combinations", f"span {counts}")
     return found
 
 
@@ -151,8 +157,10 @@ def _check_names(fixed, axes, bundles):
     shared = {name: set.intersection(*map(set, labels.values())) for name, labels in bundles.items()}
     everywhere = set(fixed) | set(axes) | set(DEFAULTS) | {LIMIT} | set().union(*shared.values())
     used = set()
-    for table in (fixed, *tables.values()):
+    for table in (fixed, axes, *tables.values()):
         for name, value in table.items():
+            if table is axes and not isinstance(value, list):
+                continue
             needs = set() if name in NAMES else expression.names(name, value)
             used |= needs
             for need in needs - everywhere - (set(table) if table is not fixed else set()):
@@ -166,8 +174,9 @@ def _check_names(fixed, axes, bundles):
         if name not in everywhere:
             lacking = next((where for where, table in tables.items() if name not in table), "fixed")
             raise errors.fail(lacking, f"give {name}", "does not (nor do [axes])")
+    written = {name: value for name, value in axes.items() if isinstance(value, list)}
     for known in _given(fixed, bundles):
-        _check_cycles(known)
+        _check_cycles(known | written)
 
 
 def _given(fixed, bundles):
@@ -177,13 +186,19 @@ def _given(fixed, bundles):
 
 
 def _check_cycles(known):
+    steps = {}  # from a name to the numbers that it follows from
+
     def walk(name, seen):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
-        value = ["M", "delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
-        if name not in NAMES and value is not None:
-            for need in expression.names(name, value):
-                walk(need, [*seen, name])
+        if name not in steps:
+            value = ["M", "delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
+            needs = set() if name in NAMES or value is None else expression.names(name, value)
+            if len(seen) < STEPS:
+                steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)
+        if steps.get(name, STEPS) >= STEPS:
+            raise errors.fail(name, f"follow from numbers in fewer than {STEPS} steps", "does not")
+        return steps[name]
 
     for name in known:
         walk(name, [])
@@ -219,6 +234,7 @@ def _compiled_in(spec: Spec) -> dict:
     out = dict(spec.axes)
     for name in wanted & out.keys():
         if out[name].inner:
+            few_enough(f"axes.{name}", out[name].values)
             if out[name].values.ndim != 1:
                 raise errors.fail(f"axes.{name}", "hold single numbers where N or delay depends on it", "holds vectors")
             values = tuple(v.item() for v in out[name].values)

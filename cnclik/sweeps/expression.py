@@ -4,12 +4,14 @@ import ast
 import functools
 import math
 import operator
+import warnings
 
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 
+DEEPEST = 100  # of brackets and signs inside one another
 MOST = 2.0**1000  # of a number in between: Python's integers would grow until memory is gone
 
 
@@ -38,7 +40,9 @@ _CONSTANTS = {"pi": math.pi}
 def parse(name: str, text: str):
     """The expression's tree; ArgumentError for anything but arithmetic on numbers and names."""
     try:
-        tree = ast.parse(text, mode="eval").body
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of Python about Python, such as 0in
+            tree = ast.parse(text, mode="eval").body
         _check(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         words = f"be a number or an expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
@@ -46,22 +50,25 @@ def parse(name: str, text: str):
     return tree
 
 
-def _check(node):
+def _check(node, deep=0):
+    if deep > DEEPEST:
+        raise ValueError
     match node:
         case ast.Constant(value=value) if type(value) in (int, float) and abs(value) <= MOST:
-            return
+            parts = ()
         case ast.Name(id=found) if found not in _FUNCTIONS:
-            return
+            parts = ()
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            _check(left), _check(right)
+            parts = (left, right)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
-            _check(operand)
-        case ast.Call(func=ast.Name(id=found), args=[only], keywords=[]) if found in _CALLS:
-            _check(only)
-        case ast.Call(func=ast.Name(id=found), args=[first, second], keywords=[]) if found in _PAIRS:
-            _check(first), _check(second)
+            parts = (operand,)
+        case ast.Call(func=ast.Name(id=found), args=parts, keywords=[]) if found in _FUNCTIONS:
+            if len(parts) != 1 + (found in _PAIRS):
+                raise ValueError
         case _:
             raise ValueError
+    for part in parts:
+        _check(part, deep + 1)
 
 
 def names(name: str, value) -> set:
@@ -84,7 +91,7 @@ def evaluate(name: str, value, known):
             if all(errors.concrete(p) for p in parts):
                 return np.array(parts, float)
             return jnp.stack([jnp.asarray(p, float) for p in parts])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise errors.fail(name, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
         return value
@@ -94,7 +101,10 @@ def evaluate(name: str, value, known):
             case ast.Constant(value=number):
                 return number
             case ast.Name(id=found):
-                return _CONSTANTS[found] if found in _CONSTANTS else known(found)
+                value = _CONSTANTS[found] if found in _CONSTANTS else known(found)
+                if isinstance(value, str):  # Python would add them, and repeat them
+                    raise TypeError(f"{found} is a name, not a number")
+                return value
             case ast.BinOp(left=left, op=op, right=right):
                 return _BINARY[type(op)](walk(left), walk(right))
             case ast.UnaryOp(op=op, operand=operand):
@@ -103,11 +113,12 @@ def evaluate(name: str, value, known):
                 return _call(found, *map(walk, arguments))
 
     try:
-        found = walk(parse(name, value))
+        with np.errstate(all="ignore"):  # what is not finite is told where it is used
+            found = walk(parse(name, value))
         if np.iscomplexobj(found):
             raise ValueError("the result is complex")
         return found
-    except (ArithmeticError, ValueError, TypeError) as error:
+    except (ArithmeticError, ValueError, TypeError, RecursionError) as error:
         raise errors.fail(name, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
 
 

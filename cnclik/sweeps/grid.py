@@ -17,6 +17,9 @@ import numpy as np
 from cnclik import errors
 
 MOST_POINTS = 10_000_000_000  # of a grid: tens of gigabytes for each metric
+MOST_AXES = 32  # an array has at most 64, and results bring some of their own
+MOST_PROGRAMS = 1000  # combinations of what is compiled in: each takes about a second
+MOST_BLOCKS = 1_000_000  # each is some files in a store
 LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
 COMPILED_IN = ("N", "delay")  # numbers on which the shape of a program depends
 COUNTED = ("M",)  # numbers that stay integers: passes are masked, one program does them all
@@ -63,6 +66,7 @@ def axis(name: str, values, where=None) -> Axis:
             raise errors.fail(where, words, f"is {values!r}")
         found = Axis(name, tuple(values), labels)
     elif name in COMPILED_IN:
+        few_enough(where, numbers)
         whole = tuple(errors.integer(where, v.item() if v.ndim == 0 else v, at_least=0) for v in numbers)
         found = Axis(name, whole, whole)
     else:
@@ -72,6 +76,13 @@ def axis(name: str, values, where=None) -> Axis:
     if found.inner and not np.all(np.isfinite(found.values)):
         raise errors.fail(where, "hold finite values", "does not")
     return found
+
+
+def few_enough(where, values):
+    """Raise ArgumentError for more values of what is compiled in than anyone can wait for."""
+    if len(values) > MOST_PROGRAMS:
+        words = f"hold at most {MOST_PROGRAMS:,} values, as each is compiled"
+        raise errors.fail(where, words, f"holds {len(values):,}")
 
 
 def _numbers(name, where, values):
@@ -109,9 +120,16 @@ class Grid:
     lanes: int
 
     def __post_init__(self):
-        if self.size > MOST_POINTS:
-            counts = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
-            raise errors.fail("axes", f"span at most {MOST_POINTS:,} points", f"span {counts}")
+        programs = math.prod(len(a) for a in self.outer)
+        for count, most, what in (
+            (len(self.axes), MOST_AXES, "axes"),
+            (programs, MOST_PROGRAMS, "programs, of whatever is compiled in"),
+            (self.size, MOST_POINTS, "points"),
+            (math.prod(map(len, self._cuts())), MOST_BLOCKS, "blocks, of so many `lanes`"),
+        ):
+            if count > most:
+                counts = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
+                raise errors.fail("axes", f"span at most {most:,} {what}", f"span {counts}")
 
     @property
     def shape(self) -> tuple:
@@ -143,6 +161,10 @@ class Grid:
             left = left // extents[-1] if pieces == 1 else 0
         return tuple(reversed(extents))
 
+    def _cuts(self) -> list:
+        """Where blocks begin along each axis."""
+        return [range(0, n, step) for n, step in zip(self.shape, self.block, strict=True)]
+
     @property
     def programs(self) -> list:
         """The combinations of the outer axes, as {name: value}."""
@@ -151,8 +173,10 @@ class Grid:
 
     def blocks(self) -> list:
         """All blocks, program by program."""
-        sizes = zip(self.shape, self.block, strict=True)
-        cuts = [[slice(first, min(first + b, n)) for first in range(0, n, b)] for n, b in sizes]
+        cuts = [
+            [slice(first, min(first + step, n)) for first in starts]
+            for n, step, starts in zip(self.shape, self.block, self._cuts(), strict=True)
+        ]
         order = sorted(range(len(cuts)), key=lambda i: self.axes[i].inner)  # the outer axes first
         of_one = math.prod(len(c) for c, a in zip(cuts, self.axes, strict=True) if a.inner)
         out = []

@@ -12,6 +12,7 @@ import dataclasses
 import functools
 import math
 import operator
+import os
 import pathlib
 import tomllib
 import zlib
@@ -34,7 +35,7 @@ from cnclik.robot.rolled import pays
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, per_joint
-from cnclik.sweeps.grid import Grid, axis
+from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
 from cnclik.sweeps.labels import UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
@@ -62,10 +63,14 @@ class Spec:
     figures: tuple
     folder: pathlib.Path = pathlib.Path()  # where files named in the spec are looked for first
 
-    def grid(self) -> Grid:
-        """The grid over the cases, the other bundles and the axes, in the order written."""
+    def shape(self) -> Grid:
+        """The grid over the cases, the other bundles and the axes, in the order written; not yet cut."""
         axes = [axis(name, {label: label for label in labels}) for name, labels in self.bundles.items()]
-        found = Grid((*axes, *self.axes.values()), 1)
+        return Grid((*axes, *self.axes.values()), MOST_POINTS)
+
+    def grid(self) -> Grid:
+        """The grid, cut into blocks."""
+        found = self.shape()
         size = math.prod(len(a) for a in found.inner)
         # Blocks of a power of two that long loops make smaller.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
@@ -80,7 +85,7 @@ class Spec:
         """The first, or last, value of every numeric axis."""
         return {a.name: a.values[-1 if last else 0] for a in self.axes.values() if a.inner}
 
-    def lookup(self, **values):
+    def lookup(self, /, **values):
         """(all that is known of one loop, a function of a name that gives its value, expressions worked out)."""
         chosen = [labels[values.pop(name)] for name, labels in self.bundles.items() if name in values]
         known = functools.reduce(operator.or_, chosen, DEFAULTS | self.fixed) | values
@@ -97,12 +102,12 @@ class Spec:
 
         return known, look
 
-    def values(self, **values) -> dict:
+    def values(self, /, **values) -> dict:
         """All options of one loop's problem that have a value."""
         known, look = self.lookup(**values)
         return {name: look(name) for name in known if name in OPTIONS}
 
-    def build(self, **values):
+    def build(self, /, **values):
         """Everything `solve` needs for one loop: (law, reference, q0, Ts, N, method, stage)."""
         v = self.values(**values)
         for name in ("robot", "reference"):
@@ -124,7 +129,7 @@ class Spec:
     def file(self, text) -> pathlib.Path | None:
         """The file that a name stands for, relative to the spec's folder, or None."""
         path = self.folder / str(text)
-        return path if path.is_file() else None
+        return path if os.path.isfile(path) else None  # which no name is too long for
 
     def _limit(self, look):
         """The linear theory's largest stable z, inf where there is none; for a traced M, from a table."""
@@ -137,7 +142,7 @@ class Spec:
         table[counts] = [of(m) for m in counts]
         return jnp.asarray(table)[M]
 
-    def study(self, **values) -> metrics.Metrics:
+    def study(self, /, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
         loop = law, reference, _, _, N, method, stage = self.build(**values)
         how = self.measured(law, N, **values)
@@ -214,12 +219,15 @@ def read(path, changes=()) -> Spec:
     path = pathlib.Path(path)
     text = read_bytes("SPEC", path, "a TOML file")
     try:
-        written = tomllib.loads(text.decode())
-    except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
-        raise errors.fail("SPEC", "be a TOML file", f"{str(path)!r} is not: {error}") from None
-    for change in changes:
-        _change(written, change)
-    return parse(written, path.stem, path.parent)
+        try:
+            written = tomllib.loads(text.decode())
+        except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
+            raise errors.fail("SPEC", "be a TOML file", f"{str(path)!r} is not: {error}") from None
+        for change in changes:
+            _change(written, change)
+        return parse(written, path.stem, path.parent)
+    except RecursionError:
+        raise errors.fail("SPEC", "be nested less deeply", f"{str(path)!r} is nested too deeply to be read") from None
 
 
 def _change(written, change):

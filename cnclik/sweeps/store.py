@@ -10,6 +10,7 @@ too: one that is damaged is written anew by a rerun, and refused by a reader.
 import contextlib
 import dataclasses
 import json
+import os
 import pathlib
 import re
 import tempfile
@@ -26,6 +27,7 @@ from cnclik.sweeps.spec import Spec
 from cnclik.writing import hidden_folder
 
 DATA = "data.zarr"
+_MARK = ".cnclik"  # in a store: checksum of its description
 _NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
 
 
@@ -37,6 +39,7 @@ class Store:
 
         self.folder, self.path = folder, folder / DATA
         try:
+            _check_metadata(self.path)
             self.group = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(self.group.attrs["config"])
             self.lanes, self.names, self._checked = (self.config[k] for k in ("lanes", "variables", "coordinates"))
@@ -53,6 +56,20 @@ class Store:
         """The blocks that are not done, or whose data no longer have their checksum."""
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
+
+    def damaged(self) -> set:
+        """Numbers of the blocks that were done and no longer have their checksum, or can't be read."""
+        known = self._known()
+        return {b.number for b in self.missing() if known[b.number] != _NOT_DONE or self._checksum(b) is None}
+
+    def without(self, name, damaged) -> np.ndarray:
+        """A variable as if some blocks were not done yet; they are not read."""
+        array = self.group[name]
+        values = np.full(array.shape, array.fill_value, array.dtype)
+        for block in self.blocks():
+            if block.number not in damaged:
+                values[block.region] = array[block.region]
+        return values
 
     def _known(self):
         with contextlib.suppress(*_UNREADABLE):
@@ -91,7 +108,7 @@ class Store:
     def foreign(self):
         """The first file in the store that is no part of it, or None."""
         array = "|".join(map(re.escape, (*self.names, *self._checked, "progress/checksum")))
-        own = re.compile(rf"((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?")
+        own = re.compile(rf"\{_MARK}|((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?")
         files = (p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if not p.is_dir())
         return next((name for name in files if not own.fullmatch(name)), None)
 
@@ -104,6 +121,24 @@ class Store:
 
 
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chunk raises
+
+
+def _metadata_checksum(path) -> str:
+    """Of what describes all arrays of a store, and never changes."""
+    return str(zlib.crc32((path / "zarr.json").read_bytes()))
+
+
+def _check_metadata(path) -> None:
+    """Raise ValueError where the description of a store is not what was written."""
+    if (path / _MARK).is_file() and (path / _MARK).read_text(errors="replace") != _metadata_checksum(path):
+        raise ValueError("its description is damaged")
+
+
+def _codecs():
+    """How chunks are written: small, and with a checksum of their bytes, so that none is unpacked that is damaged."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return [ZstdCodec(level=0), Crc32cCodec()]
 
 
 def _storable(values):
@@ -137,7 +172,12 @@ def _build(path, spec, of, outputs):
     checksums = {name: _coordinate_checksum(v) for name, (_, v, _) in coords.items()}
     attrs = environment() | attributes(spec, of, outputs, coordinates=checksums)
     with _quiet():
-        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(path, zarr_format=3, consolidated=False)
+        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(
+            path,
+            zarr_format=3,
+            consolidated=False,
+            encoding={name: {"compressors": _codecs()} for name in coords},
+        )
         group = zarr.open_group(path, mode="r+")
         dims = tuple(a.name for a in of.axes)
         for o in outputs:
@@ -149,10 +189,13 @@ def _build(path, spec, of, outputs):
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
                 dimension_names=dims + o.dims,
                 attributes=o.about,
+                compressors=_codecs(),
             )
         checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
+        checksums["compressors"] = _codecs()
         group.create_group("progress").create_array("checksum", **checksums, dimension_names=("block",))
         zarr.consolidate_metadata(path)
+    (path / _MARK).write_text(_metadata_checksum(path))
 
 
 def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
@@ -166,7 +209,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass  # it can be written
-    if not path.exists():
+    if not os.path.exists(path):
         return None
     store = Store(folder)
     if fresh:
@@ -281,12 +324,15 @@ def _share(spec, of, missing, process, processes):
 def read(folder):
     """The sweep of a folder as an `xarray.Dataset`, loaded on use.
 
+    Every block is held against its checksum first, which reads all of it once; one that is damaged counts as not done
+    (`blocks_missing`): NaN, never other numbers.
+
     Raises: ArgumentError where there is none, or one whose coordinates are damaged.
     """
     import xarray
 
     folder = pathlib.Path(folder)
-    if not (folder / DATA).exists():
+    if not os.path.exists(folder / DATA):  # which no name is too long for
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
     store = Store(folder, name="folder", mode="r")
     damaged = store.damaged_coordinates()
@@ -296,7 +342,9 @@ def read(folder):
     with _quiet():
         data = xarray.open_zarr(folder / DATA, chunks=None)
     # In the spec's order. A selection would lose the vectors beside the numbers of an axis of samples.
-    return data[list(store.names)].assign_coords(data.coords)
+    data = data[list(store.names)].assign_coords(data.coords)
+    damaged = store.damaged()
+    return data.assign({n: v.copy(data=store.without(n, damaged)) for n, v in data.items()}) if damaged else data
 
 
 def blocks_missing(folder) -> int:

@@ -249,3 +249,9 @@ def test_a_start_keeps_a_limit_on_one_side(bound, side):
     slider = ck.from_dh([0.0], [0.0], [0.0], kinds="P", **bound)
     (start,) = start_posture(slider, ck.position("z"))
     assert side * (start - next(iter(bound.values()))[0]) >= 0
+
+
+def test_lengths_beyond_any_robot():
+    for length in (1e300, -1e13):
+        with pytest.raises(ck.ArgumentError, match=r"`a\[0\]` must be within ±1e\+12"):
+            ck.from_dh([length], [0.0], [0.0])

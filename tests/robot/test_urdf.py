@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import pathlib
+import time
 import warnings
 import xml.etree.ElementTree as ElementTree
 
@@ -366,6 +367,54 @@ def test_large_trees_are_read_in_time_that_grows_with_their_size(tmp_path):
     (tmp_path / "loose.urdf").write_text(loose)
     with pytest.raises(ck.ArgumentError, match="5,000 roots: l0, l1, l2, l3, l4 and 4,995 more"):
         read_urdf(tmp_path / "loose.urdf")
+
+
+def test_tips_and_tables_of_thousands_of_links_take_a_second(tmp_path, capsys):
+    from cnclik.cli import main
+
+    comb = "".join(
+        f'<link name="b{k}"/><joint name="k{k}" type="fixed"><parent link="l{k}"/><child link="b{k}"/></joint>'
+        for k in range(2000)
+    )
+    (tmp_path / "comb.urdf").write_text(long_chain(2000).replace("</robot>", comb + "</robot>"))
+    begun = time.process_time()
+    main(["robots", str(tmp_path / "comb.urdf")])
+    assert time.process_time() - begun < 2
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[-2].startswith("4001 links") and len(shown) == 4001 + 4
+    assert "b0," not in shown[-1] and "b1, b2," in shown[-1]
+
+
+LIMITED = long_chain(1).replace("continuous", "revolute").replace("</joint>", '<limit lower="-1" upper="1"/></joint>')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("<limit", '<origin xyz="1e300 0 0"/><limit', "has an origin that is not finite, or not within ±1e"),
+        ("<limit", '<origin rpy="0 0 1e300"/><limit', "has an origin that is not finite, or not within ±1e"),
+        ('lower="-1"', 'lower="1e300"', "above upper"),
+        ('lower="-1" upper="1"', 'lower="1e300" upper="1e301"', "neither of them within ±1e"),
+    ],
+)
+def test_numbers_beyond_any_robot(tmp_path, old, new, told):
+    (tmp_path / "a.urdf").write_text(LIMITED.replace(old, new))
+    with pytest.raises(ck.ArgumentError, match=told):
+        read_urdf(tmp_path / "a.urdf")
+
+
+def test_limits_beyond_any_robot_are_none(tmp_path):
+    (tmp_path / "a.urdf").write_text(LIMITED.replace('lower="-1" upper="1"', 'lower="-1e308" upper="1e16"'))
+    made = ck.load_urdf(tmp_path / "a.urdf")
+    assert made.lower == (-np.inf,) and made.upper == (np.inf,)
+
+
+def test_mimics_that_multiply_beyond_any_robot(tmp_path):
+    text = long_chain(40, mimic=True)
+    assert "<mimic joint=" in text
+    (tmp_path / "a.urdf").write_text(text.replace("<mimic joint=", '<mimic multiplier="10" joint='))
+    with pytest.raises(ck.ArgumentError, match=r"have mimic joints within ±1e\+12"):
+        ck.load_urdf(tmp_path / "a.urdf")
 
 
 def test_loops_of_links_are_found_wherever_they_begin(tmp_path):

@@ -2,6 +2,7 @@
 
 import copy
 import tomllib
+import warnings
 
 import jax
 import numpy as np
@@ -248,7 +249,10 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"axes__z": {"linspace": [0, 1]}}, "[first, last, count]"),
         ({"axes__z": []}, "`axes.z` must"),
         ({"axes__z": {"linspace": [0, 1, 10**12]}}, "at most 10,000,000 values, but asks for 1,000,000,000,000"),
+        ({"axes__z": {"range": [10**30, 10**30 + 3]}}, "`axes.z` must have a range within"),
         ({"axes__z": {"range": [0, 10**12]}}, "at most 10,000,000 values"),
+        ({"axes__lift": {"linspace": [[0.0] * 1000, [1.0] * 1000, 10**5]}}, "but asks for 100,000,000"),
+        ({"axes__q0": {"samples": 10**7}, "fixed__q0": None}, "at most 10,000,000 values, but asks for 20,000,000"),
         ({"axes__z": {"samples": 10**12}}, "at most 10,000,000 values"),
         ({"axes__M": [-1, 2]}, "at least 0"),
         ({"fixed__period": "2*lift"}, "`period` must be positive"),
@@ -260,7 +264,7 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
         ({"fixed__q0": ["(-1)**0.5", 0]}, "the result is complex"),
         ({"fixed__q0": ["round((-8)**0.5)", 0]}, "the result is complex"),
-        ({"fixed__q0": ["method + 1", 0]}, "'method + 1' is not: can only concatenate str"),
+        ({"fixed__q0": ["method + 1", 0]}, "'method + 1' is not: method is a name, not a number"),
         ({"fixed__q0": [[0], [0, 0]]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__q0": None, "axes__q0": {"samples": 2, "low": [0, 0], "high": [1, 1, 1]}}, "must have low ≤ high"),
@@ -279,6 +283,20 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
         ({"units": {"z": 3}}, "`units.z` must be a unit's name"),
+        ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
+        ({"fixed__q0": [0, 10**400]}, "`q0` must hold numbers or vectors of one length"),
+        ({"axes__z": ["(zz/3)", "1"]}, "`z` must use names that have a value, but uses 'zz'"),
+        ({"axes__z": {"linspace": [-1e308, 1e308, 5]}}, "`axes.z` must hold finite values"),
+        ({"axes__delay": {"range": [0, 100_000]}}, "`axes.delay` must hold at most 1,000 values, as each is compiled"),
+        ({"fixed__N": None, "axes__N": {"range": [1, 100_000]}}, "`axes.N` must hold at most 1,000 values"),
+        ({"fixed__N": "10*lift + 1", "axes__lift": {"linspace": [0, 1, 10**6]}}, "hold at most 1,000 values"),
+        ({"lanes": 1, "axes__z": {"linspace": [0.1, 1, 10**6]}}, "span at most 1,000,000 blocks, of so many `lanes`"),
+        ({"bundles": {f"b{k}": {"a": {}, "b": {}} for k in range(40)}}, "span at most 1,000 combinations"),
+        (
+            {f"fixed__z{k}": f"z{k - 1} + z{k - 2}" for k in range(2, 60)}
+            | {"fixed__z0": 1.0, "fixed__z1": 1.0, "fixed__alpha": "z*z59"},
+            "numbers in fewer than 30 steps",
+        ),
         ({"figure": [3]}, "`figure[0]` must be a table, but is 3"),
         ({"figure": [{"kind": ["heat"]}]}, "`figure[0].kind` must be a name"),
         ({"figure": [{"kind": "heat", "select": 3}]}, "`figure[0].select` must be a table"),
@@ -308,6 +326,30 @@ def test_files_that_are_no_toml(tmp_path, text):
         spec.read(path)
     with pytest.raises(ArgumentError, match="No such file"):
         spec.read(tmp_path / "none.toml")
+    path.write_text(TEXT)
+    with pytest.raises(ArgumentError, match="`robot` must be a URDF file, panda"):  # and no name is too long for it
+        spec.read(path, ["robot=" + "a" * 5000])
+
+
+def test_an_axis_may_have_any_name():
+    """Those of the functions' own arguments, too."""
+    for name in ("N", "law", "self"):
+        w = written(fixed__N=None, fixed__alpha=f"{name} + 1", axes__N=[4], axes__z=None, figure=[])
+        w["axes"][name] = [4, 5]
+        s = check.parse(w)
+        lane = s.grid().programs[0] | s.first()
+        assert s.measured(*s.build(**lane)[:2], **lane) == {}
+
+
+def test_nested_too_deeply(tmp_path):
+    path = tmp_path / "deep.toml"
+    for text in ("a = " + "[" * 5000 + "]" * 5000, TEXT.replace("alpha = ", "alpha = " + "[" * 200 + "]" * 200 + " #")):
+        path.write_text(text)
+        with pytest.raises(ArgumentError):
+            spec.read(path)
+    path.write_text(TEXT)
+    with pytest.raises(ArgumentError, match="nested less deeply"):
+        spec.read(path, ["alpha=" + "{a=" * 500 + "1" + "}" * 500])
 
 
 def test_no_grid_beyond_what_can_be_stored():
@@ -338,6 +380,13 @@ def test_expressions_are_arithmetic():
     assert expression.evaluate("x", "2**10 + 10**-2 + (-1)**3", known) == 1024 + 0.01 - 1
     with pytest.raises(ArgumentError, match="be a number or an expression"):
         expression.parse("x", "1" + "0" * 400)
+    with pytest.raises(ArgumentError, match="be a number or an expression"):
+        expression.parse("x", "(" * 150 + "a" + ")**2" * 150)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ArgumentError):
+            expression.evaluate("x", "0in a", known)
+        assert np.isnan(expression.evaluate("x", "a*z", {"a": np.float64(np.inf), "z": 0}.__getitem__))
     for bad in ("a.b", "a[0]", "lambda: 1", "f(a)", "sin(a, a)", "a if a else a", "'s'", "1j", "sin", "a and a"):
         with pytest.raises(ArgumentError, match="be a number or an expression"):
             expression.parse("x", bad)

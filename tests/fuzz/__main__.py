@@ -1,0 +1,90 @@
+"""`python -m tests.fuzz`: a hundred thousand inputs that are wrong in every way, each judged (see `judge`).
+
+    python -m tests.fuzz                                         # all of it: docs/reliability.md tells how long
+    python -m tests.fuzz --only urdf toml --inputs 1000          # some rooms, fewer inputs
+    python -m tests.fuzz --only urdf --seed 0 --number 17        # one input again, shown, with its traceback
+
+Exit code 1, and the command that repeats it, for every input that fails.
+"""
+
+import argparse
+import collections
+import contextlib
+import os
+import pathlib
+import signal
+import sys
+import tempfile
+import time
+
+from tests.fuzz import judge, many
+
+SHARES = {"urdf": 0.33, "toml": 0.18, "tables": 0.2, "expressions": 0.215, "arguments": 0.07, "stores": 0.005}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=SHARES, default=list(SHARES))
+    parser.add_argument("--inputs", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--number", type=int, help="one input again")
+    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    args = parser.parse_args()
+    if args.number is not None:
+        many.begin()
+        _again(args)
+        return
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    for ends in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ends, signal.default_int_handler)
+    total = sum(SHARES[name] for name in args.only)
+    counts = {name: round(args.inputs * SHARES[name] / total) for name in args.only}
+    found, begun = [], time.perf_counter()
+    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as shown:
+        task = shown.add_task("inputs", total=sum(counts.values()))
+        with contextlib.suppress(KeyboardInterrupt):  # what was tried is told all the same
+            for some in many.verdicts(counts, args.seed, args.processes):
+                found += some
+                shown.advance(task, len(some))
+                for bad in (v for v in some if v.outcome == "failed"):
+                    print(f"\n{judge.repeat(bad, args.seed)}\n{bad.why.strip()}", file=sys.stderr)
+    seconds = time.perf_counter() - begun
+    print(table(found))
+    tried = f"{len(found):,} of {sum(counts.values()):,} inputs of seed {args.seed}"
+    print(f"\n{tried} in {seconds / 60:.1f} min on {args.processes} processes.")
+    sys.exit(any(v.outcome == "failed" for v in found))
+
+
+def table(verdicts) -> str:
+    """The rooms in Markdown: how many inputs, what came of them, the slowest and the largest."""
+    rooms = collections.defaultdict(list)
+    for verdict in verdicts:
+        rooms[verdict.room].append(verdict)
+    lines = ["| inputs | number | passed | refused in one line | failed | slowest [s] | most memory [MiB] |"]
+    lines += ["|:--|--:|--:|--:|--:|--:|--:|"]
+    for name, found in (*sorted(rooms.items()), ("all", verdicts)):
+        of = collections.Counter(v.outcome for v in found)
+        slowest, largest = max(v.seconds for v in found), max(v.bytes for v in found)
+        counts = " | ".join(f"{n:,}" for n in (len(found), of["passed"], of["refused"], of["failed"]))
+        lines.append(f"| {name} | {counts} | {slowest:.2f} | {largest / 2**20:.0f} |")
+    return "\n".join(lines)
+
+
+def _again(args):
+    """One input of one room, shown."""
+    from tests.fuzz import rooms
+
+    for name in args.only:
+        room = rooms.ROOMS[name]
+        shown = repr(judge.drawn(room, args.number, args.seed))
+        print(f"{name} {args.number}: {shown[:4000]}")
+        with tempfile.TemporaryDirectory(prefix="cnclik-fuzz-") as folder:
+            found = judge.judge(room, args.number, pathlib.Path(folder), args.seed)
+        print(f"{found.outcome} in {found.seconds:.2f} s, {found.bytes / 2**20:.0f} MiB: {found.why}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,12 @@
+"""Rooms: the kinds of inputs, each a module with `draw(rng)`, an input, and `attempt(input, folder)`, its use."""
+
+from tests.fuzz import arguments, expressions, stores, tables, toml, urdf
+
+ROOMS = {
+    "urdf": urdf,
+    "toml": toml,
+    "tables": tables,
+    "expressions": expressions,
+    "arguments": arguments,
+    "stores": stores,
+}

@@ -1,0 +1,20 @@
+"""A share of the inputs of `python -m tests.fuzz`, the same in every run."""
+
+import pytest
+
+from tests.fuzz.judge import judge, repeat
+from tests.fuzz.rooms import ROOMS
+
+COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "stores": 12}
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_no_input_does_harm(name, tmp_path):
+    wrong = []
+    for number in range(COUNTS[name]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        verdict = judge(ROOMS[name], number, folder)
+        if verdict.outcome == "failed":
+            wrong.append(f"{repeat(verdict)}\n{verdict.why}")
+    assert not wrong, "\n".join(wrong)
