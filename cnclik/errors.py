@@ -59,14 +59,19 @@ def number(name: str, value, *, positive=False, at_least=None):
     return value
 
 
-def integer(name: str, value, *, at_least: int) -> int:
-    """A Python integer not below `at_least`."""
+MOST = 100_000_000  # of steps of one run, targets of one call: beyond it no machine has the memory
+
+
+def integer(name: str, value, *, at_least: int, at_most: int | None = None) -> int:
+    """A Python integer not below `at_least` nor above `at_most`."""
     import numpy as np
 
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise fail(name, "be an integer", f"is {value!r}")
     if value < at_least:
         raise fail(name, f"be at least {at_least}", f"is {value}")
+    if at_most is not None and value > at_most:
+        raise fail(name, f"be at most {at_most:,}", f"is {value}")
     return int(value)
 
 

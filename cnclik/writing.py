@@ -29,7 +29,8 @@ class Folder:
         try:
             _write(self.path / file, make)
         except Exception as error:
-            (self.path / file).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                (self.path / file).unlink()
             if not isinstance(error, OSError):
                 raise
             self._elsewhere(error, lambda path: _write(path / file, make))

@@ -26,6 +26,11 @@ from cnclik.errors import ArgumentError
         (lambda: errors.integer("N", 3.0, at_least=0), "Argument `N` must be an integer, but is 3.0."),
         (lambda: errors.integer("N", True, at_least=0), "Argument `N` must be an integer, but is True."),
         (lambda: errors.integer("N", -1, at_least=0), "Argument `N` must be at least 0, but is -1."),
+        (
+            lambda: errors.integer("N", 10**400, at_least=0, at_most=9),
+            f"Argument `N` must be at most 9, but is 1{'0' * 115}….",
+        ),
+        (lambda: errors.integer("N", 10, at_least=0, at_most=9), "Argument `N` must be at most 9, but is 10."),
         (lambda: errors.array("q", [1, 2], (3,)), "Argument `q` must have shape (3,), but has shape (2,)."),
         (
             lambda: errors.array("a", np.ones((2, 3)), (), (2,), (2, 2)),

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import json
+import os
 import pathlib
 import time
 from typing import Annotated, Literal
@@ -76,14 +77,16 @@ def _check(args):
         found = f"are {' and '.join(given)}" if given else "is none of them"
         raise errors.ArgumentError(f"One of TARGETS, --random N and --map PLANE must be given, but there {found}.")
     if args.random is not None:
-        errors.integer("random", args.random, at_least=1)
+        errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
     if args.out is not None and not args.map:
         from cnclik.measure.answers import ENDINGS
 
         if args.out.suffix.lower() not in ENDINGS:
             raise errors.fail("out", f"end with {', '.join(ENDINGS)}", f"is {str(args.out)!r}")
-        if not args.out.parent.is_dir() or args.out.is_dir():
+        if not os.path.isdir(args.out.parent) or os.path.isdir(args.out):
             raise errors.fail("out", "name a file in a folder that is there", f"is {str(args.out)!r}")
+        if len(os.fsencode(args.out.name)) > 250:
+            raise errors.fail("out", "have a name of at most 250 bytes", f"has {len(os.fsencode(args.out.name))}")
     if args.path and args.near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
 

@@ -63,11 +63,11 @@ def run(args: Args) -> None:
 
 
 def _check(args):
-    errors.integer("cells", args.cells, at_least=2)
+    errors.integer("cells", args.cells, at_least=2, at_most=10_000)
     for name in ("methods", "passes"):
         if not getattr(args, name):
             raise errors.fail(name, "name at least one", "is empty")
-    errors.integer("N", args.N, at_least=4)
+    errors.integer("N", args.N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", args.tolerance, positive=True)
     for name, given in (("alpha-range", args.alpha_range), ("Ts-range", args.Ts_range)):
         if given is not None:

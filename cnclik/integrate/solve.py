@@ -87,7 +87,7 @@ def solve(
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
-    N = errors.integer("N", N, at_least=0)
+    N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
     # Called with numbers, no vmap is around this loop: it may become one native function.

@@ -59,7 +59,7 @@ def problem_from(robot, **options) -> Problem:
     if "M" in given and hasattr(v["stage"], "tolerance"):
         raise errors.fail("M", "be left out where `stage` has it", f"is {given['M']!r}")
     Ts = errors.number("Ts", v["Ts"], positive=True)
-    N = errors.integer("N", v["N"], at_least=1)
+    N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     chain = robot_from(robot, v["tip"], v["base"], v["lengths"])
     task = task_from(v["task"], chain)
     q0 = start_from(chain, task, v["q0"])

@@ -47,6 +47,11 @@ def reachability(
     errors.one_of("task", task, ("pose", "position"))
     cells = errors.integer("cells", cells, at_least=2)
     orientations = errors.integer("orientations", orientations, at_least=1)
+    count = cells ** (3 if where == "box" else 2) * (orientations if task == "pose" else 1)
+    if count > errors.MOST:
+        raise errors.fail(
+            "cells", f"make at most {errors.MOST:,} targets with `orientations`", f"makes {float(count):.3g}"
+        )
     middle = np.array([float(x) for x in chain.joints[0].origin.position])
     over = PLANES.get(where, (0, 1, 2))
     if span is None:
