@@ -1,0 +1,45 @@
+"""`python -m tests.numerics`: thousands of random loops of every kind, on several processes.
+
+python -m tests.numerics                       # 2,000 kinds of loops
+python -m tests.numerics --kinds 100 --first 500
+XLA_FLAGS=--xla_cpu_max_isa=AVX2 python -m tests.numerics      # as on a processor without AVX-512
+"""
+
+import argparse
+import collections
+import multiprocessing
+import os
+import sys
+import time
+
+from cnclik.cli.progress import bar
+from cnclik.measure.files import markdown
+from tests.numerics.checks import one
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kinds", type=int, default=2000)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--processes", type=int, default=os.cpu_count())
+    args = parser.parse_args()
+    seeds, begun = range(args.first, args.first + args.kinds), time.time()
+    kinds, loops, failed = collections.Counter(), collections.Counter(), []
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(args.processes, maxtasksperchild=50) as pool, bar("kinds", args.kinds) as report:
+        for done, (seed, way, wrong, count, _) in enumerate(pool.imap_unordered(one, seeds), 1):
+            kinds[way] += 1
+            loops[way] += count
+            if wrong:
+                failed.append((way, f"seed {seed}, {wrong}"))
+            report(done, args.kinds)
+    bad = collections.Counter(way for way, _ in failed)
+    rows = [[way, kinds[way], loops[way], bad[way]] for way in sorted(kinds)]
+    print(markdown(["held against", "kinds", "loops", "wrong"], rows))
+    print(f"{args.kinds} kinds in {(time.time() - begun) / 60:.0f} min on {args.processes} processes.")
+    print("\n".join(text for _, text in failed))
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()
