@@ -1,0 +1,1 @@
+"""The step as C: for loops and controllers that JAX can not run in."""

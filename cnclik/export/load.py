@@ -1,0 +1,203 @@
+"""Load: exported C, built by the system's compiler and called from Python with NumPy arrays."""
+
+import ctypes
+import json
+import pathlib
+import tempfile
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.export.compiler import build, opened
+from cnclik.export.write import MANIFEST, c
+from cnclik.integrate.advance import Step
+from cnclik.reading import read_bytes
+from cnclik.robot.kinematics import Pose
+
+_KINDS = {"real": None, "int": np.int32}
+
+
+def load(folder, **parameters):
+    """What `export.c` wrote, built and ready to be called.
+
+    Args:
+      folder: where it was written.
+      parameters: values of its parameters other than those that were exported.
+
+    Returns: `Compiled`, called with what the C function's `input` holds, in that order or by name.
+    Raises: ArgumentError where there is no compiler, or the folder holds no export.
+    """
+    folder = pathlib.Path(folder)
+    try:
+        told = json.loads(read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"))
+    except ValueError:
+        raise errors.fail(
+            "folder", f"hold an {MANIFEST} written by cnclik.export.c", f"{folder.name} has another"
+        ) from None
+    made = Compiled(folder, told)
+    made.set(**parameters)
+    return made
+
+
+def compiled(law, reference=None, **options):
+    """`c` and `load` in one: the step as a native function, in a temporary folder that lives as long as it does.
+
+    Args: those of `c` but `out`.
+    """
+    folder = tempfile.TemporaryDirectory(prefix="cnclik-export-")
+    made = load(c(law, reference, out=folder.name, **options))
+    made.folder = folder
+    return made
+
+
+class Compiled:
+    """A native function: `made = step(q, position, rotation, velocity, Ts)`, in a few microseconds.
+
+    One object has one set of buffers: each thread needs its own.
+    """
+
+    def __init__(self, folder, told):
+        self.told, self.folder = told, folder
+        self.dtype = np.dtype(told["dtype"])
+        name = told["name"]
+        self.library = build([folder / f"{name}.c"], folder)
+        self._buffers = {group: _Buffer(fields, self.dtype) for group, fields in told["inputs"].items() if fields}
+        self._buffers["output"] = _Buffer(told["outputs"], self.dtype)
+        entry = name + "_step" * (told["what"] == "solve")
+        function = getattr(opened(self.library, lets_go=False), entry)
+        function.restype = ctypes.c_int32 if told["what"] in ("step", "solve") else None
+        addresses = [ctypes.c_void_p(b.address) for b in self._buffers.values()]
+        self._function = function
+        self._call = _CALLS[told["what"]](self._buffers, lambda: function(*addresses), function, addresses)
+
+    def __call__(self, q, *given, **named):
+        """One call.
+
+        Args:
+          q: (n,) joint values [rad, m].
+          given, named: the other fields of the C function's `input`, in order or by name; what is left out keeps the
+            value of the call before, at first that of the export. `history` of a multistep method is what the step
+            before handed back; None starts anew.
+
+        Returns: of a step `cnclik.Step`, of "fk" `cnclik.Pose`, of "jacobian" (6, n); NumPy arrays in them.
+        """
+        return self._call(q, *given, **named)
+
+    @property
+    def parameters(self) -> dict:
+        """The parameters that may be set, and their values."""
+        return (
+            {k: v.copy() for k, v in self._buffers["parameters"].views.items()} if "parameters" in self._buffers else {}
+        )
+
+    def set(self, **values) -> None:
+        """Set parameters: `step.set(alpha=20.0)`."""
+        views = self._buffers["parameters"].views if "parameters" in self._buffers else {}
+        for name, value in values.items():
+            errors.one_of("parameter", name, list(views))
+            views[name][...] = errors.array(name, value, views[name].shape)
+
+    def __repr__(self):
+        inputs = ", ".join(row["name"] for row in self.told["inputs"]["input"])
+        return f"Compiled {self.told['name']}({inputs}): {self.told['what']} by {self.told['method']}, {self.told['dtype']}"
+
+
+class _Buffer:
+    """A C struct as NumPy arrays: its numbers side by side, whole numbers where the struct has them."""
+
+    def __init__(self, fields, dtype):
+        layout = np.dtype(
+            [(f["name"], np.int32 if f["kind"] == "int" else dtype, tuple(f["shape"])) for f in fields], align=True
+        )
+        self.record = np.zeros((), layout)
+        self.views = {f["name"]: self.record[f["name"]] for f in fields}
+        for f in fields:
+            if f["value"] is not None:
+                self.views[f["name"]][...] = f["value"]
+        self.bytes = self.record.reshape(1).view(np.uint8)
+        self.address = self.record.ctypes.data
+        # The numbers at the start of the struct, all in one array, and which of them are whose.
+        self.places, at = {}, 0
+        for f in fields:
+            size = int(np.prod(f["shape"]))
+            if f["kind"] != "int":
+                self.places[f["name"]] = (at, at + size)
+                at += size
+        self.numbers = self.bytes[: at * dtype.itemsize].view(dtype)
+
+
+def _input(buffers):
+    """The function that writes a call's arguments where the C function reads them."""
+    views = list(buffers["input"].views.items())
+    (_, q), *others = views
+    shape, named = q.shape, dict(views)
+    targets = [view for _, view in others]
+
+    def write(values, given, by_name):
+        if type(values) is not np.ndarray or values.shape != shape:
+            values = errors.array("q", values, shape, finite=False)
+        q[...] = values
+        if len(given) > len(targets):
+            raise errors.fail("arguments", f"be at most {', '.join(named)}", f"are {1 + len(given)}")
+        for view, value in zip(targets, given, strict=False):
+            view[...] = value
+        for name, value in by_name.items():
+            errors.one_of("argument", name, list(named))
+            named[name][...] = value
+
+    return write
+
+
+def _stepper(buffers, run, *_):
+    write, output, history = _input(buffers), buffers["output"], buffers.get("history")
+    numbers, spans = output.numbers, output.places
+    (q0, q1), (v0, v1), (e0, e1), (x0, x1) = (spans[name] for name in ("q", "qdot", "e", "x"))
+    residual, contraction = spans["residual"][0], spans["contraction"][0]
+    new = object.__new__
+
+    def step(q, *given, history=None, **named):
+        write(q, given, named)
+        if past is not None:
+            past[...] = 0 if history is None else history
+        status = run()
+        out = numbers.copy()
+        made = new(Step)  # no __init__: a record's own checks take longer than the step
+        made.__dict__.update(
+            q=out[q0:q1],
+            x=out[x0:x1],
+            e=out[e0:e1],
+            qdot=out[v0:v1],
+            residual=out[residual],
+            contraction=out[contraction],
+            status=status,
+            history=None if past is None else past.copy(),
+        )
+        return made
+
+    past = None if history is None else history.bytes
+    return step
+
+
+def _posed(buffers, run, *_):
+    write, output = _input(buffers), buffers["output"]
+
+    def pose(q):
+        write(q, (), {})
+        run()
+        return Pose(**{name: view.copy() for name, view in output.views.items()})
+
+    return pose
+
+
+def _jacobian(buffers, run, *_):
+    write, view = _input(buffers), buffers["output"].views["jacobian"]
+
+    def jacobian(q):
+        write(q, (), {})
+        run()
+        return view.copy()
+
+    return jacobian
+
+
+_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _stepper}

@@ -1,0 +1,377 @@
+"""Reader: a traced function of one lane becomes a `Graph`.
+
+Every array is a NumPy array of nodes, so that moving data about costs nothing; loops whose bodies are the same in each
+round stay loops, other ones are written out.
+"""
+
+import functools
+import itertools
+
+import jax
+import numpy as np
+
+from cnclik.export.graph import BOOL, INT, REAL, Graph
+from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, moved
+
+WRITTEN_OUT = 64  # rounds of a loop that may be written out where it can't stay one
+
+
+class UnsupportedError(Exception):
+    """The function does what C code can't; the message names it."""
+
+
+_SAME = """
+    add sub mul div neg abs sqrt sin cos atan2 max min lt le gt ge eq ne and or xor is_finite floor ceil exp exp2 expm1
+    log log1p tan asin acos atan sinh cosh tanh asinh acosh atanh cbrt erf pow rem nextafter
+"""
+_ELEMENTWISE = {name: name for name in _SAME.split()} | {"add_any": "add"}
+_REDUCTIONS = {
+    **{"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and"},
+    **{"reduce_or": "or", "cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"},
+}
+_KINDS = {"f": REAL, "i": INT, "u": INT, "b": BOOL}
+
+
+def kind_of(aval) -> str:
+    """The kind of an array's entries."""
+    if aval.dtype.kind not in _KINDS:
+        raise UnsupportedError(f"numbers of type {aval.dtype} have no C form here")
+    return _KINDS[aval.dtype.kind]
+
+
+class Reader:
+    """Reads jaxprs into a graph."""
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+
+    def constant(self, value, aval=None):
+        """An array of known nodes."""
+        value = np.asarray(value)
+        kind = kind_of(value if aval is None else aval)
+        return array_of([self.graph.const(v, kind) for v in value.ravel().tolist()], value.shape)
+
+    def run(self, jaxpr, consts, values) -> list:
+        """Results of an open jaxpr, from arrays of nodes."""
+        held = dict(zip(jaxpr.constvars, map(self.constant, consts), strict=True))
+        held |= dict(zip(jaxpr.invars, values, strict=True))
+
+        def read(v):
+            return self.constant(v.val, v.aval) if hasattr(v, "val") else held[v]
+
+        for equation in jaxpr.eqns:
+            inputs = [read(v) for v in equation.invars]
+            for var, value in zip(equation.outvars, self.equation(equation, inputs), strict=True):
+                held[var] = value
+        return [read(v) for v in jaxpr.outvars]
+
+    def equation(self, equation, inputs) -> list:
+        """Results of one equation."""
+        name, params = equation.primitive.name, equation.params
+        if name in CALLS:
+            return self._call(params, inputs)
+        if (found := moved(equation, inputs)) is not None:
+            return found
+        if name in _ELEMENTWISE:
+            return [self._each(functools.partial(self.graph.apply, _ELEMENTWISE[name]), *inputs)]
+        special = getattr(self, "_" + name.replace("-", "_"), None)
+        if special is None and name in _REDUCTIONS:
+            special = self._running if name.startswith("cum") else self._reduce
+        if special is None:
+            raise UnsupportedError(f"the operation `{name}` has no C form")
+        return special(equation, *inputs)
+
+    def _each(self, fn, *arrays):
+        arrays = np.broadcast_arrays(*arrays)
+        return array_of([fn(*cells) for cells in zip(*(a.flat for a in arrays), strict=True)], arrays[0].shape)
+
+    def _call(self, params, inputs):
+        jaxpr, consts = called(params)
+        if getattr(getattr(jaxpr, "debug_info", None), "func_name", None) == "sincos":  # of `robot.trig`
+            return [self._each(functools.partial(self.graph.apply, op), x) for op in ("sin", "cos") for x in inputs]
+        return self.run(jaxpr, consts, inputs)
+
+    # --- elementwise ----------------------------------------------------------------------------------
+
+    def _not(self, equation, x):
+        return [self._each(functools.partial(self.graph.apply, "not"), x)]
+
+    def _select_n(self, equation, which, *cases):
+        def choose(which, first, *others):
+            for i, other in enumerate(others, 1):
+                here = which if which.kind == BOOL else self.graph.apply("eq", which, self.graph.const(i, INT))
+                first = self.graph.apply("select", here, other, first)
+            return first
+
+        return [self._each(choose, which, *cases)]
+
+    def _convert_element_type(self, equation, x):
+        kind, old = kind_of(equation.outvars[0].aval), kind_of(equation.invars[0].aval)
+        if kind == old:
+            return [x]
+        g = self.graph
+        if kind == BOOL:
+            return [self._each(lambda v: g.apply("ne", v, g.const(0, old)), x)]
+        op = "to_real" if kind == REAL else "to_int" if old == REAL else "bool_to_int"
+        return [self._each(functools.partial(g.apply, op), x)]
+
+    def _round(self, equation, x):
+        even = int(equation.params["rounding_method"]) == 1
+        return [self._each(functools.partial(self.graph.apply, "round_even" if even else "round_away"), x)]
+
+    def _integer_pow(self, equation, x):
+        y = equation.params["y"]
+        return [self._each(lambda v: self._power(v, y), x)]
+
+    def _power(self, v, y):
+        g = self.graph
+        if y < 0:
+            return g.apply("div", g.const(1, v.kind), self._power(v, -y))
+        out = None
+        while y:  # as XLA does: by squaring
+            if y & 1:
+                out = v if out is None else g.apply("mul", out, v)
+            y >>= 1
+            v = g.apply("mul", v, v) if y else v
+        return g.const(1, v.kind) if out is None else out
+
+    def _square(self, equation, x):
+        return [self._each(lambda v: self.graph.apply("mul", v, v), x)]
+
+    def _rsqrt(self, equation, x):
+        g = self.graph
+        return [self._each(lambda v: g.apply("div", g.const(1, REAL), g.apply("sqrt", v)), x)]
+
+    def _logistic(self, equation, x):
+        g, one = self.graph, self.graph.const(1, REAL)
+        down = functools.partial(g.apply, "neg")
+        return [self._each(lambda v: g.apply("div", one, g.apply("add", one, g.apply("exp", down(v)))), x)]
+
+    def _sign(self, equation, x):
+        g = self.graph
+
+        def sign(v):
+            zero, one, less = (g.const(c, v.kind) for c in (0, 1, -1))
+            down = g.apply("select", g.apply("lt", v, zero), less, v)
+            return g.apply("select", g.apply("lt", zero, v), one, down)
+
+        return [self._each(sign, x)]
+
+    def _clamp(self, equation, low, x, high):
+        g = self.graph
+        return [self._each(lambda l, v, h: g.apply("min", g.apply("max", l, v), h), low, x, high)]
+
+    # --- arrays ---------------------------------------------------------------------------------------
+
+    def _iota(self, equation, *_):
+        params, aval = equation.params, equation.outvars[0].aval
+        shape, axis = aval.shape, params["dimension"]
+        counted = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+        return [self.constant(np.broadcast_to(counted, shape), aval)]
+
+    def _split(self, equation, x):
+        ends = np.cumsum(equation.params["sizes"])[:-1]
+        return list(np.split(x, ends, equation.params["axis"]))
+
+    def _reduce(self, equation, x):
+        op, axes = _REDUCTIONS[equation.primitive.name], equation.params["axes"]
+        kept = [a for a in range(x.ndim) if a not in axes]
+        rows = x.transpose(*kept, *axes).reshape(int(np.prod([x.shape[a] for a in kept])), -1)
+        apply = functools.partial(self.graph.apply, op)
+        return [array_of([functools.reduce(apply, row) for row in rows], [x.shape[a] for a in kept])]
+
+    def _running(self, equation, x):
+        op, axis, back = _REDUCTIONS[equation.primitive.name], equation.params["axis"], equation.params["reverse"]
+        x = np.flip(np.moveaxis(x, axis, -1), -1) if back else np.moveaxis(x, axis, -1)
+        apply = functools.partial(self.graph.apply, op)
+        rows = [cell for row in x.reshape(-1, x.shape[-1]) for cell in itertools.accumulate(row, apply)]
+        found = array_of(rows, x.shape)
+        return [np.moveaxis(np.flip(found, -1) if back else found, -1, axis)]
+
+    def _argmax(self, equation, x, op="lt"):
+        (axis,), g = equation.params["axes"], self.graph
+
+        def best(row):
+            at, most = g.const(0, INT), row[0]
+            for i, cell in enumerate(row[1:], 1):
+                better = g.apply(op, most, cell)
+                at, most = g.apply("select", better, g.const(i, INT), at), g.apply("select", better, cell, most)
+            return at
+
+        rows = np.moveaxis(x, axis, -1)
+        return [array_of([best(row) for row in rows.reshape(-1, rows.shape[-1])], rows.shape[:-1])]
+
+    def _argmin(self, equation, x):
+        return self._argmax(equation, x, "gt")
+
+    def _dot_general(self, equation, x, y):
+        (left, right), (left_batch, right_batch) = equation.params["dimension_numbers"]
+        rows, columns = (_folded(a, batch, axes) for a, batch, axes in ((x, left_batch, left), (y, right_batch, right)))
+        found = [self._dot(a, b) for one, two in zip(rows, columns, strict=True) for a in one for b in two]
+        return [array_of(found, equation.outvars[0].aval.shape)]
+
+    def _dot(self, a, b):
+        g = self.graph
+        return functools.reduce(functools.partial(g.apply, "add"), map(functools.partial(g.apply, "mul"), a, b))
+
+    def _dynamic_slice(self, equation, x, *starts):
+        """At known or unknown places; what would reach out of the array is moved inside, as JAX does."""
+        g, sizes = self.graph, equation.params["slice_sizes"]
+        flat, offset = list(x.reshape(-1)), g.const(0, INT)
+        for start, size, most, stride in zip(starts, sizes, x.shape, _strides(x.shape), strict=True):
+            (at,) = start.flat
+            at = g.apply("min", g.apply("max", at, g.const(0, INT)), g.const(most - size, INT))
+            offset = g.apply("add", offset, g.apply("mul", at, g.const(stride, INT)))
+        inside = sum(
+            np.arange(size).reshape([-1 if i == axis else 1 for i in range(len(sizes))]) * stride
+            for axis, (size, stride) in enumerate(zip(sizes, _strides(x.shape), strict=True))
+        )
+        inside = np.broadcast_to(inside, sizes)
+        return [array_of([self._at(flat, offset, int(i)) for i in inside.flat], sizes)]
+
+    def _at(self, flat, offset, i):
+        if offset.known:
+            return flat[offset.value + i]
+        return self.graph.pick(offset, flat[i:] if i else flat)
+
+    def _by_numbers(self, equation, *inputs):
+        """What picks cells at known places: the same done with their numbers."""
+        name, (x, *others) = equation.primitive.name, inputs
+        scatters = name == "scatter"
+        places, values = (others[0], others[1]) if scatters else (others, None)
+        known = [places] if scatters else list(places)
+        if not all(cell.known for a in known for cell in a.flat):
+            raise UnsupportedError(f"the operation `{name}` at places that are not known has no C form")
+        at = [np.array([c.value for c in a.flat], v.aval.dtype).reshape(a.shape)
+              for a, v in zip(known, equation.invars[1:], strict=False)]  # fmt: skip
+        numbers = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+        cells, given = list(x.flat), [numbers, *at]
+        if scatters:
+            given.append(np.arange(values.size, dtype=np.int32).reshape(values.shape) + x.size)
+            cells += list(values.flat)
+        with jax.ensure_compile_time_eval():
+            found = np.asarray(equation.primitive.bind(*given, **equation.params))
+        if found.size and not (found.min() >= 0 and found.max() < len(cells)):
+            raise UnsupportedError(f"the operation `{name}` reaches out of its array")
+        return [array_of([cells[i] for i in found.flat], found.shape)]
+
+    _gather = _scatter = _by_numbers
+
+    def _dynamic_update_slice(self, equation, x, update, *starts):
+        if not all(cell.known for s in starts for cell in s.flat):
+            raise UnsupportedError("the operation `dynamic_update_slice` at places that are not known has no C form")
+        made = x.copy()
+        at = [min(max(int(s.flat[0].value), 0), m - u) for s, m, u in zip(starts, x.shape, update.shape, strict=True)]
+        made[tuple(slice(a, a + u) for a, u in zip(at, update.shape, strict=True))] = update
+        return [made]
+
+    # --- control flow ---------------------------------------------------------------------------------
+
+    def _cond(self, equation, index, *inputs):
+        branches = equation.params["branches"]
+        (which,) = index.flat
+        if which.known:
+            return self._branch(branches[min(max(int(which.value), 0), len(branches) - 1)], inputs)
+        if len(branches) == 2 and which.kind == INT:
+            which = self.graph.apply("lt", self.graph.const(0, INT), which)
+        elif len(branches) != 2:
+            which = self.graph.apply("min", self.graph.apply("max", which, self.graph.const(0, INT)),
+                                     self.graph.const(len(branches) - 1, INT))  # fmt: skip
+        avals = [v.aval for v in equation.outvars]
+        made = [lambda b=b: _flat(self._branch(b, inputs)) for b in branches]
+        return _unflat(self.graph.choose(which, made, _kinds(avals)), avals)
+
+    def _branch(self, closed, inputs):
+        return self.run(closed.jaxpr, closed.consts, inputs)
+
+    def _while(self, equation, *inputs):
+        """A loop that runs once or not at all, as the library has them: an `if`."""
+        params, g = equation.params, self.graph
+        cond, body, ahead = params["cond_jaxpr"], params["body_jaxpr"], params["cond_nconsts"]
+        of_cond, of_body, state = inputs[:ahead], inputs[ahead:][: params["body_nconsts"]], None
+        state = inputs[ahead + params["body_nconsts"] :]
+        (asked,) = self.run(cond.jaxpr, cond.consts, [*of_cond, *state])
+        (begins,) = asked.flat
+        avals = [v.aval for v in equation.outvars]
+        if begins.known and not begins.value:
+            return list(state)
+
+        def once():
+            made = self.run(body.jaxpr, body.consts, [*of_body, *state])
+            (again,) = self.run(cond.jaxpr, cond.consts, [*of_cond, *made])
+            if not again.flat[0].known or again.flat[0].value:
+                raise UnsupportedError("a `while` loop without a bound that is known has no C form")
+            return _flat(made)
+
+        return _unflat(g.choose(begins, [lambda: _flat(state), once], _kinds(avals)), avals)
+
+    def _scan(self, equation, *inputs):
+        params = equation.params
+        jaxpr, length, back = params["jaxpr"], params["length"], params["reverse"]
+        nc, nk = consts_and_carry(equation, jaxpr)
+        consts, first, xs = inputs[:nc], list(inputs[nc : nc + nk]), inputs[nc + nk :]
+        avals = [v.aval for v in equation.outvars]
+        stacked = avals[nk:]
+        counters = [_counter(x) for x in xs]
+        if length <= 1 or any(a.size for a in stacked) or None in counters:
+            return self._written_out(jaxpr, length, back, consts, first, xs, stacked)
+
+        def body(index, cells):
+            g = self.graph
+            if back:
+                index = g.apply("sub", g.const(length - 1, INT), index)
+            rows = [array_of([self._counted(index, *c, x.flat[0].kind)], ()) for c, x in zip(counters, xs, strict=True)]
+            made = self.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *_unflat(cells, avals[:nk]), *rows])
+            return _flat(made[:nk])
+
+        ended = self.graph.loop(length, _flat(first), body, kinds=_kinds(avals[:nk]))
+        return _unflat(ended, avals[:nk])
+
+    def _counted(self, index, first, gap, kind):
+        g = self.graph
+        number = g.apply("add", g.const(first, INT), g.apply("mul", g.const(gap, INT), index))
+        return g.apply("to_real", number) if kind == REAL else number
+
+    def _written_out(self, jaxpr, length, back, consts, carry, xs, stacked):
+        if length > WRITTEN_OUT:
+            raise UnsupportedError(f"a `scan` of {length} rounds over arrays has no C form; {WRITTEN_OUT} have")
+        rounds = [None] * length
+        for i in reversed(range(length)) if back else range(length):
+            made = self.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *carry, *(x[i] for x in xs)])
+            carry, rounds[i] = made[: len(carry)], made[len(carry) :]
+        none = [array_of([], a.shape) for a in stacked]
+        return [*carry, *(map(np.stack, zip(*rounds, strict=True)) if length else none)]
+
+
+def _folded(x, batch, axes):
+    """An array as rows of what is summed over, for each of the batch."""
+    free = [a for a in range(x.ndim) if a not in batch and a not in axes]
+    size = [int(np.prod([x.shape[a] for a in group])) for group in (batch, free, axes)]
+    return x.transpose(*batch, *free, *axes).reshape(size)
+
+
+def _strides(shape):
+    return [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
+
+
+def _flat(values):
+    return [cell for value in values for cell in value.flat]
+
+
+def _kinds(avals):
+    return [kind_of(a) for a in avals for _ in range(a.size)]
+
+
+def _unflat(cells, avals):
+    cells = iter(cells)
+    return [array_of([next(cells) for _ in range(a.size)], a.shape) for a in avals]
+
+
+def _counter(x):
+    """(first, gap) of whole numbers with equal gaps, over which a loop counts; None of any others."""
+    if x.ndim != 1 or not x.size or not all(cell.known for cell in x.flat):
+        return None
+    values = [float(cell.value) for cell in x.flat]
+    gap = values[1] - values[0] if len(values) > 1 else 0.0
+    even = all(v == values[0] + gap * i for i, v in enumerate(values)) and values[0].is_integer() and gap.is_integer()
+    return (int(values[0]), int(gap)) if even else None
