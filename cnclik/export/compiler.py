@@ -16,7 +16,7 @@ LONG = 20_000  # lines from which on a compiler is told to take less care: its t
 
 
 def command() -> str:
-    """The C compiler: that of the environment's CC, else cc, gcc or clang. Raises: ArgumentError where there is none."""
+    """The C compiler: that of the environment's CC, else cc, gcc or clang. ArgumentError where there is none."""
     for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
         if name and shutil.which(name):
             return name

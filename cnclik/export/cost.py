@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from cnclik.export.graph import REAL, Loop, Node, live
+from cnclik.export.graph import REAL, Call, Loop, Node, live
 from cnclik.export.operations import OPERATIONS
 
 _CALLS = frozenset(name for name, op in OPERATIONS.items() if op.cost >= 5)
@@ -22,7 +22,10 @@ def _block(block, needed) -> Counter:
             if item.number in needed and item.kind == REAL:
                 total[_class(item.op)] += item.op not in ("select", "pick")
         elif id(item) in needed:
-            if isinstance(item, Loop):
+            if isinstance(item, Call):
+                graph = item.function.graph
+                total += _block(graph.root, live(graph, item.function.results))
+            elif isinstance(item, Loop):
                 rounds = item.length if isinstance(item.length, int) else 1
                 total += Counter({k: v * rounds for k, v in _block(item.block, needed).items()})
             else:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cnclik.export.graph import BOOL, Loop, Node, live
+from cnclik.export.graph import BOOL, Call, Choice, Loop, Node, live
 from cnclik.export.operations import OPERATIONS
 
 _MANY = {"select": np.where, "not": np.logical_not, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor}
@@ -31,7 +31,11 @@ def evaluate(graph, outputs, inputs) -> list:
                 if item.number in needed:
                     values[item.number] = one(item)
             elif id(item) in needed:
-                (loop if isinstance(item, Loop) else choice)(item)
+                {Loop: loop, Choice: choice, Call: call}[type(item)](item)
+
+    def call(made):
+        args = np.stack(np.broadcast_arrays(*map(of, made.args), np.empty(lanes, dtype))[:-1], -1)
+        ends(made, evaluate(made.function.graph, made.function.results, {"a": args}))
 
     def one(node):
         args = [of(a) for a in node.args]
@@ -75,7 +79,7 @@ def evaluate(graph, outputs, inputs) -> list:
             if node.value[0] is region:
                 values[node.number] = found[node.value[1]]
 
+    lanes = len(next(iter(inputs.values())))
     with np.errstate(all="ignore"):
         block(graph.root)
-        lanes = len(next(iter(inputs.values())))
         return [np.broadcast_to(of(node), (lanes,)) for node in outputs]

@@ -53,6 +53,20 @@ class Choice:
         self.which, self.blocks, self.results = which, blocks, []
 
 
+class Function:
+    """A part that is called several times: from REAL arguments, its input "a", to REAL results."""
+
+    def __init__(self, graph):
+        self.graph, self.results = graph, []
+
+
+class Call:
+    """A call of a function."""
+
+    def __init__(self, function, args):
+        self.function, self.args = function, args
+
+
 class Graph:
     """A program being written, in one precision."""
 
@@ -166,9 +180,36 @@ class Graph:
             found.append(same if visible else self._end(made, i, kind))
         return found
 
-    def _end(self, region, i, kind):
-        self.ends.append(self._new("out", (), kind, (region, i), self.block))
+    def call(self, function, args):
+        """The results of a function."""
+        key = ("call", id(function), *(a.number for a in args))
+        block = self.block
+        while block is not None:
+            if (found := block.table.get(key)) is not None:
+                return found
+            block = block.parent
+        home, made = self._home(args), Call(function, list(args))
+        home.items.append(made)
+        found = home.table[key] = [self._end(made, i, REAL, home) for i in range(len(function.results))]
+        return found
+
+    def _end(self, region, i, kind, block=None):
+        self.ends.append(self._new("out", (), kind, (region, i), block or self.block))
         return self.ends[-1]
+
+
+def functions(graph, found=None) -> list:
+    """All functions that a graph calls, those that others call before them."""
+    found = [] if found is None else found
+    blocks = [graph.root]
+    for block in blocks:
+        for item in block.items:
+            if isinstance(item, Call) and item.function not in found:
+                functions(item.function.graph, found)
+                found += [] if item.function in found else [item.function]
+            elif isinstance(item, (Loop, Choice)):
+                blocks += [item.block] if isinstance(item, Loop) else item.blocks
+    return found
 
 
 def live(graph, outputs) -> set:
@@ -185,6 +226,8 @@ def live(graph, outputs) -> set:
             if isinstance(region, Loop):
                 queue += [region.first[i], region.then[i], region.carries[i]]
                 queue += [] if isinstance(region.length, int) else [region.length]
+            elif isinstance(region, Call):
+                queue += region.args
             else:
                 queue += [region.which, *(results[i] for results in region.results)]
             needed.add(id(region))

@@ -1,10 +1,13 @@
 """Load: exported C, built by the system's compiler and called from Python with NumPy arrays."""
 
 import ctypes
+import dataclasses
+import functools
 import json
 import pathlib
 import tempfile
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -99,7 +102,8 @@ class Compiled:
 
     def __repr__(self):
         inputs = ", ".join(row["name"] for row in self.told["inputs"]["input"])
-        return f"Compiled {self.told['name']}({inputs}): {self.told['what']} by {self.told['method']}, {self.told['dtype']}"
+        by = f"{self.told['what']} by {self.told['method']}, {self.told['dtype']}"
+        return f"Compiled {self.told['name']}({inputs}): {by}"
 
 
 class _Buffer:
@@ -121,60 +125,77 @@ class _Buffer:
         for f in fields:
             size = int(np.prod(f["shape"]))
             if f["kind"] != "int":
-                self.places[f["name"]] = (at, at + size)
+                self.places[f["name"]] = at, at + size, not f["shape"]
                 at += size
         self.numbers = self.bytes[: at * dtype.itemsize].view(dtype)
 
 
 def _input(buffers):
     """The function that writes a call's arguments where the C function reads them."""
-    views = list(buffers["input"].views.items())
-    (_, q), *others = views
-    shape, named = q.shape, dict(views)
-    targets = [view for _, view in others]
+    buffer = buffers["input"]
+    (_, q), *_ = buffer.views.items()
+    shape = q.shape
+    # (array, place) of each: a number is soonest written among the others.
+    slots = {
+        name: (v, ...) if v.shape else (buffer.numbers, buffer.places[name][0]) for name, v in buffer.views.items()
+    }
+    others = list(slots.values())[1:]
 
-    def write(values, given, by_name):
+    def write(values, given, named):
         if type(values) is not np.ndarray or values.shape != shape:
             values = errors.array("q", values, shape, finite=False)
         q[...] = values
-        if len(given) > len(targets):
-            raise errors.fail("arguments", f"be at most {', '.join(named)}", f"are {1 + len(given)}")
-        for view, value in zip(targets, given, strict=False):
-            view[...] = value
-        for name, value in by_name.items():
-            errors.one_of("argument", name, list(named))
-            named[name][...] = value
+        if given:
+            if len(given) > len(others):
+                raise errors.fail("arguments", f"be at most {', '.join(slots)}", f"are {1 + len(given)}")
+            for (into, place), value in zip(others, given, strict=False):
+                into[place] = value
+        for name, value in named.items():
+            errors.one_of("argument", name, list(slots))
+            into, place = slots[name]
+            into[place] = value
 
     return write
 
 
-def _stepper(buffers, run, *_):
-    write, output, history = _input(buffers), buffers["output"], buffers.get("history")
-    numbers, spans = output.numbers, output.places
-    (q0, q1), (v0, v1), (e0, e1), (x0, x1) = (spans[name] for name in ("q", "qdot", "e", "x"))
-    residual, contraction = spans["residual"][0], spans["contraction"][0]
-    new = object.__new__
+class NativeStep(Step):
+    """A `Step` whose arrays are cut out of the function's numbers when they are asked for."""
+
+    def __getattr__(self, name):
+        held = self.__dict__
+        if name not in held.get("_places", ()):
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+        start, end, single = held["_places"][name]
+        found = held[name] = held["_numbers"][start] if single else held["_numbers"][start:end]
+        return found
+
+
+_NAMES = tuple(field.name for field in dataclasses.fields(Step))
+jax.tree_util.register_pytree_node(
+    NativeStep,
+    lambda made: ([getattr(made, name) for name in _NAMES], None),
+    lambda _, values: Step(**dict(zip(_NAMES, values, strict=True))),
+)
+
+
+def _stepper(buffers, run, function, addresses):
+    write, numbers, history = _input(buffers), buffers["output"].numbers, buffers.get("history")
+    places = buffers["output"].places
+    past = None if history is None else history.bytes
+    new, copied = functools.partial(object.__new__, NativeStep), numbers.copy
 
     def step(q, *given, history=None, **named):
         write(q, given, named)
         if past is not None:
             past[...] = 0 if history is None else history
-        status = run()
-        out = numbers.copy()
-        made = new(Step)  # no __init__: a record's own checks take longer than the step
-        made.__dict__.update(
-            q=out[q0:q1],
-            x=out[x0:x1],
-            e=out[e0:e1],
-            qdot=out[v0:v1],
-            residual=out[residual],
-            contraction=out[contraction],
-            status=status,
-            history=None if past is None else past.copy(),
-        )
+        status = function(*addresses)
+        made = new()  # no __init__: a record's own checks take longer than the step
+        held = made.__dict__
+        held["_numbers"], held["_places"], held["status"] = copied(), places, status
+        if past is not None:
+            held["history"] = past.copy()
         return made
 
-    past = None if history is None else history.bytes
     return step
 
 

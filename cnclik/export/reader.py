@@ -6,13 +6,15 @@ round stay loops, other ones are written out.
 
 import functools
 import itertools
+from collections import Counter
 
 import jax
 import numpy as np
 
-from cnclik.export.graph import BOOL, INT, REAL, Graph
+from cnclik.export.graph import BOOL, INT, REAL, Function, Graph
 from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, moved
 
+LARGE = 200  # equations from which on what is called several times becomes a function
 WRITTEN_OUT = 64  # rounds of a loop that may be written out where it can't stay one
 
 
@@ -42,8 +44,9 @@ def kind_of(aval) -> str:
 class Reader:
     """Reads jaxprs into a graph."""
 
-    def __init__(self, graph: Graph):
-        self.graph = graph
+    def __init__(self, graph: Graph, repeated=None):
+        """repeated: {id of a jaxpr: None, or the `Function` made of it} of what is to be called, see `repeats`."""
+        self.graph, self.repeated = graph, {} if repeated is None else repeated
 
     def constant(self, value, aval=None):
         """An array of known nodes."""
@@ -89,7 +92,20 @@ class Reader:
         jaxpr, consts = called(params)
         if getattr(getattr(jaxpr, "debug_info", None), "func_name", None) == "sincos":  # of `robot.trig`
             return [self._each(functools.partial(self.graph.apply, op), x) for op in ("sin", "cos") for x in inputs]
+        if id(jaxpr) in self.repeated:
+            return self._function(jaxpr, consts, inputs)
         return self.run(jaxpr, consts, inputs)
+
+    def _function(self, jaxpr, consts, inputs):
+        """A call of what is called several times."""
+        ins, outs = ([v.aval for v in some] for some in (jaxpr.invars, jaxpr.outvars))
+        made = self.repeated[id(jaxpr)]
+        if made is None:
+            made = self.repeated[id(jaxpr)] = Function(Graph(self.graph.dtype))
+            cells = [made.graph.input("a", i, REAL) for i in range(sum(a.size for a in ins))]
+            inside = Reader(made.graph, self.repeated)
+            made.results = _flat(inside.run(jaxpr, consts, _unflat(cells, ins)))
+        return _unflat(self.graph.call(made, _flat(inputs)), outs)
 
     # --- elementwise ----------------------------------------------------------------------------------
 
@@ -341,6 +357,33 @@ class Reader:
             carry, rounds[i] = made[: len(carry)], made[len(carry) :]
         none = [array_of([], a.shape) for a in stacked]
         return [*carry, *(map(np.stack, zip(*rounds, strict=True)) if length else none)]
+
+
+def repeats(jaxpr) -> dict:
+    """{id: None} of the calls inside that are large, made more than once, and of real numbers alone."""
+    seen = Counter()
+
+    def count(jaxpr):
+        """Equations of a jaxpr, those inside among them."""
+        total = 0
+        for equation in jaxpr.eqns:
+            inner = [v for v in jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(v)]
+            inner = [getattr(v, "jaxpr", v) for v in inner]
+            sizes = [known.get(id(v)) or known.setdefault(id(v), count(v)) for v in inner]
+            total += 1 + sum(sizes)
+            if equation.primitive.name in ("jit", "pjit"):
+                (of,), (size,) = inner, sizes
+                real = all(v.aval.dtype.kind == "f" for v in (*of.invars, *of.outvars))
+                seen[id(of)] += size >= LARGE and real
+        return total
+
+    known = {}
+    count(jaxpr)
+    return {key: None for key, times in seen.items() if times > 1}
+
+
+def _is_jaxpr(value) -> bool:
+    return hasattr(value, "eqns") or hasattr(value, "jaxpr")
 
 
 def _folded(x, batch, axes):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from cnclik.export.graph import BOOL, INT, REAL, Choice, Loop, Node, live
+from cnclik.export.graph import BOOL, INT, REAL, Call, Choice, Loop, Node, live
 from cnclik.export.operations import OPERATIONS
 
 _OF_WHOLE = {  # numbers that can't be NaN
@@ -32,9 +32,9 @@ def number(value, kind, dtype) -> str:
 class Writer:
     """Writes the statements of a graph."""
 
-    def __init__(self, graph, outputs, places):
-        """places: {input name: (C expression, whether it is an array)}."""
-        self.graph, self.places = graph, places
+    def __init__(self, graph, outputs, places, functions=None):
+        """places: {input name: (C expression, whether it is an array)}; functions: {function: its name in C}."""
+        self.graph, self.places, self.functions = graph, places, functions or {}
         self.needed = live(graph, outputs)
         self.lines, self.names, self.used, self.depth = [], {}, set(), 1
         self.counted = 0
@@ -52,6 +52,8 @@ class Writer:
             for item in block.items:
                 if isinstance(item, Node):
                     seen |= {a.number: a for a in item.args if a.op == "input"}
+                elif isinstance(item, Call):
+                    continue
                 else:
                     stack += [item.block] if isinstance(item, Loop) else item.blocks
         for node in sorted(seen.values(), key=lambda n: n.number):
@@ -95,7 +97,15 @@ class Writer:
                 if item.number in self.needed and item.number not in self.names:
                     self.node(item)
             elif id(item) in self.needed:
-                (self.loop if isinstance(item, Loop) else self.choice)(item)
+                {Loop: self.loop, Choice: self.choice, Call: self.call}[type(item)](item)
+
+    def call(self, call):
+        given, found = self.new(), self.new()
+        self.line(f"const REAL {given}[{len(call.args)}] = {{{', '.join(map(self.of, call.args))}}};")
+        self.line(f"REAL {found}[{len(call.function.results)}];")
+        self.line(f"{self.functions[call.function]}({given}, {found});")
+        places = range(len(call.function.results))
+        self.outs(call, places, [f"{found}[{i}]" for i in places])
 
     def node(self, node):
         if node.op in ("sin", "cos"):

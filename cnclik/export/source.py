@@ -4,7 +4,7 @@ import textwrap
 
 import numpy as np
 
-from cnclik.export.graph import INT
+from cnclik.export.graph import INT, functions
 from cnclik.export.scalar import Writer, number
 from cnclik.integrate.status import Status
 from cnclik.robot.trig import RANGE, TABLES
@@ -111,7 +111,10 @@ def source(program, names) -> str:
 def body(program, names, name=None, static=False):
     """The function's text, and the operations in it."""
     places = {f"{g}.{f.name}": names.place(g, f) for g, fields in program.inputs.items() for f in fields}
-    writer = Writer(program.graph, program.ends, places)
+    called = {f: f"{names.name}_part{i}" for i, f in enumerate(functions(program.graph), 1)}
+    used = set()
+    parts = [_part(f, called, used) for f in called]
+    writer = Writer(program.graph, program.ends, places, called)
     lines = writer.statements()
     stores = []
     for group, fields in program.outputs.items():
@@ -123,7 +126,16 @@ def body(program, names, name=None, static=False):
     if names.what in ("step", "solve"):
         lines.append("  return output->status;")
     text = "static " * static + f"{signature(program, names, name)}\n{{\n" + "\n".join(lines) + "\n}\n"
-    return _named(text, names), writer.used
+    return _named("\n".join([*parts, text]), names), writer.used | used
+
+
+def _part(function, called, used) -> str:
+    """A function that is called several times."""
+    writer = Writer(function.graph, function.results, {"a": ("a", True)}, called)
+    lines = writer.statements()
+    lines += [f"  r[{i}] = {v};" for i, v in enumerate([writer.of(node) for node in function.results])]
+    used |= writer.used
+    return f"static void {called[function]}(const REAL *a, REAL *r)\n{{\n" + "\n".join(lines) + "\n}\n"
 
 
 def _named(text, names) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.export.graph import INT, REAL, Graph
-from cnclik.export.reader import Reader
-from cnclik.hints import use_form, use_hints
+from cnclik.export.reader import Reader, repeats
+from cnclik.hints import few_lanes, use_form, use_hints
 from cnclik.integrate.cells import array_of
 from cnclik.integrate.history import blank, packed
 from cnclik.integrate.solve import step_and_least
@@ -232,10 +232,11 @@ def _zeros(shape, dtype):
 def _read(asked, fn, groups, told) -> Program:
     fields = [f for group in groups.values() for f in group]
     shapes = [_zeros(f.shape, asked.dtype if f.kind == REAL else np.int32) for f in fields]
-    with use_hints(False), use_form("unrolled"), jax.enable_x64(asked.dtype == np.float64):
+    # With hints, so that what is fenced off is a call: what is called several times becomes a function.
+    with use_hints(True), use_form("unrolled"), few_lanes(0), jax.enable_x64(asked.dtype == np.float64):
         traced = jax.make_jaxpr(fn)(*shapes)
     graph = Graph(asked.dtype)
-    reader = Reader(graph)
+    reader = Reader(graph, repeats(traced.jaxpr))
     kept = {group: list(some) for group, some in groups.items()}
     values = []
     for group, some in groups.items():
