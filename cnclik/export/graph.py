@@ -39,7 +39,7 @@ class Block:
 
 
 class Loop:
-    """A body run `length` times (a number, or a node): carries start at `first` and go on as `then`."""
+    """A body run `length` times (a number, a node or a C name): carries start at `first` and go on as `then`."""
 
     def __init__(self, block, length, first):
         self.block, self.length, self.first = block, length, first
@@ -149,7 +149,7 @@ class Graph:
         """`length` times body(index, carried) from `first`; the carried nodes after the last.
 
         Args:
-          length: a number, or an INT node.
+          length: a number, an INT node, or the name of a C variable.
           first: nodes, and their kinds.
           body: (index node, nodes) to as many nodes.
         """
@@ -225,7 +225,7 @@ def live(graph, outputs) -> set:
             region, i = node.value
             if isinstance(region, Loop):
                 queue += [region.first[i], region.then[i], region.carries[i]]
-                queue += [] if isinstance(region.length, int) else [region.length]
+                queue += [region.length] if isinstance(region.length, Node) else []
             elif isinstance(region, Call):
                 queue += region.args
             else:

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.export.batch import Batch
 from cnclik.export.compiler import build, opened
 from cnclik.export.write import MANIFEST, c
 from cnclik.integrate.advance import Step
@@ -60,7 +61,7 @@ class Compiled:
     """
 
     def __init__(self, folder, told):
-        self.told, self.folder = told, folder
+        self.told, self.folder, self.folder_path, self._batch = told, folder, folder, None
         self.dtype = np.dtype(told["dtype"])
         name = told["name"]
         self.library = build([folder / f"{name}.c"], folder)
@@ -85,6 +86,22 @@ class Compiled:
         Returns: of a step `cnclik.Step`, of "fk" `cnclik.Pose`, of "jacobian" (6, n); NumPy arrays in them.
         """
         return self._call(q, *given, **named)
+
+    def batch(self, q, *given, N: int, cores: int | None = None, **named) -> dict:
+        """Many loops of N steps side by side, on all cores: what was exported with `batch`.
+
+        Args:
+          q: (lanes, n), or (n,) where something else has a leading axis of lanes.
+          given, named: the other fields of `input`, and parameters by name, each for all lanes or with a leading axis
+            of lanes; what is left out is as it was exported. A target moves on with its velocity from time `t` on.
+          cores: how many may work at once, by default all this process may use.
+
+        Returns: {name: (lanes, ...)}: q, e and x at the end, qdot of the last step, the largest residual and
+          contraction, the least singular value on the way, and all steps' status bits together.
+        """
+        if self._batch is None:
+            self._batch = Batch(self.folder_path, self.told, self.dtype)
+        return self._batch(self.parameters, q, *given, N=N, cores=cores, **named)
 
     @property
     def parameters(self) -> dict:

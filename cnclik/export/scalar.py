@@ -146,7 +146,7 @@ class Writer:
             name = self.names[loop.carries[i].number] = self.new(loop.carries[i].kind)
             self.line(f"{TYPES[loop.carries[i].kind]} {name} = {self.of(loop.first[i])};")
         index = self.names[loop.index.number] = self.new(INT)
-        length = loop.length if isinstance(loop.length, int) else self.of(loop.length)
+        length = self.of(loop.length) if isinstance(loop.length, Node) else loop.length
         self.line(f"for (int32_t {index} = 0; {index} < {length}; ++{index}) {{")
         self.inside(loop.block, lambda: self.assign(loop, carried))
         self.line("}")

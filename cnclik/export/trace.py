@@ -16,8 +16,9 @@ from cnclik.integrate.cells import array_of
 from cnclik.integrate.history import blank, packed
 from cnclik.integrate.solve import step_and_least
 from cnclik.law.curves import Tangent
+from cnclik.law.law import look
 from cnclik.law.reference import Reference
-from cnclik.record import is_literal
+from cnclik.record import cast, is_literal
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
 
@@ -65,8 +66,17 @@ class Asked(NamedTuple):
 
 def trace(asked: Asked) -> Program:
     """The program of what is asked. Raises: `UnsupportedError` naming what has no C form."""
-    make = {"fk": _pose, "jacobian": _jacobian}.get(asked.what, _step)
+    make = {"fk": _pose, "jacobian": _jacobian, "solve": functools.partial(_step, timed=True)}.get(asked.what, _step)
     return make(asked)
+
+
+def trace_loop(asked: Asked, wanted=None) -> Program:
+    """The loop in time of `steps` steps: joints, error and coordinates at its end, and what is told of all steps.
+
+    Args:
+      wanted: names of results; None for all.
+    """
+    return _step(asked, timed=True, wanted=wanted or (), looped=True)
 
 
 # --- parameters ---------------------------------------------------------------------------------------
@@ -130,7 +140,8 @@ def _parameters(asked, tree):
 # --- what is exported ---------------------------------------------------------------------------------
 
 
-def _step(asked: Asked) -> Program:
+def _step(asked: Asked, *, timed=False, looped=False, wanted=()) -> Program:
+    """timed: whether the time is an argument where the target is one, too; it then moves with its velocity."""
     law, n, p, m = asked.law, asked.law.chain.n, len(asked.law.task.position), asked.law.task.m
     turns = bool(law.task.orientation)
     tree = (law, asked.stage) if asked.reference is None else (law, asked.stage, asked.reference)
@@ -141,7 +152,7 @@ def _step(asked: Asked) -> Program:
         given += [Field("position", (p,), about="desired position in the task's coordinates [m]")] * bool(p)
         given += [Field("rotation", (3, 3), about="desired rotation, row by row", value=np.eye(3))] * turns
         given += [Field("velocity", (m,), about="desired task velocity [m/s, rad/s]", value=np.zeros(m))]
-    else:
+    if timed or asked.reference is not None:
         given += [Field("t", (), about="time [s]", value=0.0)]
     given += [Field("Ts", (), about="sampling time [s]")]
     start = jax.eval_shape(lambda q: packed(blank(law, tuple(q), asked.method)), _zeros((n,), asked.dtype))
@@ -173,6 +184,17 @@ def _step(asked: Asked) -> Program:
         Field("status", (), INT, "bits of the step's status"),
     ]
     groups = {"parameters": parameters, "input": given, "history": history}
+    if looped:
+
+        def end(*flat):
+            values = iter(flat)
+            law, _, *others = put([next(values) for _ in parameters])
+            inputs = {f.name: next(values) for f in given}
+            law, reference = cast((law, others[0] if others else _target(law, inputs)), asked.dtype)
+            at = look(law, reference, inputs["t"], tuple(inputs["q"][i] for i in range(n)))
+            return sp.packed(at.e, asked.dtype), sp.packed(at.x(), asked.dtype)
+
+        return _read_loop(asked, fn, end, groups, told, wanted)
     return _read(asked, fn, groups, {"output": told, "history": history})
 
 
@@ -229,25 +251,86 @@ def _zeros(shape, dtype):
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
-def _read(asked, fn, groups, told) -> Program:
-    fields = [f for group in groups.values() for f in group]
+def _traced(asked, fn, fields):
     shapes = [_zeros(f.shape, asked.dtype if f.kind == REAL else np.int32) for f in fields]
     # With hints, so that what is fenced off is a call: what is called several times becomes a function.
     with use_hints(True), use_form("unrolled"), few_lanes(0), jax.enable_x64(asked.dtype == np.float64):
-        traced = jax.make_jaxpr(fn)(*shapes)
-    graph = Graph(asked.dtype)
-    reader = Reader(graph, repeats(traced.jaxpr))
-    kept = {group: list(some) for group, some in groups.items()}
-    values = []
+        return jax.make_jaxpr(fn)(*shapes)
+
+
+def _arguments(asked, reader, groups):
+    """Nodes of all arguments, {group: [array]}, and the fields that are left at run time."""
+    kept, values = {}, {}
     for group, some in groups.items():
+        kept[group], values[group] = [], []
         for field in some:
             if group == "parameters" and asked.runtime is not None and field.name not in asked.runtime:
-                kept[group].remove(field)
-                values.append(reader.constant(field.value, shapes[len(values)]))
-                continue
-            clean = field.name == "velocity"  # what is not finite there makes the joints' velocities so
-            cells = [graph.input(f"{group}.{field.name}", i, field.kind, clean=clean) for i in range(field.size)]
-            values.append(array_of(cells, field.shape))
-    found = iter(reader.run(traced.jaxpr, traced.consts, values))
+                cells = [reader.graph.const(v, field.kind) for v in np.ravel(field.value).tolist()]
+            else:
+                clean = field.name == "velocity"  # what is not finite there makes the joints' velocities so
+                key = f"{group}.{field.name}"
+                cells = [reader.graph.input(key, i, field.kind, clean=clean) for i in range(field.size)]
+                kept[group].append(field)
+            values[group].append(array_of(cells, field.shape))
+    return values, kept
+
+
+def _read(asked, fn, groups, told) -> Program:
+    traced = _traced(asked, fn, [f for group in groups.values() for f in group])
+    graph = Graph(asked.dtype)
+    reader = Reader(graph, repeats(traced.jaxpr))
+    values, kept = _arguments(asked, reader, groups)
+    found = iter(reader.run(traced.jaxpr, traced.consts, [v for some in values.values() for v in some]))
     outputs = {group: [(field, list(next(found).flat)) for field in some] for group, some in told.items()}
     return Program(graph, kept, outputs)
+
+
+_OVER_TIME = {"residual": "max", "contraction": "max", "least": "min", "status": "or"}  # of all steps together
+
+
+def _read_loop(asked, fn, end, groups, told, wanted) -> Program:
+    one = _traced(asked, fn, [f for group in groups.values() for f in group])
+    last = _traced(asked, end, [f for group in ("parameters", "input") for f in groups[group]])
+    graph = Graph(asked.dtype)
+    reader = Reader(graph, repeats(one.jaxpr))
+    values, kept = _arguments(asked, reader, {g: groups[g] for g in ("parameters", "input")})
+    names = [f.name for f in groups["input"]]
+    q0, t0, Ts = (values["input"][names.index(name)] for name in ("q", "t", "Ts"))
+    told = [f for f in told if f.name not in ("e", "x")]
+    carried = [*told, *groups["history"]]
+
+    def at(q, k):
+        """The arguments of step k, a node."""
+        inputs = list(values["input"])
+        moved = graph.apply("add", t0.flat[0], graph.apply("mul", graph.apply("to_real", k), Ts.flat[0]))
+        inputs[names.index("q")], inputs[names.index("t")] = q, array_of([moved], ())
+        return [*values["parameters"], *inputs]
+
+    def apart(cells):
+        cells = iter(cells)
+        return [array_of([next(cells) for _ in range(f.size)], f.shape) for f in carried]
+
+    def body(k, cells):
+        state = apart(cells)
+        made = reader.run(one.jaxpr, one.consts, [*at(state[0], k), *state[len(told) :]])
+        by_name = dict(zip([f.name for f in told_all], made, strict=False))
+        new = []
+        for field, old in zip(told, state, strict=False):
+            now = by_name[field.name]
+            if field.name in _OVER_TIME:
+                now = array_of([graph.apply(_OVER_TIME[field.name], old.flat[0], now.flat[0])], ())
+            new.append(now)
+        return [cell for value in (*new, *made[len(told_all) :]) for cell in value.flat]
+
+    told_all = [Field(v, ()) for v in ("q", "qdot", "e", "x", "residual", "contraction", "least", "status")]
+    first = {"q": list(q0.flat), "least": [graph.const(np.inf, REAL)]}
+    start = [c for f in carried for c in first.get(f.name if f in told else "", [graph.const(0, f.kind)] * f.size)]
+    kinds = [f.kind for f in carried for _ in range(f.size)]
+    ended = apart(graph.loop("steps", start, body, kinds=kinds))
+    steps = graph.input("steps", 0, INT)
+    e, x = reader.run(last.jaxpr, last.consts, at(ended[0], steps))
+    found = dict(zip([f.name for f in told], ended, strict=False)) | {"e": e, "x": x}
+    m = asked.law.task.m
+    fields = [*told[:1], Field("e", (m,)), Field("x", (m,)), *told[1:]]
+    outputs = [(f, list(found[f.name].flat)) for f in fields if not wanted or f.name in wanted]
+    return Program(graph, kept, {"output": outputs})

@@ -8,8 +8,9 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.export.example import example, readme
+from cnclik.export.lanes_source import batch_header, batch_source
 from cnclik.export.source import Names, header, source
-from cnclik.export.trace import WHAT, Asked, trace
+from cnclik.export.trace import WHAT, Asked, trace, trace_loop
 from cnclik.integrate.method import DEFAULT, named
 from cnclik.integrate.stage import picard
 from cnclik.law.law import Law
@@ -19,6 +20,7 @@ from cnclik.robot.chain import Chain
 from cnclik.version import __version__
 
 MANIFEST = "export.json"
+RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")  # of a batch
 
 
 def c(
@@ -48,12 +50,13 @@ def c(
       dtype: "float64" (double) or "float32" (float).
       name: of the function and of the files.
       runtime: names of the parameters that may be set at run time, the others being compiled in; None: all.
-      batch: also the step, and the loop, for many lanes by vector instructions: `NAME_batch.c`.
+      batch: also the loop for many lanes by vector instructions, `NAME_batch.c`: True, or the names of the results
+        wanted of it, such as ("q", "e"); what is not wanted is not computed.
 
     Returns: the folder's path.
     Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
     """
-    asked, name = checked(law, reference, what, method, stage, dtype, name, runtime)
+    asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
     out = pathlib.Path(out)
     from cnclik.export.reader import UnsupportedError
 
@@ -68,6 +71,14 @@ def c(
         "example.c": example(asked, program, names),
         MANIFEST: json.dumps(manifest(asked, program, names), indent=1) + "\n",
     }
+    if batch:
+        try:
+            looped = trace_loop(asked, None if batch is True else _wanted(batch))
+        except UnsupportedError as error:
+            raise errors.fail("law", "be made of what has a C form", f"{error}") from None
+        files[f"{name}_batch.h"] = batch_header(looped, names)
+        files[f"{name}_batch.c"] = batch_source(looped, names)
+        files[MANIFEST] = json.dumps(manifest(asked, program, names, looped), indent=1) + "\n"
     files["README.md"] = readme(asked, program, names, told, [*files, "README.md"])
     out.mkdir(parents=True, exist_ok=True)
     for file, text in files.items():
@@ -75,12 +86,14 @@ def c(
     return out
 
 
-def checked(law, reference, what, method, stage, dtype, name, runtime):
+def checked(law, reference, what, method, stage, dtype, name, runtime, batch=False):
     """What is asked, and the name. Raises: ArgumentError."""
     errors.one_of("what", what, WHAT)
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise errors.fail("name", "be a C identifier such as clik_step", f"is {name!r}")
     dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
+    if batch and what not in ("step", "solve"):
+        raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")
     if isinstance(law, Chain) and what in ("fk", "jacobian"):
         from cnclik.law.inverse import damped
         from cnclik.law.task import pose
@@ -116,7 +129,16 @@ def configuration(asked: Asked) -> list:
     return [line.replace("−", "-").encode("ascii", "replace").decode() for line in lines]
 
 
-def manifest(asked, program, names) -> dict:
+def _wanted(names) -> tuple:
+    """Results of a batch by name."""
+    if not isinstance(names, (tuple, list)):
+        raise errors.fail("batch", "be True or names of results such as q and e", f"is {names!r}")
+    for name in names:
+        errors.one_of("batch", name, RESULTS)
+    return tuple(names)
+
+
+def manifest(asked, program, names, looped=None) -> dict:
     """What a program that calls the functions must know."""
 
     def row(f):
@@ -131,4 +153,9 @@ def manifest(asked, program, names) -> dict:
         "method": str(asked.method),
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
         "outputs": [row(f) for f, _ in program.outputs["output"]],
+        "batch": looped
+        and {
+            "inputs": [row(f) for fields in looped.inputs.values() for f in fields],
+            "outputs": [row(f) for f, _ in looped.outputs["output"]],
+        },
     }

@@ -117,7 +117,7 @@ def by_jax(combination, given):
     """Steps of all lanes by JAX without hints: q, qdot, e, x, residual, status; and how far each is known at all.
 
     Next to a singularity, with a large J#, the rounding of q itself is felt: the step is repeated from joint values
-    that differ by a few roundings.
+    that differ by 32 roundings.
     """
     law, method, stage = combination.parts()
     rounds = SEVERAL if method.steps > 1 else 1
@@ -136,7 +136,7 @@ def by_jax(combination, given):
         wanted = [np.asarray(v) for v in program(q, *others)]
         spread = [np.zeros(v.shape) for v in wanted[:5]]
         for _ in range(4):
-            near = (q + 4 * eps * random.choice([-1.0, 1.0], q.shape)).astype(q.dtype)
+            near = (q + 32 * eps * random.choice([-1.0, 1.0], q.shape)).astype(q.dtype)
             again = [np.asarray(v) for v in program(near, *others)]
             spread = [np.fmax(s, np.abs(v - w)) for s, v, w in zip(spread, again, wanted, strict=False)]
     return wanted, spread

@@ -1,0 +1,32 @@
+"""The exported step against JAX without hints: laws, inverses, limits, methods, stages and precisions in turn."""
+
+import pytest
+
+from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
+
+pytestmark = pytest.mark.form("unrolled")
+SPREAD = [
+    Combination("planar3"),
+    Combination("planar2", dtype="float32"),
+    Combination("planar3", "pseudoinverse", "saturation"),
+    Combination("planar3", "singular-damped", "weighted-least-norm", "posture", "TRAPEZOID", "chord"),
+    Combination("planar2", "pseudoinverse", method="AB3"),
+    Combination("planar2", "damped", null="manipulability", method="IE", stage="newton"),
+    Combination("planar3", "manipulability-damped", "velocity-scaling", method="EXP-MIDPOINT"),
+    Combination("planar2", "transpose", "saturation", method="HEUN", dtype="float32"),
+    Combination("planar3", "damped", "none", "posture", "EXP-AB2", dtype="float32"),
+    Combination("planar2", "damped", method="CN", dtype="float32"),
+    Combination("planar4", "pseudoinverse"),
+    Combination("planar2", "damped", method="ZNN4"),
+]
+
+
+@pytest.mark.parametrize("combination", SPREAD, ids=str)
+def test_the_exported_step_is_jaxs(combination):
+    off, others = compare(combination, 300)
+    assert off <= 1 and others == 0
+
+
+def test_the_spread_has_every_name_in_it():
+    for field, names in (("inverse", INVERSES), ("limits", LIMITS), ("null", NULL), ("stage", STAGES)):
+        assert {getattr(c, field) for c in SPREAD} == set(names)
