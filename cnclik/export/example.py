@@ -6,6 +6,7 @@ from cnclik.export.cost import operations
 from cnclik.export.scalar import number
 from cnclik.export.source import GROUPS
 from cnclik.export.vectors import TOLERANCE, inputs, results
+from cnclik.measure.files import markdown
 from cnclik.version import __version__
 
 BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {sources} -lm -o example"
@@ -55,7 +56,7 @@ int main(void)
   for (i = 0; i < {count}; ++i) {{
     int wrong = 0;
 {chr(10).join([*begin, *fill])}
-    {name}{"_step" * (names.what == "solve")}({called});
+    {names.entry}({called});
 {chr(10).join(checks)}
     if (wrong) {{
       printf("vector %d: %d numbers differ\\n", i, wrong);
@@ -87,9 +88,8 @@ def readme(asked, program, names, told, files) -> str:
     counted = operations(program)
     ops = ", ".join(f"{n} {what}" for what, n in counted.items())
     groups = {**program.inputs, "output": [f for f, _ in program.outputs["output"]]}
-    rows = [f"| `{g}->{f.name}` | {f.size if f.shape else ''} | {f.about} |"
-            for g, fields in groups.items() for f in fields]  # fmt: skip
-    table = "\n".join(["| what | entries | meaning |", "| --- | ---: | --- |", *rows])
+    rows = [(f"`{g}->{f.name}`", f.about, f.size) for g, fields in groups.items() for f in fields]
+    table = markdown(("what", "meaning", "entries"), rows, left=2)
     build = BUILD.format(sources=f"{names.name}.c example.c")
     return f"""# {names.name}
 

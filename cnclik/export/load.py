@@ -15,10 +15,9 @@ from cnclik.export.batch import Batch
 from cnclik.export.compiler import build, opened
 from cnclik.export.write import MANIFEST, c
 from cnclik.integrate.advance import Step
+from cnclik.integrate.trajectory import INSTANTS, Trajectory
 from cnclik.reading import read_bytes
 from cnclik.robot.kinematics import Pose
-
-_KINDS = {"real": None, "int": np.int32}
 
 
 def load(folder, **parameters):
@@ -65,25 +64,27 @@ class Compiled:
         self.dtype = np.dtype(told["dtype"])
         name = told["name"]
         self.library = build([folder / f"{name}.c"], folder)
-        self._buffers = {group: _Buffer(fields, self.dtype) for group, fields in told["inputs"].items() if fields}
-        self._buffers["output"] = _Buffer(told["outputs"], self.dtype)
-        entry = name + "_step" * (told["what"] == "solve")
-        function = getattr(opened(self.library, lets_go=False), entry)
+        self.buffers = {group: _Buffer(fields, self.dtype) for group, fields in told["inputs"].items() if fields}
+        self.buffers["output"] = _Buffer(told["outputs"], self.dtype)
+        library = opened(self.library, lets_go=told["what"] == "solve")
+        function = getattr(library, name)
         function.restype = ctypes.c_int32 if told["what"] in ("step", "solve") else None
-        addresses = [ctypes.c_void_p(b.address) for b in self._buffers.values()]
+        addresses = [ctypes.c_void_p(b.address) for b in self.buffers.values()]
         self._function = function
-        self._call = _CALLS[told["what"]](self._buffers, lambda: function(*addresses), function, addresses)
+        self._call = _CALLS[told["what"]](self, function, addresses)
 
     def __call__(self, q, *given, **named):
         """One call.
 
         Args:
           q: (n,) joint values [rad, m].
+          N: steps, of "solve" alone.
           given, named: the other fields of the C function's `input`, in order or by name; what is left out keeps the
             value of the call before, at first that of the export. `history` of a multistep method is what the step
             before handed back; None starts anew.
 
-        Returns: of a step `cnclik.Step`, of "fk" `cnclik.Pose`, of "jacobian" (6, n); NumPy arrays in them.
+        Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "fk" `cnclik.Pose`, of "jacobian" (6, n);
+          with NumPy arrays in them.
         """
         return self._call(q, *given, **named)
 
@@ -92,6 +93,7 @@ class Compiled:
 
         Args:
           q: (lanes, n), or (n,) where something else has a leading axis of lanes.
+          N: steps, of "solve" alone.
           given, named: the other fields of `input`, and parameters by name, each for all lanes or with a leading axis
             of lanes; what is left out is as it was exported. A target moves on with its velocity from time `t` on.
           cores: how many may work at once, by default all this process may use.
@@ -107,12 +109,12 @@ class Compiled:
     def parameters(self) -> dict:
         """The parameters that may be set, and their values."""
         return (
-            {k: v.copy() for k, v in self._buffers["parameters"].views.items()} if "parameters" in self._buffers else {}
+            {k: v.copy() for k, v in self.buffers["parameters"].views.items()} if "parameters" in self.buffers else {}
         )
 
     def set(self, **values) -> None:
         """Set parameters: `step.set(alpha=20.0)`."""
-        views = self._buffers["parameters"].views if "parameters" in self._buffers else {}
+        views = self.buffers["parameters"].views if "parameters" in self.buffers else {}
         for name, value in values.items():
             errors.one_of("parameter", name, list(views))
             views[name][...] = errors.array(name, value, views[name].shape)
@@ -195,7 +197,8 @@ jax.tree_util.register_pytree_node(
 )
 
 
-def _stepper(buffers, run, function, addresses):
+def _stepper(made, function, addresses):
+    buffers = made.buffers
     write, numbers, history = _input(buffers), buffers["output"].numbers, buffers.get("history")
     places = buffers["output"].places
     past = None if history is None else history.bytes
@@ -216,26 +219,51 @@ def _stepper(buffers, run, function, addresses):
     return step
 
 
-def _posed(buffers, run, *_):
-    write, output = _input(buffers), buffers["output"]
+def _solver(made, function, addresses):
+    buffers = made.buffers
+    write, told, history = _input(buffers), buffers["output"].views, buffers.get("history")
+    names = ("q", "x", "e", "qdot", "residual", "contraction", "status")
+
+    def solve(q, *given, N, **named):
+        N = errors.integer("N", N, at_least=0)
+        write(q, given, named)
+        if history is not None:
+            history.bytes[...] = 0
+        run = {name: np.empty((N + (name in INSTANTS), *told[name].shape), told[name].dtype) for name in names}
+        into = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
+        function(*addresses, ctypes.c_int32(N), into)
+        t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
+        t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
+        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.told["evaluations"], N)))
+
+    return solve
+
+
+def _counted(first, N) -> int:
+    """Evaluations in N steps, from those in the first few."""
+    return first[N] if len(first) > N else first[-1] + (N - len(first) + 1) * (first[-1] - first[-2])
+
+
+def _posed(made, function, addresses):
+    write, output = _input(made.buffers), made.buffers["output"]
 
     def pose(q):
         write(q, (), {})
-        run()
+        function(*addresses)
         return Pose(**{name: view.copy() for name, view in output.views.items()})
 
     return pose
 
 
-def _jacobian(buffers, run, *_):
-    write, view = _input(buffers), buffers["output"].views["jacobian"]
+def _jacobian(made, function, addresses):
+    write, view = _input(made.buffers), made.buffers["output"].views["jacobian"]
 
     def jacobian(q):
         write(q, (), {})
-        run()
+        function(*addresses)
         return view.copy()
 
     return jacobian
 
 
-_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _stepper}
+_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _solver}

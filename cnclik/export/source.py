@@ -20,6 +20,7 @@ class Names:
         self.name, self.dtype, self.what = name, np.dtype(dtype), what
         self.real = "float" if self.dtype.itemsize == 4 else "double"
         self.suffix = "f" * (self.dtype.itemsize == 4)
+        self.entry = f"{name}_step" if what == "solve" else name  # one call
 
     def type(self, group) -> str:
         return f"{self.name}_{group}"
@@ -35,11 +36,12 @@ def comment(text) -> str:
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"]) + "\n"
 
 
-def header(program, names, told) -> str:
+def header(program, names, told, more="") -> str:
     """The header: types, the status bits, and what can be called.
 
     Args:
       told: the configuration in words, line by line.
+      more: what else can be called.
     """
     guard = f"{names.name.upper()}_H"
     groups = {g: fields for g, fields in program.inputs.items() if fields}
@@ -61,7 +63,7 @@ def header(program, names, told) -> str:
         + f"#ifndef {guard}\n#define {guard}\n\n#include <stdint.h>\n\n"
         + '#ifdef __cplusplus\nextern "C" {\n#endif\n\n'
         + f"{bits}{types}\n"
-        + "\n".join(calls)
+        + "\n".join([*calls, *["\n" + more] * bool(more)])
         + "\n\n#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
     )
 
@@ -85,18 +87,18 @@ def arguments(program, names, ending=("output",)) -> str:
     return ", ".join(f"{const.get(g, '')}{names.type(g)} *{g}" for g in (*given, *ending))
 
 
-def signature(program, names, name=None) -> str:
+def signature(program, names) -> str:
     """The C function's own line."""
     returns = "int32_t" if names.what in ("step", "solve") else "void"
-    return f"{returns} {name or names.name}({arguments(program, names)})"
+    return f"{returns} {names.entry}({arguments(program, names)})"
 
 
 def defaults_signature(names) -> str:
     return f"void {names.name}_defaults({names.type('parameters')} *parameters)"
 
 
-def source(program, names) -> str:
-    """The whole source file."""
+def source(program, names, more="") -> str:
+    """The whole source file; `more` stands at its end."""
     function, used = body(program, names)
     parts = [
         f"/* Written by cnclik {__version__}; see {names.name}.h. */\n",
@@ -105,16 +107,20 @@ def source(program, names) -> str:
     ]
     if program.inputs["parameters"]:
         parts.append(_defaults(program, names))
-    return "\n".join([*parts, function])
+    return "\n".join([*parts, function, *[more] * bool(more)])
 
 
-def body(program, names, name=None, static=False):
+def places(program, names) -> dict:
+    """{argument: (its place in C, whether that is an array)}."""
+    return {f"{g}.{f.name}": names.place(g, f) for g, fields in program.inputs.items() for f in fields}
+
+
+def body(program, names):
     """The function's text, and the operations in it."""
-    places = {f"{g}.{f.name}": names.place(g, f) for g, fields in program.inputs.items() for f in fields}
     called = {f: f"{names.name}_part{i}" for i, f in enumerate(functions(program.graph), 1)}
     used = set()
     parts = [_part(f, called, used) for f in called]
-    writer = Writer(program.graph, program.ends, places, called)
+    writer = Writer(program.graph, program.ends, places(program, names), called)
     lines = writer.statements()
     stores = []
     for group, fields in program.outputs.items():
@@ -125,8 +131,8 @@ def body(program, names, name=None, static=False):
     lines += stores
     if names.what in ("step", "solve"):
         lines.append("  return output->status;")
-    text = "static " * static + f"{signature(program, names, name)}\n{{\n" + "\n".join(lines) + "\n}\n"
-    return _named("\n".join([*parts, text]), names), writer.used | used
+    text = f"{signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n"
+    return named_as("\n".join([*parts, text]), names), writer.used | used
 
 
 def _part(function, called, used) -> str:
@@ -138,7 +144,8 @@ def _part(function, called, used) -> str:
     return f"static void {called[function]}(const REAL *a, REAL *r)\n{{\n" + "\n".join(lines) + "\n}\n"
 
 
-def _named(text, names) -> str:
+def named_as(text, names) -> str:
+    """The text with the placeholders of this export's own names filled in."""
     for word, there in (("SINCOS", f"{names.name}_sincos"), ("TO_INT", f"{names.name}_to_int"), ("REAL", names.real)):
         text = text.replace(word, there)
     return text
@@ -156,9 +163,9 @@ def helpers(names, used) -> list:
     """The static functions that some operations need."""
     made = []
     if "sincos" in used:
-        made.append(_named(sincos(names), names))
+        made.append(named_as(sincos(names), names))
     if "to_int" in used:
-        made.append(_named(_TO_INT.replace("{f}", names.suffix), names))
+        made.append(named_as(_TO_INT.replace("{f}", names.suffix), names))
     return made
 
 

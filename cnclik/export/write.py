@@ -9,9 +9,12 @@ import numpy as np
 from cnclik import errors
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
+from cnclik.export.loop import RESULTS, trace_growth, trace_loop
+from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
-from cnclik.export.trace import WHAT, Asked, trace, trace_loop
+from cnclik.export.trace import WHAT, Asked, trace
 from cnclik.integrate.method import DEFAULT, named
+from cnclik.integrate.solve import evaluations_of
 from cnclik.integrate.stage import picard
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, check
@@ -20,7 +23,6 @@ from cnclik.robot.chain import Chain
 from cnclik.version import __version__
 
 MANIFEST = "export.json"
-RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")  # of a batch
 
 
 def c(
@@ -65,15 +67,19 @@ def c(
     except UnsupportedError as error:
         raise errors.fail("law", "be made of what has a C form", f"{error}") from None
     names, told = Names(name, asked.dtype, what), configuration(asked)
+    declared = loop = ""
+    if what == "solve":
+        declared = solve_header(program, names)
+        loop = solve_source(program, trace_growth(asked), names, asked.law.chain.n, asked.law.task.m)
     files = {
-        f"{name}.h": header(program, names, told),
-        f"{name}.c": source(program, names),
+        f"{name}.h": header(program, names, told, declared),
+        f"{name}.c": source(program, names, loop),
         "example.c": example(asked, program, names),
         MANIFEST: json.dumps(manifest(asked, program, names), indent=1) + "\n",
     }
     if batch:
         try:
-            looped = trace_loop(asked, None if batch is True else _wanted(batch))
+            looped = trace_loop(asked, RESULTS if batch is True else _wanted(batch))
         except UnsupportedError as error:
             raise errors.fail("law", "be made of what has a C form", f"{error}") from None
         files[f"{name}_batch.h"] = batch_header(looped, names)
@@ -129,6 +135,14 @@ def configuration(asked: Asked) -> list:
     return [line.replace("−", "-").encode("ascii", "replace").decode() for line in lines]
 
 
+def _evaluations(asked) -> list:
+    """Evaluations of f in a loop of 0, 1, 2 … steps, until each further one costs as much as the one before."""
+    if asked.what not in ("step", "solve"):
+        return []
+    count = asked.method.steps + 2
+    return [int(evaluations_of(asked.method, asked.stage, asked.law.chain.n, N)) for N in range(count)]
+
+
 def _wanted(names) -> tuple:
     """Results of a batch by name."""
     if not isinstance(names, (tuple, list)):
@@ -153,6 +167,7 @@ def manifest(asked, program, names, looped=None) -> dict:
         "method": str(asked.method),
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
         "outputs": [row(f) for f, _ in program.outputs["output"]],
+        "evaluations": _evaluations(asked),
         "batch": looped
         and {
             "inputs": [row(f) for fields in looped.inputs.values() for f in fields],
