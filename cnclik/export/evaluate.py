@@ -48,7 +48,7 @@ def evaluate(graph, outputs, inputs) -> list:
         if node.op in ("to_real", "bool_to_int"):
             return np.asarray(args[0]).astype(dtype if node.op == "to_real" else np.int32)
         found = (_MANY.get(node.op) or OPERATIONS[node.op].now)(*args)
-        return np.asarray(found).astype(dtype) if node.kind == "real" else found
+        return np.asarray(found).astype({"real": dtype, "int": np.int32}.get(node.kind, bool))
 
     def loop(made):
         state = [of(node) if node.number in needed else None for node in made.first]

@@ -278,9 +278,10 @@ static inline V vatan2(V y, V x)
   const V ax = vabs(x), ay = vabs(y);
   const I steep = ay > ax, left = (I)x < (@WHOLE@)0;
   const V small = vsel(steep, ax, ay), large = vsel(steep, ay, ax);
-  const I beyond = small > large * @EIGHTH@;
+  const I endless = (ax == ay) & (ax == SPLAT(INFINITY));
+  const I beyond = (small > large * @EIGHTH@) | endless;
   const V up = vsel(beyond, small - large, small), down = vsel(beyond, small + large, large);
-  const I nowhere = down == @ZERO@, endless = (ax == ay) & (ax == SPLAT(INFINITY));
+  const I nowhere = down == @ZERO@;
   const V t = vsel(endless | nowhere, vzero(), up / vsel(nowhere, SPLAT(@ONE@), down)), z = t * t;
   V r = t + t * z * @ARCTANGENT@;
   r = vsel(beyond, r + @QUARTER_PI@, r);

@@ -22,7 +22,7 @@ _SAME = """
     add sub mul div neg abs sqrt sin cos atan2 max min lt le gt ge eq ne and or xor is_finite floor ceil exp exp2 expm1
     log log1p tan asin acos atan sinh cosh tanh asinh acosh atanh cbrt erf pow rem nextafter
 """
-_ELEMENTWISE = {name: name for name in _SAME.split()} | {"add_any": "add"}
+_ELEMENTWISE = {name: name for name in _SAME.split()} | {"add_any": "add", "lt_to": "lt", "le_to": "le"}
 
 
 class Reader:

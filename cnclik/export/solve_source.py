@@ -64,7 +64,7 @@ def solve_source(program, growth, names: Names, n, m) -> str:
 {signature(program, names)}
 {{
   {names.type("input")} at = *input;{kept}
-  {names.real} t[2], e[{2 * m}];
+  {names.real} t[2] = {{0}}, e[{2 * m}] = {{0}};
   int32_t all = 0, before = 0, k;
   int i;
   for (k = 0; k <= steps; ++k) {{
@@ -72,10 +72,10 @@ def solve_source(program, growth, names: Names, n, m) -> str:
     at.t = input->t + ({names.real})k * input->Ts;
     at.Ts = k < steps ? input->Ts : 0; /* the last one only looks where it is */{keep}
     status = {names.name}_step({given});
-    t[0] = k > 0 ? t[1] : at.t;
+    t[0] = t[1];
     t[1] = at.t;
     for (i = 0; i < {m}; ++i) {{
-      e[i] = k > 0 ? e[{m} + i] : 0;
+      e[i] = e[{m} + i];
       e[{m} + i] = output->e[i];
       if (trajectory->e) trajectory->e[(int64_t)k * {m} + i] = output->e[i];
       if (trajectory->x) trajectory->x[(int64_t)k * {m} + i] = output->x[i];
