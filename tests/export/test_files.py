@@ -1,5 +1,6 @@
 """What is written: it compiles everywhere without a warning, its example agrees, and what has no C form is refused."""
 
+import pathlib
 import re
 import shutil
 import subprocess
@@ -145,3 +146,16 @@ def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice(tmp_path):
     few.set(alpha=50.0)
     wanted = ck.step(ck.replace(law, alpha=50.0), ck.hold(target), q, 0.0, 0.01, "EE")
     assert np.allclose(few(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
+
+
+def test_the_pages_example_is_built_and_runs(tmp_path):
+    page = (pathlib.Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```c\n(.*?)^```", page, re.M | re.S)
+    (build,) = re.findall(r"`(cc -std=c99 [^`]* -o loop)`", page)
+    arm = ck.planar_arm([1.0, 0.8, 0.6])
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))  # as on the page
+    ck.export.c(law, out=tmp_path / "arm-step", method="EE")
+    (tmp_path / "loop.c").write_text(code, encoding="utf-8")
+    line = f"{build} {' '.join(STRICT.split()[:-1])} && ./loop"
+    done = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0 and np.allclose([float(v) for v in done.stdout.split()], 0, atol=1e-6), done.stderr
