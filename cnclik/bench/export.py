@@ -25,6 +25,7 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.solve import step as jax_step
 from cnclik.integrate.stage import picard
 from cnclik.law.reference import hold
+from cnclik.record import placed
 
 CALLS = 1_000_000
 ROUNDS = 7
@@ -120,11 +121,10 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
     with one_core(), jax.enable_x64(dtype == "float64"):
         native = Native(folder, dtype)
         q, position, rotation = (jax.numpy.asarray(v) for v in native.given)
-        reference = hold(position, rotation)
-        stage = picard(5)
+        law, reference, stage = placed(native.law), placed(hold(position, rotation)), picard(5)
 
         def by_jax():
-            return jax_step(native.law, reference, q, 0.0, loops.TS, EE, stage).q.block_until_ready()
+            return jax_step(law, reference, q, 0.0, loops.TS, EE, stage).q.block_until_ready()
 
         every = {
             "C from C": native.from_c,

@@ -24,7 +24,9 @@ class Batch:
         if not told.get("batch"):
             raise errors.fail("batch", "be asked for when exporting, c(..., batch=True)", "is not in this folder")
         self.inputs, self.outputs, self.dtype = told["batch"]["inputs"], told["batch"]["outputs"], dtype
-        self.library = build([folder / f"{name}_batch.c"], folder)
+        self.library = build(
+            [folder / f"{name}_batch.c"], folder, flags=["-O2"]
+        )  # as quick as -O3, built in half the time
         self.function = getattr(opened(self.library), f"{name}_batch")
         self.function.restype = None
         self.function.argtypes = (ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, *[ctypes.c_void_p] * 3)

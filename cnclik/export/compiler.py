@@ -24,7 +24,7 @@ def command() -> str:
 
 
 def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
-    """A shared library of some C files; the one that was built before where nothing has changed.
+    """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected.
 
     Args:
       sources: C files of one folder.
@@ -33,7 +33,7 @@ def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
     """
     texts = [pathlib.Path(s).read_bytes() for s in sources]
     care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
-    line = [command(), "-std=c99", *FLAGS, *care, *flags]
+    line = [command(), "-std=c99", *FLAGS, *care, *flags, *os.environ.get("CFLAGS", "").split()]
     headers = sorted(pathlib.Path(sources[0]).parent.glob("*.h"))
     key = hashlib.sha256(
         "\0".join([*line, _processor()]).encode() + b"\0".join(texts + [h.read_bytes() for h in headers])

@@ -1,9 +1,11 @@
 """Load: exported C, built by the system's compiler and called from Python with NumPy arrays."""
 
+import collections
 import ctypes
 import dataclasses
 import functools
 import json
+import operator
 import pathlib
 import tempfile
 
@@ -73,20 +75,21 @@ class Compiled:
         self._function = function
         self._call = _CALLS[told["what"]](self, function, addresses)
 
-    def __call__(self, q, *given, **named):
-        """One call.
+    @property
+    def __call__(self):
+        """One call, `step(q, *given, **named)`; a property, as handing arguments on would take as long as the step.
 
         Args:
           q: (n,) joint values [rad, m].
-          N: steps, of "solve" alone.
           given, named: the other fields of the C function's `input`, in order or by name; what is left out keeps the
             value of the call before, at first that of the export. `history` of a multistep method is what the step
             before handed back; None starts anew.
+          N: steps, of "solve" alone.
 
         Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "fk" `cnclik.Pose`, of "jacobian" (6, n);
           with NumPy arrays in them.
         """
-        return self._call(q, *given, **named)
+        return self._call
 
     def batch(self, q, *given, N: int, cores: int | None = None, **named) -> dict:
         """Many loops of N steps side by side, on all cores: what was exported with `batch`.
@@ -150,31 +153,30 @@ class _Buffer:
 
 
 def _input(buffers):
-    """The function that writes a call's arguments where the C function reads them."""
+    """Where q is written (its array and shape), and the function that writes a call's other arguments."""
     buffer = buffers["input"]
-    (_, q), *_ = buffer.views.items()
-    shape = q.shape
+    numbers, at = buffer.numbers, buffer.places
     # (array, place) of each: a number is soonest written among the others.
-    slots = {
-        name: (v, ...) if v.shape else (buffer.numbers, buffer.places[name][0]) for name, v in buffer.views.items()
-    }
-    others = list(slots.values())[1:]
+    slots = {name: (view, ...) if view.shape else (numbers, at[name][0]) for name, view in buffer.views.items()}
+    q, *others = slots.values()
+    intos, places = zip(*others, strict=True) if others else ((), ())
+    exhaust = collections.deque(maxlen=0).extend  # a loop in C
 
-    def write(values, given, named):
-        if type(values) is not np.ndarray or values.shape != shape:
-            values = errors.array("q", values, shape, finite=False)
-        q[...] = values
-        if given:
-            if len(given) > len(others):
-                raise errors.fail("arguments", f"be at most {', '.join(slots)}", f"are {1 + len(given)}")
-            for (into, place), value in zip(others, given, strict=False):
-                into[place] = value
+    def write(given, named):
+        if len(given) > len(intos):
+            raise errors.fail("arguments", f"be at most {', '.join(slots)}", f"are {1 + len(given)}")
+        exhaust(map(operator.setitem, intos, places, given))
         for name, value in named.items():
             errors.one_of("argument", name, list(slots))
             into, place = slots[name]
             into[place] = value
 
-    return write
+    return q[0], q[0].shape, write
+
+
+def _joints(q, shape):
+    """Joint values as an array, if they are of the shape."""
+    return errors.array("q", q, shape, finite=False)
 
 
 class NativeStep(Step):
@@ -199,13 +201,16 @@ jax.tree_util.register_pytree_node(
 
 def _stepper(made, function, addresses):
     buffers = made.buffers
-    write, numbers, history = _input(buffers), buffers["output"].numbers, buffers.get("history")
-    places = buffers["output"].places
+    into, shape, write = _input(buffers)
+    numbers, places, history = buffers["output"].numbers, buffers["output"].places, buffers.get("history")
+    array = np.ndarray
     past = None if history is None else history.bytes
     new, copied = functools.partial(object.__new__, NativeStep), numbers.copy
 
     def step(q, *given, history=None, **named):
-        write(q, given, named)
+        into[...] = q if type(q) is array and q.shape == shape else _joints(q, shape)
+        if given or named:
+            write(given, named)
         if past is not None:
             past[...] = 0 if history is None else history
         status = function(*addresses)
@@ -221,17 +226,19 @@ def _stepper(made, function, addresses):
 
 def _solver(made, function, addresses):
     buffers = made.buffers
-    write, told, history = _input(buffers), buffers["output"].views, buffers.get("history")
+    into, shape, write = _input(buffers)
+    told, history = buffers["output"].views, buffers.get("history")
     names = ("q", "x", "e", "qdot", "residual", "contraction", "status")
 
     def solve(q, *given, N, **named):
         N = errors.integer("N", N, at_least=0)
-        write(q, given, named)
+        into[...] = _joints(q, shape)
+        write(given, named)
         if history is not None:
             history.bytes[...] = 0
         run = {name: np.empty((N + (name in INSTANTS), *told[name].shape), told[name].dtype) for name in names}
-        into = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
-        function(*addresses, ctypes.c_int32(N), into)
+        columns = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
+        function(*addresses, ctypes.c_int32(N), columns)
         t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
         t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
         return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.told["evaluations"], N)))
@@ -245,10 +252,10 @@ def _counted(first, N) -> int:
 
 
 def _posed(made, function, addresses):
-    write, output = _input(made.buffers), made.buffers["output"]
+    (into, shape, _), output = _input(made.buffers), made.buffers["output"]
 
     def pose(q):
-        write(q, (), {})
+        into[...] = _joints(q, shape)
         function(*addresses)
         return Pose(**{name: view.copy() for name, view in output.views.items()})
 
@@ -256,10 +263,10 @@ def _posed(made, function, addresses):
 
 
 def _jacobian(made, function, addresses):
-    write, view = _input(made.buffers), made.buffers["output"].views["jacobian"]
+    (into, shape, _), view = _input(made.buffers), made.buffers["output"].views["jacobian"]
 
     def jacobian(q):
-        write(q, (), {})
+        into[...] = _joints(q, shape)
         function(*addresses)
         return view.copy()
 

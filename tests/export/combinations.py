@@ -86,9 +86,10 @@ def inputs(law, count, dtype, seed=0):
     q[:few] = 0.0  # stretched: singular
     q[few : 2 * few] *= 1.3  # some beyond their limits
     q[2 * few : 3 * few, 1:] = random.normal(0, 1e-5, (few, chain.n - 1))  # next to a singularity
-    targets = [ck.pose(chain, row) for row in low + (high - low) * random.uniform(0, 1, (count, chain.n))]
-    position = np.array([np.asarray(t.position)[list(task.linear)] for t in targets]).reshape(count, -1)
-    rotation = np.array([np.asarray(t.rotation) for t in targets])
+    there = low + (high - low) * random.uniform(0, 1, (min(count, 500), chain.n))
+    targets = [ck.pose(chain, row) for row in there]
+    position = np.resize([np.asarray(t.position)[list(task.linear)] for t in targets], (count, len(task.position)))
+    rotation = np.resize([np.asarray(t.rotation) for t in targets], (count, 3, 3))
     velocity = random.normal(0, 0.1, (count, task.m))
     q[-1, 0] = np.nan
     return [np.ascontiguousarray(v, dtype) for v in (q, position, rotation, velocity)]
@@ -120,13 +121,16 @@ def by_jax(combination, given):
     that differ by 32 roundings.
     """
     law, method, stage = combination.parts()
-    rounds = SEVERAL if method.steps > 1 else 1
 
     def one(q, position, rotation, velocity):
-        reference, history = target(law, position, rotation, velocity), None
-        for _ in range(rounds):
-            made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage, history=history)
-            q, history = made.q, made.history
+        reference = target(law, position, rotation, velocity)
+
+        def again(made, _):
+            return ck.step(law, reference, made.q, 0.0, combination.Ts, method, stage, history=made.history), None
+
+        made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
+        if method.steps > 1:
+            made, _ = jax.lax.scan(again, made, None, length=SEVERAL - 1)
         return made.q, made.qdot, made.e, made.x, made.residual, made.status
 
     q, *others = given

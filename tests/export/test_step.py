@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.export import matrix
 from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
 
 pytestmark = pytest.mark.form("unrolled")
@@ -30,3 +31,17 @@ def test_the_exported_step_is_jaxs(combination):
 def test_the_spread_has_every_name_in_it():
     for field, names in (("inverse", INVERSES), ("limits", LIMITS), ("null", NULL), ("stage", STAGES)):
         assert {getattr(c, field) for c in SPREAD} == set(names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("combination", matrix.thirty(), ids=str)
+def test_the_exported_step_is_jaxs_for_a_hundred_thousand_inputs(combination):
+    off, others = compare(combination, matrix.MANY)
+    assert off <= 1 and others == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("combination", matrix.every()[::60], ids=str)
+def test_every_name_goes_through_with_every_other(combination):
+    off, others = compare(combination, matrix.FEW)
+    assert off <= 1 and others == 0
