@@ -101,6 +101,8 @@ def batch_source(program, names: Names) -> str:
             stores += [f"  store(found[{found}], at, last, {field.size}, {i}, {v});" for i, v in enumerate(values)]
             found += 1
     writers.append(writer)
+    has_status = any(field.name == "status" for field, _ in program.outputs["output"])
+    lines += ["  (void)status;"] * (not has_status) + ["  (void)found;"] * (found == 0)
     block = (
         f"static void lanes_at(int64_t at, int64_t last, int32_t steps, const {names.name}_column *given,\n"
         f"  {names.real} *const *found, int32_t *status)\n{{\n" + "\n".join([*lines, *stores]) + "\n}\n"

@@ -10,15 +10,14 @@ SPREAD = [
     Combination("planar3"),
     Combination("planar2", dtype="float32"),
     Combination("planar3", "pseudoinverse", "saturation"),
-    Combination("planar3", "singular-damped", "weighted-least-norm", "posture", "TRAPEZOID", "chord"),
-    Combination("planar2", "pseudoinverse", method="AB3"),
-    Combination("planar2", "damped", null="manipulability", method="IE", stage="newton"),
-    Combination("planar3", "manipulability-damped", "velocity-scaling", method="EXP-MIDPOINT"),
-    Combination("planar2", "transpose", "saturation", method="HEUN", dtype="float32"),
-    Combination("planar3", "damped", "none", "posture", "EXP-AB2", dtype="float32"),
+    Combination("planar2", "singular-damped", "weighted-least-norm", method="TRAPEZOID", stage="chord"),
+    Combination("planar2", "pseudoinverse", method="AB2"),
+    Combination("planar2", "damped", method="IE", stage="newton"),
+    Combination("planar3", "damped", null="manipulability"),
+    Combination("planar3", "manipulability-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
+    Combination("planar2", "transpose", method="HEUN", dtype="float32"),
+    Combination("planar2", "damped", method="EXP-AB2", dtype="float32"),
     Combination("planar2", "damped", method="CN", dtype="float32"),
-    Combination("planar4", "pseudoinverse"),
-    Combination("planar2", "damped", method="ZNN4"),
 ]
 
 
