@@ -82,16 +82,19 @@ def seconds(fn, times=1) -> float:
 class Native:
     """The Panda's pose step, damped, explicit Euler, exported and built."""
 
-    def __init__(self, folder, dtype):
+    def __init__(self, folder, dtype, *, fixed=False):
+        """fixed: the target is held still, and nothing else but it may be set."""
         case = loops.ROBOTS["panda"]()
         self.dtype, self.law = np.dtype(dtype), case.law
+        self.given = [np.asarray(v[0]) for v in loops.inputs(case, 1, self.dtype).values()]
         begun = time.perf_counter()
-        c(case.law, out=folder, method=EE, dtype=self.dtype)
+        options = dict(reference=hold(*self.given[1:]), runtime=("position", "rotation")) if fixed else {}
+        c(case.law, out=folder, method=EE, dtype=self.dtype, **options)
         self.exported_s = time.perf_counter() - begun
         self.step = load(folder)
         self.built_s = time.perf_counter() - begun - self.exported_s
-        self.given = [np.asarray(v[0]) for v in loops.inputs(case, 1, self.dtype).values()]
-        self.call = functools.partial(self.step, *self.given, np.zeros(6, self.dtype), loops.TS)
+        told = (*self.given[1:], np.zeros(6, self.dtype), loops.TS)
+        self.call = functools.partial(self.step, self.given[0], *((0.0, loops.TS) if fixed else told))
         self.call()
         source = pathlib.Path(folder) / "harness.c"
         source.write_text(_HARNESS, encoding="utf-8")
@@ -119,7 +122,7 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
       others: {name: function that takes a step's worth of work and returns seconds}, run in the same rounds.
     """
     with one_core(), jax.enable_x64(dtype == "float64"):
-        native = Native(folder, dtype)
+        native, fixed = Native(folder, dtype), Native(folder / "fixed", dtype, fixed=True)
         q, position, rotation = (jax.numpy.asarray(v) for v in native.given)
         law, reference, stage = placed(native.law), placed(hold(position, rotation)), picard(5)
 
@@ -128,6 +131,7 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
 
         every = {
             "C from C": native.from_c,
+            "C from C, parameters compiled in": fixed.from_c,
             "C from Python": lambda: seconds(native.call, 2000),
             "C from Python, joints alone": lambda: seconds(lambda: native.step(native.given[0]), 2000),
             "JAX step": lambda: seconds(by_jax, 200),
