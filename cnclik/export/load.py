@@ -71,7 +71,9 @@ class Compiled:
         library = opened(self.library, lets_go=told["what"] == "solve")
         function = getattr(library, name)
         function.restype = ctypes.c_int32 if told["what"] in ("step", "solve") else None
-        addresses = [ctypes.c_void_p(b.address) for b in self.buffers.values()]
+        addresses = [b.address for b in self.buffers.values()]
+        of_loop = [ctypes.c_int32, ctypes.c_void_p] * (told["what"] == "solve")
+        function.argtypes = [ctypes.c_void_p] * len(addresses) + of_loop
         self._function = function
         self._call = _CALLS[told["what"]](self, function, addresses)
 
@@ -238,7 +240,7 @@ def _solver(made, function, addresses):
             history.bytes[...] = 0
         run = {name: np.empty((N + (name in INSTANTS), *told[name].shape), told[name].dtype) for name in names}
         columns = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
-        function(*addresses, ctypes.c_int32(N), columns)
+        function(*addresses, N, columns)
         t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
         t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
         return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.told["evaluations"], N)))
