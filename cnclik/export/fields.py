@@ -66,6 +66,8 @@ _ABOUT = {
 def parameters(tree, runtime):
     """Fields of the arrays in a tree, and the function that puts others in their place."""
     flat, treedef = jax.tree.flatten(tree)
+    if not all(map(errors.concrete, flat)):
+        raise errors.fail("law", "hold numbers to be exported", "is traced by JAX")
     found = list(leaves(tree))
     if len(found) != len(flat):
         raise errors.fail("law", "be made of cnclik's own records", "holds other trees of arrays")

@@ -31,7 +31,8 @@ class Names:
 
 
 def comment(text) -> str:
-    """A block comment."""
+    """A block comment, whatever a robot's joints are called."""
+    text = text.replace("*/", "* /")
     lines = [line for part in text.strip().split("\n") for line in (textwrap.wrap(part, 110) or [""])]
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"]) + "\n"
 

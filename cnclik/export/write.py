@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from cnclik import errors
+from cnclik.export.arrays import UnsupportedError
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
 from cnclik.export.loop import RESULTS, trace_growth, trace_loop
@@ -60,17 +61,12 @@ def c(
     """
     asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
     out = pathlib.Path(out)
-    from cnclik.export.reader import UnsupportedError
-
-    try:
-        program = trace(asked)
-    except UnsupportedError as error:
-        raise errors.fail("law", "be made of what has a C form", f"{error}") from None
+    program = _read(trace, asked)
     names, told = Names(name, asked.dtype, what), configuration(asked)
     declared = loop = ""
     if what == "solve":
         declared = solve_header(program, names)
-        loop = solve_source(program, trace_growth(asked), names, asked.law.chain.n, asked.law.task.m)
+        loop = solve_source(program, _read(trace_growth, asked), names, asked.law.chain.n, asked.law.task.m)
     files = {
         f"{name}.h": header(program, names, told, declared),
         f"{name}.c": source(program, names, loop),
@@ -78,10 +74,7 @@ def c(
         MANIFEST: json.dumps(manifest(asked, program, names), indent=1) + "\n",
     }
     if batch:
-        try:
-            looped = trace_loop(asked, RESULTS if batch is True else _wanted(batch))
-        except UnsupportedError as error:
-            raise errors.fail("law", "be made of what has a C form", f"{error}") from None
+        looped = _read(trace_loop, asked, RESULTS if batch is True else _wanted(batch))
         files[f"{name}_batch.h"] = batch_header(looped, names)
         files[f"{name}_batch.c"] = batch_source(looped, names)
         files[MANIFEST] = json.dumps(manifest(asked, program, names, looped), indent=1) + "\n"
@@ -90,6 +83,14 @@ def c(
     for file, text in files.items():
         (out / file).write_text(text, encoding="utf-8")
     return out
+
+
+def _read(read, *args):
+    """A program. Raises: ArgumentError, one line that names what has no C form."""
+    try:
+        return read(*args)
+    except UnsupportedError as error:
+        raise errors.fail("law", "be made of what has a C form", f"{error}") from None
 
 
 def checked(law, reference, what, method, stage, dtype, name, runtime, batch=False):

@@ -148,6 +148,12 @@ def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice(tmp_path):
     assert np.allclose(few(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
 
 
+def test_a_robots_own_names_stay_in_the_comment(tmp_path):
+    arm = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "b"])
+    folder = ck.export.c(ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1)), out=tmp_path, method="EE")
+    assert "a* / int x;" in (folder / "clik_step.h").read_text(encoding="utf-8")
+
+
 def test_the_pages_example_is_built_and_runs(tmp_path):
     page = (pathlib.Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```c\n(.*?)^```", page, re.M | re.S)
