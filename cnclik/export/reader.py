@@ -235,8 +235,9 @@ class Reader:
         for i in reversed(range(length)) if back else range(length):
             made = self.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *carry, *(x[i] for x in xs)])
             carry, rounds[i] = made[: len(carry)], made[len(carry) :]
-        none = [array_of([], a.shape) for a in stacked]
-        return [*carry, *(map(np.stack, zip(*rounds, strict=True)) if length else none)]
+        if not length:
+            return [*carry, *(array_of([], a.shape) for a in stacked)]
+        return [*carry, *map(np.stack, zip(*rounds, strict=True))]
 
 
 def repeats(jaxpr) -> dict:

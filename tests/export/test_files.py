@@ -148,6 +148,18 @@ def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice(tmp_path):
     assert np.allclose(few(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
 
 
+def test_loops_that_stack_up_what_they_find_are_written_out():
+    import jax
+
+    def wanted(q):
+        return jax.lax.scan(lambda total, x: (total + x, 2.0 * total + x), 0.0 * q[0], q)[1]
+
+    law = a_law(null_velocity=wanted)
+    q = np.array([0.3, 0.5, -0.4])
+    made = ck.export.compiled(law, method="EE")(q, [0.9, 1.2], Ts=0.01)
+    assert np.allclose(made.q, ck.step(law, ck.hold([0.9, 1.2]), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
+
+
 def test_a_robots_own_names_stay_in_the_comment(tmp_path):
     arm = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "b"])
     folder = ck.export.c(ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1)), out=tmp_path, method="EE")
