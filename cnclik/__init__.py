@@ -12,7 +12,7 @@ from cnclik.lazy import on_use
 from cnclik.version import __version__
 
 if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type checkers
-    from cnclik import bench, measure, paper, problem, reaching, show, stability, sweeps, tuning
+    from cnclik import bench, export, measure, paper, problem, reaching, show, stability, sweeps, tuning
     from cnclik.compilation import use_cache
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
@@ -53,7 +53,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
 
 # Where each name is: nothing is loaded before it is asked for, so that the command line answers at once where no
 # number is asked of it.
-_ROOMS = ("bench", "measure", "paper", "problem", "reaching", "show", "stability", "sweeps", "tuning")
+_ROOMS = ("bench", "export", "measure", "paper", "problem", "reaching", "show", "stability", "sweeps", "tuning")
 _INNER = (
     "compilation",
     "errors",
@@ -109,7 +109,7 @@ __all__ = [
     *("ArgumentError", "CN", "Chain", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method"),
     *("Metrics", "Multistep", "Pose", "RK4", "ReachStatus", "Reached", "Reference", "Status", "Step", "StepError"),
     *("TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate", "causal", "chord", "circle", "damped"),
-    *("exponential", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
+    *("exponential", "export", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
     *("manipulability", "manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run"),
     *("newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot", "pose", "pose_task"),
     *("position", "posture", "problem", "problem_from", "pseudoinverse", "reach", "reachability", "reaching"),

@@ -40,6 +40,11 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
       history: of a multistep method, see `cnclik.integrate.history.blank`; else None.
       starting: whether a multistep method is to be started: by a step of `starter`, remembered.
     """
+    return advanced(law, reference, q, t, Ts, method, stage, history, starting=starting)[0]
+
+
+def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False):
+    """The same, and the estimate of the least singular value of the task Jacobian at its start."""
     told = reference if reference.known else tangent(reference, law.task, t)
     at, begun = look(law, told, t, q), None
     if method.steps == 1 or starting:
@@ -56,7 +61,7 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     if one.restarted is not None:
         status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
-    return Step(
+    step = Step(
         q=made.q,
         x=sp.each(lambda x: jnp.asarray(x, made.residual.dtype), made.first.x()),  # z of a planar arm is a number
         e=made.first.e,
@@ -66,6 +71,7 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
         status=status,
         history=one.history,
     )
+    return step, made.first.least
 
 
 def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:

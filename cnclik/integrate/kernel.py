@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 
 from cnclik.hints import in_kernel
+from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, known, moved
 
 TILE = 128  # lanes per program, four warps
 
@@ -57,9 +58,9 @@ def batched(fn, *, tile: int = TILE, interpret: bool = False):
             inputs, results = refs[: len(lane)], refs[len(lane) :]
             reader = _Reader(tile)
             values = [
-                _array([ref[c, :] for c in range(ref.shape[0])], a.shape) for ref, a in zip(inputs, lane, strict=True)
+                array_of([ref[c, :] for c in range(ref.shape[0])], a.shape) for ref, a in zip(inputs, lane, strict=True)
             ]
-            found = reader.run(traced.jaxpr, [_known(c) for c in traced.consts], values)
+            found = reader.run(traced.jaxpr, [known(c) for c in traced.consts], values)
             for ref, value, out in zip(results, found, outs, strict=True):
                 for c, cell in enumerate(value.flat):
                     ref[c, :] = reader.lift(cell, out.dtype)
@@ -102,51 +103,12 @@ def _pallas(body, tile, programs, columns, outs, interpret):
 # --- cells --------------------------------------------------------------------------------------------
 
 
-def _array(cells, shape):
-    """An array whose entries are the cells: numbers that are known, vectors of lanes, or HISTORY."""
-    made = np.empty(len(cells), object)
-    for i, cell in enumerate(cells):
-        made[i] = cell
-    return made.reshape(shape)
-
-
-def _known(value):
-    value = np.asarray(value)
-    return _array(value.ravel().tolist(), value.shape)
-
-
 def _is_known(cell):
     return isinstance(cell, (bool, int, float))
 
 
 def _all_known(arrays):
     return all(_is_known(cell) for a in arrays for cell in a.flat)
-
-
-def _broadcast_in_dim(x, shape, broadcast_dimensions, **_):
-    sizes = [1] * len(shape)
-    for axis, size in zip(broadcast_dimensions, x.shape, strict=True):
-        sizes[axis] = size
-    return np.broadcast_to(x.reshape(sizes), shape)
-
-
-# Where each cell of a result comes from: NumPy moves the cells.
-_MOVES = {
-    "broadcast_in_dim": _broadcast_in_dim,
-    "squeeze": lambda x, dimensions: np.squeeze(x, dimensions),
-    "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
-    "reshape": lambda x, new_sizes, **_: x.reshape(new_sizes),
-    "transpose": lambda x, permutation: x.transpose(permutation),
-    "rev": lambda x, dimensions: np.flip(x, dimensions),
-    "concatenate": lambda *xs, dimension: np.concatenate(xs, dimension),
-    "stack": lambda *xs, axis: np.stack(xs, axis),
-    "slice": lambda x, start_indices, limit_indices, strides: x[
-        tuple(map(slice, start_indices, limit_indices, strides or (1,) * x.ndim))
-    ],
-    "copy": lambda x, **_: x,
-    "copy_p": lambda x, **_: x,
-    "stop_gradient": lambda x, **_: x,
-}
 
 
 _ELEMENTWISE_NAMES = """
@@ -165,9 +127,6 @@ _REDUCTIONS = {
     "reduce_and": lax.and_p,
     "reduce_or": lax.or_p,
 }
-
-_CALLS_NAMES = "jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call"
-_CALLS = frozenset(_CALLS_NAMES.split())
 
 
 class _Reader:
@@ -189,7 +148,7 @@ class _Reader:
         held = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, values, strict=True))
 
         def read(v):
-            return _known(v.val) if hasattr(v, "val") else held[v]
+            return known(v.val) if hasattr(v, "val") else held[v]
 
         for equation in jaxpr.eqns:
             inputs = [read(v) for v in equation.invars]
@@ -199,17 +158,14 @@ class _Reader:
 
     def equation(self, equation, inputs) -> list:
         name, params = equation.primitive.name, equation.params
-        if name in _CALLS:
+        if name in CALLS:
             return self.call(params, inputs)
         if name == "scan":
             return self.scan(equation, inputs, **params)
         if name == "cond":
             return self.cond(equation, *inputs, branches=params["branches"])
-        if name in _MOVES:
-            return [_MOVES[name](*inputs, **params)]
-        if name == "unstack":  # jax 0.12 has it for iterating over an array
-            x, axis = inputs[0], params["axis"]
-            return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
+        if (found := moved(equation, inputs)) is not None:
+            return found
         if _all_known(inputs):
             return _fold(equation, inputs)
         if name in _ELEMENTWISE:
@@ -223,10 +179,8 @@ class _Reader:
         raise UnsupportedError(f"a kernel has no {name}")
 
     def call(self, params, inputs):
-        inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
-        if hasattr(inner, "consts"):
-            return self.run(inner.jaxpr, [_known(c) for c in inner.consts], inputs)
-        return self.run(inner, [], inputs)
+        jaxpr, consts = called(params)
+        return self.run(jaxpr, [known(c) for c in consts], inputs)
 
     def elementwise(self, equation, inputs):
         dtypes = [v.aval.dtype for v in equation.invars]
@@ -238,7 +192,7 @@ class _Reader:
             return equation.primitive.bind(*lifted, **equation.params)
 
         arrays = np.broadcast_arrays(*inputs)
-        return _array([one(*cells) for cells in zip(*(a.flat for a in arrays), strict=True)], arrays[0].shape)
+        return array_of([one(*cells) for cells in zip(*(a.flat for a in arrays), strict=True)], arrays[0].shape)
 
     def reduction(self, equation, primitive, x, axes):
         dtype = equation.invars[0].aval.dtype
@@ -248,21 +202,21 @@ class _Reader:
         def join(a, b):
             return HISTORY if a is HISTORY or b is HISTORY else primitive.bind(self.lift(a, dtype), self.lift(b, dtype))
 
-        return _array([functools.reduce(join, row) for row in rows], [x.shape[a] for a in kept])
+        return array_of([functools.reduce(join, row) for row in rows], [x.shape[a] for a in kept])
 
     def contraction(self, equation, x, y, dimension_numbers, **_):
         (left, right), (batch, _) = dimension_numbers
         if batch:
             raise UnsupportedError("a kernel has no batched dot_general")
         x, y = (
-            _array([self.lift(c, v.aval.dtype) for c in a.flat], a.shape)
+            array_of([self.lift(c, v.aval.dtype) for c in a.flat], a.shape)
             for a, v in zip((x, y), equation.invars, strict=True)
         )
         return np.asarray(np.tensordot(x, y, (left, right)), object)
 
     def cond(self, equation, index, *inputs, branches):
         """All branches, the lane's own chosen: as vmap does."""
-        made = [self.run(b.jaxpr, [_known(c) for c in b.consts], inputs) for b in branches]
+        made = [self.run(b.jaxpr, [known(c) for c in b.consts], inputs) for b in branches]
         (chosen,) = index.flat
         if _is_known(chosen):
             return made[int(min(max(chosen, 0), len(branches) - 1))]
@@ -275,12 +229,12 @@ class _Reader:
                     here = chosen == i if chosen.dtype != bool else chosen
                     cell = lax.select_n(here, cell, other)
                 cells.append(cell)
-            out.append(_array(cells, var.aval.shape))
+            out.append(array_of(cells, var.aval.shape))
         return out
 
     def scan(self, equation, inputs, *, jaxpr, length, reverse, **_):
         """A loop in registers; what it stacks up over time is HISTORY."""
-        num_consts, num_carry = _consts_and_carry(equation, jaxpr)
+        num_consts, num_carry = consts_and_carry(equation, jaxpr)
         consts, start, xs = inputs[:num_consts], inputs[num_consts:][:num_carry], inputs[num_consts + num_carry :]
         counters = [_counter(x, v.aval) for x, v in zip(xs, equation.invars[num_consts + num_carry :], strict=True)]
         avals = [v.aval for v in equation.invars[num_consts:][:num_carry]]
@@ -297,30 +251,19 @@ class _Reader:
         def whole(cells):
             cells = iter(cells)
             return [
-                _array([next(cells) if lives_on else HISTORY for lives_on in lives], aval.shape)
+                array_of([next(cells) if lives_on else HISTORY for lives_on in lives], aval.shape)
                 for aval, lives in zip(avals, live, strict=True)
             ]
 
         def once(i, cells):
             i = length - 1 - i if reverse else i
             rows = [counter(i) for counter in counters]
-            found = self.run(jaxpr.jaxpr, [_known(c) for c in jaxpr.consts], [*consts, *whole(cells), *rows])
+            found = self.run(jaxpr.jaxpr, [known(c) for c in jaxpr.consts], [*consts, *whole(cells), *rows])
             return flat(found[:num_carry])
 
         ended = whole(lax.fori_loop(0, length, once, flat(start)))
-        lost = [_array([HISTORY] * int(np.prod(v.aval.shape)), v.aval.shape) for v in equation.outvars[num_carry:]]
+        lost = [array_of([HISTORY] * int(np.prod(v.aval.shape)), v.aval.shape) for v in equation.outvars[num_carry:]]
         return [*ended, *lost]
-
-
-def _consts_and_carry(equation, jaxpr):
-    """How many of a scan's inputs are constants and how many are carried, from shapes alone.
-
-    What is scanned over or stacked up has one axis more outside than inside; the parameters that say so differ
-    between versions of JAX.
-    """
-    carry = sum(v.aval.ndim == inner.ndim for v, inner in zip(equation.outvars, jaxpr.out_avals, strict=True))
-    scanned = sum(v.aval.ndim > inner.ndim for v, inner in zip(equation.invars, jaxpr.in_avals, strict=True))
-    return len(equation.invars) - carry - scanned, carry
 
 
 def _fold(equation, inputs):
@@ -328,7 +271,7 @@ def _fold(equation, inputs):
     arrays = [np.array(x.tolist(), v.aval.dtype).reshape(x.shape) for x, v in zip(inputs, equation.invars, strict=True)]
     with jax.ensure_compile_time_eval():
         found = equation.primitive.bind(*arrays, **equation.params)
-    return [_known(x) for x in (found if equation.primitive.multiple_results else [found])]
+    return [known(x) for x in (found if equation.primitive.multiple_results else [found])]
 
 
 def _picked(equation, inputs):
@@ -355,6 +298,6 @@ def _counter(x, aval):
 
     def at(i):
         number = lax.convert_element_type(int(first) + int(gap) * i, aval.dtype)
-        return _array([number], ())
+        return array_of([number], ())
 
     return at

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
-from cnclik.integrate.advance import Step, advance
+from cnclik.integrate.advance import Step, advance, advanced
 from cnclik.integrate.history import History
 from cnclik.integrate.method import DEFAULT, Method, Multistep, named, starter
 from cnclik.integrate.stage import picard
@@ -225,24 +225,29 @@ _solve_soon = quick_jit(_run, static_argnames=("N", "method"))
 
 
 def _one_step(law, reference, q, t, Ts, stage, history, *, method):
+    return step_and_least(law, reference, q, t, Ts, stage, history, method=method)[0]
+
+
+def step_and_least(law, reference, q, t, Ts, stage, history, *, method):
+    """What `step` computes, pure, and the estimate of the least singular value of the task Jacobian at q."""
     check(reference, law.task)
     law, start = in_form(law, q)
     law, reference, history = cast((law, reference, history), q.dtype)
     t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)
 
     def one(starting, past):
-        return advance(law, reference, start, t, Ts, method, stage, past, starting=starting)
+        return advanced(law, reference, start, t, Ts, method, stage, past, starting=starting)
 
     if method.steps == 1:
-        made = one(False, None)
+        made, least = one(False, None)
     elif history is None:
-        made = one(True, memory.blank(law, start, method))
+        made, least = one(True, memory.blank(law, start, method))
     else:
         past = memory.in_the_form_of(start, history)
         begins = past.made < method.steps - 1
-        made = jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), past)
+        made, least = jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), past)
     made = replace(made, history=memory.packed(made.history))
-    return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")})
+    return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")}), least
 
 
 _step = bounded_jit(_one_step, static_argnames=("method",))

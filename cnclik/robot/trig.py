@@ -20,19 +20,21 @@ from cnclik.hints import on_cpu, opaque
 RANGE = 1e4
 
 
-class _Table(NamedTuple):
+class Table(NamedTuple):
+    """The numbers of `sincos` in one precision."""
+
     half_pi: tuple  # parts of π/2 that are exact times k, then a compensated part, then the tail
     sine: tuple  # sin r = r + r³ S(r²)
     cosine: tuple  # cos r = 1 − r²/2 + r⁴ C(r²)
 
 
-_TABLES = {  # by bits of the mantissa
-    24: _Table(
+TABLES = {  # by bits of the mantissa
+    24: Table(
         half_pi=(1.5703125, 0.0004837512969970703, 7.549533620476723e-08, 2.5633441e-12),
         sine=(-0.166666549331917384, 0.00833217745665272256, -0.000195172025549268638),
         cosine=(0.0416666468486836209, -0.00138873666071656574, 0.0000244383434232972141),
     ),
-    53: _Table(
+    53: Table(
         half_pi=(1.5707963267941523, 7.443547480480255e-13, 6.36831716351095e-25),
         sine=(
             -0.16666666666666632,
@@ -97,7 +99,7 @@ def _own(angles):
 
 def _reduced(x):
     """(sin x, cos x) for |x| ≤ RANGE; meaningless beyond."""
-    table = _TABLES[jnp.finfo(x.dtype).nmant + 1]
+    table = TABLES[jnp.finfo(x.dtype).nmant + 1]
     *exact, part, tail = table.half_pi
     k = lax.round(x * (2 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
     for p in exact:

@@ -1,0 +1,62 @@
+"""`cnclik export`: the step of a loop as C, for a controller."""
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+from cnclik.cli.common import ComputeOptions
+from cnclik.cli.problem import ProblemOptions, problem, table
+
+
+@dataclasses.dataclass(kw_only=True)
+class Args(ComputeOptions, ProblemOptions):
+    """Write NAME.h, NAME.c, example.c with test vectors, and a README. Without a reference among the options the target
+    is an argument of the function; with one the function takes the time."""
+
+    out: Path
+    """Folder for the files."""
+    what: Literal["step", "solve", "fk", "jacobian"] = "step"
+    """What the function does: one step, N steps in one call, forward kinematics, or the Jacobian."""
+    name: str = "clik_step"
+    """Name of the function and of the files."""
+    dtype: Literal["double", "float"] = "double"
+    """Type of all numbers."""
+    runtime: tuple[str, ...] | None = None
+    """Parameters that may be set at run time, such as alpha; the others are compiled in. All by default."""
+    compiled_in: bool = False
+    """Compile all parameters in."""
+    batch: bool = False
+    """Also the loop for many lanes by vector instructions, NAME_batch.c (GCC, Clang)."""
+
+
+def run(args: Args) -> None:
+    from cnclik import errors
+    from cnclik.cli import progress
+    from cnclik.export.write import c
+    from cnclik.problem.options import PATH
+
+    if args.compiled_in and args.runtime:
+        raise errors.fail("runtime", "be left out with --compiled-in", f"is {' '.join(args.runtime)}")
+    made = problem(args)
+    given = table(args)
+    along = given.get("reference") != "hold" or any(name in given for name in PATH)
+    reference = made.reference if along and args.what in ("step", "solve") else None
+    with progress.bar("C"):
+        folder = c(
+            made.law,
+            reference,
+            out=args.out,
+            what=args.what,
+            method=made.method,
+            stage=made.stage,
+            dtype=args.dtype,
+            name=args.name,
+            runtime=() if args.compiled_in else args.runtime,
+            batch=args.batch,
+        )
+    where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
+    of = f", {made.method} {where}" if args.what in ("step", "solve") else ""
+    print(f"{made.name}: {args.what} in {args.dtype}{of}")
+    files = sorted(path.name for path in folder.iterdir() if path.is_file() and path.suffix != ".so")
+    print(f"Wrote {', '.join(files)} to {folder}/.")
+    print(f"Build and test: cc -std=c99 -O2 -ffp-contract=off {args.name}.c example.c -lm -o example && ./example")

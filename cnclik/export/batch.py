@@ -1,0 +1,91 @@
+"""Batch: exported loops for many lanes, called with NumPy arrays on all cores."""
+
+import ctypes
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.export.compiler import build, opened
+from cnclik.hints import cores as available
+
+PART = 2048  # lanes that a core takes at a time
+
+
+class _Column(ctypes.Structure):
+    _fields_ = (("data", ctypes.c_void_p), ("stride", ctypes.c_int64))
+
+
+class Batch:
+    """The native function for many lanes; built when it is first asked for."""
+
+    def __init__(self, folder, told, dtype):
+        name = told["name"]
+        if not told.get("batch"):
+            raise errors.fail("batch", "be asked for when exporting, c(..., batch=True)", "is not in this folder")
+        self.inputs, self.outputs, self.dtype = told["batch"]["inputs"], told["batch"]["outputs"], dtype
+        self.library = build(
+            [folder / f"{name}_batch.c"], folder, flags=["-O2"]
+        )  # as quick as -O3, built in half the time
+        self.function = getattr(opened(self.library), f"{name}_batch")
+        self.function.restype = None
+        self.function.argtypes = (ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, *[ctypes.c_void_p] * 3)
+
+    def __call__(self, parameters, *given, N, cores=None, **named) -> dict:
+        """See `Compiled.batch`."""
+        N = errors.integer("N", N, at_least=0)
+        cores = available() if cores is None else errors.integer("cores", cores, at_least=1)
+        columns, lanes = self._columns(self._values(parameters, given, named))
+        found = {
+            row["name"]: np.empty((lanes, *row["shape"]), np.int32 if row["kind"] == "int" else self.dtype)
+            for row in self.outputs
+        }
+        numbers = [v for name, v in found.items() if name != "status"]
+        into = (ctypes.c_void_p * max(len(numbers), 1))(*(v.ctypes.data for v in numbers))
+        status = found["status"].ctypes.data if "status" in found else None
+
+        def part(start):
+            self.function(start, min(start + size, lanes), N, columns, into, status)
+
+        size = min(PART, -(-lanes // (16 * cores)) * 16)
+        starts = range(0, lanes, size)
+        if cores == 1 or len(starts) == 1:
+            self.function(0, lanes, N, columns, into, status)
+        else:
+            with ThreadPoolExecutor(cores) as pool:
+                list(pool.map(part, starts))
+        return found
+
+    def _values(self, parameters, given, named) -> dict:
+        """{name: value} of all that the function takes."""
+        own = [row["name"] for row in self.inputs if row["name"] not in parameters]
+        if len(given) > len(own):
+            raise errors.fail("arguments", f"be at most {', '.join(own)}", f"are {len(given)}")
+        known = {row["name"]: row["value"] for row in self.inputs} | parameters
+        known |= dict(zip(own, given, strict=False))
+        for name, value in named.items():
+            known[errors.one_of("argument", name, [row["name"] for row in self.inputs])] = value
+        for name, value in known.items():
+            if value is None:
+                raise errors.fail(name, "be given", "is not")
+        return known
+
+    def _columns(self, known):
+        """What the C function is given, and how many lanes there are."""
+        columns, lanes, kept = (_Column * len(self.inputs))(), set(), []
+        for column, row in zip(columns, self.inputs, strict=True):
+            name, shape = row["name"], tuple(row["shape"])
+            value = errors.array(name, known[name], shape, (None, *shape), finite=False)
+            value = np.asarray(value, self.dtype, order="C")
+            own = value.ndim > len(shape)
+            lanes |= {len(value)} if own else set()
+            column.data, column.stride = value.ctypes.data, int(np.prod(shape)) if own else 0
+            kept.append(value)
+        if len(lanes) != 1:
+            told = ", ".join(map(str, sorted(lanes))) or "none"
+            raise errors.fail("arguments", "have one leading axis of lanes of the same size", f"have {told}")
+        columns.kept = kept  # alive as long as what points to it
+        (count,) = lanes
+        if not count:
+            raise errors.fail("arguments", "hold at least one lane", "hold 0")
+        return columns, count

@@ -1,0 +1,68 @@
+"""Compiler: the system's own, where it has one."""
+
+import ctypes
+import hashlib
+import os
+import pathlib
+import platform
+import shutil
+import subprocess
+import tempfile
+
+from cnclik import errors
+
+FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
+
+
+def command() -> str:
+    """The C compiler: that of the environment's CC, else cc, gcc or clang. ArgumentError where there is none."""
+    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
+        if name and shutil.which(name):
+            return name
+    raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
+
+
+def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
+    """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected.
+
+    Args:
+      sources: C files of one folder.
+      folder: where it is kept; in the system's temporary files where that can't be written to.
+      flags: further ones.
+    """
+    texts = [pathlib.Path(s).read_bytes() for s in sources]
+    care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
+    line = [command(), "-std=c99", *FLAGS, *care, *flags, *os.environ.get("CFLAGS", "").split()]
+    headers = sorted(pathlib.Path(sources[0]).parent.glob("*.h"))
+    key = hashlib.sha256(
+        "\0".join([*line, _processor()]).encode() + b"\0".join(texts + [h.read_bytes() for h in headers])
+    )
+    name = f"{pathlib.Path(sources[0]).stem}-{key.hexdigest()[:16]}.so"
+    folder = pathlib.Path(folder)
+    if not os.access(folder, os.W_OK):
+        folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
+    library = folder / name
+    if not library.exists():
+        part = library.with_suffix(f".{os.getpid()}.part")
+        asked = [*line, "-o", str(part), *map(str, sources), "-lm"]
+        done = subprocess.run(asked, capture_output=True, text=True)
+        if done.returncode:
+            said = next((w for w in done.stderr.splitlines() if "error" in w), done.stderr.strip()[:80])
+            raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {said}")
+        part.replace(library)
+    return library
+
+
+def _processor() -> str:
+    """What code for this processor depends on."""
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+
+
+def opened(library, *, lets_go=True):
+    """The library; `lets_go` of Python's lock while it runs, for calls that take longer than a step."""
+    return (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))

@@ -1,0 +1,110 @@
+"""Example: a C program that runs the test vectors, and the README that goes with it."""
+
+import numpy as np
+
+from cnclik.export.cost import operations
+from cnclik.export.scalar import number
+from cnclik.export.source import GROUPS
+from cnclik.export.vectors import TOLERANCE, inputs, results
+from cnclik.measure.files import markdown
+from cnclik.version import __version__
+
+BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {sources} -lm -o example"
+
+
+def example(asked, program, names) -> str:
+    """`example.c`: its main returns 0 where all vectors agree, else how many do not."""
+    given = inputs(asked, program)
+    wanted = results(program, given)
+    count, name = len(given["input.q"]), names.name
+    outputs = [(f"output.{f.name}", f) for f, _ in program.outputs["output"]]
+    tables = [_table(names, f"in_{f.name}", f, given[f"input.{f.name}"]) for f in program.inputs["input"]]
+    tables += [_table(names, f"out_{f.name}", f, wanted[key]) for key, f in outputs]
+    fill = [_copy(f"input.{f.name}", f"in_{f.name}[i]", f) for f in program.inputs["input"]]
+    checks = [
+        f"    wrong += differs({f'output.{f.name}' if f.shape else f'&output.{f.name}'}, out_{f.name}[i], {f.size});"
+        for _, f in outputs
+        if f.kind == "real"
+    ]
+    checks += [f"    wrong += output.{f.name} != out_{f.name}[i][0];" for _, f in outputs if f.kind != "real"]
+    begin = [f"    {names.type(g)} {g};" for g in (*(g for g in GROUPS if program.inputs[g]), "output")]
+    begin += [f"    {name}_defaults(&parameters);"] * bool(program.inputs["parameters"])
+    begin += ["    memset(&history, 0, sizeof history);"] * bool(program.inputs["history"])
+    called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
+    near = number(TOLERANCE[names.dtype.itemsize], "real", names.dtype)
+    return f"""/* Runs test vectors through {name} and returns 0 where all agree. Written by cnclik {__version__}. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "{name}.h"
+
+{"".join(tables)}
+static int differs(const {names.real} *found, const {names.real} *wanted, int size)
+{{
+  int i, wrong = 0;
+  for (i = 0; i < size; ++i) {{
+    const int both_nan = isnan(found[i]) && isnan(wanted[i]);
+    wrong += !both_nan && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
+  }}
+  return wrong;
+}}
+
+int main(void)
+{{
+  int i, failed = 0;
+  for (i = 0; i < {count}; ++i) {{
+    int wrong = 0;
+{chr(10).join([*begin, *fill])}
+    {names.entry}({called});
+{chr(10).join(checks)}
+    if (wrong) {{
+      printf("vector %d: %d numbers differ\\n", i, wrong);
+    }}
+    failed += wrong != 0;
+  }}
+  printf("%d of {count} vectors agree\\n", {count} - failed);
+  return failed;
+}}
+"""
+
+
+def _table(names, name, field, values) -> str:
+    rows = ",\n".join(
+        "  {" + ", ".join(number(v, field.kind, names.dtype) for v in row) + "}" for row in np.asarray(values).tolist()
+    )
+    kind = "int32_t" if field.kind != "real" else names.real
+    return f"static const {kind} {name}[{len(values)}][{field.size}] = {{\n{rows}\n}};\n"
+
+
+def _copy(place, table, field) -> str:
+    if field.shape:
+        return f"    memcpy({place}, {table}, sizeof {place});"
+    return f"    {place} = {table}[0];"
+
+
+def readme(asked, program, names, told, files) -> str:
+    """What the files are, how to build them, and what each number means."""
+    counted = operations(program)
+    ops = ", ".join(f"{n} {what}" for what, n in counted.items())
+    groups = {**program.inputs, "output": [f for f, _ in program.outputs["output"]]}
+    rows = [(f"`{g}->{f.name}`", f.about, f.size) for g, fields in groups.items() for f in fields]
+    table = markdown(("what", "meaning", "entries"), rows, left=2)
+    build = BUILD.format(sources=f"{names.name}.c example.c")
+    return f"""# {names.name}
+
+Written by cnclik {__version__}. Do not edit: export again.
+
+{chr(10).join(f"- {line}" for line in told)}
+
+Build and test: `{build} && ./example` (it prints how many test vectors agree, and returns 0 where all do).
+For speed add `-O3 -march=native -ffp-contract=fast`; leave out `-ffast-math`, with which NaN would pass for a result.
+
+C99, and C++17 as it is. No allocation, no recursion, no variables outside the functions; every loop has a known bound.
+A call takes at most {ops} functions of libm (sine and cosine are counted as such).
+
+{table}
+
+{"Fill `history` with zeros before the first call, and after every pause." if program.inputs["history"] else ""}
+Files: {", ".join(f"`{f}`" for f in files)}. `export.json` tells `cnclik.export.load` what the functions take.
+""".replace("\n\n\n", "\n\n")

@@ -1,0 +1,83 @@
+"""Fields: arguments and results of an exported function, and what the arrays in a tree of records are called."""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from cnclik import errors
+from cnclik.export.graph import INT, REAL
+from cnclik.record import is_literal
+
+
+class Field(NamedTuple):
+    """An argument or a result."""
+
+    name: str
+    shape: tuple
+    kind: str = REAL
+    about: str = ""
+    value: object = None  # what it is where nothing else is said
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape))
+
+
+def leaves(tree, path=()):
+    """(path, array) of every array in a tree of records, in JAX's order."""
+    if dataclasses.is_dataclass(tree):
+        for field in dataclasses.fields(tree):
+            yield from leaves(getattr(tree, field.name), (*path, field.name))
+    elif isinstance(tree, (tuple, list)):
+        for i, item in enumerate(tree):
+            yield from leaves(item, (*path, str(i)))
+    elif tree is not None and not is_literal(tree):
+        yield path, tree
+
+
+def names(paths) -> list:
+    """A short name for each path: its last words, as many as it takes to tell them apart."""
+    found = []
+    for path in paths:
+        for count in range(1, len(path) + 1):
+            short = path[-count:]
+            if not short[0].isdigit() and sum(p[-count:] == short for p in paths) == 1:
+                break
+        found.append("_".join(short))
+    return found
+
+
+_ABOUT = {
+    "alpha": "gain of the error [1/s]",
+    "damping": "lambda of the damped inverse [unit of J]",
+    "threshold": "below which it is damped",
+    "near_singular": "least singular value below which NEAR_SINGULAR is set",
+    "feedforward": "factor of the desired velocity",
+    "error_clamp": "largest error that the gain sees [m, rad]",
+    "rate": "[1/s]",
+    "rest": "joint values to draw towards [rad, m]",
+    "weights": "of the task coordinates",
+}
+
+
+def parameters(tree, runtime):
+    """Fields of the arrays in a tree, and the function that puts others in their place."""
+    flat, treedef = jax.tree.flatten(tree)
+    if not all(map(errors.concrete, flat)):
+        raise errors.fail("law", "hold numbers to be exported", "is traced by JAX")
+    found = list(leaves(tree))
+    if len(found) != len(flat):
+        raise errors.fail("law", "be made of cnclik's own records", "holds other trees of arrays")
+    fields = []
+    for (path, value), name in zip(found, names([p for p, _ in found]), strict=True):
+        value = np.asarray(value)
+        kind = REAL if value.dtype.kind == "f" else INT
+        about = next((_ABOUT[word] for word in reversed(path) if word in _ABOUT), "")
+        fields.append(Field(name, value.shape, kind, about, value))
+    if runtime is not None:
+        for name in runtime:
+            errors.one_of("runtime", name, [f.name for f in fields])
+    return fields, functools.partial(jax.tree.unflatten, treedef)

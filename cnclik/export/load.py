@@ -1,0 +1,278 @@
+"""Load: exported C, built by the system's compiler and called from Python with NumPy arrays."""
+
+import collections
+import ctypes
+import dataclasses
+import functools
+import json
+import operator
+import pathlib
+import tempfile
+
+import jax
+import numpy as np
+
+from cnclik import errors
+from cnclik.export.batch import Batch
+from cnclik.export.compiler import build, opened
+from cnclik.export.write import MANIFEST, c
+from cnclik.integrate.advance import Step
+from cnclik.integrate.trajectory import INSTANTS, Trajectory
+from cnclik.reading import read_bytes
+from cnclik.robot.kinematics import Pose
+
+
+def load(folder, **parameters):
+    """What `export.c` wrote, built and ready to be called.
+
+    Args:
+      folder: where it was written.
+      parameters: values of its parameters other than those that were exported.
+
+    Returns: `Compiled`, called with what the C function's `input` holds, in that order or by name.
+    Raises: ArgumentError where there is no compiler, or the folder holds no export.
+    """
+    folder = pathlib.Path(folder)
+    try:
+        told = json.loads(read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"))
+    except ValueError:
+        raise errors.fail(
+            "folder", f"hold an {MANIFEST} written by cnclik.export.c", f"{folder.name} has another"
+        ) from None
+    made = Compiled(folder, told)
+    made.set(**parameters)
+    return made
+
+
+def compiled(law, reference=None, **options):
+    """`c` and `load` in one: the step as a native function, in a temporary folder that lives as long as it does.
+
+    Args: those of `c` but `out`.
+    """
+    folder = tempfile.TemporaryDirectory(prefix="cnclik-export-")
+    made = load(c(law, reference, out=folder.name, **options))
+    made.folder = folder
+    return made
+
+
+class Compiled:
+    """A native function: `made = step(q, position, rotation, velocity, Ts)`, in a few microseconds.
+
+    One object has one set of buffers: each thread needs its own.
+    """
+
+    def __init__(self, folder, told):
+        self.told, self.folder, self.folder_path, self._batch = told, folder, folder, None
+        self.dtype = np.dtype(told["dtype"])
+        name = told["name"]
+        self.library = build([folder / f"{name}.c"], folder)
+        self.buffers = {group: _Buffer(fields, self.dtype) for group, fields in told["inputs"].items() if fields}
+        self.buffers["output"] = _Buffer(told["outputs"], self.dtype)
+        library = opened(self.library, lets_go=told["what"] == "solve")
+        function = getattr(library, name)
+        function.restype = ctypes.c_int32 if told["what"] in ("step", "solve") else None
+        addresses = [b.address for b in self.buffers.values()]
+        of_loop = [ctypes.c_int32, ctypes.c_void_p] * (told["what"] == "solve")
+        function.argtypes = [ctypes.c_void_p] * len(addresses) + of_loop
+        self._function = function
+        self._call = _CALLS[told["what"]](self, function, addresses)
+
+    @property
+    def __call__(self):
+        """One call, `step(q, *given, **named)`; a property, as handing arguments on would take as long as the step.
+
+        Args:
+          q: (n,) joint values [rad, m].
+          given, named: the other fields of the C function's `input`, in order or by name; what is left out keeps the
+            value of the call before, at first that of the export. `history` of a multistep method is what the step
+            before handed back; None starts anew.
+          N: steps, of "solve" alone.
+
+        Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "fk" `cnclik.Pose`, of "jacobian" (6, n);
+          with NumPy arrays in them.
+        """
+        return self._call
+
+    def batch(self, q, *given, N: int, cores: int | None = None, **named) -> dict:
+        """Many loops of N steps side by side, on all cores: what was exported with `batch`.
+
+        Args:
+          q: (lanes, n), or (n,) where something else has a leading axis of lanes.
+          N: steps, of "solve" alone.
+          given, named: the other fields of `input`, and parameters by name, each for all lanes or with a leading axis
+            of lanes; what is left out is as it was exported. A target moves on with its velocity from time `t` on.
+          cores: how many may work at once, by default all this process may use.
+
+        Returns: {name: (lanes, ...)}: q, e and x at the end, qdot of the last step, the largest residual and
+          contraction, the least singular value on the way, and all steps' status bits together.
+        """
+        if self._batch is None:
+            self._batch = Batch(self.folder_path, self.told, self.dtype)
+        return self._batch(self.parameters, q, *given, N=N, cores=cores, **named)
+
+    @property
+    def parameters(self) -> dict:
+        """The parameters that may be set, and their values."""
+        return (
+            {k: v.copy() for k, v in self.buffers["parameters"].views.items()} if "parameters" in self.buffers else {}
+        )
+
+    def set(self, **values) -> None:
+        """Set parameters: `step.set(alpha=20.0)`."""
+        views = self.buffers["parameters"].views if "parameters" in self.buffers else {}
+        for name, value in values.items():
+            errors.one_of("parameter", name, list(views))
+            views[name][...] = errors.array(name, value, views[name].shape)
+
+    def __repr__(self):
+        inputs = ", ".join(row["name"] for row in self.told["inputs"]["input"])
+        by = f"{self.told['what']} by {self.told['method']}, {self.told['dtype']}"
+        return f"Compiled {self.told['name']}({inputs}): {by}"
+
+
+class _Buffer:
+    """A C struct as NumPy arrays: its numbers side by side, whole numbers where the struct has them."""
+
+    def __init__(self, fields, dtype):
+        layout = np.dtype(
+            [(f["name"], np.int32 if f["kind"] == "int" else dtype, tuple(f["shape"])) for f in fields], align=True
+        )
+        self.record = np.zeros((), layout)
+        self.views = {f["name"]: self.record[f["name"]] for f in fields}
+        for f in fields:
+            if f["value"] is not None:
+                self.views[f["name"]][...] = f["value"]
+        self.bytes = self.record.reshape(1).view(np.uint8)
+        self.address = self.record.ctypes.data
+        # The numbers at the start of the struct, all in one array, and which of them are whose.
+        self.places, at = {}, 0
+        for f in fields:
+            size = int(np.prod(f["shape"]))
+            if f["kind"] != "int":
+                self.places[f["name"]] = at, at + size, not f["shape"]
+                at += size
+        self.numbers = self.bytes[: at * dtype.itemsize].view(dtype)
+
+
+def _input(buffers):
+    """Where q is written (its array and shape), and the function that writes a call's other arguments."""
+    buffer = buffers["input"]
+    numbers, at = buffer.numbers, buffer.places
+    # (array, place) of each: a number is soonest written among the others.
+    slots = {name: (view, ...) if view.shape else (numbers, at[name][0]) for name, view in buffer.views.items()}
+    q, *others = slots.values()
+    intos, places = zip(*others, strict=True) if others else ((), ())
+    exhaust = collections.deque(maxlen=0).extend  # a loop in C
+
+    def write(given, named):
+        if len(given) > len(intos):
+            raise errors.fail("arguments", f"be at most {', '.join(slots)}", f"are {1 + len(given)}")
+        exhaust(map(operator.setitem, intos, places, given))
+        for name, value in named.items():
+            errors.one_of("argument", name, list(slots))
+            into, place = slots[name]
+            into[place] = value
+
+    return q[0], q[0].shape, write
+
+
+def _joints(q, shape):
+    """Joint values as an array, if they are of the shape."""
+    return errors.array("q", q, shape, finite=False)
+
+
+class NativeStep(Step):
+    """A `Step` whose arrays are cut out of the function's numbers when they are asked for."""
+
+    def __getattr__(self, name):
+        held = self.__dict__
+        if name not in held.get("_places", ()):
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+        start, end, single = held["_places"][name]
+        found = held[name] = held["_numbers"][start] if single else held["_numbers"][start:end]
+        return found
+
+
+_NAMES = tuple(field.name for field in dataclasses.fields(Step))
+jax.tree_util.register_pytree_node(
+    NativeStep,
+    lambda made: ([getattr(made, name) for name in _NAMES], None),
+    lambda _, values: Step(**dict(zip(_NAMES, values, strict=True))),
+)
+
+
+def _stepper(made, function, addresses):
+    buffers = made.buffers
+    into, shape, write = _input(buffers)
+    numbers, places, history = buffers["output"].numbers, buffers["output"].places, buffers.get("history")
+    array = np.ndarray
+    past = None if history is None else history.bytes
+    new, copied = functools.partial(object.__new__, NativeStep), numbers.copy
+
+    def step(q, *given, history=None, **named):
+        into[...] = q if type(q) is array and q.shape == shape else _joints(q, shape)
+        if given or named:
+            write(given, named)
+        if past is not None:
+            past[...] = 0 if history is None else history
+        status = function(*addresses)
+        made = new()  # no __init__: a record's own checks take longer than the step
+        held = made.__dict__
+        held["_numbers"], held["_places"], held["status"] = copied(), places, status
+        if past is not None:
+            held["history"] = past.copy()
+        return made
+
+    return step
+
+
+def _solver(made, function, addresses):
+    buffers = made.buffers
+    into, shape, write = _input(buffers)
+    told, history = buffers["output"].views, buffers.get("history")
+    names = ("q", "x", "e", "qdot", "residual", "contraction", "status")
+
+    def solve(q, *given, N, **named):
+        N = errors.integer("N", N, at_least=0)
+        into[...] = _joints(q, shape)
+        write(given, named)
+        if history is not None:
+            history.bytes[...] = 0
+        run = {name: np.empty((N + (name in INSTANTS), *told[name].shape), told[name].dtype) for name in names}
+        columns = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
+        function(*addresses, N, columns)
+        t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
+        t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
+        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.told["evaluations"], N)))
+
+    return solve
+
+
+def _counted(first, N) -> int:
+    """Evaluations in N steps, from those in the first few."""
+    return first[N] if len(first) > N else first[-1] + (N - len(first) + 1) * (first[-1] - first[-2])
+
+
+def _posed(made, function, addresses):
+    (into, shape, _), output = _input(made.buffers), made.buffers["output"]
+
+    def pose(q):
+        into[...] = _joints(q, shape)
+        function(*addresses)
+        return Pose(**{name: view.copy() for name, view in output.views.items()})
+
+    return pose
+
+
+def _jacobian(made, function, addresses):
+    (into, shape, _), view = _input(made.buffers), made.buffers["output"].views["jacobian"]
+
+    def jacobian(q):
+        into[...] = _joints(q, shape)
+        function(*addresses)
+        return view.copy()
+
+    return jacobian
+
+
+_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _solver}

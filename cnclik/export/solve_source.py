@@ -1,0 +1,105 @@
+"""Solve source: N steps in one call, around the exported step."""
+
+from cnclik.export.scalar import Writer
+from cnclik.export.source import GROUPS, Names, arguments, named_as, places
+
+
+def solve_header(program, names: Names) -> str:
+    """The part of the header that is of the loop alone."""
+    rows = "\n".join(
+        f"  {'int32_t' if name == 'status' else names.real} *{name}; /* {about} */"
+        for name, about in (
+            ("q", "steps + 1 rows of joint values"),
+            ("x", "steps + 1 rows of task coordinates"),
+            ("e", "steps + 1 rows of errors"),
+            ("qdot", "steps rows of joint velocities"),
+            ("residual", "steps numbers"),
+            ("contraction", "steps numbers"),
+            ("status", "steps numbers, GROWING among their bits"),
+        )
+    )
+    return f"""/* Where a trajectory goes, row after row; what is NULL is not kept. */
+typedef struct {{
+{rows}
+}} {names.name}_trajectory;
+
+/* So many steps from input->t on; returns the bits of all of them, and leaves where it ends in `output`: its q is
+   where the last step led, its e and x are the error and the coordinates there. */
+{signature(program, names)};
+"""
+
+
+def signature(program, names) -> str:
+    """The loop's own line."""
+    given = arguments(program, names, ("output",))
+    return f"int32_t {names.name}({given},\n  int32_t steps, const {names.name}_trajectory *trajectory)"
+
+
+def solve_source(program, growth, names: Names, n, m) -> str:
+    """The loop, and the function that tells whether a step grew."""
+    writer = Writer(growth.graph, growth.ends, places(growth, names) | {"ends.t": ("t", True), "ends.e": ("e", True)})
+    lines = writer.statements()
+    (value,) = [writer.of(node) for node in growth.ends]
+    used = [g for g in ("parameters", "input") if any(f"{g}->" in line for line in lines)]
+    constant = ", ".join(f"const {names.type(g)} *{g}" for g in used)
+    grown = named_as(
+        f"static int32_t {names.name}_grown({constant + ', ' * bool(used)}const REAL *t, const REAL *e)\n{{\n"
+        + "\n".join([*lines, f"  return {value};"])
+        + "\n}\n",
+        names,
+    )
+    lines = [line for line in grown.split("\n")]
+    if not any("t[" in line for line in lines[2:]):
+        lines.insert(2, "  (void)t;")
+    given = ", ".join([*(g if g != "input" else "&at" for g in GROUPS if program.inputs[g]), "output"])
+    kept = keep = restore = ""
+    if program.inputs["history"]:
+        kept = f"\n  {names.type('history')} kept = *history;"
+        keep = "\n    kept = *history;"
+        restore = "\n  *history = kept;"
+    of_growth = "".join(f"{'&at' if g == 'input' else g}, " for g in used)
+    return (
+        "\n".join(lines)
+        + f"""
+{signature(program, names)}
+{{
+  {names.type("input")} at = *input;{kept}
+  {names.real} t[2] = {{0}}, e[{2 * m}] = {{0}};
+  int32_t all = 0, before = 0, k;
+  int i;
+  for (k = 0; k <= steps; ++k) {{
+    int32_t status;
+    at.t = input->t + ({names.real})k * input->Ts;
+    at.Ts = k < steps ? input->Ts : 0; /* the last one only looks where it is */{keep}
+    status = {names.name}_step({given});
+    t[0] = t[1];
+    t[1] = at.t;
+    for (i = 0; i < {m}; ++i) {{
+      e[i] = e[{m} + i];
+      e[{m} + i] = output->e[i];
+      if (trajectory->e) trajectory->e[(int64_t)k * {m} + i] = output->e[i];
+      if (trajectory->x) trajectory->x[(int64_t)k * {m} + i] = output->x[i];
+    }}
+    for (i = 0; i < {n}; ++i) {{
+      if (trajectory->q) trajectory->q[(int64_t)k * {n} + i] = at.q[i];
+    }}
+    if (k > 0) {{
+      before |= {names.name}_grown({of_growth}t, e);
+      all |= before;
+      if (trajectory->status) trajectory->status[k - 1] = before;
+    }}
+    before = status;
+    if (k < steps) {{
+      for (i = 0; i < {n}; ++i) {{
+        if (trajectory->qdot) trajectory->qdot[(int64_t)k * {n} + i] = output->qdot[i];
+        at.q[i] = output->q[i];
+      }}
+      if (trajectory->residual) trajectory->residual[k] = output->residual;
+      if (trajectory->contraction) trajectory->contraction[k] = output->contraction;
+    }}
+  }}
+  output->status = all;{restore}
+  return all;
+}}
+"""
+    )

@@ -1,0 +1,218 @@
+"""Trace: what is exported, as a graph with named arguments and results."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik.export import fields
+from cnclik.export.fields import Field
+from cnclik.export.graph import INT, REAL, Graph
+from cnclik.export.reader import Reader, repeats
+from cnclik.hints import few_lanes, use_form, use_hints
+from cnclik.integrate.cells import array_of
+from cnclik.integrate.history import blank, packed
+from cnclik.integrate.solve import step_and_least
+from cnclik.integrate.status import growing
+from cnclik.law.curves import Tangent
+from cnclik.law.law import look
+from cnclik.law.reference import Reference
+from cnclik.record import cast
+from cnclik.robot import spatial as sp
+from cnclik.robot.frames import frames, jacobian_rows
+
+WHAT = ("step", "solve", "fk", "jacobian")
+
+
+class Program(NamedTuple):
+    """A traced function: its arguments and results in groups, and the graph between them."""
+
+    graph: Graph
+    inputs: dict  # {group: [Field]}: parameters, input, history
+    outputs: dict  # {group: [(Field, nodes)]}: output, history
+
+    @property
+    def ends(self) -> list:
+        """All result nodes."""
+        return [node for group in self.outputs.values() for _, nodes in group for node in nodes]
+
+
+class Asked(NamedTuple):
+    """What is to be exported."""
+
+    law: object
+    reference: object  # None: the target is an argument
+    method: object
+    stage: object
+    dtype: np.dtype
+    what: str
+    runtime: object  # names of parameters that stay arguments; None for all
+
+
+def trace(asked: Asked) -> Program:
+    """The program of what is asked. Raises: `UnsupportedError` naming what has no C form."""
+    if asked.what in ("fk", "jacobian"):
+        return _of_chain(asked, {"fk": _pose, "jacobian": _jacobian}[asked.what])
+    step = Stepping(asked, timed=asked.what == "solve")
+    return read(asked, step.one, step.groups, {"output": step.told, "history": step.groups["history"]})
+
+
+# --- the step -----------------------------------------------------------------------------------------
+
+
+class Stepping:
+    """A step's arguments and results, and the functions of flat arguments that make it."""
+
+    def __init__(self, asked: Asked, *, timed):
+        """timed: whether the time is an argument even where the target is one, which then moves with its velocity."""
+        self.asked, law = asked, asked.law
+        n, p, m = law.chain.n, len(law.task.position), law.task.m
+        tree = (law, asked.stage) if asked.reference is None else (law, asked.stage, asked.reference)
+        parameters, self.put = fields.parameters(tree, asked.runtime)
+        units = ", ".join(dict.fromkeys(law.chain.units))
+        given = [Field("q", (n,), about=f"joint values [{units}]")]
+        if asked.reference is None:
+            given += [Field("position", (p,), about="desired position in the task's coordinates [m]")] * bool(p)
+            turned = Field("rotation", (3, 3), about="desired rotation, row by row", value=np.eye(3))
+            given += [turned] * bool(law.task.orientation)
+            given += [Field("velocity", (m,), about="desired task velocity [m/s, rad/s]", value=np.zeros(m))]
+        if timed or asked.reference is not None:
+            given += [Field("t", (), about="time [s]", value=0.0)]
+        given += [Field("Ts", (), about="sampling time [s]")]
+        start = jax.eval_shape(lambda q: packed(blank(law, tuple(q), asked.method)), shape((n,), asked.dtype))
+        past, self.past_def = jax.tree.flatten(start)
+        words = fields.names([path for path, _ in fields.leaves(start)])
+        kinds = [REAL if leaf.dtype.kind == "f" else INT for leaf in past]
+        history = [Field(word, leaf.shape, kind) for leaf, word, kind in zip(past, words, kinds, strict=True)]
+        self.groups = {"parameters": parameters, "input": given, "history": history}
+        self.told = [
+            Field("q", (n,), about=f"joint values after the step [{units}]"),
+            Field("qdot", (n,), about="joint velocities to send to the robot [rad/s, m/s]"),
+            Field("e", (m,), about="error before the step [m, rad]"),
+            Field("x", (m,), about="task coordinates before the step [m, rad]"),
+            Field("residual", (), about="last change of an implicit stage [rad, m]"),
+            Field("contraction", (), about="ratio of its last two changes"),
+            Field("least", (), about="least singular value of the task Jacobian, an estimate from below [m or 1]"),
+            Field("status", (), INT, "bits of the step's status"),
+        ]
+
+    def _apart(self, flat):
+        """(law, stage, reference, inputs by name, the rest) of flat arguments."""
+        values = iter(flat)
+        law, stage, *others = self.put([next(values) for _ in self.groups["parameters"]])
+        inputs = {f.name: next(values) for f in self.groups["input"]}
+        return law, stage, others[0] if others else _target(law, inputs), inputs, list(values)
+
+    def one(self, *flat):
+        """A step: its results in the order of `told`, and its history."""
+        law, stage, reference, inputs, past = self._apart(flat)
+        memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", 0.0)
+        method = self.asked.method
+        made, least = step_and_least(law, reference, inputs["q"], t, inputs["Ts"], stage, memory, method=method)
+        told = [made.q, made.qdot, made.e, made.x, made.residual, made.contraction, least, made.status]
+        return told, jax.tree.leaves(made.history)
+
+    def end(self, *flat):
+        """Error and task coordinates alone."""
+        law, _, reference, inputs, _ = self._apart(flat)
+        law, reference = cast((law, reference), self.asked.dtype)
+        at = look(law, reference, inputs["t"], tuple(inputs["q"][i] for i in range(law.chain.n)))
+        return sp.packed(at.e, self.asked.dtype), sp.packed(at.x(), self.asked.dtype)
+
+    def grown(self, *flat):
+        """The GROWING bit of a step from its errors at both ends, (2, m), at two times (2,)."""
+        law, _, reference, _, (times, errors) = self._apart(flat)
+        law, reference = cast((law, reference), self.asked.dtype)
+        return growing(law.task, reference, times, errors)
+
+
+def _target(law, inputs):
+    """The target as an argument: where it is, and how fast it moves."""
+    p = len(law.task.position)
+    velocity = tuple(inputs["velocity"][i] for i in range(law.task.m))
+    rotation = spin = None
+    if law.task.orientation:
+        about = dict(zip(law.task.angular, velocity[p:], strict=True))
+        spin = tuple(about.get(i, jnp.zeros_like(velocity[0])) for i in range(3))
+        rotation = tuple(tuple(inputs["rotation"][i, j] for j in range(3)) for i in range(3))
+    position = tuple(inputs["position"][i] for i in range(p))
+    zero = jnp.zeros((), velocity[0].dtype)
+    return Reference(curve=Tangent(t=zero, position=position, velocity=velocity[:p], rotation=rotation, spin=spin))
+
+
+# --- geometry alone -----------------------------------------------------------------------------------
+
+
+def _pose(asked):
+    def results(chain, q):
+        at = frames(chain, q)
+        return [sp.packed(at.position, asked.dtype), sp.packed(at.rotation, asked.dtype)]
+
+    position = Field("position", (3,), about="of the tip in the base frame [m]")
+    return results, [position, Field("rotation", (3, 3), about="of the tip, row by row")]
+
+
+def _jacobian(asked):
+    def results(chain, q):
+        return [sp.packed(jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2)), asked.dtype)]
+
+    about = "(v, w) = J qdot in the base frame, row by row [m/s, rad/s]"
+    return results, [Field("jacobian", (6, asked.law.chain.n), about=about)]
+
+
+def _of_chain(asked, make) -> Program:
+    chain = asked.law.chain
+    results, told = make(asked)
+    parameters, put = fields.parameters(chain, asked.runtime)
+
+    def fn(*flat):
+        *values, q = flat
+        return results(put(values), tuple(q[i] for i in range(chain.n))), []
+
+    given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
+    groups = {"parameters": parameters, "input": given, "history": []}
+    return read(asked, fn, groups, {"output": told, "history": []})
+
+
+# --- reading ------------------------------------------------------------------------------------------
+
+
+def shape(size, dtype):
+    return jax.ShapeDtypeStruct(size, dtype)
+
+
+def traced(asked, fn, groups):
+    """The jaxpr of a function of flat arguments, field by field."""
+    shapes = [shape(f.shape, asked.dtype if f.kind == REAL else np.int32) for some in groups.values() for f in some]
+    # With hints, so that what is fenced off is a call: what is called several times becomes a function.
+    with use_hints(True), use_form("unrolled"), few_lanes(0), jax.enable_x64(asked.dtype == np.float64):
+        return jax.make_jaxpr(fn)(*shapes)
+
+
+def arguments(asked, graph, groups):
+    """Nodes of all arguments, {group: [array]}, and the fields that are left at run time."""
+    kept, values = {}, {}
+    for group, some in groups.items():
+        kept[group], values[group] = [], []
+        for field in some:
+            if group == "parameters" and asked.runtime is not None and field.name not in asked.runtime:
+                cells = [graph.const(v, field.kind) for v in np.ravel(field.value).tolist()]
+            else:
+                clean = field.name == "velocity"  # what is not finite there makes the joints' velocities so
+                key = f"{group}.{field.name}"
+                cells = [graph.input(key, i, field.kind, clean=clean) for i in range(field.size)]
+                kept[group].append(field)
+            values[group].append(array_of(cells, field.shape))
+    return values, kept
+
+
+def read(asked, fn, groups, told) -> Program:
+    """The program of a function of flat arguments; `told` are its results in groups."""
+    jaxpr = traced(asked, fn, groups)
+    graph = Graph(asked.dtype)
+    values, kept = arguments(asked, graph, groups)
+    reader = Reader(graph, repeats(jaxpr.jaxpr))
+    found = iter(reader.run(jaxpr.jaxpr, jaxpr.consts, [v for some in values.values() for v in some]))
+    outputs = {group: [(field, list(next(found).flat)) for field in some] for group, some in told.items()}
+    return Program(graph, kept, outputs)

@@ -1,0 +1,171 @@
+"""Vector: a graph as statements on vectors of lanes, by the vector types of GCC and Clang.
+
+A scalar becomes a vector of lanes, a comparison a mask; branches run where some lane needs them, and each lane keeps
+what is its own. Loops have the same length in all lanes.
+"""
+
+from cnclik.export.graph import BOOL, INT, REAL, Choice, Node
+from cnclik.export.operations import OPERATIONS
+from cnclik.export.scalar import Writer, number
+
+_TYPES = {REAL: "V", INT: "I", BOOL: "I"}
+_TEXTS = {
+    "abs": "vabs({0})",
+    "sqrt": "vsqrt({0})",
+    "atan2": "vatan2({0}, {1})",
+    "max": "SEL(({0} > {1}) | ({0} != {0}), {0}, {1})",
+    "min": "SEL(({0} < {1}) | ({0} != {0}), {0}, {1})",
+    "select": "SEL({0}, {1}, {2})",
+    "not": "~{0}",
+    "is_finite": "(({0} - {0}) == ({0} - {0}))",
+    "round_even": "vround({0})",
+    "to_int": "vint({0})",
+    "to_real": "__builtin_convertvector({0}, V)",
+    "bool_to_int": "-{0}",
+}
+_WHOLE = {
+    "max": "SELI({0} > {1}, {0}, {1})",
+    "min": "SELI({0} < {1}, {0}, {1})",
+    "select": "SELI({0}, {1}, {2})",
+    "abs": "SELI({0} < 0, -{0}, {0})",
+}
+
+
+class VectorWriter(Writer):
+    """Writes the statements of a graph for vectors of lanes."""
+
+    def __init__(self, graph, outputs, places, functions=None, uniform=()):
+        """uniform: names of arguments that are one C scalar for all lanes."""
+        super().__init__(graph, outputs, places, functions)
+        self.uniform = set(uniform)
+        self.mapped = set()  # functions of libm, called lane by lane
+
+    def of(self, node) -> str:
+        if node.known:
+            text = number(node.value, node.kind, self.graph.dtype)
+            if node.kind == REAL:
+                return f"SPLAT({text})"
+            return f"SPLATI({-int(node.value) if node.kind == BOOL else text})"
+        if node.op == "index":
+            return f"SPLATI({self.names[node.number]})"
+        return super().of(node)
+
+    def plain(self, node) -> str:
+        """A node beside a vector in arithmetic, where a constant may stay a scalar."""
+        if node.known and node.kind == REAL:
+            return f"({number(node.value, node.kind, self.graph.dtype)})"
+        return self.of(node)
+
+    def declare(self, node, text):
+        self.names[node.number] = self.new(node.kind)
+        self.line(f"const {_TYPES[node.kind]} {self.names[node.number]} = {text};")
+
+    def input(self, node):
+        if node.number in self.needed and node.number not in self.names:
+            name, place = node.value
+            where, _ = self.places[name]
+            self.declare(node, where.format(place))
+
+    def node(self, node):
+        if node.op in ("sin", "cos"):
+            self.sincos(node)
+        elif node.op == "pick":
+            self.pick(node)
+        elif node.op in ("add", "sub", "mul", "div", "lt", "le", "eq", "ne") and node.args[0].kind == REAL:
+            self.declare(node, OPERATIONS[node.op].text.format(*map(self.plain, node.args)))
+        else:
+            whole = node.kind != REAL and node.args[-1].kind != REAL
+            text = (_WHOLE.get(node.op) if whole else None) or _TEXTS.get(node.op)
+            if text is None and OPERATIONS[node.op].text[0] not in "{-":
+                self.mapped.add(node.op)
+                text = f"v{node.op}({', '.join(f'{{{i}}}' for i in range(len(node.args)))})"
+            self.used.add(node.op)
+            self.declare(node, (text or OPERATIONS[node.op].text).format(*map(self.of, node.args)))
+
+    def sincos(self, node):
+        self.used.add("sincos")
+        (x,) = node.args
+        names = []
+        for op in ("sin", "cos"):
+            names.append(self.new())
+            there = node if op == node.op else node.block.table.get((op, REAL, None, x.number))
+            if there is not None:
+                self.names[there.number] = names[-1]
+        self.line(f"V {names[0]}, {names[1]};")
+        self.line(f"vsincos({self.of(x)}, &{names[0]}, &{names[1]});")
+
+    def pick(self, node):
+        index, *cells = node.args
+        table, name, at = self.new(), self.new(node.kind), self.new(INT)
+        self.names[node.number] = name
+        kind = _TYPES[node.kind]
+        self.line(f"const I {at} = {self.of(index)};")
+        self.line(f"const {kind} {table}[{len(cells)}] = {{{', '.join(map(self.of, cells))}}};")
+        self.line(f"{kind} {name};")
+        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {table}[{at}[i]][i];")
+
+    # --- regions --------------------------------------------------------------------------------------
+
+    def call(self, call):
+        given, found = self.new(), self.new()
+        self.line(f"const V {given}[{len(call.args)}] = {{{', '.join(map(self.of, call.args))}}};")
+        self.line(f"V {found}[{len(call.function.results)}];")
+        self.line(f"{self.functions[call.function]}({given}, {found});")
+        places = range(len(call.function.results))
+        self.outs(call, places, [f"{found}[{i}]" for i in places])
+
+    def loop(self, loop):
+        carried = [i for i, node in enumerate(loop.carries) if node.number in self.needed]
+        for i in carried:
+            name = self.names[loop.carries[i].number] = self.new(loop.carries[i].kind)
+            self.line(f"{_TYPES[loop.carries[i].kind]} {name} = {self.of(loop.first[i])};")
+        index = self.names[loop.index.number] = self.new(INT)
+        self.line(f"for (int32_t {index} = 0; {index} < {loop.length}; ++{index}) {{")
+        self.inside(loop.block, lambda: self.assign(loop, carried))
+        self.line("}")
+        self.outs(loop, carried, [self.names[loop.carries[i].number] for i in carried])
+
+    def assign(self, loop, carried):
+        later = []
+        for i in carried:
+            then, name = loop.then[i], self.names[loop.carries[i].number]
+            if then is loop.carries[i]:
+                continue
+            value = self.of(then)
+            if then.op == "carry" and then.value[0] is loop:
+                aside = self.new(then.kind)
+                self.line(f"const {_TYPES[then.kind]} {aside} = {value};")
+                value = aside
+            later.append((name, value))
+        for name, value in later:
+            self.line(f"{name} = {value};")
+
+    def choice(self, choice: Choice):
+        wanted = sorted({i for n, i in self.results.get(id(choice), {}).items() if n in self.needed})
+        kinds = [choice.results[0][i].kind for i in wanted]
+        names = [self.new(k) for k in kinds]
+        which = self.new(BOOL)
+        self.line(f"const I {which} = {self.of(choice.which)};")
+        for i, kind, name in zip(wanted, kinds, names, strict=True):
+            seen = choice.results[0][i]
+            at_first = self.of(seen) if seen.known or seen.number in self.names else f"({_TYPES[kind]})vzero()"
+            self.line(f"{_TYPES[kind]} {name} = {at_first};")
+        two = choice.which.kind == BOOL
+        for k, (block, results) in enumerate(zip(choice.blocks, choice.results, strict=True)):
+            busy = any(self._needs(item) for item in block.items)
+            if k == 0 and not busy and two:
+                continue  # what it gives is there
+            mask = (f"~{which}", which)[k] if two else f"({which} == {k})"
+            self.line(f"if (ANY({mask})) {{")
+
+            def ending(results=results, mask=mask):
+                for i, kind, name in zip(wanted, kinds, names, strict=True):
+                    pick = "SEL" if kind == REAL else "SELI"
+                    self.line(f"{name} = {pick}({mask}, {self.of(results[i])}, {name});")
+
+            self.inside(block, ending)
+            self.line("}")
+        self.outs(choice, wanted, names)
+
+    def _needs(self, item) -> bool:
+        return item.number in self.needed if isinstance(item, Node) else id(item) in self.needed

@@ -1,0 +1,177 @@
+"""Write: the exported files, all at once, in a folder."""
+
+import json
+import pathlib
+import re
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.export.arrays import UnsupportedError
+from cnclik.export.example import example, readme
+from cnclik.export.lanes_source import batch_header, batch_source
+from cnclik.export.loop import RESULTS, trace_growth, trace_loop
+from cnclik.export.solve_source import solve_header, solve_source
+from cnclik.export.source import Names, header, source
+from cnclik.export.trace import WHAT, Asked, trace
+from cnclik.integrate.method import DEFAULT, named
+from cnclik.integrate.solve import evaluations_of
+from cnclik.integrate.stage import picard
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference, check
+from cnclik.record import brief
+from cnclik.robot.chain import Chain
+from cnclik.version import __version__
+
+MANIFEST = "export.json"
+
+
+def c(
+    law,
+    reference=None,
+    *,
+    out,
+    what="step",
+    method=DEFAULT,
+    stage=None,
+    dtype="float64",
+    name="clik_step",
+    runtime=None,
+    batch=False,
+):
+    """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
+
+    What is an array in the law's records (the gain, damping, an array of link lengths) is a field of `parameters` at
+    run time, what is a Python literal (a robot's geometry) is compiled in; `runtime` chooses among the former.
+
+    Args:
+      law: the right-hand side; for "fk" and "jacobian" a `Chain` does.
+      reference: the path, a function of time then; None: position, rotation and velocity of the target are arguments.
+      out: the folder, made where it is not there.
+      what: "step", "solve" (N steps in one call), "fk" or "jacobian".
+      method, stage: as for `solve`.
+      dtype: "float64" (double) or "float32" (float).
+      name: of the function and of the files.
+      runtime: names of the parameters that may be set at run time, the others being compiled in; None: all.
+      batch: also the loop for many lanes by vector instructions, `NAME_batch.c`: True, or the names of the results
+        wanted of it, such as ("q", "e"); what is not wanted is not computed.
+
+    Returns: the folder's path.
+    Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
+    """
+    asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
+    out = pathlib.Path(out)
+    program = _read(trace, asked)
+    names, told = Names(name, asked.dtype, what), configuration(asked)
+    declared = loop = ""
+    if what == "solve":
+        declared = solve_header(program, names)
+        loop = solve_source(program, _read(trace_growth, asked), names, asked.law.chain.n, asked.law.task.m)
+    files = {
+        f"{name}.h": header(program, names, told, declared),
+        f"{name}.c": source(program, names, loop),
+        "example.c": example(asked, program, names),
+        MANIFEST: json.dumps(manifest(asked, program, names), indent=1) + "\n",
+    }
+    if batch:
+        looped = _read(trace_loop, asked, RESULTS if batch is True else _wanted(batch))
+        files[f"{name}_batch.h"] = batch_header(looped, names)
+        files[f"{name}_batch.c"] = batch_source(looped, names)
+        files[MANIFEST] = json.dumps(manifest(asked, program, names, looped), indent=1) + "\n"
+    files["README.md"] = readme(asked, program, names, told, [*files, "README.md"])
+    out.mkdir(parents=True, exist_ok=True)
+    for file, text in files.items():
+        (out / file).write_text(text, encoding="utf-8")
+    return out
+
+
+def _read(read, *args):
+    """A program. Raises: ArgumentError, one line that names what has no C form."""
+    try:
+        return read(*args)
+    except UnsupportedError as error:
+        raise errors.fail("law", "be made of what has a C form", f"{error}") from None
+
+
+def checked(law, reference, what, method, stage, dtype, name, runtime, batch=False):
+    """What is asked, and the name. Raises: ArgumentError."""
+    errors.one_of("what", what, WHAT)
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise errors.fail("name", "be a C identifier such as clik_step", f"is {name!r}")
+    dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
+    if batch and what not in ("step", "solve"):
+        raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")
+    if isinstance(law, Chain) and what in ("fk", "jacobian"):
+        from cnclik.law.inverse import damped
+        from cnclik.law.task import pose
+
+        law = Law(law, pose(), alpha=1.0, inverse=damped(1.0))
+    if not isinstance(law, Law):
+        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    if reference is not None:
+        if not isinstance(reference, Reference):
+            raise errors.fail("reference", "be a Reference such as hold(...), or None", f"is {reference!r}")
+        check(reference, law.task)
+    runtime = None if runtime is None else tuple(runtime)
+    stage = picard(5) if stage is None else stage
+    return Asked(law, reference, named(method), stage, np.dtype(_DTYPES[dtype]), what, runtime), name
+
+
+_DTYPES = {"float64": "float64", "float32": "float32", "double": "float64", "float": "float32"}
+
+
+def configuration(asked: Asked) -> list:
+    """What was exported, in words, line by line."""
+    law, lines = asked.law, []
+    lines.append(f"{asked.what} for {brief(law.chain)}, in {asked.dtype}")
+    if asked.what in ("fk", "jacobian"):
+        return lines
+    lines.append(f"task: {' '.join(law.task.names)} [{' '.join(law.task.units)}]")
+    stage = f" by {asked.stage}" * asked.method.implicit
+    lines.append(f"method: {asked.method}{stage} ({asked.method.source})")
+    lines.append(f"inverse: {brief(law.inverse)}")
+    lines.append(f"limits: {brief(law.limits)}; null space: {brief(law.null_velocity)}")
+    target = "an argument: position, rotation, velocity" if asked.reference is None else brief(asked.reference.curve)
+    lines.append(f"target: {target}")
+    return [line.replace("−", "-").encode("ascii", "replace").decode() for line in lines]
+
+
+def _evaluations(asked) -> list:
+    """Evaluations of f in a loop of 0, 1, 2 … steps, until each further one costs as much as the one before."""
+    if asked.what not in ("step", "solve"):
+        return []
+    count = asked.method.steps + 2
+    return [int(evaluations_of(asked.method, asked.stage, asked.law.chain.n, N)) for N in range(count)]
+
+
+def _wanted(names) -> tuple:
+    """Results of a batch by name."""
+    if not isinstance(names, (tuple, list)):
+        raise errors.fail("batch", "be True or names of results such as q and e", f"is {names!r}")
+    for name in names:
+        errors.one_of("batch", name, RESULTS)
+    return tuple(names)
+
+
+def manifest(asked, program, names, looped=None) -> dict:
+    """What a program that calls the functions must know."""
+
+    def row(f):
+        value = None if f.value is None else np.asarray(f.value).tolist()
+        return {"name": f.name, "shape": list(f.shape), "kind": f.kind, "value": value}
+
+    return {
+        "cnclik": __version__,
+        "name": names.name,
+        "what": asked.what,
+        "dtype": str(asked.dtype),
+        "method": str(asked.method),
+        "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
+        "outputs": [row(f) for f, _ in program.outputs["output"]],
+        "evaluations": _evaluations(asked),
+        "batch": looped
+        and {
+            "inputs": [row(f) for fields in looped.inputs.values() for f in fields],
+            "outputs": [row(f) for f, _ in looped.outputs["output"]],
+        },
+    }

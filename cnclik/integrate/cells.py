@@ -1,0 +1,78 @@
+"""Cells: a traced function read with every array of it as a NumPy array of cells.
+
+What only moves data about happens while reading, and costs the reader's program nothing: `integrate.kernel` makes one
+GPU kernel of it, `export` a C function.
+"""
+
+import numpy as np
+
+
+def array_of(cells, shape):
+    """An array whose entries are the cells: numbers that are known, vectors of lanes, or HISTORY."""
+    made = np.empty(len(cells), object)
+    for i, cell in enumerate(cells):
+        made[i] = cell
+    return made.reshape(shape)
+
+
+def known(value):
+    value = np.asarray(value)
+    return array_of(value.ravel().tolist(), value.shape)
+
+
+def _broadcast_in_dim(x, shape, broadcast_dimensions, **_):
+    sizes = [1] * len(shape)
+    for axis, size in zip(broadcast_dimensions, x.shape, strict=True):
+        sizes[axis] = size
+    return np.broadcast_to(x.reshape(sizes), shape)
+
+
+# Where each cell of a result comes from: NumPy moves the cells.
+MOVES = {
+    "broadcast_in_dim": _broadcast_in_dim,
+    "squeeze": lambda x, dimensions: np.squeeze(x, dimensions),
+    "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
+    "reshape": lambda x, new_sizes, **_: x.reshape(new_sizes),
+    "transpose": lambda x, permutation: x.transpose(permutation),
+    "rev": lambda x, dimensions: np.flip(x, dimensions),
+    "concatenate": lambda *xs, dimension: np.concatenate(xs, dimension),
+    "stack": lambda *xs, axis: np.stack(xs, axis),
+    "slice": lambda x, start_indices, limit_indices, strides: x[
+        tuple(map(slice, start_indices, limit_indices, strides or (1,) * x.ndim))
+    ],
+    "copy": lambda x, **_: x,
+    "copy_p": lambda x, **_: x,
+    "stop_gradient": lambda x, **_: x,
+}
+
+
+_CALLS_NAMES = "jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call"
+CALLS = frozenset(_CALLS_NAMES.split())
+
+
+def moved(equation, inputs):
+    """The results of an equation that only moves data about; None for any other."""
+    name, params = equation.primitive.name, equation.params
+    if name in MOVES:
+        return [MOVES[name](*inputs, **params)]
+    if name == "unstack":  # jax 0.12 has it for iterating over an array
+        x, axis = inputs[0], params["axis"]
+        return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
+    return None
+
+
+def called(params):
+    """The jaxpr that a call runs, and its constants."""
+    inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
+    return (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
+
+
+def consts_and_carry(equation, jaxpr):
+    """How many of a scan's inputs are constants and how many are carried, from shapes alone.
+
+    What is scanned over or stacked up has one axis more outside than inside; the parameters that say so differ
+    between versions of JAX.
+    """
+    carry = sum(v.aval.ndim == inner.ndim for v, inner in zip(equation.outvars, jaxpr.out_avals, strict=True))
+    scanned = sum(v.aval.ndim > inner.ndim for v, inner in zip(equation.invars, jaxpr.in_avals, strict=True))
+    return len(equation.invars) - carry - scanned, carry

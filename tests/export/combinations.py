@@ -1,0 +1,198 @@
+"""Laws, methods and stages by name, and their exported step held against JAX without hints."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.export.load import compiled
+from cnclik.law.curves import Tangent
+
+SEVERAL = 6  # steps of a multistep method, one after the other
+NEAR = {"float64": 1e-12, "float32": 1e-5}
+
+
+def arm(n):
+    """A planar arm with position and velocity limits."""
+    made = ck.planar_arm([1.0, 0.8, 0.6, 0.5, 0.4][:n])
+    return ck.replace(made, lower=(-2.0,) * n, upper=(2.0,) * n, velocity_limit=(1.5,) * n)
+
+
+ROBOTS = {
+    "planar3": (lambda: arm(3), lambda: ck.position("xy")),
+    "planar4": (lambda: arm(4), lambda: ck.pose_task("xy", "z")),
+    "planar2": (lambda: arm(2), lambda: ck.position("xy")),
+    "ur5": (ck.ur5, ck.pose_task),
+    "panda": (ck.panda, ck.pose_task),
+}
+INVERSES = {
+    "pseudoinverse": ck.pseudoinverse,
+    "damped": lambda: ck.damped(0.1),
+    "transpose": ck.transpose,
+    "manipulability-damped": lambda: ck.manipulability_damped(0.1, 0.2),
+    "singular-damped": lambda: ck.singular_damped(0.1, 0.2),
+}
+LIMITS = {
+    "none": lambda: None,
+    "velocity-scaling": ck.velocity_scaling,
+    "weighted-least-norm": ck.weighted_least_norm,
+    "saturation": ck.saturation,
+}
+NULL = {
+    "none": lambda chain, task: None,
+    "posture": lambda chain, task: ck.posture(np.full(chain.n, 0.3)),
+    "manipulability": lambda chain, task: ck.maximize_manipulability(chain, task, 0.5),
+}
+STAGES = {"picard": lambda: ck.picard(3), "chord": lambda: ck.chord(2), "newton": lambda: ck.newton(2)}
+
+
+class Combination(NamedTuple):
+    """One law with one method."""
+
+    robot: str
+    inverse: str = "damped"
+    limits: str = "none"
+    null: str = "none"
+    method: str = "EE"
+    stage: str = "picard"
+    dtype: str = "float64"
+    Ts: float = 0.01
+
+    def __str__(self):
+        return "-".join(map(str, self[:-1]))
+
+    def parts(self):
+        """(law, method, stage)."""
+        chain, task = (make() for make in ROBOTS[self.robot])
+        law = ck.Law(
+            chain,
+            task,
+            alpha=5.0,
+            inverse=INVERSES[self.inverse](),
+            limits=LIMITS[self.limits](),
+            null_velocity=NULL[self.null](chain, task),
+        )
+        return law, ck.METHODS[self.method], STAGES[self.stage]()
+
+
+def inputs(law, count, dtype, seed=0):
+    """q, position, rotation, velocity of many lanes: singular postures, some beyond the limits, one NaN among them."""
+    random, chain, task = np.random.default_rng(seed), law.chain, law.task
+    low, high = np.maximum(chain.lower, -3.0), np.minimum(chain.upper, 3.0)
+    q = low + (high - low) * random.uniform(0, 1, (count, chain.n))
+    few = max(count // 10, 1)
+    q[:few] = 0.0  # stretched: singular
+    q[few : 2 * few] *= 1.3  # some beyond their limits
+    q[2 * few : 3 * few, 1:] = random.normal(0, 1e-5, (few, chain.n - 1))  # next to a singularity
+    there = low + (high - low) * random.uniform(0, 1, (min(count, 500), chain.n))
+    targets = [ck.pose(chain, row) for row in there]
+    position = np.resize([np.asarray(t.position)[list(task.linear)] for t in targets], (count, len(task.position)))
+    rotation = np.resize([np.asarray(t.rotation) for t in targets], (count, 3, 3))
+    velocity = random.normal(0, 0.1, (count, task.m))
+    q[-1, 0] = np.nan
+    return [np.ascontiguousarray(v, dtype) for v in (q, position, rotation, velocity)]
+
+
+def target(law, position, rotation, velocity):
+    """The reference that a target given as arguments is."""
+    task, p = law.task, len(law.task.position)
+    spin = rows = None
+    if task.orientation:
+        about = dict(zip(task.angular, [velocity[p + i] for i in range(len(task.angular))], strict=True))
+        spin = tuple(about.get(i, jnp.zeros_like(velocity[0])) for i in range(3))
+        rows = tuple(tuple(rotation[i, j] for j in range(3)) for i in range(3))
+    position = tuple(position[i] for i in range(p))
+    curve = Tangent(
+        t=jnp.zeros_like(velocity[0]),
+        position=position,
+        velocity=tuple(velocity[i] for i in range(p)),
+        rotation=rows,
+        spin=spin,
+    )
+    return ck.Reference(curve=curve)
+
+
+def by_jax(combination, given):
+    """Steps of all lanes by JAX without hints: q, qdot, e, x, residual, status; and how far each is known at all.
+
+    Next to a singularity, with a large J#, the rounding of q itself is felt: the step is repeated from joint values
+    that differ by a few to a few hundred roundings; where a limit takes hold there, so is the status. Rounding inside
+    the step is seen by `plainly`.
+    """
+    law, method, stage = combination.parts()
+
+    def one(q, position, rotation, velocity):
+        reference = target(law, position, rotation, velocity)
+
+        def again(made, _):
+            return ck.step(law, reference, made.q, 0.0, combination.Ts, method, stage, history=made.history), None
+
+        made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
+        if method.steps > 1:
+            made, _ = jax.lax.scan(again, made, None, length=SEVERAL - 1)
+        return made.q, made.qdot, made.e, made.x, made.residual, made.status
+
+    q, *others = given
+    random, eps = np.random.default_rng(0), np.finfo(q.dtype).eps
+    with ck.use_hints(False), jax.enable_x64(combination.dtype == "float64"):
+        program = jax.jit(jax.vmap(one))
+        wanted = [np.asarray(v) for v in program(q, *others)]
+        spread = [np.zeros(v.shape) for v in wanted[:5]]
+        told = np.ones(len(q), bool)
+        for roundings in (4, 4, 4, 32, 32, 32, 256, 256, 256):
+            near = (q + roundings * eps * random.choice([-1.0, 1.0], q.shape)).astype(q.dtype)
+            again = [np.asarray(v) for v in program(near, *others)]
+            spread = [np.fmax(s, np.abs(v - w)) for s, v, w in zip(spread, again[:5], wanted, strict=False)]
+            told &= again[5] == wanted[5]
+    return wanted, [*spread, told]
+
+
+def by_c(combination, given, step=None):
+    """The same by the exported step, lane by lane."""
+    law, method, stage = combination.parts()
+    step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
+    rounds, found = SEVERAL if method.steps > 1 else 1, []
+    names = [row["name"] for row in step.told["inputs"]["input"]]
+    for q, position, rotation, velocity in zip(*given, strict=True):
+        known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
+        history = None
+        for _ in range(rounds):
+            made = step(q, *(known[name] for name in names[1:]), history=history)
+            q, history = made.q, made.history
+        found.append((made.q, made.qdot, made.e, made.x, made.residual, made.status))
+    return [np.array(v) for v in zip(*found, strict=True)]
+
+
+def plainly(combination):
+    """The same step, built so that it rounds elsewhere: no product is added before it is rounded."""
+    law, method, stage = combination.parts()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CFLAGS", "-O1 -ffp-contract=off")
+        return compiled(law, method=method, stage=stage, dtype=combination.dtype)
+
+
+def compare(combination, count, seed=0, step=None):
+    """(largest difference in units of what is allowed, how many lanes differ in status)."""
+    law, *_ = combination.parts()
+    given = inputs(law, count, combination.dtype, seed)
+    (wanted, spread), found = by_jax(combination, given), by_c(combination, given, step)
+    others = by_c(combination, given, step or plainly(combination))
+    with np.errstate(invalid="ignore"):
+        wider = [np.fmax(s, np.abs(a - b)) for s, a, b in zip(spread, found[:5], others, strict=False)]
+    spread = [*wider, spread[5] & (found[5] == others[5])]
+    return differences(combination, wanted, spread, found)
+
+
+def differences(combination, wanted, spread, found):
+    """As `compare`, from the results."""
+    near, worst = NEAR[combination.dtype], 0.0
+    for a, b, known in zip(wanted[:5], found, spread, strict=False):
+        finite = np.isfinite(a)
+        assert (finite == np.isfinite(b)).all()
+        size = np.max(1.0 + np.abs(np.where(finite, a, 0.0)), axis=tuple(range(1, a.ndim)), keepdims=True)
+        allowed = near * size + 10 * np.where(finite, known, 0.0)
+        worst = max(worst, float(np.max(np.where(finite, np.abs(a - b), 0.0) / allowed)))
+    return worst, int(np.sum((wanted[5] != found[5]) & spread[5]))

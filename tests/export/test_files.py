@@ -1,0 +1,179 @@
+"""What is written: it compiles everywhere without a warning, its example agrees, and what has no C form is refused."""
+
+import pathlib
+import re
+import shutil
+import subprocess
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.cli import main
+from tests.export.combinations import arm
+
+pytestmark = [pytest.mark.form(None), pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
+STRICT = "-Wall -Wextra -Werror -pedantic -ffp-contract=off"
+COMPILERS = {
+    "gcc": "gcc -std=c99 -O1",  # what is not set is seen where something is optimised
+    "g++": "g++ -std=c++17 -O0 -x c++",
+    "clang": "clang -std=c99 -O0",
+    "sanitized": "gcc -std=c99 -O0 -fsanitize=address,undefined -fno-sanitize-recover=all",
+}
+
+
+def a_law(**changes):
+    return ck.Law(arm(3), ck.position("xy"), **{"alpha": 5.0, "inverse": ck.damped(0.1)} | changes)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Exports of every kind."""
+    at = tmp_path_factory.mktemp("exports")
+    every = {
+        "step": dict(method="EE"),
+        "memory": dict(method="EXP-AB2", dtype="float32"),
+        "solve": dict(method="TRAPEZOID", stage=ck.chord(2), what="solve", reference=ck.circle([1, 1], 0.2, period=2)),
+        "spline": dict(method="EE", reference=ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])),
+        "fk": dict(what="fk"),
+        "jacobian": dict(what="jacobian", dtype="float32"),
+        "saturated": dict(law=a_law(limits=ck.saturation()), method="EE", batch=("q", "e")),
+    }  # fmt: skip
+    for name, options in every.items():
+        law = options.pop("law", a_law())
+        ck.export.c(law, options.pop("reference", None), out=at / name, **options)
+    return [at / name for name in every]
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_it_compiles_without_a_warning_and_its_example_agrees(compiler, folders):
+    command = COMPILERS[compiler]
+    if not shutil.which(command.split()[0]):
+        pytest.skip(f"no {compiler}")
+    for folder in folders:
+        sources = sorted(path.name for path in folder.glob("*.c"))
+        line = f"{command} {STRICT} {' '.join(sources)} -lm -o run && ./run"
+        done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0 and "8 of 8 vectors agree" in done.stdout, (folder.name, done.stderr[:2000])
+
+
+def test_an_example_that_disagrees_says_so(folders):
+    folder = folders[0]
+    text = (folder / "clik_step.c").read_text(encoding="utf-8")
+    (folder / "wrong.c").write_text(text.replace("output->qdot[0] = ", "output->qdot[0] = 1.001 * "), encoding="utf-8")
+    line = "gcc -std=c99 wrong.c example.c -lm -o wrong && ./wrong"
+    done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True)
+    (folder / "wrong.c").unlink()
+    assert done.returncode == 7 and "1 of 8 vectors agree" in done.stdout  # that with the NaN still does
+
+
+def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
+    for folder in folders:
+        for path in folder.glob("clik_step*.c"):
+            text = path.read_text(encoding="utf-8")
+            assert not re.search(r"malloc|calloc|alloca|\bgoto\b|while", text)
+            outside = re.sub(r"(?s)\{.*?\n\}", "", text)
+            assert not re.search(r"^(static )?(const )?(double|float|int32_t|int) \w+( =|\[|;)", outside, re.M)
+        kinds = {path.name for path in folder.iterdir()}
+        assert {"clik_step.h", "clik_step.c", "example.c", "README.md", "export.json"} <= kinds
+        told = (folder / "README.md").read_text(encoding="utf-8")
+        assert ck.__version__ in told and "cc -std=c99" in told and "[rad]" in told
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: a_law(null_velocity=lambda q: jnp.sort(q)), "`sort`"),
+        (lambda: a_law(null_velocity=lambda q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0]), "`eigh`"),
+        (lambda: a_law(null_velocity=_halving), "`while` loop"),
+    ],
+)
+def test_what_has_no_c_form_is_refused_in_a_line_that_names_it(make, named, tmp_path):
+    with pytest.raises(ck.ArgumentError, match=named) as refused:
+        ck.export.c(make(), out=tmp_path / "never", method="EE")
+    assert "\n" not in str(refused.value) and not (tmp_path / "never").exists()
+
+
+def _halving(q):
+    import jax
+
+    return jax.lax.while_loop(lambda v: jnp.sum(v) > 0.1, lambda v: v / 2, q)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        dict(what="steps"),
+        dict(name="clik step"),
+        dict(dtype="float16"),
+        dict(runtime=("alpa",)),
+        dict(batch=("qq",)),
+        dict(reference="circle"),
+        dict(what="fk", batch=True),
+    ],
+)
+def test_options_are_checked(options, tmp_path):
+    with pytest.raises(ck.ArgumentError):
+        ck.export.c(a_law(), options.pop("reference", None), out=tmp_path, **options)
+
+
+def test_the_command_line_writes_the_same(tmp_path, capsys):
+    words = ["export", "planar:1,0.8,0.6", "--task", "xy", "--method", "EE", "--damping", "0.1", "--no-cache"]
+    main([*words, "--out", str(tmp_path / "cli"), "--dtype", "float", "--name", "arm_step"])
+    assert "arm_step.c" in capsys.readouterr().out
+    law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
+    ck.export.c(law, out=tmp_path / "python", method="EE", dtype="float", name="arm_step")
+    for name in ("arm_step.h", "arm_step.c", "example.c"):
+        assert (tmp_path / "cli" / name).read_text() == (tmp_path / "python" / name).read_text()
+    with pytest.raises(SystemExit) as left:
+        main([*words, "--out", str(tmp_path / "no"), "--name", "1st"])
+    assert left.value.code == 2
+
+
+def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice(tmp_path):
+    lengths = np.array([1.0, 0.8, 0.6])
+    law = ck.Law(ck.planar_arm(lengths), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
+    step = ck.export.compiled(law, method="EE")
+    assert {"alpha", "damping", "feedforward"} < set(step.parameters) and sum(
+        "position" in name for name in step.parameters
+    )  # an array of link lengths is a parameter
+    assert not any("position" in name for name in ck.export.compiled(a_law(), method="EE").parameters)
+    few = ck.export.compiled(law, method="EE", runtime=("alpha",))
+    assert set(few.parameters) == {"alpha"} and not ck.export.compiled(law, method="EE", runtime=()).parameters
+    q, target = np.array([0.3, 0.5, -0.4]), [0.9, 1.2]
+    assert np.allclose(step(q, target, Ts=0.01).q, few(q, target, Ts=0.01).q, rtol=0, atol=1e-14)
+    few.set(alpha=50.0)
+    wanted = ck.step(ck.replace(law, alpha=50.0), ck.hold(target), q, 0.0, 0.01, "EE")
+    assert np.allclose(few(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
+
+
+def test_loops_that_stack_up_what_they_find_are_written_out():
+    import jax
+
+    def wanted(q):
+        return jax.lax.scan(lambda total, x: (total + x, 2.0 * total + x), 0.0 * q[0], q)[1]
+
+    law = a_law(null_velocity=wanted)
+    q = np.array([0.3, 0.5, -0.4])
+    made = ck.export.compiled(law, method="EE")(q, [0.9, 1.2], Ts=0.01)
+    assert np.allclose(made.q, ck.step(law, ck.hold([0.9, 1.2]), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
+
+
+def test_a_robots_own_names_stay_in_the_comment(tmp_path):
+    arm = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "b"])
+    folder = ck.export.c(ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1)), out=tmp_path, method="EE")
+    assert "a* / int x;" in (folder / "clik_step.h").read_text(encoding="utf-8")
+
+
+def test_the_pages_example_is_built_and_runs(tmp_path):
+    page = (pathlib.Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```c\n(.*?)^```", page, re.M | re.S)
+    (build,) = re.findall(r"`(cc -std=c99 [^`]* -o loop)`", page)
+    arm = ck.planar_arm([1.0, 0.8, 0.6])
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))  # as on the page
+    ck.export.c(law, out=tmp_path / "arm-step", method="EE")
+    (tmp_path / "loop.c").write_text(code, encoding="utf-8")
+    line = f"{build} -Wall -Wextra -Werror -pedantic && ./loop"
+    done = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0 and np.allclose([float(v) for v in done.stdout.split()], 0, atol=1e-6), done.stderr

@@ -1,0 +1,206 @@
+"""Exported functions called from Python: the same records as the library's own, whole loops, many lanes."""
+
+import ctypes
+import threading
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.export.compiler import build
+from tests.export.combinations import arm
+
+Q = np.array([0.3, 0.5, -0.4])
+
+
+def a_law(chain=None, **changes):
+    return ck.Law(
+        chain or ck.planar_arm([1.0, 0.8, 0.6]),
+        ck.position("xy"),
+        **{"alpha": 5.0, "inverse": ck.damped(0.1)} | changes,
+    )
+
+
+@pytest.fixture(scope="module")
+def step():
+    return ck.export.compiled(a_law(), method="EE", batch=True)
+
+
+def test_a_step_is_a_step(step):
+    made, wanted = step(Q, [0.9, 1.2], np.zeros(2), 0.01), ck.step(a_law(), ck.hold([0.9, 1.2]), Q, 0.0, 0.01, "EE")
+    assert isinstance(made, ck.Step) and jax.tree.structure(ck.Step(**vars(wanted))) == jax.tree.structure(wanted)
+    for name in ("q", "x", "e", "qdot", "residual", "contraction", "status"):
+        assert np.allclose(getattr(made, name), getattr(wanted, name), rtol=0, atol=1e-13), name
+    assert made.least > 0 and made.history is None
+    assert len(jax.tree.leaves(made)) == 7 and np.allclose(ck.replace(made, q=Q).q, Q)
+    first = made.q.copy()
+    step(Q + 1)
+    assert (made.q == first).all()  # a result is one's own
+
+
+def test_what_is_left_out_stays_and_what_does_not_fit_is_refused(step):
+    made = step(Q, [0.9, 1.2], np.zeros(2), 0.01)
+    assert (step(Q).q == made.q).all() and (step(Q, Ts=0.02).q != made.q).any()
+    assert (step(list(Q), position=(0.9, 1.2), Ts=0.01).q == made.q).all()
+    for wrong in (lambda: step(Q[:2]), lambda: step(Q, speed=1), lambda: step(Q, 1, 2, 3, 4), lambda: step.set(beta=1)):
+        with pytest.raises(ck.ArgumentError):
+            wrong()
+
+
+def test_nan_is_told(step):
+    assert step([np.nan, 0, 0], [0.9, 1.2]).status & ck.Status.NON_FINITE
+    assert step(Q, [np.nan, 0.0]).status & ck.Status.NON_FINITE
+    assert step(Q, [0.9, 1.2], [np.nan, 0.0]).status & ck.Status.NON_FINITE
+    assert step(Q, [0.9, 1.2], np.zeros(2)).status == 0
+
+
+def test_a_memory_is_handed_back():
+    law, reference = a_law(), ck.circle([0.9, 1.2], 0.2, period=1.0)
+    step, q, history, found = ck.export.compiled(law, reference, method="AB3"), Q, None, []
+    for k in range(8):
+        made = step(q, t=k * 0.01, Ts=0.01, history=history)
+        q, history = made.q, made.history
+        found.append(q)
+    wanted = ck.solve(law, reference, Q, 0.01, 8, "AB3")
+    assert np.allclose(found, wanted.q[1:], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("reference", [None, ck.circle([0.9, 1.2], 0.2, period=1.0)])
+@pytest.mark.parametrize(("method", "Ts"), [("EE", 0.41), ("AB2", 0.01)])
+def test_a_loop_is_a_trajectory(reference, method, Ts):
+    law = a_law(inverse=ck.pseudoinverse())
+    near = np.asarray(ck.pose(law.chain, Q).position)[:2] + 1e-3
+    target = dict(position=near) if reference is None else {}
+    solve = ck.export.compiled(law, reference, method=method, what="solve")
+    run = solve(Q, Ts=Ts, N=9, **target)
+    wanted = ck.solve(law, ck.hold(near) if reference is None else reference, Q, Ts, 9, method)
+    for name in ("t", "q", "x", "e", "qdot", "residual", "contraction", "status", "evaluations"):
+        assert np.allclose(getattr(run, name), getattr(wanted, name), rtol=1e-6, atol=1e-12), name
+    if Ts > 0.4:  # z = 2.05
+        assert (run.status & ck.Status.GROWING).any()
+    assert solve(Q, Ts=Ts, N=0).q.shape == (1, 3)
+
+
+def test_geometry_alone():
+    chain = ck.panda()
+    q = np.linspace(-1, 1, 7)
+    at, wanted = ck.export.compiled(chain, what="fk")(q), ck.pose(chain, q)
+    assert np.allclose(at.position, wanted.position, rtol=0, atol=1e-15)
+    assert np.allclose(at.rotation, wanted.rotation, rtol=0, atol=1e-15)
+    rows = ck.export.compiled(chain, what="jacobian")(q)
+    assert np.allclose(rows, ck.jacobian(chain, q), rtol=0, atol=1e-15)
+
+
+# --- many lanes ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_many_lanes_are_lanes_to_rounding(dtype):
+    law, random = a_law(arm(3), limits=ck.velocity_scaling()), np.random.default_rng(0)
+    q = random.uniform(-1.5, 1.5, (203, 3)).astype(dtype)
+    position = random.uniform(-1, 1, (203, 2)).astype(dtype)
+    step = ck.export.compiled(law, method="EXP-MIDPOINT", dtype=dtype, batch=True)
+    with jax.enable_x64(dtype == "float64"):
+
+        def one(q, position):
+            run = ck.solve(law, ck.hold(position), q, 0.01, 20)
+            return run.q[-1], run.e[-1], run.x[-1], run.qdot[-1], jnp.bitwise_or.reduce(run.status & ~32)
+
+        wanted = ck.lanes(one)(q, position)
+    for cores in (1, 3):
+        found = step.batch(q, position, Ts=0.01, N=20, cores=cores)
+        near = 1e-12 if dtype == "float64" else 2e-5
+        for name, value in zip(("q", "e", "x", "qdot"), wanted, strict=False):
+            assert np.allclose(found[name], value, rtol=near, atol=near), name
+        assert (found["status"] == wanted[-1]).all()
+
+
+def test_anything_may_be_of_a_lane_and_no_lane_feels_its_neighbours(step):
+    alphas = np.linspace(1.0, 50.0, 37)
+    found = step.batch(Q, [0.9, 1.2], alpha=alphas, Ts=0.01, N=10)
+    one = ck.export.compiled(a_law(), method="EE", what="solve", runtime=("alpha",))
+    for k in (0, 20, 36):
+        one.set(alpha=alphas[k])
+        assert np.allclose(found["q"][k], one(Q, [0.9, 1.2], Ts=0.01, N=10).q[-1], rtol=0, atol=1e-13)
+    q = np.tile(Q, (37, 1))
+    clean = step.batch(q, [0.9, 1.2], alpha=5.0, N=10, Ts=0.01)["q"][0]
+    q[1], q[2] = np.nan, 3e4  # the second takes libm's own sine
+    mixed = step.batch(q, [0.9, 1.2], alpha=5.0, N=10, Ts=0.01)
+    assert (np.delete(mixed["q"], [1, 2], 0) == clean).all()
+    assert mixed["status"][1] & ck.Status.NON_FINITE and np.isfinite(mixed["q"][2]).all()
+
+
+def test_only_what_is_wanted_is_computed():
+    step = ck.export.compiled(a_law(), method="EE", batch=("q",))
+    assert list(step.batch(np.tile(Q, (5, 1)), [0.9, 1.2], Ts=0.01, N=3)) == ["q"]
+
+
+def test_a_batch_is_checked(step):
+    many = np.tile(Q, (5, 1))
+    for wrong in (
+        lambda: step.batch(Q, [0.9, 1.2], Ts=0.01, N=3),  # no lanes at all
+        lambda: step.batch(many, np.zeros((4, 2)), Ts=0.01, N=3),
+        lambda: step.batch(many[:0], [0.9, 1.2], Ts=0.01, N=3),
+        lambda: step.batch(many, [0.9, 1.2], Ts=0.01, N=-1),
+        lambda: ck.export.compiled(a_law(), method="EE").batch(many, [0.9, 1.2], Ts=0.01, N=3),
+    ):
+        with pytest.raises(ck.ArgumentError):
+            wrong()
+
+
+def test_batches_run_side_by_side(step):
+    many, found = np.tile(Q, (300, 1)), {}
+
+    def run(k):
+        found[k] = step.batch(many, [0.9, 1.2], Ts=0.01, N=5 + k, cores=2)["q"][0]
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in range(4)]
+    [t.start() for t in threads]
+    [t.join() for t in threads]
+    assert all((found[k] == step.batch(many, [0.9, 1.2], Ts=0.01, N=5 + k)["q"][0]).all() for k in range(4))
+
+
+HARNESS = """
+#include "clik_step_batch.c"
+void both(const REAL *y, const REAL *x, REAL *sine, REAL *cosine, REAL *angle)
+{
+  V a, b, s, c, r;
+  for (int i = 0; i < W; ++i) a[i] = y[i], b[i] = x[i];
+  vsincos(a, &s, &c);
+  r = vatan2(a, b);
+  for (int i = 0; i < W; ++i) sine[i] = s[i], cosine[i] = c[i], angle[i] = r[i];
+}
+int width(void) { return W; }
+"""
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_sine_cosine_and_arctangent_are_exact_to_a_few_ulp(dtype, tmp_path):
+    """Against 40 digits: all over the range, beyond it, on the axes, at 0, infinity and NaN."""
+    folder = ck.export.c(a_law(), out=tmp_path, method="EE", dtype=dtype, batch=True)
+    (folder / "all.c").write_text(HARNESS.replace("REAL", "float" if dtype == "float32" else "double"))
+    library = ctypes.CDLL(str(build([folder / "all.c"], folder)))
+    width, random, eps = library.width(), np.random.default_rng(0), np.finfo(dtype).eps
+    special = [0.0, -0.0, 1.0, -1.0, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan, 0.5, 2.0]
+    y, x = (np.concatenate([random.normal(size=400) * 10.0 ** random.uniform(-3, 5, 400)]) for _ in range(2))
+    y = np.concatenate([y, np.arange(-8, 9) * np.pi / 2, np.repeat(special, len(special))]).astype(dtype)
+    x = np.concatenate([x, random.normal(size=17), np.tile(special, len(special))]).astype(dtype)
+    y, x = (np.concatenate([v, np.ones(-len(v) % width, dtype)]) for v in (y, x))
+    found = np.empty((3, len(y)), dtype)
+    for k in range(0, len(y), width):
+        library.both(*(ctypes.c_void_p(v[k:].ctypes.data) for v in (y, x, *found)))
+    mpmath.mp.dps = 60
+    for a, b, sine, cosine, angle in zip(y.tolist(), x.tolist(), *found.tolist(), strict=True):
+        if np.isfinite(a):
+            assert abs(sine - float(mpmath.sin(a))) <= 1.5 * eps and abs(cosine - float(mpmath.cos(a))) <= 1.5 * eps
+        else:
+            assert np.isnan(sine) and np.isnan(cosine)
+        wanted = np.arctan2(a, b)
+        near = 3 * eps * abs(wanted)
+        if np.isfinite(a) and np.isfinite(b) and a * b != 0:
+            wanted = float(mpmath.atan2(a, b)) or wanted
+        assert np.isnan(angle) if np.isnan(wanted) else abs(angle - wanted) <= near + np.finfo(dtype).tiny, (a, b)
+        assert np.isnan(wanted) or np.signbit(angle) == np.signbit(a)

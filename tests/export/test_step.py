@@ -1,0 +1,46 @@
+"""The exported step against JAX without hints: laws, inverses, limits, methods, stages and precisions in turn."""
+
+import pytest
+
+from tests.export import matrix
+from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
+
+pytestmark = pytest.mark.form("unrolled")
+SPREAD = [
+    Combination("planar3"),
+    Combination("planar2", dtype="float32"),
+    Combination("planar3", "pseudoinverse", "saturation"),
+    Combination("planar2", "singular-damped", "weighted-least-norm", method="TRAPEZOID", stage="chord"),
+    Combination("planar2", "pseudoinverse", method="AB2"),
+    Combination("planar2", "damped", method="IE", stage="newton"),
+    Combination("planar3", "damped", null="manipulability"),
+    Combination("planar3", "manipulability-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
+    Combination("planar2", "transpose", method="HEUN", dtype="float32"),
+    Combination("planar2", "damped", method="EXP-AB2", dtype="float32"),
+    Combination("planar2", "damped", method="CN", dtype="float32"),
+]
+
+
+@pytest.mark.parametrize("combination", SPREAD, ids=str)
+def test_the_exported_step_is_jaxs(combination):
+    off, others = compare(combination, 300)
+    assert off <= 1 and others == 0
+
+
+def test_the_spread_has_every_name_in_it():
+    for field, names in (("inverse", INVERSES), ("limits", LIMITS), ("null", NULL), ("stage", STAGES)):
+        assert {getattr(c, field) for c in SPREAD} == set(names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("combination", matrix.thirty(), ids=str)
+def test_the_exported_step_is_jaxs_for_a_hundred_thousand_inputs(combination):
+    off, others = compare(combination, matrix.MANY)
+    assert off <= 1 and others == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("combination", matrix.every()[::60], ids=str)
+def test_every_name_goes_through_with_every_other(combination):
+    off, others = compare(combination, matrix.FEW)
+    assert off <= 1 and others == 0
