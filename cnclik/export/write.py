@@ -22,6 +22,7 @@ from cnclik.law.reference import Reference, check
 from cnclik.record import brief
 from cnclik.robot.chain import Chain
 from cnclik.version import __version__
+from cnclik.writing import output_folder
 
 MANIFEST = "export.json"
 
@@ -79,9 +80,9 @@ def c(
         files[f"{name}_batch.c"] = batch_source(looped, names)
         files[MANIFEST] = json.dumps(manifest(asked, program, names, looped), indent=1) + "\n"
     files["README.md"] = readme(asked, program, names, told, [*files, "README.md"])
-    out.mkdir(parents=True, exist_ok=True)
-    for file, text in files.items():
-        (out / file).write_text(text, encoding="utf-8")
+    with output_folder(out) as folder:
+        for file, text in files.items():
+            folder.write_text(file, text)
     return out
 
 
