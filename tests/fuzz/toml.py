@@ -1,5 +1,6 @@
 """Specs of sweeps: valid ones with keys, types, values, nesting and sizes changed, and what `--set` may say of them."""
 
+import contextlib
 import copy
 import functools
 import json
@@ -84,7 +85,8 @@ def _mutate(rng, written):
                 room[any_of(rng, NAMES)] = _value(rng)
         case 8:
             there, other = any_of(rng, _places(written))
-            where[key] = copy.deepcopy(there[other])
+            with contextlib.suppress(RecursionError):  # too deep to be copied: it stands once
+                where[key] = copy.deepcopy(there[other])
         case _:
             written.setdefault("fixed", {})
             if isinstance(written["fixed"], dict):
