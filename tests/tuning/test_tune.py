@@ -162,7 +162,8 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     target = ck.hold(np.asarray(at_q0.position)[1:2] + 1e-3, np.asarray(at_q0.rotation))
 
     def one():
-        return tune(law, target, q0, Ts=0.1, N=3, velocity_limit=None, descent=Descent(steps=10, rounds=2))
+        short = Descent(steps=10, rounds=2)
+        return tune(law, target, q0, Ts=0.1, N=3, method="EE", velocity_limit=None, descent=short)
 
     wide = one()
     with jax.enable_x64(False):
@@ -207,7 +208,7 @@ def test_a_null_direction_that_nothing_acts_on_keeps_its_constraint():
     arm, q = ck.planar_arm([1.0, 0.8, 0.6, 0.5]), np.array([0.4, 0.8, -0.5, 0.3])
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=lambda q: 0.0 * q)
     place = np.asarray(ck.pose(arm, q).position)[:2]
-    objective = loop_objective(law, ck.hold(place), q, Ts=0.1, N=2, velocity_limit=None)
+    objective = loop_objective(law, ck.hold(place), q, Ts=0.1, N=2, method="EE", velocity_limit=None)
     _, constraints = quick_jit(lambda objective, values: objective(values))(objective, (law.alpha,))
     assert float(np.max(constraints)) <= 0
     (judged,) = judge(objective, [(law.alpha,)], together=1)
@@ -318,7 +319,7 @@ def test_matrix_gain_is_better_than_one_number():
 def test_many_starts_and_other_parameters_in_reverse_mode():
     law = ck.replace(LAW, inverse=ck.damped(0.1))
     over = ("schedule", "Ts", "damping", "feedforward")
-    found = at(law=law, over=over, starts=3, gradient="reverse")
+    found = at(law=law, over=over, starts=3, gradient="reverse", ringing=True)
     assert set(found.values) == set(over) and found.values["schedule"].shape == (pm.KNOTS,)
     assert found.starts.shape == (3,) and found.after.loss <= found.starts.min() * (1 + 1e-6)
     assert found.after.loss < 0.5 * found.before.loss and found.satisfied and finite(found)
