@@ -91,8 +91,15 @@ def opaque(fn):
     Literals among the arguments and results stay literals across the fence. Arrays, of the rolled form, pass unfenced.
     """
 
-    @functools.lru_cache(maxsize=KEPT_PROGRAMS)
+    kept = Recent()
+
     def fenced(literals):
+        call = kept.get(literals)
+        if call is None:
+            call = kept[literals] = fence(literals)
+        return call
+
+    def fence(literals):
         made = {}
 
         def body(*arrays):
@@ -115,7 +122,7 @@ def opaque(fn):
         arrays, literals = partition(args)
         return fn(*args) if not arrays or any(np.ndim(a) for a in arrays) else fenced(literals)(arrays)
 
-    stage.cache_info = fenced.cache_info
+    stage.kept = kept
     return stage
 
 
