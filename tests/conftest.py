@@ -33,7 +33,7 @@ from cnclik.hints import use_form
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
-MOST_MEMORY = 5 << 29
+MOST_MEMORY = 3 << 29
 LONGEST = ("test_docs.py", "test_store.py", "test_tune.py", "test_forms.py", "test_verdict.py")
 
 
