@@ -1,7 +1,5 @@
 """What must hold for every loop: numbers are finite or flagged, and every way to run it gives the same ones."""
 
-import time
-
 import jax
 import numpy as np
 
@@ -14,22 +12,31 @@ LANES = 5
 TAME = Status.AT_LIMIT | Status.OVER_VELOCITY | Status.TASK_TOO_LARGE | Status.RESTARTED | Status.NOT_CONVERGED
 # Of numbers that one and the same loop gives in two ways, relative to the loop's own: rounding, amplified by J#.
 TOLERANCE = {"float64": 1e-7, "float32": 3e-2}
+UNROLLED = 4  # joints
 WAYS = ("vmap", "lanes", "unrolled", "plain", "gradient")
 
 
+def way_of(seed) -> str:
+    """How a kind is run once more. Unrolled only where the arm is short: such programs take long to compile."""
+    way = WAYS[seed % len(WAYS)]
+    return way if way != "unrolled" or len(cases.kind(seed).kinds) <= UNROLLED else "vmap"
+
+
 def check(seed) -> tuple:
-    """(what is wrong or None, the kind, loops run) of a seed."""
+    """(what is wrong or None, the kind, loops run, those whose numbers were compared) of a seed."""
     kind = cases.kind(seed)
     made = [m for m in (cases.loop(kind, [seed, k]) for k in range(LOOPS)) if m is not None]
-    wrong = None
+    wrong, compared = None, 0
     with jax.enable_x64(kind.dtype == "float64"):
-        runs = [m.solve(kind) for m in made]
+        with ck.use_form("rolled"):
+            runs = [m.solve(kind) for m in made]
         for m, run in zip(made, runs, strict=True):
             wrong = wrong or _told(kind, m, run)
-        way = WAYS[seed % len(WAYS)]
+        way = way_of(seed)
         if made and wrong is None:
-            wrong = {"gradient": _gradient}.get(way, _same)(kind, made[0], runs[0], way)
-    return wrong, kind, len(made)
+            with ck.use_form("unrolled" if way == "unrolled" else "rolled"):
+                wrong, compared = {"gradient": _gradient}.get(way, _same)(kind, made[0], runs[0], way)
+    return wrong, kind, len(made), compared
 
 
 def _told(kind, m, run):
@@ -60,7 +67,7 @@ def _told(kind, m, run):
     return None
 
 
-def _tame(run, N):
+def tame(run, N):
     """Whether a run is one whose numbers can be compared: neither near a singularity nor far off nor growing."""
     status, q = np.asarray(run.status), np.asarray(run.q, float)
     return np.isfinite(q).all() and not np.any(status & ~int(TAME)) and np.abs(q).max(initial=0) < 1e3
@@ -69,7 +76,8 @@ def _tame(run, N):
 def _same(kind, m, run, way):
     """The same loop over several starts, one by one and in another way."""
     starts = m.q0 + (0.01 * np.arange(LANES)[:, None]).astype(kind.dtype) * (np.abs(m.q0) < 1e3)
-    alone = [run, *(m.solve(kind, q0=q) for q in starts[1:])]
+    with ck.use_form("rolled"):
+        alone = [run, *(m.solve(kind, q0=q) for q in starts[1:])]
 
     def end(q0):
         found = m.solve(kind, q0=q0)
@@ -80,21 +88,20 @@ def _same(kind, m, run, way):
     elif way == "lanes":
         found = ck.lanes(end, tile=4, cores=1)(starts)
     elif way == "unrolled":
-        with ck.use_form("unrolled"):
-            found = jax.tree.map(lambda *v: np.stack(v), *[end(q) for q in starts])
+        found = jax.tree.map(lambda *v: np.stack(v), *[end(q) for q in starts])
     else:
         with ck.use_hints(False):
             found = jax.jit(jax.vmap(end))(starts)
     for k, one in enumerate(alone):
-        if not _tame(one, kind.N):
+        if not tame(one, kind.N):
             continue
         for name, value in (("q", found[0][k]), ("e", found[1][k])):
             wanted, value = np.asarray(getattr(one, name), float), np.asarray(value, float)
             size = max(np.abs(wanted).max(initial=0), np.abs(np.asarray(one.q, float)).max(initial=0) * _length(m))
             size = size if name == "e" else max(1.0, np.abs(wanted).max(initial=0))
             if not np.abs(value - wanted).max(initial=0) <= TOLERANCE[kind.dtype] * size:
-                return f"{m.about}: {way} differs in {name} by {np.abs(value - wanted).max():.3g} of {size:.3g}"
-    return None
+                return f"{m.about}: {way} differs in {name} by {np.abs(value - wanted).max():.3g} of {size:.3g}", k + 1
+    return None, sum(tame(one, kind.N) for one in alone)
 
 
 def _length(m):
@@ -106,25 +113,25 @@ def _length(m):
 def _gradient(kind, m, run, way):
     """Derivatives are finite wherever values are."""
     if not (np.isfinite(np.asarray(run.q)).all() and np.isfinite(np.asarray(run.e)).all()):
-        return None
+        return None, 0
     size = float(np.abs(np.asarray(run.e, float)).max(initial=1e-300))
     growing = np.any(np.asarray(run.status) & int(Status.DIVERGED | Status.GROWING))
     if growing or (kind.dtype == "float32" and size > 1e3):
-        return None  # these grow beyond any bound
+        return None, 0  # these grow beyond any bound
 
     def loss(q0, alpha):
         return (m.solve(kind, q0=q0, alpha=alpha).e[-1] ** 2).sum()
 
     found = jax.grad(loss, (0, 1))(jax.numpy.asarray(m.q0), jax.numpy.asarray(float(m.law.alpha), kind.dtype))
-    return None if all(np.isfinite(np.asarray(g)).all() for g in found) else f"{m.about}: gradients {found}"
+    well = all(np.isfinite(np.asarray(g)).all() for g in found)
+    return None if well else f"{m.about}: gradients {found}", 1
 
 
 def one(seed) -> tuple:
-    """(seed, how it is checked, what is wrong or None, loops, seconds): what a process of many is asked."""
+    """(seed, how it is checked, what is wrong or None, loops, compared): what a process of many is asked."""
     jax.config.update("jax_enable_x64", True)
-    begun = time.perf_counter()
     try:
-        wrong, kind, loops = check(seed)
+        wrong, kind, loops, compared = check(seed)
     except Exception as error:  # the others go on
-        wrong, kind, loops = f"{type(error).__name__}: {str(error)[:300]}", cases.kind(seed), 0
-    return seed, WAYS[seed % len(WAYS)], wrong and f"{kind}: {wrong}", loops, time.perf_counter() - begun
+        wrong, kind, loops, compared = f"{type(error).__name__}: {str(error)[:300]}", cases.kind(seed), 0, 0
+    return seed, way_of(seed), wrong and f"{kind}: {wrong}", loops, compared
