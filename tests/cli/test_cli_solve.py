@@ -1,6 +1,11 @@
 """`cnclik solve`, `robots` and `trouble` as a user meets them: files, figures, summary, and one line for bad input."""
 
 import csv
+import errno
+import itertools
+import pathlib
+import re
+import tempfile
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -8,6 +13,7 @@ import pytest
 import xarray as xr
 
 import cnclik as ck
+from cnclik import writing
 from cnclik.cli import main
 from cnclik.show import run as pictures
 
@@ -54,6 +60,34 @@ def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, caps
     said = capsys.readouterr().err.strip().splitlines()
     assert left.value.code == 1 and "no ink" in said[-1]
     assert {"trajectory.nc", "joints.png"} <= {p.name for p in tmp_path.iterdir()}
+
+
+def test_a_disk_that_is_full_at_any_write_loses_no_file(solved, tmp_path, monkeypatch, capsys):
+    """Every write of the command fails once: each file is in the folder asked for, or where the message says."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    names, write = {p.name for p in solved.iterdir()}, writing._write
+    for failing in itertools.count():
+        calls, out = itertools.count(), tmp_path / f"out{failing}"
+
+        def written(path, make, calls=calls, failing=failing):
+            if next(calls) == failing:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            write(path, make)
+
+        monkeypatch.setattr(writing, "_write", written)
+        try:
+            main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--csv", "--out", str(out)])
+        except SystemExit as left:
+            said = capsys.readouterr().err.strip().splitlines()
+            kept = re.search(r"kept in (\S+)\.$", said[-1])
+            assert left.code == 2 and "No space left on device" in said[-1]
+            found = {p.name for place in (out, kept and pathlib.Path(kept[1])) if place for p in place.glob("*.*")}
+            assert not kept or found in (names, {n for n in names if n.startswith("trajectory")}), failing
+        else:
+            break
+        assert not list(tmp_path.rglob(".partial-*"))
+    assert failing == 8  # a probe of the room and two files of data, a probe and four figures: each failed once
+    assert {p.name for p in out.iterdir()} == names
 
 
 def test_a_joint_at_rest_is_drawn_at_rest(solved):
