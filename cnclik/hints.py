@@ -171,13 +171,21 @@ def bounded_jit(fn=None, **options):
     """
     if fn is None:
         return functools.partial(bounded_jit, **options)
-    jitted = jax.jit(fn, **options)
+    traced = []  # once for each program, those within a gradient or a batch too, of which jit's own count knows nothing
+
+    @functools.wraps(fn)
+    def counted(*args, **kwargs):
+        traced.append(None)
+        return fn(*args, **kwargs)
+
+    jitted = jax.jit(counted, **options)
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
         made = jitted(*args, **kwargs)
-        if jitted._cache_size() > KEPT_PROGRAMS:
+        if len(traced) > KEPT_PROGRAMS:
             jitted.clear_cache()
+            traced.clear()
         return made
 
     call._cache_size = jitted._cache_size
