@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.hints import bounded_jit
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
 from cnclik.tuning.parameters import values_of
@@ -182,7 +183,7 @@ def _where(condition, a, b):
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
-@functools.partial(jax.jit, static_argnames=("optimizer", "constraints"))
+@bounded_jit(static_argnames=("optimizer", "constraints"))
 def _begin(starts, *, optimizer, constraints):
     return jax.vmap(lambda u: begin(optimizer, u, constraints))(starts)
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import bounded_jit
 from cnclik.law import inverse as inverses
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -112,7 +113,7 @@ def known_values(parameters, u):
     return tuple(map(np.asarray, _values_of(tuple(parameters), np.asarray(u))))
 
 
-_values_of = jax.jit(values_of)
+_values_of = bounded_jit(values_of)
 
 
 def free_of(parameters, values):
