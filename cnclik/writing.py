@@ -23,6 +23,7 @@ class Folder:
 
     def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str):
         self.out, self.path, self.name, self.problem = out, hidden, name, None
+        self.told = False  # whether a message says where the files are
 
     def write(self, file: str, make) -> None:
         """Write a file by make(path). Raises: ArgumentError where no folder for temporary files takes it either."""
@@ -53,11 +54,12 @@ class Folder:
             except OSError as error:
                 self._elsewhere(error)
         if self.problem:
+            self.told = True
             raise self._fail(f"{_reason(self.problem)}; the files are kept in {self.path}") from self.problem
 
     def _elsewhere(self, problem, write=lambda path: None):
         """Copy all files to the first folder for temporary files that has room, and write there from now on."""
-        for place in (tempfile.gettempdir(), pathlib.Path.home(), "/dev/shm"):
+        for place in _places():
             path = None
             try:
                 path = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-", dir=place))
@@ -67,19 +69,35 @@ class Folder:
                 if path is not None:
                     shutil.rmtree(path, ignore_errors=True)
             else:
+                self.discard()  # of an earlier place, that is full too
                 self.path, self.problem = path, self.problem or problem
                 return
-        raise self._fail(f"{_reason(problem)}, nor is there room anywhere else") from problem
+        self.told = self.problem is not None
+        kept = f"; the files before it are kept in {self.path}" if self.told else ""
+        raise self._fail(f"{_reason(problem)}, nor is there room anywhere else{kept}") from problem
+
+    def discard(self) -> None:
+        """Remove files that went elsewhere, unless a message says where they are."""
+        if self.problem and not self.told:
+            shutil.rmtree(self.path, ignore_errors=True)
 
     def _fail(self, reason):
         found = f"{str(self.out)[-80:]!r} does not: {reason}"
         return errors.ArgumentError(f"Argument `{self.name}` must be a folder that takes all files, but {found}.")
 
 
+def _places():
+    """Folders for temporary files."""
+    for place in (tempfile.gettempdir, pathlib.Path.home):
+        with contextlib.suppress(OSError, RuntimeError):  # no folder takes a byte; a user without a home
+            yield place()
+    yield "/dev/shm"
+
+
 def _write(path, make):
     path.parent.mkdir(parents=True, exist_ok=True)
     make(path)
-    with open(path, "rb") as file:
+    with open(path, "rb+") as file:  # Windows syncs no file that is open to be read only
         os.fsync(file.fileno())  # some disks tell only now that they are full
 
 
@@ -88,7 +106,7 @@ def output_folder(path, *, name="out"):
     """A `Folder` whose files are moved into `path` when the block ends well.
 
     `path` is created if need be, and found unwritable before any work is done. On an error or an interrupt
-    the hidden folder is removed and what `path` held before is untouched.
+    all that was written is removed and what `path` held before is untouched.
 
     Args:
       path: where the results shall be.
@@ -111,6 +129,7 @@ def output_folder(path, *, name="out"):
             found = f"is {str(path)[-80:]!r} ({_reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
         folder = Folder(path, hidden, name)
+        stack.callback(folder.discard)
         yield folder
         folder.finish()
 

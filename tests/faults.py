@@ -170,6 +170,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=list(COMMANDS), default=list(COMMANDS))
     args = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # behind `&` it is ignored, by the commands too
     root = hasattr(os, "geteuid") and os.geteuid() == 0
     plan = {"kill": (kill, args.kills), "stop": (stop, args.others), "writers": (writers, -(-args.others // 10))}
     if root:

@@ -84,8 +84,21 @@ def test_little_that_unpacks_to_much(tmp_path, monkeypatch):
     np.savez_compressed(tmp_path / "packed.npz", targets=np.zeros((2000, 3)))
     monkeypatch.setattr(reading, "MOST_BYTES", 4 << 10)
     assert (tmp_path / "packed.npz").stat().st_size < 1 << 10
-    with pytest.raises(ck.ArgumentError, match="`TARGETS` must name a file that can be read"):
+    with pytest.raises(
+        ck.ArgumentError, match=r"`TARGETS` must name a file of at most .* unpacked, but packed\.npz is larger"
+    ):
         read_targets(tmp_path / "packed.npz", position())
+
+
+def test_what_is_damaged_is_not_said_to_lack_targets(tmp_path):
+    np.savez(tmp_path / "whole.npz", targets=np.ones((50, 3)))
+    data = bytearray((tmp_path / "whole.npz").read_bytes())
+    data[300] ^= 64
+    (tmp_path / "damaged.npz").write_bytes(data)
+    np.savez(tmp_path / "other.npz", points=np.ones((2, 3)))
+    for name, told in (("damaged", "is damaged"), ("other", "holds no array `targets`")):
+        with pytest.raises(ck.ArgumentError, match=told):
+            read_targets(tmp_path / f"{name}.npz", position())
 
 
 def test_quaternions_of_any_length():

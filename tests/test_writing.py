@@ -4,6 +4,7 @@ import errno
 import os
 import pathlib
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -143,6 +144,54 @@ def test_no_room_anywhere(tmp_path, spare):
     ):
         folder.write("one.txt", full)
     assert files(tmp_path) == ["spare"] and not list(pathlib.Path.home().glob("cnclik-*"))
+
+
+def test_full_disks_without_folders_for_temporary_files(tmp_path, monkeypatch):
+    """Python finds none where no disk takes a byte, nor a home for a user that has no name."""
+    if not os.path.isdir("/dev/shm"):
+        pytest.skip("no /dev/shm")
+
+    def none():
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+
+    def nobody():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    monkeypatch.setattr(pathlib.Path, "home", nobody)
+    with pytest.raises(ArgumentError, match="No space left on device; the") as error, output_folder(tmp_path) as out:
+        out.write("one.txt", lambda path: path.write_text("1") if path.is_relative_to("/dev/shm") else full(path))
+    assert files(kept_in(error)) == ["one.txt"]
+    shutil.rmtree(kept_in(error))
+
+
+@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt])
+def test_what_went_elsewhere_is_not_left_by_an_error(tmp_path, spare, problem):
+    with pytest.raises(problem), output_folder(tmp_path / "out") as folder:
+        folder.write("one.txt", lambda path: path.write_text("1") if spare in path.parents else full(path))
+        assert list(spare.rglob("one.txt"))
+        raise problem
+    assert files(tmp_path) == ["spare"]
+
+
+def test_when_nothing_takes_the_next_file_the_message_names_where_the_others_are(tmp_path, spare):
+    with (
+        pytest.raises(ArgumentError, match="nor is there room anywhere else; the files before it are") as error,
+        output_folder(tmp_path / "out") as folder,
+    ):
+        folder.write("one.txt", lambda path: path.write_text("1") if spare in path.parents else full(path))
+        folder.write("two.txt", full)
+    assert files(kept_in(error)) == ["one.txt"] and not (tmp_path / "out").exists()
+
+
+def test_files_are_synced_as_windows_asks(tmp_path, monkeypatch):
+    """Its `fsync` refuses what is open to be read only."""
+    fcntl = pytest.importorskip("fcntl")
+    modes = []
+    monkeypatch.setattr(os, "fsync", lambda file: modes.append(fcntl.fcntl(file, fcntl.F_GETFL) & os.O_ACCMODE))
+    with output_folder(tmp_path) as folder:
+        folder.write_text("one.txt", "1")
+    assert modes and set(modes) == {os.O_RDWR}
 
 
 def test_no_room_is_known_before_any_work(tmp_path, monkeypatch):

@@ -126,7 +126,8 @@ def _stoppable(process):
 
     What is raised while compiled code calls Python back, such as JAX when memory is collected, is dropped with a
     remark: then the signal is sent once more. And where compiled code that was interrupted blocks all threads, as
-    LAPACK's first use in JAX does, the process ends after all.
+    LAPACK's first use in JAX does, the process ends after all. A signal that a shell has told this process to ignore,
+    as SIGINT behind `&` in a script, stays ignored.
     """
 
     def end(sent, _):
@@ -145,7 +146,8 @@ def _stoppable(process):
         yield
         return
     hook = sys.unraisablehook
-    before = {sent: signal.signal(sent, end) for sent in _STOPS}
+    heard = [sent for sent in _STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not of Python
+    before = {sent: signal.signal(sent, end) for sent in heard}
     sys.unraisablehook = dropped
     with open(os.devnull, "w") as nowhere:
         try:

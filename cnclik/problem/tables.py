@@ -54,11 +54,16 @@ def read_targets(file, task) -> np.ndarray:
         try:
             found = np.load(data, allow_pickle=False)
             if ending == ".npz":
-                if found.zip.getinfo("targets.npy").file_size > 8 * reading.MOST_BYTES:  # a few packed bytes may say so
-                    raise ValueError
+                most = 8 * reading.MOST_BYTES
+                if found.zip.getinfo("targets.npy").file_size > most:  # a few packed bytes may say so
+                    words = f"name a file of at most {most >> 20} MiB when it is unpacked"
+                    raise errors.fail("TARGETS", words, f"{path.name} is larger")
                 found = found["targets"]
+        except errors.ArgumentError:
+            raise
         except Exception as error:  # whatever NumPy, zipfile and zlib make of damage
-            reason = getattr(error, "strerror", None) or "holds no array `targets`" * (ending == ".npz") or "is damaged"
+            lacking = isinstance(error, (KeyError, AttributeError))  # AttributeError: one array, under no name
+            reason = getattr(error, "strerror", None) or ("holds no array `targets`" if lacking else "is damaged")
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
     if found.size == 0:
         raise errors.fail("TARGETS", "hold at least one target", f"{path.name} holds none")

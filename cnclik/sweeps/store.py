@@ -325,7 +325,7 @@ def read(folder):
     """The sweep of a folder as an `xarray.Dataset`, loaded on use.
 
     Every block is held against its checksum first, which reads all of it once; one that is damaged counts as not done
-    (`blocks_missing`): NaN, never other numbers.
+    (`blocks_missing`): NaN, and -1 for counts, never other numbers.
 
     Raises: ArgumentError where there is none, or one whose coordinates are damaged.
     """

@@ -13,8 +13,10 @@ from cnclik.cli import main
 
 # A verb whose work writes a file after its first output.
 WORK = """
-import dataclasses, pathlib, sys, time, types
+import dataclasses, pathlib, signal, sys, time, types
 import cnclik.cli as cli
+
+signal.signal(signal.SIGINT, INTERRUPT)  # the tests themselves may run behind `&`
 
 @dataclasses.dataclass
 class Args:
@@ -34,8 +36,12 @@ cli.main(["bench", "--out", sys.argv[1]])
 """
 
 
-def command(out, sleep=0, **options):
-    words = [sys.executable, "-c", WORK.replace("SLEEP", str(sleep)), str(out)]
+def work(sleep=0, interrupt="signal.default_int_handler"):
+    return WORK.replace("SLEEP", str(sleep)).replace("INTERRUPT", interrupt)
+
+
+def command(out, *how, **options):
+    words = [sys.executable, "-c", work(*how), str(out)]
     return subprocess.Popen(words, text=True, errors="replace", **options)
 
 
@@ -79,7 +85,7 @@ def test_answers_that_nobody_can_read(verb, fate):
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
 def test_encodings_that_lack_our_letters(tmp_path, encoding):
     env = os.environ | {"PYTHONIOENCODING": f"{encoding}:strict", "PYTHONUTF8": "0"}
-    words = [sys.executable, "-c", WORK.replace("SLEEP", "0"), str(tmp_path)]
+    words = [sys.executable, "-c", work(), str(tmp_path)]
     found = subprocess.run(words, capture_output=True, env=env)
     assert (found.returncode, found.stderr) == (0, b"begun\n")
     first = found.stdout.decode(encoding).splitlines()[0]
@@ -90,12 +96,20 @@ def test_encodings_that_lack_our_letters(tmp_path, encoding):
 
 @pytest.mark.parametrize(("sent", "code", "says"), [(signal.SIGTERM, 143, "Terminated"), (signal.SIGINT, 130, "Inter")])
 def test_signals_leave_no_half_results(tmp_path, sent, code, says):
-    process = command(tmp_path, sleep=30, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = command(tmp_path, 30, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr.readline() == "begun\n"
     process.send_signal(sent)
     found, _, err = ended(process)
     assert found == code and err.startswith(f"cnclik: {says}") and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_signal_that_is_ignored_stays_ignored(tmp_path):
+    """As a shell has it for what a script runs behind `&`: Ctrl-C is for the script."""
+    process = command(tmp_path, 1, "signal.SIG_IGN", stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr.readline() == "begun\n"
+    process.send_signal(signal.SIGINT)
+    assert ended(process)[0] == 0 and (tmp_path / "one.txt").exists()
 
 
 def test_the_signal_is_as_before_afterwards(capsys):
