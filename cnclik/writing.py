@@ -52,10 +52,20 @@ class Folder:
                 for file, target in made.items():
                     os.replace(file, target)
             except OSError as error:
-                self._elsewhere(error)
+                self._beside(error)
         if self.problem:
             self.told = True
             raise self._fail(f"{_reason(self.problem)}; the files are kept in {self.path}") from self.problem
+
+    def _beside(self, problem):
+        """Keep files that can't be moved where they are, no longer hidden."""
+        seen = self.out / self.path.name.replace(_PARTIAL, "kept-")
+        try:
+            self.path.rename(seen)
+        except OSError:
+            self._elsewhere(problem)
+        else:
+            self.path, self.problem = seen, problem
 
     def _elsewhere(self, problem, write=lambda path: None):
         """Copy all files to the first folder for temporary files that has room, and write there from now on."""

@@ -134,7 +134,8 @@ def test_a_folder_in_the_place_of_a_file(tmp_path, spare):
     ):
         folder.write_text("one.txt", "1")
     assert (kept_in(error) / "one.txt").read_text() == "1"
-    assert files(tmp_path / "out") == ["one.txt", "one.txt/theirs"]
+    assert kept_in(error).parent == tmp_path / "out" and not list((tmp_path / "out").glob(".*"))
+    assert (tmp_path / "out/one.txt/theirs").is_dir() and not list(spare.iterdir())
 
 
 def test_no_room_anywhere(tmp_path, spare):

@@ -45,7 +45,7 @@ def parse(name: str, text: str):
             tree = ast.parse(text, mode="eval").body
         _check(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        words = f"be a number or an expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
+        words = f"be a number or a short expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
         raise errors.fail(name, words, f"is {text!r}") from None
     return tree
 
@@ -112,9 +112,10 @@ def evaluate(name: str, value, known):
             case ast.Call(func=ast.Name(id=found), args=arguments):
                 return _call(found, *map(walk, arguments))
 
+    tree = parse(name, value)
     try:
         with np.errstate(all="ignore"):  # what is not finite is told where it is used
-            found = walk(parse(name, value))
+            found = walk(tree)
         if np.iscomplexobj(found):
             raise ValueError("the result is complex")
         return found
