@@ -44,7 +44,7 @@ DATA = {"trajectory.nc", "trajectory.csv", "tuned.json", "summary.md", "map.nc",
 
 
 def line(name, out):
-    words = [w.format(out=out) for w in COMMANDS[name]]
+    words = [w.replace("{out}", str(out)) for w in COMMANDS[name]]
     return [sys.executable, "-m", "cnclik", *words, *["--out", str(out)] * ("--out" not in words)]
 
 
