@@ -30,6 +30,11 @@ def fail(name: str, must: str, found) -> ArgumentError:
     return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 
+def reason(error: Exception) -> str:
+    """What an error of the file system, or of a name that is none, says."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def concrete(value) -> bool:
     """Whether the value is known now, and may be looked at."""
     jax = sys.modules.get("jax")  # where it isn't loaded nothing is traced

@@ -32,8 +32,4 @@ def read_bytes(argument: str, path, what: str) -> bytes:
     except errors.ArgumentError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
-        raise errors.fail(argument, f"name {what} that can be read", f"{shown}: {_reason(error)}") from None
-
-
-def _reason(error) -> str:
-    return getattr(error, "strerror", None) or str(error)
+        raise errors.fail(argument, f"name {what} that can be read", f"{shown}: {errors.reason(error)}") from None

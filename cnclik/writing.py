@@ -55,7 +55,7 @@ class Folder:
                 self._beside(error)
         if self.problem:
             self.told = True
-            raise self._fail(f"{_reason(self.problem)}; the files are kept in {self.path}") from self.problem
+            raise self._fail(f"{errors.reason(self.problem)}; the files are kept in {self.path}") from self.problem
 
     def _beside(self, problem):
         """Keep files that can't be moved where they are, no longer hidden."""
@@ -84,7 +84,7 @@ class Folder:
                 return
         self.told = self.problem is not None
         kept = f"; the files before it are kept in {self.path}" if self.told else ""
-        raise self._fail(f"{_reason(problem)}, nor is there room anywhere else{kept}") from problem
+        raise self._fail(f"{errors.reason(problem)}, nor is there room anywhere else{kept}") from problem
 
     def discard(self) -> None:
         """Remove files that went elsewhere, unless a message says where they are."""
@@ -136,7 +136,7 @@ def output_folder(path, *, name="out"):
             _write(hidden / "room", lambda file: file.write_bytes(bytes(_ROOM)))
             (hidden / "room").unlink()
         except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
-            found = f"is {str(path)[-80:]!r} ({_reason(error)})"
+            found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
         folder = Folder(path, hidden, name)
         stack.callback(folder.discard)
@@ -150,10 +150,6 @@ def _remove_empty(folders):
             folder.rmdir()
 
 
-def _reason(error) -> str:
-    return getattr(error, "strerror", None) or str(error)
-
-
 # --- hidden folders -----------------------------------------------------------------------------------
 
 
@@ -165,7 +161,7 @@ def hidden_folder(path: pathlib.Path):
     """
     for left in path.glob(f"{_PARTIAL}*"):
         with contextlib.suppress(OSError, ImportError):
-            if abs(time.time() - left.stat().st_mtime) > 60:  # else perhaps just made, and about to be locked
+            if abandoned(left):  # else perhaps just made, and about to be locked
                 opened = _lock(left)
                 shutil.rmtree(left, ignore_errors=True)
                 os.close(opened)
@@ -179,6 +175,11 @@ def hidden_folder(path: pathlib.Path):
         shutil.rmtree(hidden, ignore_errors=True)
         if opened is not None:
             os.close(opened)
+
+
+def abandoned(path: pathlib.Path) -> bool:
+    """Whether nobody has written there for a minute: else perhaps another process is at it. Raises OSError."""
+    return abs(time.time() - path.stat().st_mtime) > 60
 
 
 def _lock(folder):

@@ -24,8 +24,6 @@ _PLAIN = str.maketrans(
         "≤": "<=",
         "≥": ">=",
         "→": "->",
-    }
-    | {
         "α": "alpha",
         "ω": "omega",
         "σ": "sigma",
@@ -115,8 +113,9 @@ def guarded(process: bool):
     if isinstance(out.problem, BrokenPipeError):
         sys.exit(141)
     if out.problem is not None:
-        reason = getattr(out.problem, "strerror", None) or out.problem
-        print(f"cnclik: The output could not be written ({reason}); the work was done.", file=sys.stderr)
+        from cnclik.errors import reason
+
+        print(f"cnclik: The output could not be written ({reason(out.problem)}); the work was done.", file=sys.stderr)
         sys.exit(1)
 
 

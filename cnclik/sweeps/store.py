@@ -14,7 +14,6 @@ import os
 import pathlib
 import re
 import tempfile
-import time
 import zlib
 
 import numpy as np
@@ -24,7 +23,7 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import hidden_folder
+from cnclik.writing import abandoned, hidden_folder
 
 DATA = "data.zarr"
 _MARK = ".cnclik"  # in a store: checksum of its description
@@ -227,7 +226,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     with _disk(folder):
         for left in path.rglob("*.partial"):  # of a write that was cut off
             with contextlib.suppress(OSError):
-                if abs(time.time() - left.stat().st_mtime) > 60:  # else perhaps another process is at it
+                if abandoned(left):
                     left.unlink()
         store.repair(spec)
     return store
@@ -358,8 +357,8 @@ def _disk(folder, when=""):
     try:
         yield
     except OSError as error:
-        reason = f"{error.strerror or error}{when}"
-        message = f"Argument `out` must be a folder that can be written, but {str(folder)!r} is not: {reason}."
+        why = f"{errors.reason(error)}{when}"
+        message = f"Argument `out` must be a folder that can be written, but {str(folder)!r} is not: {why}."
         raise errors.ArgumentError(message) from error
 
 

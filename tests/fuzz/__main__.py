@@ -17,6 +17,8 @@ import sys
 import tempfile
 import time
 
+from cnclik.cli.progress import bar
+from cnclik.measure.files import markdown
 from tests.fuzz import judge, many
 
 SHARES = {"urdf": 0.33, "toml": 0.18, "tables": 0.2, "expressions": 0.215, "arguments": 0.07, "stores": 0.005}
@@ -34,25 +36,20 @@ def main() -> None:
         many.begin()
         _again(args)
         return
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-
     for ends in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ends, signal.default_int_handler)
     total = sum(SHARES[name] for name in args.only)
     counts = {name: round(args.inputs * SHARES[name] / total) for name in args.only}
     found, begun = [], time.perf_counter()
-    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as shown:
-        task = shown.add_task("inputs", total=sum(counts.values()))
-        with contextlib.suppress(KeyboardInterrupt):  # what was tried is told all the same
-            for some in many.verdicts(counts, args.seed, args.processes):
-                found += some
-                shown.advance(task, len(some))
-                for bad in (v for v in some if v.outcome == "failed"):
-                    print(f"\n{judge.repeat(bad, args.seed)}\n{bad.why.strip()}", file=sys.stderr)
+    # What was tried before an interrupt is told all the same.
+    with bar("inputs", sum(counts.values())) as report, contextlib.suppress(KeyboardInterrupt):
+        for some in many.verdicts(counts, args.seed, args.processes):
+            found += some
+            report(len(found), sum(counts.values()))
+            for bad in (v for v in some if v.outcome == "failed"):
+                print(f"\n{judge.repeat(bad, args.seed)}\n{bad.why.strip()}", file=sys.stderr)
     seconds = time.perf_counter() - begun
-    print(table(found))
+    print(table(found), end="")
     tried = f"{len(found):,} of {sum(counts.values()):,} inputs of seed {args.seed}"
     print(f"\n{tried} in {seconds / 60:.1f} min on {args.processes} processes.")
     sys.exit(any(v.outcome == "failed" for v in found))
@@ -63,14 +60,14 @@ def table(verdicts) -> str:
     rooms = collections.defaultdict(list)
     for verdict in verdicts:
         rooms[verdict.room].append(verdict)
-    lines = ["| inputs | number | passed | refused in one line | failed | slowest [s] | most memory [MiB] |"]
-    lines += ["|:--|--:|--:|--:|--:|--:|--:|"]
+    rows = []
     for name, found in (*sorted(rooms.items()), ("all", verdicts)):
         of = collections.Counter(v.outcome for v in found)
         slowest, largest = max(v.seconds for v in found), max(v.bytes for v in found)
-        counts = " | ".join(f"{n:,}" for n in (len(found), of["passed"], of["refused"], of["failed"]))
-        lines.append(f"| {name} | {counts} | {slowest:.2f} | {largest / 2**20:.0f} |")
-    return "\n".join(lines)
+        counts = (f"{n:,}" for n in (len(found), of["passed"], of["refused"], of["failed"]))
+        rows.append([name, *counts, f"{slowest:.2f}", f"{largest / 2**20:.0f}"])
+    header = ["inputs", "number", "passed", "refused in one line", "failed", "slowest [s]", "most memory [MiB]"]
+    return markdown(header, rows)
 
 
 def _again(args):
