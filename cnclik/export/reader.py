@@ -12,7 +12,7 @@ import numpy as np
 
 from cnclik.export.arrays import ARRAYS, UnsupportedError, kind_of
 from cnclik.export.graph import BOOL, INT, REAL, Function, Graph
-from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, moved
+from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, each, moved, walk
 
 LARGE = 200  # equations from which on what is called several times becomes a function
 WRITTEN_OUT = 64  # rounds of a loop that may be written out where it can't stay one
@@ -40,17 +40,8 @@ class Reader:
 
     def run(self, jaxpr, consts, values) -> list:
         """Results of an open jaxpr, from arrays of nodes."""
-        held = dict(zip(jaxpr.constvars, map(self.constant, consts), strict=True))
-        held |= dict(zip(jaxpr.invars, values, strict=True))
-
-        def read(v):
-            return self.constant(v.val, v.aval) if hasattr(v, "val") else held[v]
-
-        for equation in jaxpr.eqns:
-            inputs = [read(v) for v in equation.invars]
-            for var, value in zip(equation.outvars, self.equation(equation, inputs), strict=True):
-                held[var] = value
-        return [read(v) for v in jaxpr.outvars]
+        consts = [self.constant(c) for c in consts]
+        return walk(jaxpr, consts, values, lambda v: self.constant(v.val, v.aval), self.equation)
 
     def equation(self, equation, inputs) -> list:
         """Results of one equation."""
@@ -60,7 +51,7 @@ class Reader:
         if (found := moved(equation, inputs)) is not None:
             return found
         if name in _ELEMENTWISE:
-            return [self._each(functools.partial(self.graph.apply, _ELEMENTWISE[name]), *inputs)]
+            return [each(functools.partial(self.graph.apply, _ELEMENTWISE[name]), *inputs)]
         if name in ARRAYS:
             return ARRAYS[name](self, equation, *inputs)
         special = getattr(self, "_" + name.replace("-", "_"), None)
@@ -68,14 +59,10 @@ class Reader:
             raise UnsupportedError(f"the operation `{name}` has no C form")
         return special(equation, *inputs)
 
-    def _each(self, fn, *arrays):
-        arrays = np.broadcast_arrays(*arrays)
-        return array_of([fn(*cells) for cells in zip(*(a.flat for a in arrays), strict=True)], arrays[0].shape)
-
     def _call(self, params, inputs):
         jaxpr, consts = called(params)
         if getattr(getattr(jaxpr, "debug_info", None), "func_name", None) == "sincos":  # of `robot.trig`
-            return [self._each(functools.partial(self.graph.apply, op), x) for op in ("sin", "cos") for x in inputs]
+            return [each(functools.partial(self.graph.apply, op), x) for op in ("sin", "cos") for x in inputs]
         if id(jaxpr) in self.repeated:
             return self._function(jaxpr, consts, inputs)
         return self.run(jaxpr, consts, inputs)
@@ -94,7 +81,7 @@ class Reader:
     # --- elementwise ----------------------------------------------------------------------------------
 
     def _not(self, equation, x):
-        return [self._each(functools.partial(self.graph.apply, "not"), x)]
+        return [each(functools.partial(self.graph.apply, "not"), x)]
 
     def _select_n(self, equation, which, *cases):
         def choose(which, first, *others):
@@ -103,7 +90,7 @@ class Reader:
                 first = self.graph.apply("select", here, other, first)
             return first
 
-        return [self._each(choose, which, *cases)]
+        return [each(choose, which, *cases)]
 
     def _convert_element_type(self, equation, x):
         kind, old = kind_of(equation.outvars[0].aval), kind_of(equation.invars[0].aval)
@@ -111,17 +98,17 @@ class Reader:
             return [x]
         g = self.graph
         if kind == BOOL:
-            return [self._each(lambda v: g.apply("ne", v, g.const(0, old)), x)]
+            return [each(lambda v: g.apply("ne", v, g.const(0, old)), x)]
         op = "to_real" if kind == REAL else "to_int" if old == REAL else "bool_to_int"
-        return [self._each(functools.partial(g.apply, op), x)]
+        return [each(functools.partial(g.apply, op), x)]
 
     def _round(self, equation, x):
         even = int(equation.params["rounding_method"]) == 1
-        return [self._each(functools.partial(self.graph.apply, "round_even" if even else "round_away"), x)]
+        return [each(functools.partial(self.graph.apply, "round_even" if even else "round_away"), x)]
 
     def _integer_pow(self, equation, x):
         y = equation.params["y"]
-        return [self._each(lambda v: self._power(v, y), x)]
+        return [each(lambda v: self._power(v, y), x)]
 
     def _power(self, v, y):
         g = self.graph
@@ -136,16 +123,16 @@ class Reader:
         return g.const(1, v.kind) if out is None else out
 
     def _square(self, equation, x):
-        return [self._each(lambda v: self.graph.apply("mul", v, v), x)]
+        return [each(lambda v: self.graph.apply("mul", v, v), x)]
 
     def _rsqrt(self, equation, x):
         g = self.graph
-        return [self._each(lambda v: g.apply("div", g.const(1, REAL), g.apply("sqrt", v)), x)]
+        return [each(lambda v: g.apply("div", g.const(1, REAL), g.apply("sqrt", v)), x)]
 
     def _logistic(self, equation, x):
         g, one = self.graph, self.graph.const(1, REAL)
         down = functools.partial(g.apply, "neg")
-        return [self._each(lambda v: g.apply("div", one, g.apply("add", one, g.apply("exp", down(v)))), x)]
+        return [each(lambda v: g.apply("div", one, g.apply("add", one, g.apply("exp", down(v)))), x)]
 
     def _sign(self, equation, x):
         g = self.graph
@@ -155,11 +142,11 @@ class Reader:
             down = g.apply("select", g.apply("lt", v, zero), less, v)
             return g.apply("select", g.apply("lt", zero, v), one, down)
 
-        return [self._each(sign, x)]
+        return [each(sign, x)]
 
     def _clamp(self, equation, low, x, high):
         g = self.graph
-        return [self._each(lambda l, v, h: g.apply("min", g.apply("max", l, v), h), low, x, high)]
+        return [each(lambda l, v, h: g.apply("min", g.apply("max", l, v), h), low, x, high)]
 
     # --- control flow ---------------------------------------------------------------------------------
 

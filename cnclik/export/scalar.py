@@ -30,7 +30,12 @@ def number(value, kind, dtype) -> str:
 
 
 class Writer:
-    """Writes the statements of a graph."""
+    """Writes the statements of a graph.
+
+    types: what numbers of each kind are called in C. sincos_function: what gives both of an angle.
+    """
+
+    types, sincos_function = TYPES, "SINCOS"
 
     def __init__(self, graph, outputs, places, functions=None):
         """places: {input name: (C expression, whether it is an array)}; functions: {function: its name in C}."""
@@ -87,7 +92,7 @@ class Writer:
 
     def declare(self, node, text):
         self.names[node.number] = self.new(node.kind)
-        self.line(f"const {TYPES[node.kind]} {self.names[node.number]} = {text};")
+        self.line(f"const {self.types[node.kind]} {self.names[node.number]} = {text};")
 
     # --- statements -----------------------------------------------------------------------------------
 
@@ -96,13 +101,17 @@ class Writer:
             if isinstance(item, Node):
                 if item.number in self.needed and item.number not in self.names:
                     self.node(item)
-            elif id(item) in self.needed:
+            elif self.needs(item):
                 {Loop: self.loop, Choice: self.choice, Call: self.call}[type(item)](item)
 
+    def needs(self, item) -> bool:
+        """Whether a node or region has a part in the results."""
+        return (item.number if isinstance(item, Node) else id(item)) in self.needed
+
     def call(self, call):
-        given, found = self.new(), self.new()
-        self.line(f"const REAL {given}[{len(call.args)}] = {{{', '.join(map(self.of, call.args))}}};")
-        self.line(f"REAL {found}[{len(call.function.results)}];")
+        given, found, real = self.new(), self.new(), self.types[REAL]
+        self.line(f"const {real} {given}[{len(call.args)}] = {{{', '.join(map(self.of, call.args))}}};")
+        self.line(f"{real} {found}[{len(call.function.results)}];")
         self.line(f"{self.functions[call.function]}({given}, {found});")
         places = range(len(call.function.results))
         self.outs(call, places, [f"{found}[{i}]" for i in places])
@@ -129,14 +138,14 @@ class Writer:
             there = node if op == node.op else node.block.table.get((op, REAL, None, x.number))
             if there is not None:
                 self.names[there.number] = name
-        self.line(f"REAL {names[0]}, {names[1]};")
-        self.line(f"SINCOS({self.of(x)}, &{names[0]}, &{names[1]});")
+        self.line(f"{self.types[REAL]} {names[0]}, {names[1]};")
+        self.line(f"{self.sincos_function}({self.of(x)}, &{names[0]}, &{names[1]});")
 
     def pick(self, node):
         index, *cells = node.args
         table = self.new()
         constant = all(c.known for c in cells)
-        kind = ("static const " if constant else "const ") + TYPES[node.kind]
+        kind = ("static const " if constant else "const ") + self.types[node.kind]
         self.line(f"{kind} {table}[{len(cells)}] = {{{', '.join(map(self.of, cells))}}};")
         self.declare(node, f"{table}[{self.of(index)}]")
 
@@ -144,7 +153,7 @@ class Writer:
         carried = [i for i, node in enumerate(loop.carries) if node.number in self.needed]
         for i in carried:
             name = self.names[loop.carries[i].number] = self.new(loop.carries[i].kind)
-            self.line(f"{TYPES[loop.carries[i].kind]} {name} = {self.of(loop.first[i])};")
+            self.line(f"{self.types[loop.carries[i].kind]} {name} = {self.of(loop.first[i])};")
         index = self.names[loop.index.number] = self.new(INT)
         length = self.of(loop.length) if isinstance(loop.length, Node) else loop.length
         self.line(f"for (int32_t {index} = 0; {index} < {length}; ++{index}) {{")
@@ -161,7 +170,7 @@ class Writer:
                 continue
             if then.op == "carry" and then.value[0] is loop:
                 aside = self.new(then.kind)
-                self.line(f"const {TYPES[then.kind]} {aside} = {self.of(then)};")
+                self.line(f"const {self.types[then.kind]} {aside} = {self.of(then)};")
                 later.append((name, aside))
             else:
                 later.append((name, self.of(then)))
@@ -192,8 +201,7 @@ class Writer:
         wanted = sorted({i for n, i in self.results.get(id(choice), {}).items() if n in self.needed})
         kinds = [choice.results[0][i].kind for i in wanted]
         names = [self.new(k) for k in kinds]
-        empty = not any((isinstance(x, Node) and x.number in self.needed) or id(x) in self.needed
-                        for x in choice.blocks[0].items)  # fmt: skip
+        empty = not any(map(self.needs, choice.blocks[0].items))
         two = choice.which.kind == BOOL
 
         def set_to(results):
@@ -205,7 +213,7 @@ class Writer:
 
         for i, kind, name in zip(wanted, kinds, names, strict=True):
             at_first = f" = {self.of(choice.results[0][i])}" if two and empty else ""
-            self.line(f"{TYPES[kind]} {name}{at_first};")
+            self.line(f"{self.types[kind]} {name}{at_first};")
         which = self.of(choice.which)
         if two:
             self.line(f"if ({which}) {{")

@@ -4,11 +4,10 @@ A scalar becomes a vector of lanes, a comparison a mask; branches run where some
 what is its own. Loops have the same length in all lanes.
 """
 
-from cnclik.export.graph import BOOL, INT, REAL, Choice, Node
+from cnclik.export.graph import BOOL, INT, REAL, Choice
 from cnclik.export.operations import OPERATIONS
 from cnclik.export.scalar import Writer, number
 
-_TYPES = {REAL: "V", INT: "I", BOOL: "I"}
 _TEXTS = {
     "abs": "vabs({0})",
     "sqrt": "vsqrt({0})",
@@ -34,10 +33,10 @@ _WHOLE = {
 class VectorWriter(Writer):
     """Writes the statements of a graph for vectors of lanes."""
 
-    def __init__(self, graph, outputs, places, functions=None, uniform=()):
-        """uniform: names of arguments that are one C scalar for all lanes."""
+    types, sincos_function = {REAL: "V", INT: "I", BOOL: "I"}, "vsincos"
+
+    def __init__(self, graph, outputs, places, functions=None):
         super().__init__(graph, outputs, places, functions)
-        self.uniform = set(uniform)
         self.mapped = set()  # functions of libm, called lane by lane
 
     def of(self, node) -> str:
@@ -55,10 +54,6 @@ class VectorWriter(Writer):
         if node.known and node.kind == REAL:
             return f"({number(node.value, node.kind, self.graph.dtype)})"
         return self.of(node)
-
-    def declare(self, node, text):
-        self.names[node.number] = self.new(node.kind)
-        self.line(f"const {_TYPES[node.kind]} {self.names[node.number]} = {text};")
 
     def input(self, node):
         if node.number in self.needed and node.number not in self.names:
@@ -82,63 +77,17 @@ class VectorWriter(Writer):
             self.used.add(node.op)
             self.declare(node, (text or OPERATIONS[node.op].text).format(*map(self.of, node.args)))
 
-    def sincos(self, node):
-        self.used.add("sincos")
-        (x,) = node.args
-        names = []
-        for op in ("sin", "cos"):
-            names.append(self.new())
-            there = node if op == node.op else node.block.table.get((op, REAL, None, x.number))
-            if there is not None:
-                self.names[there.number] = names[-1]
-        self.line(f"V {names[0]}, {names[1]};")
-        self.line(f"vsincos({self.of(x)}, &{names[0]}, &{names[1]});")
-
     def pick(self, node):
         index, *cells = node.args
         table, name, at = self.new(), self.new(node.kind), self.new(INT)
         self.names[node.number] = name
-        kind = _TYPES[node.kind]
+        kind = self.types[node.kind]
         self.line(f"const I {at} = {self.of(index)};")
         self.line(f"const {kind} {table}[{len(cells)}] = {{{', '.join(map(self.of, cells))}}};")
         self.line(f"{kind} {name};")
         self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {table}[{at}[i]][i];")
 
     # --- regions --------------------------------------------------------------------------------------
-
-    def call(self, call):
-        given, found = self.new(), self.new()
-        self.line(f"const V {given}[{len(call.args)}] = {{{', '.join(map(self.of, call.args))}}};")
-        self.line(f"V {found}[{len(call.function.results)}];")
-        self.line(f"{self.functions[call.function]}({given}, {found});")
-        places = range(len(call.function.results))
-        self.outs(call, places, [f"{found}[{i}]" for i in places])
-
-    def loop(self, loop):
-        carried = [i for i, node in enumerate(loop.carries) if node.number in self.needed]
-        for i in carried:
-            name = self.names[loop.carries[i].number] = self.new(loop.carries[i].kind)
-            self.line(f"{_TYPES[loop.carries[i].kind]} {name} = {self.of(loop.first[i])};")
-        index = self.names[loop.index.number] = self.new(INT)
-        self.line(f"for (int32_t {index} = 0; {index} < {loop.length}; ++{index}) {{")
-        self.inside(loop.block, lambda: self.assign(loop, carried))
-        self.line("}")
-        self.outs(loop, carried, [self.names[loop.carries[i].number] for i in carried])
-
-    def assign(self, loop, carried):
-        later = []
-        for i in carried:
-            then, name = loop.then[i], self.names[loop.carries[i].number]
-            if then is loop.carries[i]:
-                continue
-            value = self.of(then)
-            if then.op == "carry" and then.value[0] is loop:
-                aside = self.new(then.kind)
-                self.line(f"const {_TYPES[then.kind]} {aside} = {value};")
-                value = aside
-            later.append((name, value))
-        for name, value in later:
-            self.line(f"{name} = {value};")
 
     def choice(self, choice: Choice):
         wanted = sorted({i for n, i in self.results.get(id(choice), {}).items() if n in self.needed})
@@ -148,11 +97,11 @@ class VectorWriter(Writer):
         self.line(f"const I {which} = {self.of(choice.which)};")
         for i, kind, name in zip(wanted, kinds, names, strict=True):
             seen = choice.results[0][i]
-            at_first = self.of(seen) if seen.known or seen.number in self.names else f"({_TYPES[kind]})vzero()"
-            self.line(f"{_TYPES[kind]} {name} = {at_first};")
+            at_first = self.of(seen) if seen.known or seen.number in self.names else f"({self.types[kind]})vzero()"
+            self.line(f"{self.types[kind]} {name} = {at_first};")
         two = choice.which.kind == BOOL
         for k, (block, results) in enumerate(zip(choice.blocks, choice.results, strict=True)):
-            busy = any(self._needs(item) for item in block.items)
+            busy = any(self.needs(item) for item in block.items)
             if k == 0 and not busy and two:
                 continue  # what it gives is there
             mask = (f"~{which}", which)[k] if two else f"({which} == {k})"
@@ -166,6 +115,3 @@ class VectorWriter(Writer):
             self.inside(block, ending)
             self.line("}")
         self.outs(choice, wanted, names)
-
-    def _needs(self, item) -> bool:
-        return item.number in self.needed if isinstance(item, Node) else id(item) in self.needed

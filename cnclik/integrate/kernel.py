@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from cnclik.hints import in_kernel
-from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, known, moved
+from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, each, known, moved, walk
 
 TILE = 128  # lanes per program, four warps
 
@@ -145,16 +145,7 @@ class _Reader:
 
     def run(self, jaxpr, consts, values):
         """Results of an open jaxpr."""
-        held = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, values, strict=True))
-
-        def read(v):
-            return known(v.val) if hasattr(v, "val") else held[v]
-
-        for equation in jaxpr.eqns:
-            inputs = [read(v) for v in equation.invars]
-            for var, value in zip(equation.outvars, self.equation(equation, inputs), strict=True):
-                held[var] = value
-        return [read(v) for v in jaxpr.outvars]
+        return walk(jaxpr, consts, values, lambda v: known(v.val), self.equation)
 
     def equation(self, equation, inputs) -> list:
         name, params = equation.primitive.name, equation.params
@@ -191,8 +182,7 @@ class _Reader:
             lifted = map(self.lift, cells, dtypes)
             return equation.primitive.bind(*lifted, **equation.params)
 
-        arrays = np.broadcast_arrays(*inputs)
-        return array_of([one(*cells) for cells in zip(*(a.flat for a in arrays), strict=True)], arrays[0].shape)
+        return each(one, *inputs)
 
     def reduction(self, equation, primitive, x, axes):
         dtype = equation.invars[0].aval.dtype
