@@ -20,7 +20,9 @@ from cnclik.record import combine, partition
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
 _form = jax.make_user_context(default_value=None)
-KEPT_PROGRAMS = 128  # compiled or traced programs that a cache of this library keeps; the least recently used one goes
+# Compiled or traced programs that a cache of this library keeps. Of `Recent` the least recently used one goes, a
+# `bounded_jit` begins anew.
+KEPT_PROGRAMS = 128
 
 
 def use_hints(on: bool):
@@ -90,16 +92,9 @@ def opaque(fn):
 
     Literals among the arguments and results stay literals across the fence. Arrays, of the rolled form, pass unfenced.
     """
-
     kept = Recent()
 
     def fenced(literals):
-        call = kept.get(literals)
-        if call is None:
-            call = kept[literals] = fence(literals)
-        return call
-
-    def fence(literals):
         made = {}
 
         def body(*arrays):
@@ -120,7 +115,7 @@ def opaque(fn):
         if not hints_on():
             return fn(*args)
         arrays, literals = partition(args)
-        return fn(*args) if not arrays or any(np.ndim(a) for a in arrays) else fenced(literals)(arrays)
+        return fn(*args) if not arrays or any(np.ndim(a) for a in arrays) else kept.made(literals, fenced)(arrays)
 
     stage.kept = kept
     return stage
@@ -231,6 +226,13 @@ class Recent(collections.OrderedDict):
         value = super().get(key, default)
         with contextlib.suppress(KeyError):  # another thread may have let it go, and there may be none
             self.move_to_end(key)
+        return value
+
+    def made(self, key, make):
+        """The value of a key; where there is none, make(key)."""
+        value = self.get(key)
+        if value is None:
+            value = self[key] = make(key)
         return value
 
     def __setitem__(self, key, value):

@@ -1,6 +1,7 @@
 """`cnclik export`: the step of a loop as C, for a controller."""
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Literal
 
@@ -32,7 +33,8 @@ class Args(ComputeOptions, ProblemOptions):
 def run(args: Args) -> None:
     from cnclik import errors
     from cnclik.cli import progress
-    from cnclik.export.write import c
+    from cnclik.export.example import BUILD
+    from cnclik.export.write import MANIFEST, c
     from cnclik.problem.options import PATH
 
     if args.compiled_in and args.runtime:
@@ -57,6 +59,6 @@ def run(args: Args) -> None:
     where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
     of = f", {made.method} {where}" if args.what in ("step", "solve") else ""
     print(f"{made.name}: {args.what} in {args.dtype}{of}")
-    files = sorted(path.name for path in folder.iterdir() if path.is_file() and path.suffix != ".so")
-    print(f"Wrote {', '.join(files)} to {folder}/.")
-    print(f"Build and test: cc -std=c99 -O2 -ffp-contract=off {args.name}.c example.c -lm -o example && ./example")
+    files = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
+    print(f"Wrote {', '.join(sorted(files))} to {folder}/.")
+    print(f"Build and test: {BUILD.format(sources=f'{args.name}.c example.c')} && ./example")

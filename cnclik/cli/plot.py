@@ -23,8 +23,7 @@ def run(args: Args) -> None:
     """Draw, and say what."""
     from cnclik.sweeps import store
 
-    data = store.read(args.folder)
-    missing = store.blocks_missing(args.folder)
+    data, missing = store.read_and_missing(args.folder)
     if missing:
         print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
     tables = None

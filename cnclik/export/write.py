@@ -72,14 +72,14 @@ def c(
         f"{name}.h": header(program, names, told, declared),
         f"{name}.c": source(program, names, loop),
         "example.c": example(asked, program, names),
-        MANIFEST: json.dumps(manifest(asked, program, names), indent=1) + "\n",
     }
-    if batch:
-        looped = _read(trace_loop, asked, RESULTS if batch is True else _wanted(batch))
+    looped = _read(trace_loop, asked, RESULTS if batch is True else _wanted(batch)) if batch else None
+    if looped:
         files[f"{name}_batch.h"] = batch_header(looped, names)
         files[f"{name}_batch.c"] = batch_source(looped, names)
-        files[MANIFEST] = json.dumps(manifest(asked, program, names, looped), indent=1) + "\n"
-    files["README.md"] = readme(asked, program, names, told, [*files, "README.md"])
+    every = [*files, MANIFEST, "README.md"]
+    files[MANIFEST] = json.dumps({"files": every} | manifest(asked, program, names, looped), indent=1) + "\n"
+    files["README.md"] = readme(asked, program, names, told, every)
     with output_folder(out) as folder:
         for file, text in files.items():
             folder.write_text(file, text)

@@ -80,10 +80,7 @@ def _hinted(fn):
 
     def call(*args):
         key = switched_on(), form(), _signature(*jax.tree.flatten(args))
-        made = found.get(key)
-        if made is None:
-            made = found[key] = hinted() if options(plain.trace(*args)) else plain
-        return made(*args)
+        return found.made(key, lambda _: hinted() if options(plain.trace(*args)) else plain)(*args)
 
     return call
 

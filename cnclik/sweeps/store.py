@@ -56,10 +56,10 @@ class Store:
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
 
-    def damaged(self) -> set:
-        """Numbers of the blocks that were done and no longer have their checksum, or can't be read."""
+    def damaged(self, missing) -> set:
+        """Numbers of those missing blocks that were done and no longer have their checksum, or can't be read."""
         known = self._known()
-        return {b.number for b in self.missing() if known[b.number] != _NOT_DONE or self._checksum(b) is None}
+        return {b.number for b in missing if known[b.number] != _NOT_DONE or self._checksum(b) is None}
 
     def without(self, name, damaged) -> np.ndarray:
         """A variable as if some blocks were not done yet; they are not read."""
@@ -328,6 +328,11 @@ def read(folder):
 
     Raises: ArgumentError where there is none, or one whose coordinates are damaged.
     """
+    return read_and_missing(folder)[0]
+
+
+def read_and_missing(folder):
+    """What `read` gives, and how many blocks are not done, or damaged."""
     import xarray
 
     folder = pathlib.Path(folder)
@@ -342,8 +347,11 @@ def read(folder):
         data = xarray.open_zarr(folder / DATA, chunks=None)
     # In the spec's order. A selection would lose the vectors beside the numbers of an axis of samples.
     data = data[list(store.names)].assign_coords(data.coords)
-    damaged = store.damaged()
-    return data.assign({n: v.copy(data=store.without(n, damaged)) for n, v in data.items()}) if damaged else data
+    missing = store.missing()
+    damaged = store.damaged(missing)
+    if damaged:
+        data = data.assign({n: v.copy(data=store.without(n, damaged)) for n, v in data.items()})
+    return data, len(missing)
 
 
 def blocks_missing(folder) -> int:

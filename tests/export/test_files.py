@@ -120,8 +120,11 @@ def test_options_are_checked(options, tmp_path):
 
 def test_the_command_line_writes_the_same(tmp_path, capsys):
     words = ["export", "planar:1,0.8,0.6", "--task", "xy", "--method", "EE", "--damping", "0.1", "--no-cache"]
+    (tmp_path / "cli").mkdir()
+    (tmp_path / "cli" / "mine.txt").write_text("it was there")
     main([*words, "--out", str(tmp_path / "cli"), "--dtype", "float", "--name", "arm_step"])
-    assert "arm_step.c" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "arm_step.c" in said and "mine.txt" not in said
     law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
     ck.export.c(law, out=tmp_path / "python", method="EE", dtype="float", name="arm_step")
     for name in ("arm_step.h", "arm_step.c", "example.c"):
