@@ -196,12 +196,13 @@ def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
     if fn is None:
         return functools.partial(quick_jit, compiler=compiler, **options)
 
-    @functools.lru_cache(maxsize=8)  # one with hints, one without, per backend
-    def compiled(switch, backend):
-        return bounded_jit(fn, compiler_options=known_options(compiler) or None, **options)
+    made = {}  # with hints and without, per backend
 
     def now():
-        return compiled(switched_on(), jax.default_backend())
+        key = switched_on(), jax.default_backend()
+        if key not in made:  # threads that come here at once share the first one, or each would compile its own
+            made.setdefault(key, bounded_jit(fn, compiler_options=known_options(compiler) or None, **options))
+        return made[key]
 
     plain = bounded_jit(fn, **options)
 

@@ -1,5 +1,6 @@
 """Compiler hints and options: under one switch, known to the compiler, and in caches of bounded size."""
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -151,6 +152,26 @@ def test_programs_of_a_function_are_few_and_right(jit, monkeypatch):
         assert raised(2.0, power=k) == 2.0**k
         sizes.append(raised._cache_size())
     assert sizes[:10] == [1, 2, 3, 0, 1, 2, 3, 0, 1, 1]  # the fourth makes room, and what is asked for again is there
+
+
+def test_threads_that_ask_first_at_once_share_one_program(monkeypatch):
+    at_once, traced = threading.Barrier(2), []
+    known = hints.known_options
+
+    def slowly(options):
+        at_once.wait(10)  # both are here before either has made anything
+        return known(options)
+
+    monkeypatch.setattr(hints, "known_options", slowly)
+
+    @hints.quick_jit
+    def twice(x):
+        traced.append(None)
+        return 2 * x
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(twice, (1.0, 1.0))) == [2.0, 2.0]
+    assert len(traced) == 1 and twice._cache_size() == 1
 
 
 def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
