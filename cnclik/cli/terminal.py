@@ -129,7 +129,11 @@ def _stoppable(process):
     as SIGINT behind `&` in a script, stays ignored.
     """
 
+    stopped = False
+
     def end(sent, _):
+        nonlocal stopped
+        stopped = True
         if process:
             faulthandler.dump_traceback_later(_PATIENCE, exit=True, file=nowhere)
         raise _STOPS[sent]
@@ -155,6 +159,5 @@ def _stoppable(process):
             if process:
                 faulthandler.cancel_dump_traceback_later()
             sys.unraisablehook = hook
-            leaving = process and sys.exc_info()[0] is not None  # once is enough
             for sent, handler in before.items():
-                signal.signal(sent, signal.SIG_IGN if leaving else handler)
+                signal.signal(sent, signal.SIG_IGN if process and stopped else handler)  # once is enough
