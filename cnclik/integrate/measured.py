@@ -1,14 +1,16 @@
-"""Measured: the loop as a robot runs it, its error measured with noise, late, and on geometry that the law lacks.
+"""Measured: the loop as a robot runs it, through its drives, measured with noise, on geometry that the law lacks.
 
-All three act through one number per step: the error that is fed back is the measured one, w[k] away from what the
-law's own chain at q[k] would say. A step holds w[k], as a controller does that measures once per sample.
+What is measured of the task acts through one number per step: the error that is fed back is the measured one, w[k]
+away from what the law's own chain would say. A step holds w[k], as a controller does that measures once per sample.
 """
 
 import jax
 import jax.numpy as jnp
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive, driven, measured_joints, resting, sampled
 from cnclik.integrate.history import blank
+from cnclik.integrate.method import named
 from cnclik.integrate.solve import advance, cast, check_arguments, early_steps, evaluations_of
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.law import look
@@ -16,7 +18,7 @@ from cnclik.law.reference import check
 from cnclik.law.shifted import shifted
 from cnclik.record import replace
 from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import in_form
+from cnclik.robot.rolled import in_form, one_off
 
 
 def white_noise(sigma, N: int, m: int, seed=0):
@@ -44,46 +46,82 @@ def _between(task, measured, model):
 
 
 def solve_measured(
-    law, reference, q0, Ts, N: int, method, stage, *, delay: int = 0, noise=None, plant=None, gained=None
+    law, reference, q0, Ts, N: int, method, stage, *, drive=Drive(), noise=None, plant=None, gained=None
 ) -> Trajectory:
-    """`solve` with a measured error: `e` is the true one, measured ones are only fed back. Pure.
+    """`solve` on a robot: through its drives, with what is measured; `q`, `e` and `qdot` are what truly happens. Pure.
 
-    No step is marked GROWING: with noise an error grows and shrinks by chance.
+    The controller steps from the joint values that it looks at; what `Drive` says of them, and of the way from its
+    step to the motion, holds from rest at q0 on. No step is marked GROWING: with noise an error grows and shrinks by
+    chance.
 
     Args:
       law, reference, q0, Ts, N, method, stage: as for `solve`, and what it raises.
-      delay: samples by which the measured error is late; before the first one is there it is taken as e[0].
+      drive: see `Drive`.
       noise: (N, m) added to the measured error at each step [m, rad], or None.
       plant: the chain as it really is, the law's being a model of it; None: the same.
       gained: the law at time t, gained(law, t), where it changes; None: the same.
     """
+    given = _checked(law, reference, q0, Ts, N, method, stage, drive, noise)
+    return _loop(*given, plant, N=N, method=named(method), gained=gained)
+
+
+def solve_driven(law, reference, q0, Ts, N: int, method, stage, *, drive=Drive(), noise=None) -> Trajectory:
+    """`solve_measured`, compiled. Args: as there; the drive is sampled once, before."""
+    given = _checked(law, reference, q0, Ts, N, method, stage, drive, noise)
+    return _compiled(*given, None, N=N, method=named(method))
+
+
+def _checked(law, reference, q0, Ts, N, method, stage, drive, noise):
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     check(reference, law.task)
+    check_drive(drive, law.chain.n)
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    delay, dtype, differs = errors.integer("delay", delay, at_least=0), q0.dtype, plant is not None
-    law, q0 = in_form(law, q0)
-    plant = in_form(plant, q0)[0] if differs else law.chain
-    law, plant, reference, noise, Ts = cast((law, plant, reference, noise, Ts), dtype)
+    return law, reference, q0, Ts, stage, drive, None if drive.prompt else sampled(drive, Ts), noise
+
+
+def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, method, gained=None):
+    dtype, differs = q0.dtype, plant is not None
+    law, start = in_form(law, q0)
+    plant = in_form(plant, start)[0] if differs else law.chain
+    law, plant, reference, noise, Ts, drive, model = cast((law, plant, reference, noise, Ts, drive, model), dtype)
     true_law = replace(law, chain=plant)
-    first = look(true_law, reference, jnp.zeros((), dtype), q0).e
+    commanded = drive.feedback == "commanded"
 
     def one(starting, carry, k):
-        q, past, history = carry
+        q, at_drives, history = carry
         t = k * Ts
-        at = look(true_law, reference, t, q)
-        late = (at.e, *past)
-        measured = late[delay]
+        at, seen = look(true_law, reference, t, q), q
+        if commanded:
+            seen = sp.like(q, at_drives.sent)
+        elif not drive.exact:
+            seen = sp.like(q, measured_joints(drive, sp.packed(q), k))
+        # A camera sees the tip where it is; of its own commands a controller knows what its model says.
+        measured = at.e if seen is q else look(law if commanded else true_law, reference, t, seen).e
         if noise is not None:
             measured = sp.vadd(measured, sp.like(measured, noise[k.astype(int)]))
-        model = look(law, reference, t, q).e if differs else at.e
-        told = shifted(reference, law.task, _between(law.task, measured, model))
+        believed = measured if noise is None and not differs else look(law, reference, t, seen).e
+        told = reference
+        if believed is not measured:
+            told = shifted(reference, law.task, _between(law.task, measured, believed))
         length = jnp.where(k < N, Ts, 0.0)  # see `instants`
         now = law if gained is None else gained(law, t)
-        made = advance(now, told, q, t, length, method, stage, history, starting=starting)
-        return (made.q, late[:delay], made.history), replace(made, q=q, x=at.x(), e=at.e, history=None)
+        made = advance(now, told, seen, t, length, method, stage, history, starting=starting)
+        if model is None:
+            moved = made.q if seen is q else sp.vadd(q, sp.vsub(made.q, seen))
+        else:
+            step = sp.packed(sp.vsub(made.q, seen))
+            at_drives = driven(drive, model, at_drives, sp.packed(seen), step, Ts)
+            moved = sp.like(q, at_drives.x[:, 0])
+        if moved is not made.q:
+            made = replace(made, qdot=sp.scale(1 / Ts, sp.vsub(moved, q)))
+        return (moved, at_drives, made.history), replace(made, q=q, x=at.x(), e=at.e, history=None)
 
     k = jnp.arange(N + 1).astype(dtype)
-    state = q0, (first,) * delay, blank(law, q0, method)
-    found = instants(one, state, k, q0, law.task.m, early=early_steps(method, N))
+    at_drives = None if model is None else resting(drive, model, q0)
+    state = start, at_drives, blank(law, start, method)
+    found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
     return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
+
+
+_compiled = one_off(_loop, static_argnames=("N", "method"))

@@ -15,6 +15,7 @@ from cnclik import errors
 from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance, advanced
+from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.history import History
 from cnclik.integrate.method import DEFAULT, Method, Multistep, named, starter
 from cnclik.integrate.stage import picard
@@ -66,6 +67,7 @@ def solve(
     stage=picard(5),
     *,
     t0: ArrayLike = 0.0,
+    drive: Drive | None = None,
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
@@ -82,6 +84,7 @@ def solve(
         method begins with RK4 (EXP-RK4) steps.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
+      drive: what lies between command and motion, see `Drive`; None: nothing. The loop then begins at t = 0.
 
     Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
@@ -89,6 +92,12 @@ def solve(
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
+    if drive is not None and not (check_drive(drive, law.chain.n).prompt and drive.exact):
+        from cnclik.integrate.measured import solve_driven  # which rests on this module
+
+        if not (errors.concrete(t0) and t0 == 0):
+            raise errors.fail("t0", "be 0 where there is a drive", f"is {t0!r}")
+        return solve_driven(law, reference, q0, Ts, N, method, stage, drive=drive)
     check_time("t0", t0, Ts, q0.dtype, N)
     # Called with numbers, no vmap is around this loop: it may become one native function.
     known = placed(law), placed(reference), placed(stage)

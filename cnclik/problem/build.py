@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import Method, named
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, causal
@@ -20,7 +21,7 @@ from cnclik.problem.names import (
     start_from,
     task_from,
 )
-from cnclik.problem.options import DEFAULTS, OPTIONS, PATH
+from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT
 from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import FUTURES
 
@@ -29,7 +30,10 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they a
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What `solve` needs, `solve(p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage)`, and its name."""
+    """What `solve` needs, `solve(p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage, drive=p.drive)`, and its name.
+
+    `noise` (m,) or a number is the standard deviation of the measured error, or None, and `seed` that of what is drawn.
+    """
 
     name: str
     law: Law
@@ -39,6 +43,14 @@ class Problem:
     N: int
     method: Method
     stage: object
+    drive: Drive = Drive()
+    noise: object = None
+    seed: int = 0
+
+    @property
+    def measured(self) -> bool:
+        """Whether a robot adds something to the loop: it is then run by `run`, not by `solve` alone."""
+        return self.noise is not None or not (self.drive.prompt and self.drive.exact)
 
 
 def problem_from(robot, **options) -> Problem:
@@ -46,7 +58,7 @@ def problem_from(robot, **options) -> Problem:
 
     Args:
       robot: a URDF file, panda, ur5, planar:1,1 …, or a `Chain`.
-      options: names and values of `cnclik.problem.OPTIONS`, which says what each means and its default; None
+      options: names and values of `cnclik.problem.OPTIONS` and `MEASURED`, which say what each means and its default; None
         is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be the
         record itself. Numbers may be traced.
 
@@ -54,8 +66,8 @@ def problem_from(robot, **options) -> Problem:
     """
     given = as_written({name: value for name, value in options.items() if value is not None})
     for key in given:
-        errors.one_of("option", key, OPTIONS)
-    v = dict.fromkeys(OPTIONS) | DEFAULTS | given
+        errors.one_of("option", key, SWEPT)
+    v = dict.fromkeys(SWEPT) | DEFAULTS | given
     if "M" in given and hasattr(v["stage"], "tolerance"):
         raise errors.fail("M", "be left out where `stage` has it", f"is {given['M']!r}")
     Ts = errors.number("Ts", v["Ts"], positive=True)
@@ -84,4 +96,18 @@ def problem_from(robot, **options) -> Problem:
         N=N,
         method=named(v["method"]),
         stage=stage_from(v["stage"], v["M"]),
+        drive=drive_from(chain, **{name: v[name] for name in (*DRIVE, "seed") if v[name] is not None}),
+        noise=v["noise"],
+        seed=errors.integer("seed", v["seed"] or 0, at_least=0),
     )
+
+
+def drive_from(chain, **given) -> Drive:
+    """A `Drive` from its options; several numbers are one per joint."""
+    made = {}
+    for name, value in given.items():
+        value = value[0] if isinstance(value, (tuple, list)) and len(value) == 1 else value
+        if isinstance(value, (tuple, list)):
+            value = errors.array(name, value, (chain.n,))
+        made[name] = value
+    return Drive(**made)

@@ -7,7 +7,7 @@ built.
 from typing import NamedTuple
 
 from cnclik import errors
-from cnclik.problem.words import FUTURES, INVERSES, LIMITS, METHODS, REFERENCES, ROBOTS, STAGES, TASKS
+from cnclik.problem.words import COMMANDS, FEEDBACKS, FUTURES, INVERSES, LIMITS, METHODS, REFERENCES, ROBOTS, STAGES, TASKS
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -80,12 +80,32 @@ OPTIONS = {
                  "by default.", unit="q"),
 }  # fmt: skip
 
-MEASURED = {  # how the error is measured that a loop feeds back: of sweeps alone
-    "delay": Option(INTEGER, "Samples by which the error is late.", 0, must="at least 0"),
-    "noise": Option(NUMBERS, "Standard deviation of white noise of the error, one number or one per task coordinate "
-                    "[m, rad].", unit="m, rad", must="at least 0"),
-    "seed": Option(INTEGER, "Of that noise.", 0, must="at least 0"),
+DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`
+    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones.", 0.0,
+                    must="at least 0"),
+    "lag": Option(NUMBERS, "Time constant of a first-order drive [s], one number or one per joint.", unit="s",
+                  must="positive"),
+    "natural_frequency": Option(NUMBERS, "ω₀ of a second-order drive [rad/s], in place of a lag: √(k_p/m) of a "
+                                "position servo.", unit="rad/s", must="positive"),
+    "damping_ratio": Option(NUMBERS, "ζ of a second-order drive, 1 by default: k_v/(2 m ω₀) of a position servo.",
+                            must="positive"),
+    "command": Option(NAME, f"What a drive takes: {_listed(COMMANDS)}.", "velocity"),
+    "feedback": Option(NAME, f"Joint values that the controller looks at: {_listed(FEEDBACKS)} (measured, and position "
+                       "commands begin there).", "measured"),
+    "drive_velocity": Option(NUMBERS, "Joint velocity beyond which the drive doesn't follow [rad/s, m/s].",
+                             unit="q/s", must="positive"),
+    "drive_acceleration": Option(NUMBERS, "Joint acceleration beyond which the drive doesn't follow [rad/s², m/s²].",
+                                 unit="q/s²", must="positive"),
+    "joint_noise": Option(NUMBERS, "Standard deviation of measured joint values [rad, m].", unit="q",
+                          must="at least 0"),
+    "resolution": Option(NUMBERS, "Resolution of measured joint values [rad, m].", unit="q", must="at least 0"),
 }  # fmt: skip
+NOISE = {
+    "noise": Option(NUMBERS, "Standard deviation of white noise of the measured error, one number or one per task "
+                    "coordinate [m, rad].", unit="m, rad", must="at least 0"),
+    "seed": Option(INTEGER, "Of what is drawn.", 0, must="at least 0"),
+}  # fmt: skip
+MEASURED = DRIVE | NOISE  # what a robot adds to a loop
 SWEPT = OPTIONS | MEASURED
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
@@ -115,6 +135,7 @@ def units(law, width=None) -> dict:
     power = len(law.task.position)
     known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
     known["w"] = known["J"]
+    known |= {f"q/{time}": ", ".join(f"{u}/{time}" for u in dict.fromkeys(law.chain.units)) for time in ("s", "s²")}
     if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
         known["w"] = f"m^{power}"
     return {name: known.get(option.unit, option.unit) for name, option in SWEPT.items() if option.kind != NAME}

@@ -45,3 +45,5 @@ METHODS = (
 )
 STAGES = ("picard", "chord", "newton")
 FUTURES = ("known", "unknown")
+COMMANDS = ("velocity", "position")
+FEEDBACKS = ("measured", "commanded", "rebased")

@@ -5,16 +5,19 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, Method
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.linear import EPS, checked, delay_limit, first_above, least_on
+from cnclik.stability.driven import SLACK, longer, looked_at, modes_of, monotone_limit, own_drives, radius
+from cnclik.stability.linear import checked, delay_limit, first_above, least_on
 from cnclik.stability.spectrum import (
     Spectrum,
     at_rest,
+    directions,
     largest_rate,
     null_radius,
     spectrum_of,
@@ -23,9 +26,7 @@ from cnclik.stability.spectrum import (
     task_radius,
 )
 
-_SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
 REACH = 1e4  # z up to which is looked
-POINTS = 256  # values of z that are looked at together: each is a whole loop's step differentiated
 
 
 @record
@@ -36,7 +37,9 @@ class Recommendation:
       name: "alpha" or "Ts".
       largest: the largest stable value, of the law's alpha's shape; inf where every one is stable.
       fastest: the value with the smallest spectral radius; inf where larger is faster without end.
-      z_largest, z_fastest: alpha·Ts there (largest |eigenvalue| of a gain matrix).
+      monotone: of alpha, the largest value without overshoot; None of Ts.
+      recommended: of alpha, the largest value without overshoot were the dead time a sample longer; None of Ts.
+      z_largest, z_fastest, z_monotone, z_recommended: alpha·Ts there (largest |eigenvalue| of a gain matrix).
       radius: spectral radius at `fastest`: the factor by which a step then multiplies the error.
       limit: what gives way first beyond `largest`, in words.
       direction: (m,) the task direction in which it does.
@@ -46,8 +49,12 @@ class Recommendation:
     name: str
     largest: object
     fastest: object
+    monotone: object
+    recommended: object
     z_largest: float
     z_fastest: float
+    z_monotone: float | None
+    z_recommended: float | None
     radius: float
     limit: str
     direction: np.ndarray
@@ -85,13 +92,13 @@ class Advice:
 
     Attributes:
       gains: `Recommendation` of alpha at this Ts.
-      times: `Recommendation` of Ts at this alpha.
+      times: `Recommendation` of Ts at this alpha; None where there is a drive, which has times of its own.
       margin: `Margin` of the loop as it is.
       spectrum: `Spectrum` of the loop as it is.
     """
 
     gains: Recommendation
-    times: Recommendation
+    times: Recommendation | None
     margin: Margin
     spectrum: Spectrum
 
@@ -105,16 +112,28 @@ class _Loop(NamedTuple):
     method: Method
     stage: object
     rate: float
+    drive: Drive
+
+    def maps(self, scale, Ts):
+        return step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
+
+    def modes(self, z, Ts):
+        """What a step does in the directions of the task, and of the null space, at gains of z; see `modes_of`."""
+        moved, rows = self.maps(np.asarray(z, float) / (self.rate * Ts), np.full(np.shape(z), Ts))
+        _, _, along, across = directions(rows)
+        return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
 
 
-def _loop(law, reference, q, method, stage) -> _Loop:
+def _loop(law, reference, q, method, stage, drive=Drive()) -> _Loop:
     method, stage = checked(method, stage)
-    held = at_rest(law, reference, q)
-    return _Loop(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha))
+    held, drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
+    return _Loop(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive)
 
 
 @in_float64
-def recommend(law, reference, q, *, Ts=None, method=DEFAULT, stage=picard(5), reach=REACH) -> Recommendation:
+def recommend(
+    law, reference, q, *, Ts=None, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH
+) -> Recommendation:
     """Which gain is safe at this sampling time; or, with Ts None, which sampling time at the law's gain. In float64.
 
     The spectral radius of the whole loop at rest (task directions, and null-space directions where a null-space
@@ -127,29 +146,31 @@ def recommend(law, reference, q, *, Ts=None, method=DEFAULT, stage=picard(5), re
       q: (n,) joint values at rest [rad, m], see `settle`.
       Ts: sampling time [s], or None.
       method, stage: as for `solve`.
+      drive: what lies between command and motion, see `Drive`; its limits and noise have no say in this.
       reach: z up to which is looked.
     """
-    return _recommend(_loop(law, reference, q, method, stage), Ts, reach)
+    return _recommend(_loop(law, reference, q, method, stage, drive), Ts, reach)
 
 
 @in_float64
-def margin(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), reach=REACH) -> Margin:
+def margin(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH) -> Margin:
     """The gain margin of a loop at rest: by which factor alpha may grow before it is unstable. In float64.
 
     Args: as for `recommend`.
     """
-    return _margin(_loop(law, reference, q, method, stage), Ts, reach)[1]
+    return _margin(_loop(law, reference, q, method, stage, drive), Ts, reach)[1]
 
 
 @in_float64
-def advise(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), reach=REACH) -> Advice:
+def advise(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH) -> Advice:
     """Safe gains at this Ts, safe Ts at this gain, the margin and the eigenvalues of a loop at rest. In float64.
 
     Args: as for `recommend`.
     """
-    loop = _loop(law, reference, q, method, stage)
+    loop = _loop(law, reference, q, method, stage, drive)
     gains, room, now = _margin(loop, Ts, reach)
-    return Advice(gains=gains, times=_recommend(loop, None, reach), margin=room, spectrum=now)
+    times = _recommend(loop, None, reach) if drive.prompt else None
+    return Advice(gains=gains, times=times, margin=room, spectrum=now)
 
 
 def _margin(loop, Ts, reach):
@@ -157,34 +178,52 @@ def _margin(loop, Ts, reach):
     z = loop.rate * float(errors.number("Ts", Ts, positive=True))
     gains = _recommend(loop, Ts, reach)
     now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage))
-    known = dict(z=z, z_largest=gains.z_largest, margin=gains.z_largest / z, radius=now.radius, limit=gains.limit)
+    task, null = loop.modes(np.array([z]), Ts)
+    size = now.radius if loop.drive.prompt else float(radius(task, loop.drive, Ts)[0])
+    known = dict(z=z, z_largest=gains.z_largest, margin=gains.z_largest / z, radius=size, limit=gains.limit)
     return gains, Margin(**known), now
 
 
 def _recommend(loop, Ts, reach) -> Recommendation:
-    law, rate, reach = loop.law, loop.rate, float(errors.number("reach", reach, positive=True))
+    law, rate, drive = loop.law, loop.rate, loop.drive
+    reach = float(errors.number("reach", reach, positive=True))
     if Ts is not None:
         errors.number("Ts", Ts, positive=True)
+    elif not drive.prompt:
+        raise errors.fail("Ts", "be given where there is a drive", "is None")
 
     def value(z):
-        if Ts is None:
-            return z / rate
+        if Ts is None or z is None:
+            return z if z is None else z / rate
         alpha = np.asarray(law.alpha)
         return np.multiply(alpha, z / (rate * Ts), where=alpha != 0, out=np.zeros(alpha.shape))  # 0·∞ stays 0
 
     def maps(z):
         z = np.asarray(z, float)
         scale, times = (np.ones_like(z), z / rate) if Ts is None else (z / (rate * Ts), np.full_like(z, Ts))
-        return step_maps(law, loop.held, loop.q, scale, times, loop.method, loop.stage)
+        return loop.maps(scale, times)
+
+    def slowest(z):
+        return task_radius(*maps(z)) if drive.prompt else radius(loop.modes(z, Ts)[0], drive, Ts)
 
     def worst(z):
-        moved, rows = maps(z)
-        return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
+        if drive.prompt:
+            moved, rows = maps(z)
+            return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
+        task, null = loop.modes(z, Ts)
+        return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) if callable(law.null_velocity) else 0.0)
 
-    z_largest = first_above(worst, 1 + _SLACK, reach, POINTS)
-    z_fastest, least = least_on(lambda z: task_radius(*maps(z)), min(z_largest, reach), POINTS)
+    points = looked_at(drive, (law.chain.n if own_drives(drive) else 1) * 3)
+    z_largest = first_above(worst, 1 + SLACK, reach, points)
+    z_fastest, least = least_on(slowest, min(z_largest, reach), points)
     if z_fastest >= reach:
         z_fastest = np.inf
+    z_monotone = z_recommended = None
+    if Ts is not None:
+        z_monotone, z_recommended = (
+            monotone_limit(lambda z: loop.modes(z, Ts)[0], one, Ts, z_largest, reach, points)
+            for one in (drive, longer(drive))
+        )
     bounded = np.isfinite(z_largest)
     moved, rows = maps(np.array([z_largest * (1 + 1e-6) if bounded else 1.0]))  # unbounded: only for the direction
     beyond = spectrum_of(moved[0], rows)
@@ -192,10 +231,14 @@ def _recommend(loop, Ts, reach) -> Recommendation:
         name="Ts" if Ts is None else "alpha",
         largest=value(z_largest),
         fastest=value(z_fastest),
+        monotone=value(z_monotone),
+        recommended=value(z_recommended),
         z_largest=z_largest,
         z_fastest=z_fastest,
+        z_monotone=z_monotone,
+        z_recommended=z_recommended,
         radius=least,
-        limit=_what_limits(loop, beyond) if bounded else f"no limit from stability: {_how(loop)} {_why(loop.method)}",
+        limit=_what_limits(loop, beyond) if bounded else f"no limit from stability: {_how(loop)} {_why(loop)}",
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
@@ -204,7 +247,10 @@ def _recommend(loop, Ts, reach) -> Recommendation:
 LATE = 2  # samples, from which on exponential steps have a limit
 
 
-def _why(method) -> str:
+def _why(loop) -> str:
+    if not loop.drive.prompt:
+        return "takes back less of an error than the drive could make grow"
+    method = loop.method
     if not method.exponential:
         return "solves the stiff part"
     late = f"an error {LATE} samples late brings one back, z < {delay_limit(LATE, method):.3g}"
@@ -217,8 +263,10 @@ def _how(loop):
 
 def _what_limits(loop, beyond) -> str:
     """The first thing to give way just beyond the largest stable value, in words."""
-    if beyond.null_radius > max(beyond.radius, 1.0):
+    if callable(loop.law.null_velocity) and beyond.null_radius > max(beyond.radius, 1.0):
         return "limited by the null-space velocity"
+    if not loop.drive.prompt and loop.drive.feedback != "commanded":
+        return "limited by dead time and drive: beyond, the error swings and grows"
     worst = beyond.task[0]
     if abs(worst.imag) > 1e-6:
         change = f"the error turns by {abs(np.degrees(np.angle(worst))):.3g}° per step and grows"

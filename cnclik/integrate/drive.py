@@ -1,0 +1,271 @@
+"""Drive: what lies between a command and the motion, and between the motion and what the controller is told of it.
+
+A command goes through the dead time, is held for a sample, and is followed by G(s): at once, with a lag, or as a
+second-order servo does. Each joint has its own. What is sampled here is exact for a held command; theory and loop use
+the same matrices.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import is_literal, leaf, record
+
+COMMANDS = ("velocity", "position")
+FEEDBACKS = ("measured", "commanded", "rebased")
+MOST = 1000  # samples of dead time
+_QUANTITIES = (  # of all joints or of each
+    *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
+)
+
+
+@record
+class Drive:
+    """What a robot does with a command. As it is, the ideal: motion is what was commanded, and known at once.
+
+    A velocity command is held for a sample and followed by G(s) q̇_c; a position command steps from sample to sample
+    and is followed by G(s) q_c. G(s) = 1, 1/(lag s + 1), or ω₀²/(s² + 2ζω₀ s + ω₀²). A servo with gains k_p and k_v on
+    an inertia m has ω₀² = k_p/m and 2ζω₀ = k_v/m; a velocity servo with gain k_v on m the lag m/k_v.
+
+    Attributes:
+      delay: dead time between command and motion [samples], not only whole ones; known, never traced.
+      lag: time constant of a first-order drive [s], one number or one per joint (n,).
+      natural_frequency, damping_ratio: ω₀ [rad/s] and ζ of a second-order drive, in place of a lag.
+      command: "velocity", or "position": the controller adds up its steps and sends joint values. Without lag both
+        are the same.
+      feedback: which joint values the controller looks at. "measured": the robot's own, what it has commanded being
+        added up for itself; "commanded": its own commands, so that it never learns of drive and dead time; "rebased":
+        measured, and each position command begins there, not at the last command.
+      drive_velocity, drive_acceleration: beyond which the drive doesn't follow a command, a number or (n,)
+        [rad/s, m/s], [rad/s², m/s²]; None: none.
+      joint_noise: standard deviation of measured joint values, a number or (n,) [rad, m]; resolution: of the encoders
+        [rad, m]; seed: of the noise.
+
+    Raises: ArgumentError for values that do not fit.
+    """
+
+    delay: float = 0.0
+    lag: object = 0.0
+    natural_frequency: object = None
+    damping_ratio: object = 1.0
+    command: str = "velocity"
+    feedback: str = "measured"
+    drive_velocity: object = None
+    drive_acceleration: object = None
+    joint_noise: object = 0.0
+    resolution: object = 0.0
+    seed: int = 0
+
+    def __post_init__(self):
+        if not errors.concrete(self.delay):
+            raise errors.fail("delay", "be a known number of samples", "is traced: there is a program for each")
+        errors.number("delay", self.delay, at_least=0)
+        if self.delay > MOST:
+            raise errors.fail("delay", f"be at most {MOST} samples", f"is {float(self.delay):g}")
+        object.__setattr__(self, "delay", float(self.delay))
+        errors.one_of("command", self.command, COMMANDS)
+        errors.one_of("feedback", self.feedback, FEEDBACKS)
+        if self.natural_frequency is not None and not _none(self.lag):
+            raise errors.fail("natural_frequency", "be left out where there is a lag: a drive has one of both", "is given")
+        errors.integer("seed", self.seed, at_least=0)
+        for name in _QUANTITIES:
+            value = getattr(self, name)
+            if value is not None and not _none(value):
+                _check(name, value, zero=name in ("joint_noise", "resolution"))
+                object.__setattr__(self, name, leaf(value))
+
+    @property
+    def order(self) -> int:
+        """Order of G(s)."""
+        return 2 if self.natural_frequency is not None else 0 if _none(self.lag) else 1
+
+    @property
+    def steps_positions(self) -> bool:
+        """Whether what is sampled is a position that steps, and not a velocity."""
+        return self.command == "position" and self.order > 0
+
+    @property
+    def adds_up(self) -> bool:
+        """Whether the controller keeps the sum of its steps, which the loop then depends on."""
+        return self.feedback == "commanded" or (self.steps_positions and self.feedback == "measured")
+
+    @property
+    def ideal(self) -> bool:
+        """Whether motion is what was commanded; what is measured may still be noisy."""
+        return self.order == 0 and self.delay == 0 and self.drive_velocity is self.drive_acceleration is None
+
+    @property
+    def prompt(self) -> bool:
+        """Whether the loop is the one without drives."""
+        return self.ideal and self.feedback != "commanded"
+
+    @property
+    def exact(self) -> bool:
+        """Whether what is measured is the motion itself."""
+        return _none(self.joint_noise) and _none(self.resolution)
+
+    def late_by(self, Ts):
+        """How far a motion at constant speed is behind its command [s]: dead time, and the lag or 2ζ/ω₀."""
+        lag = 2 * self.damping_ratio / self.natural_frequency if self.order == 2 else self.lag
+        return self.delay * Ts + lag
+
+
+def _none(value) -> bool:
+    """Whether a quantity is known not to be there."""
+    return is_literal(value) and value == 0
+
+
+def _check(name, value, *, zero):
+    value = errors.array(name, value, (), (None,))
+    if errors.concrete(value) and np.any(np.asarray(value) < 0 if zero else np.asarray(value) <= 0):
+        raise errors.fail(name, "be at least 0" if zero else "be positive", f"is {float(np.asarray(value).min()):g}")
+
+
+def check_drive(drive, n: int) -> Drive:
+    """The drive; raises ArgumentError unless it is a `Drive` whose arrays fit a chain of n joints."""
+    if not isinstance(drive, Drive):
+        raise errors.fail("drive", "be Drive(...)", f"is {type(drive).__name__}")
+    for name in _QUANTITIES:
+        if np.ndim(getattr(drive, name)) == 1:
+            errors.array(name, getattr(drive, name), (n,))
+    return drive
+
+
+# --- sampled ------------------------------------------------------------------------------------------
+
+
+@record
+class Sampled:
+    """A drive from sample to sample: x[k+1] = Φ x[k] + Γ₀ u[k−d] + Γ₁ u[k−d−1], q = x₀, u the command."""
+
+    phi: object  # (s, s) or (n, s, s)
+    now: object  # (s,) or (n, s)
+    late: object  # the same; None where the dead time is of whole samples
+    whole: int  # d
+
+    @property
+    def size(self) -> int:
+        """States of a joint."""
+        return self.phi.shape[-1]
+
+    @property
+    def remembered(self) -> int:
+        """Commands of the past that still act."""
+        return self.whole + (self.late is not None)
+
+    def moved(self, x, line, u):
+        """States (..., n, s) a sample later and the commands that still act then, from those before and u (..., n)."""
+        line = (u, *line)
+        x = (self.phi @ x[..., None])[..., 0] + self.now * line[self.whole][..., None]
+        if self.late is not None:
+            x = x + self.late * line[self.whole + 1][..., None]
+        return x, line[: self.remembered]
+
+
+def sampled(drive: Drive, Ts) -> Sampled:
+    """The drive at a sampling time, exact for a command that is held (zero-order hold); NumPy's where all is known.
+
+    Γ₀ and Γ₁ are what a command does in the part of a sample that is left when it arrives, and in the part before
+    (Åström & Wittenmark 1997, Section 2.3).
+    """
+    known = all(map(errors.concrete, jax.tree.leaves((drive, Ts))))
+    a, b = _continuous(drive, np if known else jnp)
+    whole = math.floor(drive.delay)
+    share = drive.delay - whole
+    phi, gamma = _held(a, b, Ts * (1.0 - share), known)
+    if share == 0:
+        return Sampled(phi=phi, now=gamma, late=None, whole=whole)
+    first, late = _held(a, b, Ts * share, known)
+    return Sampled(phi=phi @ first, now=gamma, late=(phi @ late[..., None])[..., 0], whole=whole)
+
+
+def _continuous(drive, xp):
+    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis is that of the joints, if any."""
+    if drive.order == 0:
+        return xp.zeros((1, 1)), xp.ones(1)
+    if drive.order == 1:
+        poles = [1.0 / xp.asarray(drive.lag)]
+    else:
+        w, zeta = xp.broadcast_arrays(xp.asarray(drive.natural_frequency), xp.asarray(drive.damping_ratio))
+        poles = [w * w, 2 * zeta * w]
+    size = len(poles) + (not drive.steps_positions)
+    zero, one = xp.zeros_like(poles[0]), xp.ones_like(poles[0])
+    last = [*[zero] * (size - len(poles)), *[-p for p in poles]]
+    rows = [[one if j == i + 1 else zero for j in range(size)] for i in range(size - 1)]
+    a = xp.stack([xp.stack(row, -1) for row in (*rows, last)], -2)
+    return a, xp.stack([*[zero] * (size - 1), poles[0]], -1)
+
+
+def _held(a, b, h, known):
+    """Φ(h) = exp(A h) and Γ(h) = ∫₀ʰ exp(A s) b ds, from one exponential of a larger matrix (Van Loan 1978)."""
+    if known:
+        from scipy.linalg import expm
+
+        xp = np
+    else:
+        from jax.scipy.linalg import expm
+
+        xp = jnp
+    whole = xp.concatenate([a, b[..., None]], -1)
+    whole = xp.concatenate([whole, xp.zeros_like(whole[..., :1, :])], -2)
+    made = expm(whole * h)
+    return made[..., :-1, :-1], made[..., :-1, -1]
+
+
+# --- in a loop ----------------------------------------------------------------------------------------
+
+
+class Driven(NamedTuple):
+    """Where drives are."""
+
+    x: object  # (n, s)
+    line: tuple  # of (n,): commands that have not arrived, the newest first
+    sent: object  # (n,): the sum of the controller's steps
+    limited: object  # (n,), (n,): the last command as the drive took it, and how fast it changed; None without limits
+
+
+def resting(drive: Drive, model: Sampled, q) -> Driven:
+    """At rest at q (n,), and commanded to be there."""
+    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(q)
+    held = q if drive.steps_positions else jnp.zeros_like(q)
+    bounded = not (drive.drive_velocity is drive.drive_acceleration is None)
+    return Driven(x, (held,) * model.remembered, q, (held, jnp.zeros_like(q)) if bounded else None)
+
+
+def driven(drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
+    """A sample later, the controller having asked for a step (n,) from the joint values q (n,) that it looked at."""
+    sent = (q if drive.feedback == "rebased" else at.sent) + step
+    u = sent if drive.steps_positions else step / Ts
+    limited = at.limited
+    if limited is not None:
+        u, limited = _within_limits(drive, u, limited, Ts)
+    x, line = model.moved(at.x, at.line, u)
+    return Driven(x, line, sent, limited)
+
+
+def _within_limits(drive, u, before, Ts):
+    """The command as a drive takes it that is no faster than its limits, and changes its speed no faster."""
+    last, speed = before
+    wanted = (u - last) / Ts if drive.steps_positions else u
+    if drive.drive_acceleration is not None:
+        most = drive.drive_acceleration * Ts
+        wanted = jnp.clip(wanted, speed - most, speed + most)
+    if drive.drive_velocity is not None:
+        wanted = jnp.clip(wanted, -drive.drive_velocity, drive.drive_velocity)
+    u = last + wanted * Ts if drive.steps_positions else wanted
+    return u, (u, wanted)
+
+
+def measured_joints(drive: Drive, q, k):
+    """What the controller is told of joint values q (n,) at step k: with noise, and in steps of the encoders."""
+    if not _none(drive.joint_noise):
+        key = jax.random.fold_in(jax.random.key(drive.seed), jnp.asarray(k).astype(jnp.int32))
+        q = q + drive.joint_noise * jax.random.normal(key, q.shape, q.dtype)
+    if not _none(drive.resolution):
+        steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)
+        q = jnp.where(drive.resolution > 0, steps * jnp.round(q / steps), q)
+    return q

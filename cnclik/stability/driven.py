@@ -1,0 +1,335 @@
+"""Driven: the linear loop through its drives, exactly: its factors, its limits, its responses, its margins.
+
+A controller's step at rest is Δ = Σⱼ Dⱼ y[k−j] of the joint values y that it looks at, measured from where they are to
+be; explicit Euler has D₀ = −z. The sampled drive turns steps into motion (see `cnclik.integrate.drive`), and both
+together are one matrix. With one drive for all joints each eigenvector of Dⱼ is a loop of its own, a "mode".
+"""
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.drive import Drive, sampled
+from cnclik.precision import in_float64
+from cnclik.record import record, replace
+from cnclik.stability.linear import EPS, REACH, amplification, checked, first_above, least_on
+
+SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
+_ZERO = 1e-9  # a factor below this is none
+SWING = 1e-4  # share of a factor by which it may be off the real axis: where two meet rounding parts them
+OVERSHOOT = 0.01  # of a step, up to which it counts as none
+SPARE = 1.0  # samples of dead time beyond the known ones under which a recommended gain still has no overshoot
+WORK = 2e7  # of eigenvalues looked at together: their number times the cube of the matrix's size
+POINTS = 256  # values of z that are looked at together, at most
+LONGEST = 20_000  # samples of a response
+
+
+# --- a loop as a matrix -------------------------------------------------------------------------------
+
+
+def increments(method, stage, z):
+    """D (..., p) of a method: R(z) − 1 of a one-step one, of a multistep formula aⱼ − δ₀ⱼ − z bⱼ."""
+    method, stage = checked(method, stage)
+    z = np.asarray(z)
+    if method.steps == 1 or method.exponential:
+        return (amplification(method, stage, z) - 1.0)[..., None]
+    found = np.zeros((*z.shape, method.steps), z.dtype if np.iscomplexobj(z) else np.float64)
+    found[..., : len(method.a)] += method.a
+    found[..., 0] -= 1.0
+    found[..., : len(method.b)] -= z[..., None] * np.array(method.b)
+    return found
+
+
+def loop_matrix(steps, drive: Drive, Ts: float):
+    """The matrix (..., S, S) of a loop whose step is Σⱼ Dⱼ y[k−j], D (..., p, n, n): what its own code makes of unit
+    vectors.
+
+    The state is the drives' (n, s), the sum of the steps where the loop depends on it, the commands under way, and
+    the joint values that the method remembers.
+    """
+    model, (p, n, _) = sampled(drive, Ts), steps.shape[-3:]
+    count = model.size + drive.adds_up + model.remembered + p - 1
+    units = np.eye(n * count)
+    x = units[:, : n * model.size].reshape(-1, n, model.size)
+    rest = list(np.moveaxis(units[:, n * model.size :].reshape(n * count, -1, n), 1, 0))
+    sent = rest.pop(0) if drive.adds_up else 0.0
+    line, older = tuple(rest[: model.remembered]), rest[model.remembered :]
+    seen = sent if drive.feedback == "commanded" else x[..., 0]
+    past = [seen, *older]
+    step = sum(v @ np.swapaxes(steps[..., j, :, :], -1, -2) for j, v in enumerate(past))
+    sent = (seen if drive.feedback == "rebased" else sent) + step
+    x, line = model.moved(x, line, sent if drive.steps_positions else step / Ts)
+    parts = [x.reshape(*x.shape[:-2], -1), *[sent] * drive.adds_up, *line, *past[: p - 1]]
+    shape = np.broadcast_shapes(*(v.shape[:-1] for v in parts))
+    return np.swapaxes(np.concatenate([np.broadcast_to(v, (*shape, v.shape[-1])) for v in parts], -1), -1, -2)
+
+
+def _looked_at(drive) -> Drive:
+    """The drive as the loop knows it: of its own commands it learns nothing else."""
+    return Drive() if drive.feedback == "commanded" else drive
+
+
+def driven_factors(steps, drive: Drive, Ts: float):
+    """All factors (..., S) of modes whose step is Σⱼ Dⱼ y[k−j], D (..., p), one drive for all joints."""
+    return np.linalg.eigvals(loop_matrix(np.asarray(steps)[..., None, None], _looked_at(drive), Ts))
+
+
+def modes_of(moved, basis, drive):
+    """Steps D of maps of the joints (k, p·n, p·n), see `spectrum.one_step`, on the directions of a basis (n, r).
+
+    Returns: (k, r, p) modes; or, where joints differ in their drives, (k, p, n, n): such directions do not part.
+    """
+    n, r = basis.shape
+    p = moved.shape[-1] // n
+    steps = np.moveaxis(moved[:, :n].reshape(len(moved), n, p, n), 2, 1)
+    steps = steps - np.eye(n) * (np.arange(p) == 0)[:, None, None]
+    if own_drives(drive):
+        across = basis @ basis.T
+        return across @ steps @ across
+    steps = basis.T @ steps @ basis
+    finite = np.isfinite(steps).all((1, 2, 3))
+    newest = np.where(finite[:, None, None], steps[:, 0], np.eye(r))
+    if p == 1:
+        found = np.linalg.eigvals(newest)[..., None]
+    else:
+        _, vectors = np.linalg.eig(newest)
+        found = np.linalg.solve(vectors[:, None], steps @ vectors[:, None])
+        found = np.moveaxis(np.diagonal(found, axis1=-2, axis2=-1), 1, 2)
+    found = np.where(finite[:, None, None], found, np.nan)
+    one = np.nanmax(np.abs(found - found[:, :1]), initial=0.0) < _ZERO  # exact J# and one gain: all are alike
+    return found[:, :1] if one else found
+
+
+def radius(steps, drive, Ts):
+    """Spectral radius (...) of modes (..., r, p), or of matrices (..., p, n, n) where each joint has a drive of its own;
+    inf where not finite, 0 of no mode."""
+    return np.abs(_all_factors(steps, drive, Ts)).max(-1, initial=0.0)
+
+
+def _all_factors(steps, drive, Ts):
+    axes = (-3, -2, -1) if own_drives(drive) else (-2, -1)
+    finite = np.isfinite(steps).all(axes)
+    steps = np.where(np.expand_dims(finite, axes), steps, 0.0)
+    if own_drives(drive):
+        found = np.linalg.eigvals(loop_matrix(steps, _looked_at(drive), Ts))
+        still = np.argsort(np.abs(found - 1.0), -1)[..., : _idle(steps)]  # what no step moves stays where it is
+        np.put_along_axis(found, still, 0.0, -1)
+    else:
+        found = driven_factors(steps, drive, Ts)
+        found = found.reshape(*found.shape[:-2], -1)
+    return np.where(finite[..., None], found, np.inf)
+
+
+def _idle(steps) -> int:
+    """How many directions of the joints matrices (..., p, n, n) leave alone."""
+    newest = steps.reshape(-1, *steps.shape[-3:])[:, 0]
+    size = np.linalg.svd(newest, compute_uv=False)
+    return int(np.sum(size <= 1e-9 * np.maximum(size[:, :1], _ZERO), -1).min(initial=newest.shape[-1]))
+
+
+def own_drives(drive) -> bool:
+    """Whether joints differ in their drives."""
+    return any(np.ndim(v) == 1 for v in (drive.lag, drive.natural_frequency, drive.damping_ratio))
+
+
+def swings(steps, drive, Ts):
+    """How far the slowest factor is from one of an error that keeps its sign: |Im λ|/|λ|, or 2 for a negative λ."""
+    found = _all_factors(steps, drive, Ts)
+    size = np.abs(found)
+    slowest = size >= size.max(-1, keepdims=True) * (1 - 1e-6)
+    with np.errstate(all="ignore"):
+        off = np.where(found.real < 0, 2.0, np.abs(found.imag)) / np.where(found.real < 0, 1.0, np.maximum(size, EPS))
+    off = np.where(np.isfinite(found) & (size > _ZERO), off, np.where(np.isfinite(found), 0.0, np.inf))
+    return np.where(slowest, off, 0.0).max(-1)
+
+
+# --- limits -------------------------------------------------------------------------------------------
+
+
+@record
+class DrivenLimits:
+    """What z = alpha·Ts a loop through its drives bears; inf where there is no limit.
+
+    Attributes:
+      stable: largest z that is stable.
+      monotone: largest z without overshoot: the slowest factor is real, and a step overshoots by at most 1 %.
+      recommended: largest z without overshoot if the dead time were longer by a sample.
+      fastest, rate: z of the least spectral radius, and that.
+    """
+
+    stable: float
+    monotone: float
+    recommended: float
+    fastest: float
+    rate: float
+
+
+def limits_of(modes, drive, Ts, *, reach=REACH, size=2) -> DrivenLimits:
+    """`DrivenLimits` of a loop given by its steps: modes(z) for z (k,) is (k, r, p), see `driven_factors`, or
+    (k, p, n, n) where joints differ in their drives.
+
+    Args:
+      reach: z up to which is looked. size: states of the matrix beside those of the dead time.
+    """
+    points = looked_at(drive, size)
+    stable = first_above(lambda z: radius(modes(z), drive, Ts), 1 + SLACK, reach, points)
+    fastest, rate = least_on(lambda z: radius(modes(z), drive, Ts), min(stable, reach), points)
+    return DrivenLimits(
+        stable=stable,
+        monotone=monotone_limit(modes, drive, Ts, stable, reach, points),
+        recommended=monotone_limit(modes, longer(drive), Ts, stable, reach, points),
+        fastest=np.inf if fastest >= reach else fastest,
+        rate=rate,
+    )
+
+
+def looked_at(drive, size: int) -> int:
+    """How many values of z are looked at together: of matrices of this size and the dead time's."""
+    return int(np.clip(WORK / (size + drive.delay) ** 3, 32, POINTS))
+
+
+def longer(drive) -> Drive:
+    """The drive with the dead time that a recommended gain is safe for."""
+    return replace(drive, delay=drive.delay + SPARE)
+
+
+def monotone_limit(modes, drive, Ts, stable, reach, points):
+    """Largest z up to `stable` without overshoot, see `DrivenLimits`. Args: as for `limits_of`."""
+    found = first_above(lambda z: swings(modes(z), drive, Ts), SWING, min(stable, reach), points)
+    found = min(stable, found)
+    if own_drives(drive) or not np.isfinite(found):
+        return found
+    if overshoot(modes(np.array([found]))[0], drive, Ts) <= OVERSHOOT:
+        return found
+    low, high = 0.0, found
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        kept = overshoot(modes(np.array([middle]))[0], drive, Ts) <= OVERSHOOT
+        low, high = (middle, high) if kept else (low, middle)
+    return low
+
+
+@in_float64
+def driven_limits(method="EE", stage=None, *, Ts: float, drive: Drive = Drive()) -> DrivenLimits:
+    """Largest stable, monotone, recommended and fastest z of a method through a drive, exact J#. In float64.
+
+    Pure dead time of d samples and explicit Euler: stable to 2 sin(π/(2(2d + 1))), monotone to d^d/(d + 1)^(d + 1).
+    A second-order drive, measured joints and a fast loop: stable to alpha = 2ζω₀, which is k_v/m.
+
+    Args:
+      method, stage: as for `amplification`. Ts: sampling time [s]. drive: one for all joints.
+    """
+    method, stage = checked(method, stage)
+    errors.number("Ts", Ts, positive=True)
+    if own_drives(drive):
+        raise errors.fail("drive", "be one for all joints (`advise` takes one for each)", "has several numbers")
+    return limits_of(lambda z: increments(method, stage, z)[..., None, :], drive, float(Ts))
+
+
+# --- responses ----------------------------------------------------------------------------------------
+
+
+def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
+    """A mode in time, from rest at 0: motion q (N + 1,), and steps (N,).
+
+    Args:
+      steps: (p,) D of the mode. target: (N,) where it is to be. forward: velocity that is fed forward.
+      noise: (N,) added to what is measured, or None.
+    """
+    model, N = sampled(drive, Ts), len(target)
+    x, sent = np.zeros((1, model.size)), np.zeros(1)
+    line, past = (np.zeros(1),) * model.remembered, [0.0] * len(steps)
+    q, asked = np.zeros(N + 1), np.zeros(N)
+    for k in range(N):
+        seen = float(sent[0] if drive.feedback == "commanded" else x[0, 0])
+        looked = seen if noise is None or drive.feedback == "commanded" else seen + noise[k]
+        past = [looked - target[k], *past[:-1]] if k else [looked - target[k]] * len(steps)
+        step = float(np.dot(steps, past)) + forward * Ts
+        asked[k] = step
+        sent = np.array([(looked if drive.feedback == "rebased" else sent[0]) + step])
+        x, line = model.moved(x, line, sent if drive.steps_positions else np.array([step / Ts]))
+        q[k + 1] = x[0, 0]
+    return q, asked
+
+
+def _long(steps, drive, Ts, share=1e-3) -> int:
+    """Samples until a mode has settled to a share."""
+    worst = float(np.abs(driven_factors(steps, drive, Ts)).max())
+    wanted = np.log(share) / np.log(worst) if 0 < worst < 1 else LONGEST
+    return int(np.clip(2 * wanted + 4 * drive.delay + 50, 50, LONGEST))
+
+
+def overshoot(steps, drive, Ts) -> float:
+    """By how much of a step the modes (r, p) move beyond the target, at most."""
+    found = 0.0
+    for one in _different(steps):
+        q, _ = respond(one.real, drive, Ts, np.ones(_long(one, drive, Ts)))
+        found = max(found, float(q.max()) - 1.0)
+    return found if np.isfinite(found) else np.inf
+
+
+def settling(steps, drive, Ts, share=0.02) -> float:
+    """Time until the modes (r, p) stay within a share of a step [s]; inf where they don't."""
+    last = 0
+    for one in _different(steps):
+        q, _ = respond(one.real, drive, Ts, np.ones(_long(one, drive, Ts)))
+        outside = np.flatnonzero(~(np.abs(q - 1.0) <= share))
+        if outside[-1] == len(q) - 1:
+            return np.inf
+        last = max(last, int(outside[-1]) + 1)
+    return last * Ts
+
+
+def noise_gain(steps, drive, Ts) -> tuple:
+    """Standard deviations of motion, and of the commanded velocity [1/s], per unit of white noise of what is measured:
+    the root of the sum of the squares of what one disturbed measurement does. Of the worst of the modes (r, p)."""
+    motion = speed = 0.0
+    for one in _different(steps):
+        N = _long(one, drive, Ts)
+        q, asked = respond(one.real, drive, Ts, np.zeros(N), noise=np.eye(1, N)[0])
+        motion, speed = max(motion, float(np.linalg.norm(q))), max(speed, float(np.linalg.norm(asked)) / Ts)
+    return motion, speed
+
+
+def _different(steps):
+    """The modes (r, p) that differ by more than rounding."""
+    return np.unique(np.round(steps, 9), axis=0)
+
+
+# --- margins ------------------------------------------------------------------------------------------
+
+
+def open_loop(steps, drive: Drive, Ts: float, omega):
+    """L(e^{iω}) (k,) of a mode (p,), 1 + L = 0 being its characteristic equation; ω in radians per sample."""
+    model, zeta = sampled(_looked_at(drive), Ts), np.exp(1j * np.asarray(omega))
+    d = sum(v * zeta**-j for j, v in enumerate(steps))
+    phi, now, late = (np.broadcast_to(v, v.shape) for v in (model.phi, model.now, model.now * 0))
+    late = late if model.late is None else model.late
+    force = now * zeta[:, None] ** -model.whole + late * zeta[:, None] ** -(model.whole + 1)
+    eye = np.eye(model.size)
+    motion = np.linalg.solve(zeta[:, None, None] * eye - phi, force[..., None])[:, 0, 0]  # of a command
+    if not drive.steps_positions or drive.feedback == "commanded":
+        return -d * motion / Ts
+    if drive.feedback == "rebased":
+        return -(1.0 + d) * motion
+    return -d * motion / (1.0 - 1.0 / zeta)  # commands are the sums of steps
+
+
+def delay_margin(steps, drive, Ts) -> float:
+    """Samples of dead time that the modes (r, p) bear beyond what there is: least phase margin over its frequency.
+
+    inf where the loop's gain is nowhere 1, as for commanded feedback, which knows no dead time.
+    """
+    if drive.feedback == "commanded":
+        return np.inf
+    least = np.inf
+    omega = np.geomspace(1e-6, np.pi, 20_001)
+    for one in _different(steps):
+        gain = open_loop(one, drive, Ts, omega)
+        size = np.abs(gain)
+        cross = np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) <= 0)
+        for i in cross:
+            share = (np.log(size[i])) / (np.log(size[i]) - np.log(size[i + 1]) + EPS)
+            at = omega[i] * (omega[i + 1] / omega[i]) ** np.clip(share, 0, 1)
+            phase = np.angle(-open_loop(one, drive, Ts, np.array([at]))[0]) % (2 * np.pi)
+            least = min(least, phase / at)
+    return float(least)
