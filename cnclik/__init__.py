@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.compilation import use_cache
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
+    from cnclik.integrate.drive import Drive
     from cnclik.integrate.history import History
     from cnclik.integrate.lanes import lanes
     from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method, exponential
@@ -71,6 +72,7 @@ _ON_USE = {
     "compilation": "use_cache",
     "errors": "ArgumentError",
     "hints": "use_form use_hints",
+    "integrate.drive": "Drive",
     "integrate.history": "History",
     "integrate.lanes": "lanes",
     "integrate.method": "CN EE HEUN IE METHODS MIDPOINT RK4 TRAPEZOID Method exponential",
@@ -106,7 +108,7 @@ _ON_USE = {
     "tuning.tune": "tune",
 }
 __all__ = [
-    *("ArgumentError", "CN", "Chain", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method"),
+    *("ArgumentError", "CN", "Chain", "Drive", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method"),
     *("Metrics", "Multistep", "Pose", "RK4", "ReachStatus", "Reached", "Reference", "Status", "Step", "StepError"),
     *("TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate", "causal", "chord", "circle", "damped"),
     *("exponential", "export", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),

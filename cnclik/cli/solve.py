@@ -8,13 +8,13 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, as_options
-from cnclik.cli.problem import ProblemOptions, problem, table
+from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, ProblemOptions):
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
 
     out: Path = Path("solved")
@@ -29,6 +29,7 @@ def run(args: Args) -> None:
     from rich.console import Console
 
     from cnclik.hints import as_here
+    from cnclik.integrate.drive import Drive
     from cnclik.measure.files import save_csv, save_netcdf
     from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
@@ -36,7 +37,7 @@ def run(args: Args) -> None:
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
-    asked = dict(Ts=made.Ts, method=made.method, stage=made.stage)
+    asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     with output_folder(args.out) as folder:
@@ -52,7 +53,7 @@ def run(args: Args) -> None:
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
-    print(f"{_loop(made)}, along {args.reference}")
+    print(f"{_loop(made)}, along {args.reference}{_drive(made)}")
     Console().print(_summary(made, trajectory, seconds))
     print(as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}"))
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
@@ -74,6 +75,21 @@ def _loop(made) -> str:
     return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, alpha = {alpha} 1/s, z = alpha·Ts = {z}"
 
 
+def _drive(made) -> str:
+    """What a robot adds, such as "; 2 samples of dead time, drives 20 ms behind their commands"."""
+    import numpy as np
+
+    drive = made.drive
+    if drive is None or (drive.prompt and drive.exact):
+        return ""
+    said = [f"{drive.delay:g} samples of dead time"] * bool(drive.delay)
+    if drive.order:
+        late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
+        said.append(f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands")
+    said.append(f"feedback {drive.feedback}")
+    return f"; {', '.join(said)}"
+
+
 def _march(made, report):
     """The whole trajectory, in pieces that tell of progress, and the time per step once compiled [s]."""
     import jax
@@ -81,6 +97,8 @@ def _march(made, report):
     from cnclik.integrate.solve import solve
     from cnclik.integrate.trajectory import join, truncate
 
+    if made.noise is not None or made.drive is not None:
+        return _driven(made, report)
     size = made.N if made.method.steps > 1 else min(made.N, PIECE)  # a memory would begin anew with every piece
     pieces = -(-made.N // size)  # the last one may run past N; what is beyond is cut off
 
@@ -99,6 +117,25 @@ def _march(made, report):
         seconds += more
         report(min((k + 1) * size, made.N), made.N)
     return truncate(join(parts), made.N), seconds / (pieces * size)
+
+
+def _driven(made, report):
+    """The same through the robot's drives, in one piece: what is under way would begin anew with every piece."""
+    import jax
+    import numpy as np
+
+    from cnclik.integrate.drive import Drive
+    from cnclik.integrate.measured import solve_driven, white_noise
+
+    noise = None if made.noise is None else white_noise(made.noise, made.N, made.law.task.m, made.seed)
+    loop = made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage
+    report(0, made.N)
+    for again in range(2):  # the first compiles
+        begun = time.perf_counter()
+        found = jax.block_until_ready(solve_driven(*loop, drive=made.drive or Drive(), noise=noise))
+        seconds = time.perf_counter() - begun
+        report((again + 1) * made.N // 2, made.N)
+    return jax.tree.map(np.asarray, found), seconds / made.N
 
 
 def _rows(data):

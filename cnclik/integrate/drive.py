@@ -18,6 +18,7 @@ from cnclik.record import is_literal, leaf, record
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
 MOST = 1000  # samples of dead time
+_ABSENT = ("lag", "joint_noise", "resolution")  # not there where they are 0
 _QUANTITIES = (  # of all joints or of each
     *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
 )
@@ -74,7 +75,7 @@ class Drive:
         errors.number("seed", self.seed, at_least=0)
         for name in _QUANTITIES:
             value = getattr(self, name)
-            if value is not None and not _none(value):
+            if value is not None and not (_none(value) and name in _ABSENT):
                 _check(name, value, zero=name in ("joint_noise", "resolution"))
                 object.__setattr__(self, name, leaf(value))
 

@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import ticker
 
 from cnclik.show import style
 
@@ -60,7 +61,8 @@ def operating(field, tuned):
     lines = axis.contour(*plane, levels=[0.2, 0.4, 0.6, 0.8], colors="0.35", linewidths=0.4)
     axis.clabel(lines, fontsize=6, fmt="%.1f")
     axis.contour(*plane, levels=[1.0], colors="black", linewidths=1.0)
-    axis.contour(*plane, levels=[tuned.margin], colors=style.VERMILION, linewidths=1.0, linestyles="--")
+    if tuned.margin < 1:
+        axis.contour(*plane, levels=[tuned.margin], colors=style.VERMILION, linewidths=1.0, linestyles="--")
     axis.set(xscale="log", yscale="log", xlabel=f"{field.attrs['gain']} [1/s]", ylabel="sampling time [s]")
     axis.grid(False)
     low, high = float(field.alpha[0]), float(field.alpha[-1])
@@ -71,10 +73,10 @@ def operating(field, tuned):
     ):
         if low <= x <= high:
             axis.plot(x, y, marker=marker, color=color, label=label, **point)
-    for level, look, label in (
-        (1.0, {"color": "black"}, "stable to here"),
-        (tuned.margin, {"color": style.VERMILION, "linestyle": "--"}, f"margin {tuned.margin:g}"),
-    ):
+    edges = [(1.0, {"color": "black"}, "stable to here")]
+    if tuned.margin < 1:
+        edges.append((tuned.margin, {"color": style.VERMILION, "linestyle": "--"}, f"margin {tuned.margin:g}"))
+    for level, look, label in edges:
         if float(field.radius.min()) < level < float(field.radius.max()):
             axis.plot([], [], linewidth=1.0, label=label, **look)
     axis.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
@@ -84,7 +86,7 @@ def operating(field, tuned):
 def front(tuned):
     """Loss of gains of other sizes, against the noise that they pass on and the further dead time that they bear."""
     data, kept = tuned.front, tuned.front["violation"] <= 1e-6
-    figure, panels = plt.subplots(1, 2, figsize=(style.COLUMN, 2.4), sharey=True)
+    figure, panels = plt.subplots(2, 1, figsize=(style.COLUMN, 3.8))
     names = (("noise_gain", "noise gain"), ("delay_margin", "dead time to spare [samples]"))
     for panel, (name, label) in zip(panels, names, strict=True):
         x = np.where(np.isfinite(data[name]), data[name], np.nan)
@@ -94,8 +96,11 @@ def front(tuned):
             panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.COLORS[0], markersize=4, label=word)
         after = getattr(tuned.after, name)
         panel.plot([after], [tuned.after.loss], "D", color=style.VERMILION, markersize=6, label="recommended", zorder=5)
-        panel.set(xscale="log", yscale="log", xlabel=label)
-    panels[0].set_ylabel(f"loss: {tuned.loss}")
+        panel.set(xscale="log", yscale="log", xlabel=label, ylabel=f"loss: {tuned.loss}")
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter(ticker.FormatStrFormatter("%.3g"))
+            axis.set_minor_formatter(ticker.NullFormatter())
     panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
     return figure
 

@@ -7,6 +7,7 @@ sentence (`verdict`). What advises computes in float64 by itself, whatever JAX's
 
 from cnclik.measure.outcome import Ending, Outcome, outcome
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound, sampled_attraction
+from cnclik.stability.driven import DrivenLimits, driven_factors, driven_limits
 from cnclik.stability.linear import (
     RealAxisLimits,
     amplification,
@@ -20,6 +21,7 @@ from cnclik.stability.linear import (
 )
 from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map
 from cnclik.stability.plane import plane
+from cnclik.stability.practice import Practice, practice
 from cnclik.stability.recommend import Advice, Margin, Recommendation, advise, margin, recommend
 from cnclik.stability.responses import responses
 from cnclik.stability.spectrum import (
@@ -36,10 +38,10 @@ from cnclik.stability.spectrum import (
 )
 from cnclik.stability.verdict import Behaviour, Verdict, verdict
 
-__all__ = ["Advice", "Behaviour", "Ending", "Margin", "Outcome", "RealAxisLimits", "Recommendation", "Spectrum"]
-__all__ += ["Verdict"]
+__all__ = ["Advice", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "Practice", "RealAxisLimits"]
+__all__ += ["Recommendation", "Spectrum", "Verdict"]
 __all__ += ["advise", "agreement", "amplification", "at_rest", "attraction_radius", "certified_radius"]
-__all__ += ["curvature_bound", "delay_limit", "delayed_radius", "gain_per_second", "gain_per_step", "largest_rate"]
-__all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "real_axis_limits", "recommend"]
+__all__ += ["curvature_bound", "delay_limit", "delayed_radius", "driven_factors", "driven_limits", "gain_per_second", "gain_per_step", "largest_rate"]
+__all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "practice", "real_axis_limits", "recommend"]
 __all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
 __all__ += ["stability_map", "stability_region", "step_maps", "task_map", "task_radius", "verdict"]

@@ -21,6 +21,7 @@ OVERSHOOT = 0.01  # of a step, up to which it counts as none
 SPARE = 1.0  # samples of dead time beyond the known ones under which a recommended gain still has no overshoot
 WORK = 2e7  # of eigenvalues looked at together: their number times the cube of the matrix's size
 POINTS = 256  # values of z that are looked at together, at most
+FAR = 1e12  # times the input, beyond which a response is not followed
 LONGEST = 20_000  # samples of a response
 
 
@@ -255,6 +256,9 @@ def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
     line, past = (np.zeros(1),) * model.remembered, [0.0] * len(steps)
     q, asked = np.zeros(N + 1), np.zeros(N)
     for k in range(N):
+        if not abs(x[0, 0]) < FAR:  # it grows: what follows is no number
+            q[k + 1 :], asked[k:] = np.inf, np.inf
+            break
         seen = float(sent[0] if drive.feedback == "commanded" else x[0, 0])
         looked = seen if noise is None or drive.feedback == "commanded" else seen + noise[k]
         past = [looked - target[k], *past[:-1]] if k else [looked - target[k]] * len(steps)
@@ -268,7 +272,9 @@ def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
 
 def until_settled(steps, drive, Ts, share=1e-3) -> int:
     """Samples until a mode has settled to a share."""
-    worst = float(np.abs(driven_factors(steps, drive, Ts)).max())
+    own = np.abs(np.linalg.eigvals(sampled(drive, Ts).phi)).ravel()  # of which a commanded loop knows nothing
+    factors = np.abs(driven_factors(steps, drive, Ts)).ravel()
+    worst = float(np.concatenate([factors, own[own < 1 - _ZERO]]).max())
     wanted = np.log(share) / np.log(worst) if 0 < worst < 1 else LONGEST
     return int(np.clip(2 * wanted + 4 * drive.delay + 50, 50, LONGEST))
 
@@ -287,7 +293,8 @@ def settling(steps, drive, Ts, share=0.02) -> float:
     last = 0
     for one in _different(steps):
         q, _ = respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))
-        outside = np.flatnonzero(~(np.abs(q - 1.0) <= share))
+        with np.errstate(invalid="ignore"):
+            outside = np.flatnonzero(~(np.abs(q - 1.0) <= share))
         if outside[-1] == len(q) - 1:
             return np.inf
         last = max(last, int(outside[-1]) + 1)

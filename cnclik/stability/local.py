@@ -5,9 +5,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from cnclik.integrate.drive import Drive
 from cnclik.law import reference as ref
 from cnclik.robot.rolled import one_off
-from cnclik.stability.spectrum import step_maps, task_radius
+from cnclik.stability.driven import modes_of, radius
+from cnclik.stability.spectrum import directions, step_maps, task_radius
 
 GAINS = 256  # looked at together
 LEAST = 1e-15  # share of the gain down to which a stable one is looked for
@@ -37,11 +39,19 @@ def maps(law, at: Instant, scale, Ts, method, stage):
     return step_maps(law, at.reference, at.q, scale, np.full(len(scale), float(Ts)), method, stage)
 
 
-def stable_share(law, at: Instant, Ts, method, stage) -> float:
+def radii(law, at: Instant, scale, Ts, method, stage, drive=Drive()):
+    """Spectral radius over the task's directions at an instant for gains scale·alpha (k,)."""
+    moved, rows = maps(law, at, scale, Ts, method, stage)
+    if drive.prompt:
+        return task_radius(moved, rows)
+    return radius(modes_of(moved, directions(rows)[2], drive), drive, float(Ts))
+
+
+def stable_share(law, at: Instant, Ts, method, stage, drive=Drive()) -> float:
     """Share of the gain up to which the loop is stable at an instant, to 1 %: 1 if all of it is, 0 below LEAST."""
 
     def bad(scale):
-        return ~(task_radius(*maps(law, at, scale, Ts, method, stage)) <= 1 + _NOISE)
+        return ~(radii(law, at, scale, Ts, method, stage, drive) <= 1 + _NOISE)
 
     for top in np.geomspace(1, LEAST, 6)[:-1]:  # three decades at a time
         grid = np.geomspace(top * 1e-3, top, GAINS)
@@ -55,10 +65,10 @@ def stable_share(law, at: Instant, Ts, method, stage) -> float:
     return 0.0
 
 
-def fastest_share(law, at: Instant, Ts, method, stage) -> float:
+def fastest_share(law, at: Instant, Ts, method, stage, drive=Drive()) -> float:
     """Share of the gain, at most 1, with which the loop settles soonest at an instant."""
     grid = np.linspace(0, 1, GAINS + 1)[1:]
     for _ in range(2):
-        best = grid[np.argmin(task_radius(*maps(law, at, grid, Ts, method, stage)))]
+        best = grid[np.argmin(radii(law, at, grid, Ts, method, stage, drive))]
         grid = np.minimum(best + (np.arange(GAINS) - GAINS // 2) / (GAINS // 2) / GAINS, 1.0)
     return float(best)

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
@@ -25,9 +26,10 @@ from cnclik.record import record, replace
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
 from cnclik.stability.linear import checked
-from cnclik.stability.local import Instant, fastest_share, maps, stable_share, targets
+from cnclik.stability.driven import each_drive, modes_of, overshoot
+from cnclik.stability.local import Instant, fastest_share, maps, radii, stable_share, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
-from cnclik.stability.spectrum import at_rest, check_loop, null_radius, spectrum_of, task_radius
+from cnclik.stability.spectrum import at_rest, check_loop, directions, null_radius, spectrum_of
 
 REVERSING = 0.15  # share of the joint speed that the next step takes back, from which on a loop shakes
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
@@ -77,11 +79,11 @@ class Verdict:
 
 
 @in_float64
-def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5)) -> Verdict:
+def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> Verdict:
     """What a run did, why, and what to do about it: pure description, nothing is run again. In float64.
 
     Args:
-      law, reference, Ts, method, stage: what was run, see `solve`.
+      law, reference, Ts, method, stage, drive: what was run, see `solve`.
       run: its `Trajectory`, one lane.
     Raises: ArgumentError for a run of several lanes or of no step, or one with another Ts.
     """
@@ -94,7 +96,7 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5)) -> Verd
     step = float(run.t[-1] - run.t[0]) / len(run.residual)
     if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
-    case = _case(law, reference, run, float(Ts), method, stage)
+    case = _case(law, reference, run, float(Ts), method, stage, check_drive(drive, law.chain.n))
     kind, what, remedy = _judged(case)
     return Verdict(
         kind=kind,
@@ -107,7 +109,7 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5)) -> Verd
 
 
 @in_float64
-def prepare(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5)) -> None:
+def prepare(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> None:
     """Compile what `verdict` will ask of such a run: beside other work, for who is going to ask."""
     _, end, _ = _instants(law, reference, np.tile(q, (LOOKED_AT + 1, 1)), np.zeros(LOOKED_AT + 1))
     maps(law, end, np.ones(1), float(Ts), *checked(method, stage))
@@ -117,7 +119,7 @@ class _Case(NamedTuple):
     """A run, the loop behind it, and what its step does where the run ended."""
 
     law: Law
-    loop: tuple  # Ts, method, stage
+    loop: tuple  # Ts, method, stage, drive
     seen: Observed
     t: np.ndarray  # (N + 1,)
     end: Instant
@@ -133,7 +135,7 @@ class _Case(NamedTuple):
     size: str  # of the late error, in words
 
 
-def _case(law, reference, run, Ts, method, stage) -> _Case:
+def _case(law, reference, run, Ts, method, stage, drive) -> _Case:
     seen = observe(law, run, Ts)
     t, q, e = (np.asarray(v, float) for v in (run.t, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
@@ -146,14 +148,19 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
     if np.isfinite(moved[0]).all():
         found = spectrum_of(moved[0], rows)
         task, radius, across = found.task, found.radius, found.null_radius
-    # |λ| to the power of the steps that half a turn takes.
-    sizes, angle = np.minimum(np.abs(task), 1.0), np.abs(np.angle(task))
-    overshoot = np.max(np.where(angle > 0, sizes ** (np.pi / np.maximum(angle, 1e-9)), 0.0), initial=0.0)
+    if drive.prompt or not np.isfinite(radius):
+        # |λ| to the power of the steps that half a turn takes.
+        sizes, angle = np.minimum(np.abs(task), 1.0), np.abs(np.angle(task))
+        beyond = np.max(np.where(angle > 0, sizes ** (np.pi / np.maximum(angle, 1e-9)), 0.0), initial=0.0)
+    else:
+        radius = float(radii(law, end, np.ones(1), Ts, method, stage, drive)[0])
+        steps = modes_of(moved, directions(rows)[2], Drive())[0]
+        beyond = max(overshoot(steps, one, Ts) for one in each_drive(drive)) if radius < 1 else 1.0
     late, p = e[: seen.bad][-len(seen.late) :], len(law.task.position)
     parts = ((late[:, :p], "m"), (late[:, p:], "rad"))
     return _Case(
         law=law,
-        loop=(Ts, method, stage),
+        loop=(Ts, method, stage, drive),
         seen=seen,
         t=t,
         end=end,
@@ -164,7 +171,7 @@ def _case(law, reference, run, Ts, method, stage) -> _Case:
         rows=rows,
         radius=radius,
         null_radius=across,
-        overshoot=float(overshoot),
+        overshoot=float(beyond),
         e=e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float),
         size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
     )
@@ -223,7 +230,7 @@ def _judged(case):
         swings = f"the error swings from side to side and keeps {case.overshoot:.2g} of itself each time"
         return Behaviour.RINGING, f"{swings}; {error}", _faster(case)
     too_few = len(seen.size) <= FEW and case.radius > UNSTABLE  # for what its error did to tell
-    if too_few and task_radius(*maps(law, _resting(law, case.end), np.ones(1), *case.loop))[0] > UNSTABLE:
+    if too_few and radii(law, _resting(law, case.end), np.ones(1), *case.loop)[0] > UNSTABLE:
         return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
     return (_moving if moving else _held)(case, error, radius)
 
@@ -335,17 +342,17 @@ def _reach_remedy(case):
 
 def _lower(case):
     """What stops a loop that shakes or diverges: less gain, by what is stable at rest at both ends of the run."""
-    law, (_, method, stage) = case.law, case.loop
+    law, (Ts, method, stage, drive) = case.law, case.loop
     ends = [at for at in (case.end, case.start) if np.isfinite(at.q).all() and np.abs(at.q).max() <= WILD]
     ends = [_resting(law, at) for at in ends]
-    across = [null_radius(*maps(law, at, np.ones(1), *case.loop))[0] for at in ends if callable(law.null_velocity)]
+    across = [null_radius(*maps(law, at, np.ones(1), Ts, method, stage))[0] for at in ends if callable(law.null_velocity)]
     if any(radius > UNSTABLE for radius in across):
         return _LESS_NULL
     share = min((stable_share(law, at, *case.loop) for at in ends), default=1.0)
     if 0 < share < 1:
         solved = method.implicit and isinstance(stage, Picard)
         other = ", or solve the stage with chord(2)" if solved else ""
-        if not (method.exponential or solved or isinstance(law.inverse, Transpose)):
+        if not (method.exponential or solved or not drive.prompt or isinstance(law.inverse, Transpose)):
             other = ", or use method EXP-MIDPOINT, which has no such limit"
         return f"reduce {_gain(law, share, 'below')}{other}"
     if share == 0:

@@ -1,16 +1,59 @@
 """cnclik stability: numbers on the terminal, one line for what can't be used, figures and data in the folder."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 
+import cnclik as ck
 from cnclik.cli import main
 
 
 def test_advice_on_the_terminal(capsys):
     main(["stability", "planar:1,1", "--alpha", "5", "--Ts", "0.1", "--method", "EE"])
     out = capsys.readouterr().out
-    assert "largest stable alpha [1/s]" in out and "20." in out  # 2/Ts
-    assert "stable: gain margin 4" in out
+    assert re.search(r"largest stable +│ +20 │ +2 │", out)  # 2/Ts
+    assert re.search(r"fastest without overshoot +│ +10 │ +1 │", out)
+    assert "stable: gain margin 4" in out and "30 ms of dead time" in out
+
+
+def advice(capsys, *options):
+    main(["stability", "ur5", *map(str, options), "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def test_advice_for_an_arm_with_17_samples_of_dead_time(capsys):
+    """2 sin(π/70) and 17¹⁷/18¹⁸ per sample of 2 ms; recommended 18¹⁸/19¹⁹; behind a ramp by 1/alpha."""
+    said = advice(capsys, "--Ts", 0.002, "--delay", 17, "--speed", 0.25, "--method", "EE")
+    assert said["largest_stable_alpha"] == pytest.approx(1000 * np.sin(np.pi / 70), rel=1e-6)
+    assert said["fastest_monotone_alpha"] == pytest.approx(500 * 17.0**17 / 18.0**18, rel=1e-5)
+    assert said["recommended_alpha"] == pytest.approx(500 * 18.0**18 / 19.0**19, rel=1e-5)
+    assert said["explicit_euler"]["largest_stable_alpha"] == said["largest_stable_alpha"]
+    assert said["recommended"]["lag"] == pytest.approx(1 / said["recommended_alpha"], rel=2e-3)
+    assert said["recommended"]["overshoot"] < 1e-3 and said["recommended"]["delay_margin"] > 1
+    assert said["recommended_method"] in ck.METHODS and said["stable"] and said["drive"]["delay"] == 17
+
+
+def test_advice_where_nothing_is_known_of_the_drives(capsys):
+    """Any gain is stable by an exponential step, and one is recommended that an arm bears that is 30 ms late."""
+    said = advice(capsys, "--Ts", 0.002)
+    assert said["largest_stable_alpha"] is None and said["assumed_dead_time"] == 0.03
+    assert 10 < said["recommended_alpha"] < 13
+    said = advice(capsys, "--Ts", 0.002, "--delay", 0, "--method", "EE")
+    assert said["assumed_dead_time"] is None and said["recommended_alpha"] == pytest.approx(125, rel=1e-6)
+
+
+def test_a_servo_leaves_a_tenth_of_the_gain(capsys):
+    """A position servo of k_v = 400 on 3.7 kg m² is stable to k_v/m = 108 1/s in a fast loop; MuJoCo's UR5 to 109."""
+    m, k_p, k_v = 3.7, 2000.0, 400.0
+    servo = ("--natural-frequency", np.sqrt(k_p / m), "--damping-ratio", k_v / (2 * np.sqrt(k_p * m)))
+    said = advice(capsys, "--Ts", 0.002, *servo, "--command", "position", "--method", "EE", "--alpha", 200)
+    assert said["largest_stable_alpha"] == pytest.approx(k_v / m, rel=0.03)
+    assert not said["stable"] and said["now"] is None and "dead time and drive" in said["limit"]
+    own = advice(capsys, "--Ts", 0.002, *servo, "--command", "position", "--feedback", "commanded", "--method", "EE")
+    assert own["largest_stable_alpha"] == pytest.approx(1000, rel=1e-6)
+    assert own["recommended"]["lag_fed_forward"] == pytest.approx(k_v / k_p, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate.drive import Drive
 from cnclik.measure.outcome import Ending
 from cnclik.stability import linear
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound
@@ -117,7 +118,7 @@ def test_measured_loops_that_are_late_agree(method, delay, limit):
     @jax.jit
     def last(alpha):
         loop = Adjustable(law=ck.replace(LAW, alpha=alpha), Ts=np.asarray(0.1))
-        run = rollout(loop, Scenario(reference=ck.hold(X + 1e-7), q0=Q), 250, method, ck.picard(1), delay=delay)
+        run = rollout(loop, Scenario(reference=ck.hold(X + 1e-7), q0=Q), 250, method, ck.picard(1), drive=Drive(delay=delay))
         return abs(run.e[-4:]).max()
 
     if limit == np.inf:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive
 from cnclik.stability import delay_limit
+from cnclik.stability.driven import driven_limits
 from cnclik.sweeps import check, run_spec
 from tests.specs import reaching
 
@@ -49,10 +51,25 @@ def test_noise_at_rest_is_as_large_as_theory_says():
         assert len(np.unique(found)) == found.size  # every seed its own
 
 
+def test_drives_are_options_like_the_others():
+    """Loops with a lag, on an axis and fixed, beside the limits of theory; half a sample of dead time has one too."""
+    limits = [driven_limits(Ts=0.1, drive=Drive(lag=lag, delay=1)).stable for lag in (0.05, 0.3)]
+    at = {"alpha": "share*bound/Ts", "delay": 1, "bound": limits[1]}
+    found = run_spec(spec(["final_error"], 400, at | {"lag": 0.3}, share=[0.95, 1.05]))
+    assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > SHIFT and "limit" not in found.coords
+    found = run_spec(spec(["final_error"], 400, at | {"bound": min(limits) * 0.95, "share": 1}, lag=[0.05, 0.3]))
+    assert (found.final_error < 0.2 * SHIFT).all()
+    half = spec(["final_error"], 400, {"alpha": "share*limit/Ts", "delay": 0.5}, share=[0.95, 1.05])
+    found = run_spec(half)
+    assert found.limit == pytest.approx(driven_limits(Ts=1.0, drive=Drive(delay=0.5)).stable)
+    assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > 2 * SHIFT
+
+
 def test_what_is_not_asked_for_changes_nothing():
     """Without noise and delay the loop is `solve`'s own program; noise of 0 and a delay of 0 give its numbers."""
     alone = spec(["final_error"], 20, alpha=[5.0])
-    assert alone.measured(alone.build(alpha=5.0)[0], 20, alpha=5.0) == {}
+    made = alone.build(alpha=5.0)
+    assert made.noise is None and made.drive.prompt and made.drive.exact
     without = run_spec(alone).final_error.values
     quiet = run_spec(spec(["final_error"], 20, {"alpha": 5.0}, noise=[0.0, 1e-3])).final_error.values
     assert quiet[0] == pytest.approx(without[0], rel=1e-9) and quiet[1] > 1e-5
@@ -61,9 +78,10 @@ def test_what_is_not_asked_for_changes_nothing():
 @pytest.mark.parametrize(
     ("fixed", "axes", "words"),
     [
-        ({"delay": 1.5}, {}, "`delay` must be an integer"),
         ({"delay": -1}, {}, "`delay` must be at least 0, but is -1"),
-        ({}, {"delay": [0, 1.5]}, "`axes.delay` must be an integer"),
+        ({}, {"delay": [0, -1.5]}, "`axes.delay` must be at least 0"),
+        ({"lag": 0.1, "natural_frequency": 3.0}, {}, "`natural_frequency` must be left out where there is a lag"),
+        ({"feedback": "measure"}, {}, "did you mean 'measured'"),
         ({"noise": -1e-3}, {}, "`noise` must be at least 0, but is -0.001"),
         ({}, {"noise": [0.0, -1e-3]}, "`axes.noise` must hold values that are at least 0, but holds -0.001"),
         ({"noise": [1e-3] * 3}, {}, r"`noise` must have shape \(\) or \(1,\) or \(2,\), but has shape \(3,\)"),

@@ -60,9 +60,10 @@ def written(**changes):
 def test_values_follow_from_expressions():
     s = check.parse(written())
     assert s.grid().shape == (2, 3, 3, 2)
-    law, reference, q0, Ts, N, method, stage = s.build(method="CN", M=np.int64(2), z=0.3, lift=0.1)
-    assert float(law.alpha) == pytest.approx(3.0, rel=1e-15) and (Ts, N, method) == (0.1, 4, ck.CN)
-    np.testing.assert_allclose(q0, [0, -np.pi / 2], rtol=1e-15)
+    p = s.build(method="CN", M=np.int64(2), z=0.3, lift=0.1)
+    reference, stage = p.reference, p.stage
+    assert float(p.law.alpha) == pytest.approx(3.0, rel=1e-15) and (p.Ts, p.N, p.method) == (0.1, 4, ck.CN)
+    np.testing.assert_allclose(p.q0, [0, -np.pi / 2], rtol=1e-15)
     np.testing.assert_allclose(reference.curve.end, [0, 1.1], rtol=1e-15)
     assert float(reference.curve.duration) == pytest.approx(0.4)  # the run's length, when nothing is said
     assert stage.M == 2 and stage.maximum == 2
@@ -87,7 +88,7 @@ def test_cases_are_an_axis_and_samples_fit_every_arm():
     starts = s.axes["q0"].values
     assert starts.shape == (5, 3) and np.abs(starts).max() <= np.pi and len(np.unique(starts)) == 15
     np.testing.assert_array_equal(check.parse(copy.deepcopy(w)).axes["q0"].values, starts)  # the seed says it all
-    assert s.build(case="two", **s.first(), method="EE")[2].shape == (2,)
+    assert s.build(case="two", **s.first(), method="EE").q0.shape == (2,)
     w["axes"]["q0"]["seed"] = 4
     assert not np.array_equal(check.parse(w).axes["q0"].values, starts)
 
@@ -146,15 +147,12 @@ def test_a_spec_and_the_command_line_build_the_same_loop(table):
             words += ["--" + name.replace("_", "-"), *map(str, value if isinstance(value, list) else [value])]
     told = problem(arguments.parse(ProblemOptions, words, prog="x", description="x"))
     w = {"question": "?", "expectation": "!", "fixed": table}
-    law, reference, q0, Ts, N, method, stage = check.parse(w).build()
-    for law_, reference_, rest in (
-        (told.law, told.reference, (told.q0, told.Ts, told.N, told.method, told.stage)),
-        (law, reference, (q0, Ts, N, method, stage)),
-    ):
+    for found in (told, check.parse(w).build()):
         if "lengths" not in table:  # there an array's entries are leaves, a list's are literal
-            same(law_, made.law)
-        same(reference_, made.reference)
-        same(rest, (made.q0, made.Ts, made.N, made.method, made.stage))
+            same(found.law, made.law)
+        same(found.reference, made.reference)
+        for name in ("q0", "Ts", "N", "method", "stage"):
+            same(getattr(found, name), getattr(made, name))
 
 
 def test_bundles_are_axes_beside_the_cases():
@@ -163,9 +161,9 @@ def test_bundles_are_axes_beside_the_cases():
     of = s.grid()
     assert [a.name for a in of.axes[:2]] == ["case", "damper"] and of.axes[1].labels == ("none", "damped")
     values = {"method": "EE"} | s.first()
-    laws = {d: s.build(case="b", damper=d, **values)[0] for d in ("none", "damped")}
+    laws = {d: s.build(case="b", damper=d, **values).law for d in ("none", "damped")}
     assert not hasattr(laws["none"].inverse, "damping") and float(laws["damped"].inverse.damping) == 0.1
-    assert s.build(case="b", damper="none", **values)[3] == 0.2
+    assert s.build(case="b", damper="none", **values).Ts == 0.2
     assert s.all_units()["damper"] == "1"
 
 
@@ -176,18 +174,18 @@ def test_samples_per_joint_are_as_many_as_the_robot_has():
     s = check.parse(w)
     turn = s.axes["turn"].values
     assert turn.shape == (4, 3)
-    q0 = s.build(case="two", method="EE", **s.first() | {"turn": turn[2]})[2]
+    q0 = s.build(case="two", method="EE", **s.first() | {"turn": turn[2]}).q0
     np.testing.assert_allclose(q0, [0, 1] + 0.1 * turn[2, :2], rtol=1e-15)
 
 
 def test_the_linear_limit_is_a_value():
     s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="picard", axes__method=["EE", "IE", "CN"]))
-    gains = {m: float(s.build(method=m, M=np.int64(2), z=0.5, lift=0.0)[0].alpha) / 5 for m in ("EE", "IE")}
+    gains = {m: float(s.build(method=m, M=np.int64(2), z=0.5, lift=0.0).law.alpha) / 5 for m in ("EE", "IE")}
     assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/stability.md
-    traced = jax.jit(lambda M: s.build(method="CN", M=M, z=0.5, lift=0.0)[0].alpha / 5)
+    traced = jax.jit(lambda M: s.build(method="CN", M=M, z=0.5, lift=0.0).law.alpha / 5)
     assert float(traced(2)) == pytest.approx(1.4780, abs=1e-4)
     s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="chord", axes__method=["IE"]))
-    assert float(s.build(method="IE", M=1, z=0.5, lift=0.0)[0].alpha) == pytest.approx(50.0)  # no limit
+    assert float(s.build(method="IE", M=1, z=0.5, lift=0.0).law.alpha) == pytest.approx(50.0)  # no limit
 
 
 def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_path):
@@ -197,7 +195,7 @@ def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_pa
         TEXT.replace('"line"', '"way.csv"').replace("from = [1, 1]", "").replace('to = [0, "1 + lift"]', "")
     )
     s = spec.read(path, ["lift=0", "alpha=z/Ts + lift"])
-    np.testing.assert_allclose(s.build(method="EE", **s.first())[1].curve(1.0)[0], [0, 1], atol=1e-12)
+    np.testing.assert_allclose(s.build(method="EE", **s.first()).reference.curve(1.0)[0], [0, 1], atol=1e-12)
     before = s.data()["files"]
     (tmp_path / "way.csv").write_text("0,1,1\n1,0,1.1\n")
     assert list(before) == ["way.csv"] and s.data()["files"] != before
@@ -338,7 +336,7 @@ def test_an_axis_may_have_any_name():
         w["axes"][name] = [4, 5]
         s = check.parse(w)
         lane = s.grid().programs[0] | s.first()
-        assert s.measured(*s.build(**lane)[:2], **lane) == {}
+        assert float(s.build(**lane).law.alpha) == 5.0
 
 
 def test_nested_too_deeply(tmp_path):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate.drive import Drive
 from cnclik.tuning.linear import (
-    delayed,
+    driven_map,
+    largest_share,
     maps_at_rest,
-    monotone_limit,
     radius_bound,
     radius_estimate,
     radius_over,
@@ -41,11 +42,12 @@ def test_an_error_keeps_its_sign_up_to_the_monotone_limit(delay):
             e.append(e[-1] - z * e[-1 - delay])
         return np.array(e)
 
-    limit = monotone_limit(delay)
-    assert errors(limit * (1 - 1e-9)).min() >= 0 > errors(limit * 1.02)[-1]
+    limit = largest_share(Drive(delay=delay), 0.1, 0.0, 2.0)
+    np.testing.assert_allclose(limit, delay**delay / (delay + 1) ** (delay + 1), rtol=1e-6)
+    assert errors(limit * (1 - 1e-6)).min() >= 0 > errors(limit * 1.02)[-1]
     # Where the two slowest roots meet, d/(d + 1): eigenvalues that coincide are known to √eps.
-    radius = np.abs(np.linalg.eigvals(np.asarray(delayed((1 - limit) * jnp.eye(1), delay)))).max()
-    np.testing.assert_allclose(radius, delay / (delay + 1), atol=1e-7)
+    radius = np.abs(np.linalg.eigvals(np.asarray(driven_map((1 - limit) * jnp.eye(1), Drive(delay=delay), 0.1)))).max()
+    np.testing.assert_allclose(radius, delay / (delay + 1), atol=1e-3)
 
 
 def test_late_loops_over_gains_are_those_of_the_theory():
@@ -53,7 +55,7 @@ def test_late_loops_over_gains_are_those_of_the_theory():
     law = ck.Law(arm, ck.position("xy"), alpha=3.0)
     alpha, Ts = np.array([2.0, 5.0, 15.0]), np.array([0.1, 0.05, 0.1])
     for delay in (0, 2):
-        radius = radius_over(law, q, alpha, Ts, ck.EE, ck.picard(5), delay=delay)
+        radius = radius_over(law, q, alpha, Ts, ck.EE, ck.picard(5), drive=Drive(delay=delay))
         theory = [
             np.abs(np.roots([1.0, -1.0, *[0.0] * (delay - 1), z])).max() if delay else abs(1 - z) for z in alpha * Ts
         ]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate.drive import Drive
 from cnclik.hints import quick_jit
 from cnclik.integrate.method import DEFAULT
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
@@ -20,7 +21,7 @@ LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 # One shape for most tests, so that they share compiled programs: a target that holds still is a line of length 0.
 LINE = ck.line([1.0, 1.0], [0.0, 1.0], duration=3.0)  # Case II of the paper
 NEAR = ck.line([1.0001, 0.99995], [1.0001, 0.99995], duration=3.0)  # so near that the loop is linear
-LOOP = {"Ts": 0.1, "N": 30, "velocity_limit": 1e6, "method": "EE"}
+LOOP = {"Ts": 0.1, "N": 30, "velocity_limit": 1e6, "method": "EE", "delay_margin": 0.0, "noise_gain": 2.0}
 
 
 def at(reference=LINE, law=LAW, steps=60, starts=1, optimizer=None, gradient="auto", **options):
@@ -169,7 +170,7 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     with jax.enable_x64(False):
         found = one()
     np.testing.assert_allclose(found.after.z, wide.after.z, rtol=1e-9)
-    assert 0.8 < found.after.z <= 1 + 1e-9 and found.satisfied  # ten steps
+    assert 0.8 < found.after.z <= 1 + 1e-7 and found.satisfied  # ten steps
     assert abs(found.after.null_radius - 0.9) < 1e-2  # 1 − rate·Ts
 
 
@@ -179,10 +180,24 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
 def test_no_ringing_unless_asked_for():
     """On error alone this line asks for z = 1.888, with which an error changes its sign every step."""
     calm, ringing = at(), at(ringing=True)
-    assert 1 - 1e-6 < calm.after.z <= 1 + 1e-9 and calm.satisfied and calm.after.correction <= 1 + 1e-9
+    assert 1 - 1e-6 < calm.after.z <= 1 + 1e-7 and calm.satisfied and calm.after.correction <= 1 + 1e-7
     assert abs(ringing.after.z - 1.888) < 1e-2 and ringing.satisfied and ringing.after.radius > 0.88
     assert ringing.after.loss < calm.after.loss < calm.before.loss
     assert (calm.ringing, ringing.ringing) == (False, True)
+
+
+def test_by_default_a_sample_of_dead_time_is_to_spare():
+    """z = 1/4: with one sample more a step still doesn't overshoot, and noise of a measurement moves by 0.378 of it."""
+    found = at(delay_margin=1.0, noise_gain=0.5)
+    np.testing.assert_allclose(found.after.z, 0.25, rtol=1e-4)
+    np.testing.assert_allclose(found.after.noise_gain, np.sqrt(0.25 / 1.75), rtol=1e-3)
+    assert found.satisfied and 5.5 < found.after.delay_margin < 6
+    front = found.front
+    kept = front["violation"] <= 1e-6
+    assert kept.any() and (~kept).any() and front["z"][kept].max() <= 0.2501
+    assert (np.diff(front["noise_gain"][kept]) > 0).all() and (np.diff(front["delay_margin"][kept]) < 0).all()
+    tight = at(noise_gain=0.2)
+    np.testing.assert_allclose(tight.after.noise_gain, 0.2, rtol=1e-3)
 
 
 def test_margin_binds_and_is_kept():
@@ -217,7 +232,7 @@ def test_a_null_direction_that_nothing_acts_on_keeps_its_constraint():
     assert judged.kept and abs(judged.excess[2]) < 1e-12
 
 
-LATE = Conditions(noise=1e-3, delay=1, model_error=0.01, draws=2, seed=4)
+LATE = Conditions(noise=1e-3, drive=Drive(delay=1), model_error=0.01, draws=2, seed=4)
 PATHS, STARTS = [LINE, NEAR], np.array([Q0, Q0 + 0.01])
 
 
@@ -235,18 +250,19 @@ def test_noise_delay_and_wrong_lengths_run_as_in_plain_numpy():
             [[lengths @ np.cos(a), lengths[1] * np.cos(a[1])], [-lengths @ np.sin(a), -lengths[1] * np.sin(a[1])]]
         )
 
-    q, errors = Q0.copy(), []
+    q, errors, asked = Q0.copy(), [], [np.zeros(2)]
     for k in range(31):
         wanted = np.array([1 - 0.1 * k / 3, 1.0])
         errors.append(wanted - tip(q, np.array(lengths))[0])
         if k == 30:
             break
-        told = errors[max(k - 1, 0)] + np.asarray(scenarios.noise)[0, k]
-        q = q + 0.1 * np.linalg.solve(tip(q, np.ones(2))[1], np.array([-1 / 3, 0.0]) + 5.0 * told)
+        told = errors[k] + np.asarray(scenarios.noise)[0, k]
+        asked.append(0.1 * np.linalg.solve(tip(q, np.ones(2))[1], np.array([-1 / 3, 0.0]) + 5.0 * told))
+        q = q + asked[k]  # what was asked for a sample ago
     (judged,) = judge(objective, [(LAW.alpha,)], together=1)
     np.testing.assert_allclose(judged.run.e, errors, rtol=0, atol=1e-12)
     np.testing.assert_allclose(judged.radius, np.abs(np.roots([1.0, -1.0, 0.5])).max(), rtol=1e-9)
-    np.testing.assert_allclose(judged.excess[1], 0.5 / 0.25 - 1, rtol=1e-9)  # it rings
+    np.testing.assert_allclose(judged.excess[1], 0.5 / 0.25 - 1, rtol=1e-6)  # it rings
 
 
 @pytest.mark.slow
@@ -264,7 +280,7 @@ def test_starts_at_rest_and_deep_in_the_unstable_region(alpha):
     found = at(law=ck.replace(LAW, alpha=alpha), margin=0.8)
     assert finite(found) and found.satisfied
     inside(found)
-    assert 0.99 < found.after.z <= 1 + 1e-9 and found.after.loss < 1e-3
+    assert 0.99 < found.after.z <= 1 + 1e-7 and found.after.loss < 1e-3
 
 
 def test_infeasible_margin_is_told():
@@ -333,7 +349,7 @@ def test_panda_on_a_circle_does_not_ring():
 
     made = problem_from("panda", reference="circle", Ts=0.05, N=40, method="EE", damping=0.01)
     found = tune(made.law, made.reference, made.q0, Ts=made.Ts, N=made.N, method=made.method)
-    assert found.satisfied and 0.9 < found.after.z <= 1.001 and found.after.correction <= 1 + 1e-9
+    assert found.satisfied and 0.2 < found.after.z <= 0.2501 and found.after.correction <= 0.25 + 1e-7
 
 
 @pytest.mark.parametrize(
@@ -365,7 +381,7 @@ def test_what_does_not_fit_is_named(options, told):
         at(**options)
 
 
-@pytest.mark.parametrize("name, value", [("noise", -1.0), ("delay", -1), ("draws", 0), ("model_error", -0.1)])
+@pytest.mark.parametrize("name, value", [("noise", -1.0), ("drive", 1), ("draws", 0), ("model_error", -0.1)])
 def test_conditions_that_can_not_be_are_named(name, value):
     with pytest.raises(ck.ArgumentError, match=name):
         Conditions(**{name: value})
@@ -386,7 +402,7 @@ def test_conditions_that_can_not_be_are_named(name, value):
 def test_forward_reverse_and_finite_differences_agree(method, stage):
     law = ck.replace(LAW, alpha=np.array([[5.0, 1.0], [1.0, 3.0]]))
     losses = {"tracking": 1.0, "jerk": 1e-5, "noise": 1e-3, "delay": 1e-3}
-    objective = loop_objective(law, LINE, Q0, Ts=0.1, N=4, method=method, stage=stage, loss=losses)
+    objective = loop_objective(law, LINE, Q0, Ts=0.1, N=4, method=method, stage=stage, loss=losses, margin=0.9)
     assert len(objective.postures) == 9
 
     def raw(u):

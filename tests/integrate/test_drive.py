@@ -1,0 +1,181 @@
+"""Drives: what is sampled is exact, and a loop through them is what plain integration of the differential equations gives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete
+
+import cnclik as ck
+from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive, sampled
+
+Ts = 0.02
+ARM = ck.planar_arm([1.0, 0.8])
+LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
+Q = np.array([0.3, 1.1])
+TARGET = np.asarray(ck.pose(ARM, Q).position)[:2] + np.array([0.05, -0.04])
+SERVO = dict(natural_frequency=30.0, damping_ratio=0.4)
+
+
+def test_sampled_is_zero_order_hold():
+    """Against scipy.signal.cont2discrete."""
+    w, zeta = SERVO["natural_frequency"], SERVO["damping_ratio"]
+    servo, lag = [[0, 1], [-w * w, -2 * zeta * w]], -1 / 0.03
+    for drive, a, b in (
+        (Drive(**SERVO, command="position"), servo, [0, w * w]),
+        (Drive(**SERVO), [[0, 1, 0], [0, 0, 1], [0, *servo[1]]], [0, 0, w * w]),
+        (Drive(lag=0.03), [[0, 1], [0, lag]], [0, -lag]),
+        (Drive(lag=0.03, command="position"), [[lag]], [-lag]),
+    ):
+        a, b = np.array(a, float), np.array(b, float)[:, None]
+        phi, gamma, *_ = cont2discrete((a, b, np.eye(len(a)), 0 * b), Ts)
+        found = sampled(drive, Ts)
+        np.testing.assert_allclose(found.phi, phi, atol=1e-12)
+        np.testing.assert_allclose(found.now, gamma[:, 0], atol=1e-12)
+        assert found.late is None and found.whole == 0
+
+
+def _plain(drive, alpha, N, feedback="measured", velocity=None):
+    """The loop by explicit Euler and by integrating the drives' differential equations between events."""
+    d, order = drive.delay * Ts, drive.order
+    w, zeta = drive.natural_frequency, drive.damping_ratio
+    position = drive.command == "position"
+    sent, x = Q.copy(), np.zeros((order if position else order + 1, 2))
+    x[0], commands, path = Q, [], [Q]
+    for k in range(N):
+        seen = sent if drive.feedback == "commanded" else x[0]
+        J = np.asarray(ck.jacobian(ARM, seen))[:2]
+        e = TARGET - np.asarray(ck.pose(ARM, seen).position)[:2]
+        step = Ts * np.linalg.solve(J, alpha * e)
+        sent = (seen if drive.feedback == "rebased" else sent) + step
+        commands.append((k * Ts + d, sent if position else step / Ts))
+        events = [t for t, _ in commands if k * Ts < t < (k + 1) * Ts]
+        for begin, end in zip([k * Ts, *events], [*events, (k + 1) * Ts], strict=True):
+            arrived = [u for t, u in commands if t <= begin + 1e-12]
+            u = arrived[-1] if arrived else (Q if position else np.zeros(2))
+
+            def flow(t, y, u=u):
+                y = y.reshape(x.shape)
+                if order == 1:
+                    last = (u - y[-1]) / np.asarray(drive.lag)
+                else:
+                    v, a = y[-2], y[-1]
+                    last = w * w * (u - v) - 2 * zeta * w * a
+                return np.vstack([y[1:], last[None]]).ravel()
+
+            x = solve_ivp(flow, (begin, end), x.ravel(), rtol=1e-10, atol=1e-12).y[:, -1].reshape(x.shape)
+        path.append(x[0])
+    return np.array(path)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        Drive(lag=0.03, delay=1.4),
+        Drive(lag=np.array([0.02, 0.05])),
+        Drive(**SERVO, delay=0.25),
+        Drive(**SERVO, command="position", delay=2),
+        Drive(**SERVO, command="position", feedback="rebased"),
+        Drive(lag=0.03, command="position", feedback="commanded", delay=1.5),
+    ],
+    ids=["lag", "lag of each", "velocity servo", "position servo", "rebased", "commanded"],
+)
+def test_a_loop_is_the_differential_equations_of_its_drives(drive):
+    run = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 25, "EE", drive=drive)
+    np.testing.assert_allclose(run.q, _plain(drive, 5.0, 25), atol=2e-8)
+    np.testing.assert_allclose(run.qdot, np.diff(run.q, axis=0) / Ts, atol=1e-9)
+
+
+def test_a_drive_that_follows_at_once_changes_nothing():
+    plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, "EXP-MIDPOINT")
+    for drive in (None, Drive(), Drive(command="position"), Drive(feedback="commanded")):
+        np.testing.assert_allclose(
+            ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, "EXP-MIDPOINT", drive=drive).q, plain.q, atol=1e-13
+        )
+
+
+@pytest.mark.parametrize("method", ["EE", "AB3", "CN", "EXP-AB2", "IFD5"])
+def test_dead_time_only_shifts_what_a_commanded_loop_does(method):
+    """It knows its own commands alone: the motion is that of the loop without drive, d samples later."""
+    plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, method)
+    late = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 23, method, drive=Drive(delay=3, feedback="commanded"))
+    np.testing.assert_allclose(late.q[3:], plain.q, atol=1e-12)
+    np.testing.assert_allclose(late.q[:3], np.tile(Q, (3, 1)), atol=1e-15)
+
+
+def test_limits_of_a_drive_hold():
+    """Neither the velocity nor its change is larger than the drive's, and the target is reached all the same."""
+    far = ck.hold(TARGET + np.array([0.2, -0.2]))
+    drive = Drive(drive_velocity=np.array([0.3, 0.2]), drive_acceleration=2.0)
+    run = ck.solve(LAW, far, Q, Ts, 300, "EE", drive=drive)
+    speed = np.abs(run.qdot)
+    assert np.all(speed.max(0) <= np.array([0.3, 0.2]) * (1 + 1e-9)) and np.all(speed.max(0) > 0.19)
+    assert np.abs(np.diff(run.qdot, axis=0)).max() <= 2.0 * Ts * (1 + 1e-9)
+    assert np.linalg.norm(run.e[-1]) < 1e-6
+
+
+def test_what_is_measured_of_the_joints():
+    """Noise has the size asked for and is another with another seed; encoders leave an error of half a step."""
+    rest = ck.hold(np.asarray(ck.pose(ARM, Q).position)[:2])
+    runs = [ck.solve(LAW, rest, Q, Ts, 2000, "EE", drive=Drive(joint_noise=1e-4, seed=s)) for s in (0, 0, 1)]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    assert np.abs(runs[0].q - runs[2].q).max() > 1e-6
+    z = LAW.alpha * Ts
+    np.testing.assert_allclose(np.std(runs[0].q - Q), 1e-4 * np.sqrt(z / (2 - z)), rtol=0.15)
+    coarse = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 400, "EE", drive=Drive(resolution=1e-3))
+    assert 1e-5 < np.linalg.norm(coarse.e[-1]) < 1.5e-3
+
+
+def test_gradients_pass_through_a_drive():
+    def error(values):
+        law = ck.replace(LAW, alpha=values[0])
+        drive = Drive(lag=values[1], delay=1.5)
+        return jnp.sum(ck.solve(law, ck.hold(TARGET), Q, Ts, 15, "EE", drive=drive).e ** 2)
+
+    at = jnp.array([5.0, 0.03])
+    forward, reverse = jax.jacfwd(error)(at), jax.jacrev(error)(at)
+    steps = 1e-5 * np.eye(2)
+    by_hand = [(error(at + h) - error(at - h)) / 2e-5 for h in steps]
+    np.testing.assert_allclose(forward, by_hand, rtol=1e-6)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
+
+
+def test_float32_runs_in_float32():
+    with jax.enable_x64(False):
+        run = ck.solve(LAW, ck.hold(TARGET), Q.astype(np.float32), Ts, 25, "EE", drive=Drive(**SERVO, delay=1.5))
+        assert run.q.dtype == jnp.float32
+    exact = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 25, "EE", drive=Drive(**SERVO, delay=1.5))
+    np.testing.assert_allclose(run.q, exact.q, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"delay": -1}, "`delay` must be at least 0, but is -1"),
+        ({"delay": 1e6}, "`delay` must be at most 1000 samples"),
+        ({"delay": jnp.nan}, "`delay` must be finite"),
+        ({"lag": -0.1}, "`lag` must be positive, but is -0.1"),
+        ({"lag": 0.1, "natural_frequency": 3.0}, "`natural_frequency` must be left out where there is a lag"),
+        ({"natural_frequency": 0.0}, "`natural_frequency` must be positive"),
+        ({"damping_ratio": 0.0}, "`damping_ratio` must be positive"),
+        ({"command": "torque"}, "`command` must be one of velocity, position, but is 'torque'"),
+        ({"feedback": "mesured"}, "did you mean 'measured'"),
+        ({"joint_noise": -1.0}, "`joint_noise` must be at least 0"),
+        ({"drive_velocity": 0.0}, "`drive_velocity` must be positive"),
+    ],
+)
+def test_what_is_no_drive_is_refused(given, words):
+    with pytest.raises(ArgumentError, match=words):
+        Drive(**given)
+
+
+def test_a_drive_that_does_not_fit_the_loop_is_refused():
+    for drive, words in ((Drive(lag=np.ones(3)), r"`lag` must have shape \(2,\)"), (3, "`drive` must be Drive")):
+        with pytest.raises(ArgumentError, match=words):
+            ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, "EE", drive=drive)
+    with pytest.raises(ArgumentError, match="`t0` must be 0"):
+        ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, "EE", t0=1.0, drive=Drive(delay=1))
+    with pytest.raises(ArgumentError, match="`delay` must be a known number"):
+        jax.jit(lambda d: Drive(delay=d).delay)(1.0)
