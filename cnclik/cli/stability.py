@@ -86,9 +86,11 @@ def _check(args):
 
 
 def _loop(args):
+    from cnclik.problem.names import require_free
     from cnclik.stability.spectrum import settle
 
     found = problem(args)
+    require_free(found.law.chain, found.law.task)
     with progress.bar("rest"):
         return found, settle(found.law, found.reference, found.q0)
 

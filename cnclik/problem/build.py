@@ -7,6 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import Method, named
+from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, causal
 from cnclik.problem.names import (
@@ -15,6 +16,7 @@ from cnclik.problem.names import (
     inverse_from,
     limits_from,
     null_from,
+    require_free,
     robot_from,
     robot_name,
     stage_from,
@@ -70,12 +72,15 @@ def problem_from(robot, **options) -> Problem:
     N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     chain = robot_from(robot, v["tip"], v["base"], v["lengths"])
     task = task_from(v["task"], chain)
+    inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])
+    if task.m > chain.n and isinstance(inverse, Pseudoinverse):
+        require_free(chain, task)
     q0 = start_from(chain, task, v["q0"])
     law = Law(
         chain,
         task,
         alpha=gain_from(v["alpha"]),
-        inverse=inverse_from(v["inverse"], v["damping"], v["threshold"]),
+        inverse=inverse,
         limits=limits_from(v["limits"], Ts),
         null_velocity=null_from(chain, task, **{name: v[name] for name in NULL_TERMS}),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},

@@ -1,6 +1,7 @@
 """Names: what a user may write, and what it stands for. To add a name, add its line here and in `words`."""
 
 import functools
+import itertools
 import os
 import pathlib
 import re
@@ -15,7 +16,7 @@ from cnclik.law import inverse, limits, null, task
 from cnclik.problem import words
 from cnclik.robot import builtin
 from cnclik.robot.chain import Chain, planar_arm
-from cnclik.robot.posture import is_planar, start_posture
+from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
 from cnclik.robot.urdf import load_urdf
 
 ROBOTS = {
@@ -125,6 +126,32 @@ def task_from(text, chain: Chain | None = None) -> task.Task:
     if not turns:
         return task.position(axes)
     return task.pose(axes, turns) if axes else task.orientation(turns)
+
+
+_APART = 1e-3  # least singular value, lengths in the arm's own, below which coordinates aren't moved apart
+
+
+def require_free(chain: Chain, task) -> None:
+    """Raise ArgumentError where the joints of a chain can't move a task's coordinates apart in any posture.
+
+    The line names coordinates that they can: as many as possible, positions before rotations, those of the largest
+    least singular value over postures that fill the limits.
+    """
+    postures = spread_postures(chain)
+
+    def apart(some):
+        return float(np.max(least_singular_values(chain, some, postures))) if some.m <= chain.n else 0.0
+
+    if apart(task) > _APART:
+        return
+    for count in range(min(task.m - 1, chain.n), 0, -1):
+        found = [task_from("".join(names)) for names in itertools.combinations(task.names, count)]
+        most = max(len(one.position) for one in found)
+        best = max((one for one in found if len(one.position) == most), key=apart)
+        if apart(best) > _APART:
+            break
+    must = f"have coordinates that {chain.n} joints can move apart, such as {''.join(best.names)}"
+    raise errors.fail("task", must, f"is {' '.join(task.names)}, always singular")
 
 
 def start_from(chain: Chain, task, q0=None):

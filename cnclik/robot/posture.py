@@ -64,12 +64,17 @@ def start_posture(chain: Chain, task):
     The middle of the limits (0 for joints without) if the task Jacobian is well conditioned there; else, of 256
     fixed postures spread around it, the one with the largest least singular value.
     """
+    postures = spread_postures(chain)
+    least = least_singular_values(chain, task, postures)
+    return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
+
+
+def spread_postures(chain: Chain):
+    """256 postures (256, n) well inside the limits, the same on every machine; the first is their middle."""
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
     low = np.where(np.isfinite(lower), lower, np.minimum(-math.pi, upper - math.pi))
     high = np.where(np.isfinite(upper), upper, np.maximum(math.pi, low + math.pi))
     middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low, high))
     width = np.minimum((high - low) / 4, math.pi / 2)
-    postures = middle + width * (2 * evenly(256, chain.n) - 1)
-    least = least_singular_values(chain, task, postures)
-    return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
+    return middle + width * (2 * evenly(256, chain.n) - 1)

@@ -268,8 +268,11 @@ def _moving(case, error, radius):
     if case.seen.shrinks:
         return Behaviour.CONVERGING, f"{error} and shrinking; {radius}", "run for more steps"
     what = f"{error}, {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on; {radius}"
-    slow = float(case.law.feedforward) != 1.0
-    return Behaviour.LAGGING, what, "feed the velocity forward (feedforward=1)" if slow else "raise alpha"
+    if float(case.law.feedforward) != 1.0:
+        return Behaviour.LAGGING, what, "feed the velocity forward (feedforward=1)"
+    if case.loop[-1].prompt:
+        return Behaviour.LAGGING, what, "raise alpha"
+    return Behaviour.LAGGING, what, "raise alpha, no further than `stability` recommends for these drives"
 
 
 # --- its parts in words -------------------------------------------------------------------------------
