@@ -6,14 +6,14 @@ the same matrices.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import is_literal, leaf, record
+from cnclik.record import is_literal, leaf, record, replace
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
@@ -34,6 +34,8 @@ class Drive:
 
     Attributes:
       delay: dead time between command and motion [samples], not only whole ones; known, never traced.
+      measurement_delay: whole samples by which what is measured is late. It bears its time: the error that is fed back
+        is that of the target as it was then, so that a path that is known loses nothing. To stability both add up.
       lag: time constant of a first-order drive [s], one number or one per joint (n,).
       natural_frequency, damping_ratio: ω₀ [rad/s] and ζ of a second-order drive, in place of a lag.
       command: "velocity", or "position": the controller adds up its steps and sends joint values. Without lag both
@@ -50,6 +52,7 @@ class Drive:
     """
 
     delay: float = 0.0
+    measurement_delay: int = 0
     lag: object = 0.0
     natural_frequency: object = None
     damping_ratio: object = 1.0
@@ -68,6 +71,7 @@ class Drive:
         if self.delay > MOST:
             raise errors.fail("delay", f"be at most {MOST} samples", f"is {float(self.delay):g}")
         object.__setattr__(self, "delay", float(self.delay))
+        errors.integer("measurement_delay", self.measurement_delay, at_least=0, at_most=MOST)
         errors.one_of("command", self.command, COMMANDS)
         errors.one_of("feedback", self.feedback, FEEDBACKS)
         if self.natural_frequency is not None and not _none(self.lag):
@@ -102,7 +106,12 @@ class Drive:
     @property
     def prompt(self) -> bool:
         """Whether the loop is the one without drives."""
-        return self.ideal and self.feedback != "commanded"
+        return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded"
+
+    @property
+    def lumped(self) -> Self:
+        """With all that is late in one place, the dead time: the same to stability."""
+        return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
 
     @property
     def exact(self) -> bool:

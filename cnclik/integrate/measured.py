@@ -77,7 +77,12 @@ def _checked(law, reference, q0, Ts, N, method, stage, drive, noise):
     check_drive(drive, law.chain.n)
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    return law, reference, q0, Ts, stage, drive, None if drive.prompt else sampled(drive, Ts), noise
+    return law, reference, q0, Ts, stage, drive, sampled(drive, Ts) if _moves_late(drive) else None, noise
+
+
+def _moves_late(drive) -> bool:
+    """Whether motion is something else than the controller's step."""
+    return not drive.ideal or drive.feedback == "commanded"
 
 
 def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, method, gained=None):
@@ -86,10 +91,10 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
     plant = in_form(plant, start)[0] if differs else law.chain
     law, plant, reference, noise, Ts, drive, model = cast((law, plant, reference, noise, Ts, drive, model), dtype)
     true_law = replace(law, chain=plant)
-    commanded = drive.feedback == "commanded"
+    commanded, late = drive.feedback == "commanded", 0 if drive.feedback == "commanded" else drive.measurement_delay
 
     def one(starting, carry, k):
-        q, at_drives, history = carry
+        q, at_drives, past, history = carry
         t = k * Ts
         at, seen = look(true_law, reference, t, q), q
         if commanded:
@@ -97,10 +102,12 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
         elif not drive.exact:
             seen = sp.like(q, measured_joints(drive, sp.packed(q), k))
         # A camera sees the tip where it is; of its own commands a controller knows what its model says.
-        measured = at.e if seen is q else look(law if commanded else true_law, reference, t, seen).e
+        found = at.e if seen is q else look(law if commanded else true_law, reference, t, seen).e
+        measured = (found, *past)[late]
         if noise is not None:
             measured = sp.vadd(measured, sp.like(measured, noise[k.astype(int)]))
-        believed = measured if noise is None and not differs else look(law, reference, t, seen).e
+        exact = noise is None and not differs and not late
+        believed = measured if exact else look(law, reference, t, seen).e
         told = reference
         if believed is not measured:
             told = shifted(reference, law.task, _between(law.task, measured, believed))
@@ -115,11 +122,12 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
             moved = sp.like(q, at_drives.x[:, 0])
         if moved is not made.q:
             made = replace(made, qdot=sp.scale(1 / Ts, sp.vsub(moved, q)))
-        return (moved, at_drives, made.history), replace(made, q=q, x=at.x(), e=at.e, history=None)
+        return (moved, at_drives, (found, *past)[:late], made.history), replace(made, q=q, x=at.x(), e=at.e, history=None)
 
     k = jnp.arange(N + 1).astype(dtype)
     at_drives = None if model is None else resting(drive, model, q0)
-    state = start, at_drives, blank(law, start, method)
+    first = look(true_law, reference, jnp.zeros((), dtype), start).e  # until the first measurement arrives
+    state = start, at_drives, (first,) * late, blank(law, start, method)
     found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
     return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
 

@@ -82,6 +82,8 @@ OPTIONS = {
 
 DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`
     "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones.", must="at least 0"),
+    "measurement_delay": Option(INTEGER, "Whole samples by which what is measured is late, its time being known.",
+                                must="at least 0"),
     "lag": Option(NUMBERS, "Time constant of a first-order drive [s], one number or one per joint.", unit="s",
                   must="positive"),
     "natural_frequency": Option(NUMBERS, "ω₀ of a second-order drive [rad/s], in place of a lag: √(k_p/m) of a "

@@ -67,7 +67,7 @@ def loop_matrix(steps, drive: Drive, Ts: float):
 
 def looked_at_drive(drive) -> Drive:
     """The drive as the loop knows it: of its own commands it learns nothing else."""
-    return Drive() if drive.feedback == "commanded" else drive
+    return Drive() if drive.feedback == "commanded" else drive.lumped
 
 
 def driven_factors(steps, drive: Drive, Ts: float):
@@ -186,7 +186,7 @@ def limits_of(modes, drive, Ts, *, reach=REACH, size=2) -> DrivenLimits:
 
 def looked_at(drive, size: int) -> int:
     """How many values of z are looked at together: of matrices of this size and the dead time's."""
-    return int(np.clip(WORK / (size + drive.delay) ** 3, 32, POINTS))
+    return int(np.clip(WORK / (size + drive.lumped.delay) ** 3, 32, POINTS))
 
 
 def longer(drive) -> Drive:
@@ -251,6 +251,7 @@ def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
       steps: (p,) D of the mode. target: (N,) where it is to be. forward: velocity that is fed forward.
       noise: (N,) added to what is measured, or None.
     """
+    drive = drive.lumped
     model, N = sampled(drive, Ts), len(target)
     x, sent = np.zeros((1, model.size)), np.zeros(1)
     line, past = (np.zeros(1),) * model.remembered, [0.0] * len(steps)
@@ -276,7 +277,7 @@ def until_settled(steps, drive, Ts, share=1e-3) -> int:
     factors = np.abs(driven_factors(steps, drive, Ts)).ravel()
     worst = float(np.concatenate([factors, own[own < 1 - _ZERO]]).max())
     wanted = np.log(share) / np.log(worst) if 0 < worst < 1 else LONGEST
-    return int(np.clip(2 * wanted + 4 * drive.delay + 50, 50, LONGEST))
+    return int(np.clip(2 * wanted + 4 * drive.lumped.delay + 50, 50, LONGEST))
 
 
 def overshoot(steps, drive, Ts) -> float:

@@ -209,7 +209,8 @@ def _reason(gains, chosen, drive) -> str:
         )
     if chosen < gains.z_recommended:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
-    return f"the largest without overshoot, also were the dead time {drive.delay + 1:g} samples and not {drive.delay:g}"
+    late = drive.lumped.delay
+    return f"the largest without overshoot, also were the dead time {late + 1:g} samples and not {late:g}"
 
 
 def settings(z: float, Ts: float, drive: Drive) -> dict:

@@ -193,7 +193,7 @@ def _check_cycles(known):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
         if name not in steps:
-            value = ["M", "delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
+            value = ["M", "delay", "measurement_delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
             needs = set() if name in NAMES or value is None else expression.names(name, value)
             if len(seen) < STEPS:
                 steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)
@@ -228,7 +228,7 @@ def _compiled_in(spec: Spec) -> dict:
     while queue:
         name = queue.pop()
         wanted.add(name)
-        needs = {"M", "delay"} if name == LIMIT else set()
+        needs = {"M", "delay", "measurement_delay"} if name == LIMIT else set()
         if name not in NAMES:
             needs = needs.union(*(expression.names(name, t[name]) for t in spec.tables() if name in t))
         queue |= needs - wanted

@@ -22,7 +22,7 @@ MOST_AXES = 32  # an array has at most 64, and results bring some of their own
 MOST_PROGRAMS = 1000  # combinations of what is compiled in: each takes about a second
 MOST_BLOCKS = 1_000_000  # each is some files in a store
 LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
-COMPILED_IN = ("N", "delay")  # numbers on which the shape of a program depends
+COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers on which the shape of a program depends
 COUNTED = ("M",)  # numbers that stay integers: passes are masked, one program does them all
 
 
@@ -68,7 +68,7 @@ def axis(name: str, values, where=None) -> Axis:
         found = Axis(name, tuple(values), labels)
     elif name in COMPILED_IN:
         few_enough(where, numbers)
-        fits = functools.partial(errors.integer, where, at_least=0) if name == "N" else functools.partial(_delay, where)
+        fits = functools.partial(errors.integer, where, at_least=0) if name != "delay" else functools.partial(_delay, where)
         known = tuple(fits(v.item() if v.ndim == 0 else v) for v in numbers)
         found = Axis(name, known, known)
     else:

@@ -4,7 +4,7 @@ Everything a loop depends on is a named value, by the names of `cnclik.problem.O
 `[axes]` varies others; `[cases.NAME]` holds bundles of them (an arm with its start and target) that make an axis of
 their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
-stable z for the loop's method, stage and delay: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
+stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
 the error is measured that is fed back.
 """
 
@@ -44,7 +44,7 @@ KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
 OPTIONS = options.SWEPT
-DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {"delay": 0.0}
+DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {"delay": 0, "measurement_delay": 0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Spec:
     def _limit(self, look):
         """The linear theory's largest stable z, inf where there is none; for a traced M, from a table."""
         M = look("M")
-        of = functools.partial(_stable, look("method"), look("stage"), float(look("delay")))
+        of = functools.partial(_stable, look("method"), look("stage"), float(look("delay") + look("measurement_delay")))
         if errors.concrete(M):
             return of(int(M))
         counts = [int(m) for m in self.axes["M"].values]

@@ -43,7 +43,7 @@ def methods_noise(data):
         given, best = [], []
         for method in data.method.values:
             lanes = error.sel({"case": case, "method": method})
-            over = [lanes.sel(noise=noise, delay=delay) for noise, delay in columns]
+            over = [lanes.sel(noise=noise, measurement_delay=delay) for noise, delay in columns]
             least = [gains.isel(alpha=int(gains.argmin("alpha"))) for gains in over]
             given.append([method, *(number(gains.sel(alpha=GAIN, method="nearest")) for gains in over)])
             best.append([method, *(f"{number(b)} ({float(b.alpha):.2g})" for b in least)])

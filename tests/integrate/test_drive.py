@@ -105,6 +105,28 @@ def test_dead_time_only_shifts_what_a_commanded_loop_does(method):
     np.testing.assert_allclose(late.q[:3], np.tile(Q, (3, 1)), atol=1e-15)
 
 
+def test_a_late_measurement_of_a_known_path_costs_nothing():
+    """e[k+1] − e[k] is then what the path and its velocity leave, whatever the delay; to stability it is dead time."""
+    start = np.asarray(ck.pose(ARM, Q).position)[:2]
+    path = ck.line(start, start + np.array([0.1, -0.05]), duration=1.0)
+    runs = [
+        ck.solve(LAW, path, Q, Ts, 50, "EXP-RK4", drive=Drive(measurement_delay=d, delay=e))
+        for d, e in ((0, 0), (4, 0), (0, 4))
+    ]
+    worst = [float(np.abs(run.e).max()) for run in runs]
+    assert worst[1] < 3 * worst[0] + 1e-9 and worst[2] > 0.005
+    assert Drive(measurement_delay=4, delay=1.5).lumped.delay == 5.5
+    with jax.ensure_compile_time_eval():
+        from cnclik.stability import driven_limits
+
+        limits = [driven_limits(Ts=Ts, drive=Drive(measurement_delay=d, delay=4 - d)).stable for d in (0, 3)]
+    assert limits[0] == limits[1]
+    for share, settles in ((0.95, True), (1.05, False)):
+        law = ck.replace(LAW, alpha=share * limits[0] / Ts)
+        e = ck.solve(law, ck.hold(start + [1e-7, 0]), Q, Ts, 400, "EE", drive=Drive(measurement_delay=4)).e
+        assert (np.abs(e[-20:]).max() < 1e-7) == settles
+
+
 def test_limits_of_a_drive_hold():
     """Neither the velocity nor its change is larger than the drive's, and the target is reached all the same."""
     far = ck.hold(TARGET + np.array([0.2, -0.2]))

@@ -51,9 +51,10 @@ def test_pure_dead_time_is_known_on_paper(d):
 def test_a_fast_loop_through_a_servo_is_stable_to_twice_its_damping():
     """alpha < 2ζω₀ = k_v/m, by Routh's criterion of s(s² + 2ζω₀ s + ω₀²) + alpha ω₀²."""
     w, zeta = 23.25, 2.325
-    for drive in (SERVO, Drive(natural_frequency=w, damping_ratio=zeta)):
-        limits = [driven_limits("EE", Ts=T, drive=drive).stable / T for T in (1e-3, 1e-4)]
-        assert limits[0] == pytest.approx(2 * zeta * w, rel=0.01) and limits[1] == pytest.approx(2 * zeta * w, rel=1e-3)
+    # A velocity that is held for a sample comes half a sample late, a position that steps does not.
+    for drive, off in ((SERVO, 0.01), (Drive(natural_frequency=w, damping_ratio=zeta), 0.06)):
+        for T in (1e-3, 1e-4):
+            assert driven_limits("EE", Ts=T, drive=drive).stable / T == pytest.approx(2 * zeta * w, rel=off * T / 1e-3)
 
 
 def test_half_a_sample_late_is_between():
