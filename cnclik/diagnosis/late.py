@@ -1,0 +1,103 @@
+"""Late: dead time and gain of the loop e[k+1] = e[k] − z e[k−d] that a factor belongs to.
+
+λ^(d+1) − λ^d + z = 0 is z = λ^d (1 − λ): its phase gives d, its size z.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik.diagnosis.modes import misfit
+
+NEIGHBOURS = 2  # on either side of the dead time that the phase gives, which are tried
+PERIODS = 12  # of a recording that is looked at
+WORSE = 4.0  # times the noise power that such a loop may leave, or:
+PART = 1e-3  # this share of the recording's
+
+
+class Late(NamedTuple):
+    """A loop with dead time."""
+
+    delay: int  # [samples]
+    z: float
+    confidence: float  # that no other whole number of samples does as well, 0 to 1
+    phase: float  # dead time that the dominant factor alone says, not a whole number
+    whole: bool  # whether the loop explains the whole recording, and not the dominant factor alone
+
+
+def phase_delay(factor) -> float:
+    """Dead time [samples] for which z is a positive number: −arg(1 − λ)/arg λ, the least."""
+    return float(-np.angle(1 - factor) / np.angle(factor))
+
+
+def gain_of(factor, delay) -> float:
+    """|z| = |λ|^d |1 − λ|."""
+    return float(np.abs(factor) ** delay * np.abs(1 - factor))
+
+
+def loop_of(factor, y, basis, noise) -> Late:
+    """The loop with dead time of a dominant factor, complex or negative.
+
+    Whole numbers of samples next to what the phase says are tried: for each, all motions of such a loop are fitted to
+    the recording, over z. Where none explains it, as with drives that lag, the factor alone is believed.
+
+    Args:
+      y: (N, k) recording. basis: (N, t) of its offset and path. noise: (k,) what the modes leave of it.
+    """
+    phase = phase_delay(factor)
+    period = 2 * np.pi / np.angle(factor)
+    N = min(len(y), int(PERIODS * period + 4 * (phase + 1)) + 24)
+    y, basis = y[:N], basis[:N]
+    tried = {}
+    for delay in range(max(round(phase) - NEIGHBOURS, 0), round(phase) + NEIGHBOURS + 1):
+        if (delay + 1) + basis.shape[1] < N // 2:
+            z, left = _fitted(y, basis, delay, gain_of(factor, delay))
+            numbers = (delay + 1) * y.shape[1] + 1
+            tried[delay] = misfit(left, y) + np.log(N) * numbers, z, left
+    alone = round(phase)
+    if not tried:
+        return Late(alone, gain_of(factor, alone), _nearness(phase), phase, False)
+    best = min(tried, key=lambda d: tried[d][0])
+    score, z, left = tried[best]
+    power = np.mean(left**2, axis=0)
+    if np.any(power > WORSE * noise**2 + PART * np.var(y, axis=0)):
+        return Late(alone, gain_of(factor, alone), _nearness(phase), phase, False)
+    odds = np.exp(-0.5 * (np.array([s for s, *_ in tried.values()]) - score))
+    return Late(best, z, float(1 / odds.sum()), phase, True)
+
+
+def _nearness(phase) -> float:
+    """1 for a whole number, 0 halfway between two."""
+    return 1.0 - 2.0 * abs(phase - round(phase))
+
+
+def _fitted(y, basis, delay, start):
+    """z, and what (N, k) the loop with it leaves of y."""
+    from scipy.optimize import minimize_scalar
+
+    def left(z):
+        design = np.hstack([_motions(z, delay, len(y)), basis])
+        q, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
+        return y - q @ (q.T @ y)
+
+    made = minimize_scalar(
+        lambda z: misfit(left(z), y),
+        bounds=(0.7 * start, 1.4 * start),
+        method="bounded",
+        options={"xatol": 1e-4 * start},
+    )
+    return float(made.x), left(made.x)
+
+
+def _motions(z, delay, N):
+    """(N, d + 1) that span all motions of a loop: what it does of itself, shifted."""
+    from scipy.signal import lfilter
+
+    rule = np.zeros(delay + 2)
+    rule[0], rule[1] = 1.0, -1.0
+    rule[-1] += z
+    impulse = np.zeros(N + delay)
+    impulse[0] = 1.0
+    alone = lfilter([1.0], rule, impulse)
+    padded = np.concatenate([np.zeros(delay), alone])
+    return np.stack([padded[j : j + N] for j in range(delay + 1)], 1)
