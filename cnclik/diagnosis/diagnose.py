@@ -135,7 +135,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
         half = first + len(seen) // 2
         late = find_modes(y[half:last][:, moving], longest)
         later, of_late = _judged(late, last - half, longest)
-        large = later is Kind.SUSTAINED and np.any(_range(late.parts[of_late]) > 0.1 * _range(found.parts[chosen]))
+        large = later is Kind.SUSTAINED and np.any(_range(late.parts[of_late]) > 0.1 * _range(found.parts))
         if large:
             first, seen, found, kind, chosen = half, y[half:last], late, later, of_late
     made = _described(kind, found, chosen, seen[:, moving], alpha, Ts)
@@ -168,9 +168,9 @@ def _judged(found: Modes, N: int, longest):
     f, size, angle = found.factors, np.abs(found.factors), np.abs(np.angle(found.factors))
     energy = np.sum(found.parts**2 / (np.var(found.parts.sum(0) + found.path, axis=0) + 1e-300), axis=(1, 2))
     turns = N * angle / (2 * np.pi)
-    dies = size**N < LOST
+    dies = N * np.log(size) < np.log(LOST)
     fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (dies & (turns >= 1)))
-    fast &= size ** (np.pi / np.maximum(angle, 1e-12)) > SEEN
+    fast &= np.log(size) * np.pi > np.log(SEEN) * angle
     own = fast | dies  # of the loop, and not of a path
     chosen = np.flatnonzero(fast)[np.argsort(-energy[fast])]
     if len(chosen) and _turns_back(found.parts[own].sum(0)):
@@ -200,7 +200,7 @@ def _described(kind, found, chosen, y, alpha, Ts) -> dict:
         "noise": found.noise,
         "path": found.path,
         "modes": found.parts.sum(0),
-        "amplitude": 0.5 * _range(found.parts[chosen]) if len(chosen) else np.zeros(y.shape[1]),
+        "amplitude": 0.5 * np.minimum(_range(found.parts[chosen]), _range(found.parts)) if len(chosen) else np.zeros(y.shape[1]),
     }
     if kind in OSCILLATING:
         return made | _of_loop(kind, found.factors[chosen[0]], y, found, alpha, Ts)

@@ -19,7 +19,7 @@ TIMES = np.geomspace(0.2, 200, 16)  # of lag, or 1/ω₀, in samples, that are l
 RATIOS = (0.1, 0.3, 0.7, 1.0, 2.0, 4.0)  # ζ
 BETTER = 10.0  # by which another number must lower the information criterion
 EXPLAINED = 0.5  # share of a motion below which a command has nothing to do with it
-EXACT = 1e-6  # share of a motion that is rounding
+EXACT = 1e-5  # share of a motion that is rounding
 LEAST = 16  # rows
 
 
@@ -53,9 +53,13 @@ class DriveFit:
         return " ".join([*said, f"--command {drive.command}"])
 
     def __str__(self):
-        said = {0: "dead time alone", 1: "dead time and a lag", 2: "dead time and a second-order servo"}
-        left = f"{100 * self.explained:.4g} % of the motion explained, {np.max(self.rms):.3g} rms left"
-        return f"{said[self.drive.order]}: {self.options} ({left})"
+        units = {"delay": " samples", "lag": " s", "natural_frequency": " rad/s", "damping_ratio": ""}
+        said = []
+        for name, deviation in self.uncertainty.items():
+            value = ", ".join(f"{v:.4g}" for v in np.ravel(getattr(self.drive, name)))
+            said.append(f"{name.replace('_', ' ')} {value} ± {deviation:.1g}{units[name]}")
+        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
+        return f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}."
 
 
 def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position") -> DriveFit:
@@ -139,11 +143,16 @@ def _names(order):
     return ((), ("lag",), ("natural_frequency", "damping_ratio"))[order]
 
 
+_BOUNDS = {"lag": (1e-2, 1e4), "natural_frequency": (1e-4, 10.0), "damping_ratio": (1e-2, 30.0)}  # in samples
+_POWER = {"lag": 1, "natural_frequency": -1, "damping_ratio": 0}
+
+
 @record
 class _Shape:
     """Which numbers a drive has: dead time, then logarithms of the others, of all joints or of each in turn."""
 
     start: Drive
+    Ts: float
     order: int
     joints: int
     own: bool  # whether joints have their own
@@ -154,8 +163,11 @@ class _Shape:
 
     def at(self, values, joint) -> Drive:
         """The drive of one joint."""
-        rest = {n: float(np.exp(values[self.place(i, joint)])) for i, n in enumerate(_names(self.order), 1)}
-        return replace(self.start, delay=float(values[0]), **rest)
+        rest = {}
+        for i, name in enumerate(_names(self.order), 1):
+            low, high = (bound * self.Ts ** _POWER[name] for bound in _BOUNDS[name])
+            rest[name] = float(np.clip(np.exp(values[self.place(i, joint)]), low, high))
+        return replace(self.start, delay=abs(float(values[0])), **rest)
 
 
 def _motion(shape, values, command, motion, Ts):
@@ -199,24 +211,24 @@ def _fit_order(start, order, command, motion, Ts):
     """(criterion, shape, values, their standard deviations) of the best drive of an order."""
     k = motion.shape[1]
     size = np.std(motion, axis=0)
-    together = _Shape(start=start, order=order, joints=k, own=False)
+    together = _Shape(start=start, Ts=Ts, order=order, joints=k, own=False)
     values = _least(together, _begin(together, command, motion, Ts), command, motion, Ts, size)
     found = _scored(together, values, command, motion, Ts, size)
     if k == 1 or order == 0:
         return found
-    own = _Shape(start=start, order=order, joints=k, own=True)
-    each = [
-        _least(one, _begin(one, command[:, [j]], motion[:, [j]], Ts), command[:, [j]], motion[:, [j]], Ts, size[[j]])
-        for j in range(k)
-        for one in [_Shape(start=start, order=order, joints=1, own=False)]
-    ]
+    own = _Shape(start=start, Ts=Ts, order=order, joints=k, own=True)
+    one = _Shape(start=start, Ts=Ts, order=order, joints=1, own=False)
+    each = []
+    for j in range(k):
+        sent, moved = command[:, [j]], motion[:, [j]]
+        each.append(_least(one, _begin(one, sent, moved, Ts), sent, moved, Ts, size[[j]]))
     begin = np.concatenate([[np.median([v[0] for v in each])], *[v[1:] for v in each]])
     values = _least(own, [begin], command, motion, Ts, size)
     other = _scored(own, values, command, motion, Ts, size)
     return other if other[0] < found[0] - BETTER else found
 
 
-def _begin(shape, command, motion, Ts, most=3):
+def _begin(shape, command, motion, Ts, most=2):
     """The best few of a grid of dead times and of the other numbers: values to begin from."""
     grid = [()] if shape.order == 0 else [(tau,) for tau in np.log(TIMES * Ts)]
     if shape.order == 2:
@@ -234,7 +246,12 @@ def _begin(shape, command, motion, Ts, most=3):
             left = wanted - (late - late.mean(0))
             tried.append((float(np.sum((left / size) ** 2)), delay, numbers))
     tried.sort(key=lambda one: one[0])
-    return [np.array([float(delay), *numbers]) for _, delay, numbers in tried[:most]]
+    begun, chosen = set(), []
+    for _, delay, numbers in tried:  # the best dead time of each of the other numbers
+        if numbers not in begun and len(chosen) < most:
+            begun.add(numbers)
+            chosen.append(np.array([delay + 0.3 * (shape.order > 0), *numbers]))
+    return chosen
 
 
 def _latest(command, motion) -> int:
@@ -245,22 +262,18 @@ def _latest(command, motion) -> int:
 
 
 def _least(shape, starts, command, motion, Ts, size):
-    """Values of least squares, from several starts and on both sides of a whole number of samples of dead time."""
+    """Values of least squares, from several starts; dead time is the size of the first."""
     from scipy.optimize import least_squares
 
     def left(values):
         return ((motion - _motion(shape, values, command, motion, Ts)) / size).ravel()
 
-    found = None
-    sides = {(int(max(values[0] + side, 0)), tuple(values[1:])) for values in starts for side in (-1, 0)}
-    for whole, rest in sorted(sides):
-        bounds = ([whole, *[-np.inf] * len(rest)], [whole + 1, *[np.inf] * len(rest)])
-        made = least_squares(
-            left, [whole + 0.5, *rest], bounds=bounds, x_scale=0.1, xtol=1e-10, ftol=1e-10, max_nfev=40
-        )
-        if found is None or made.cost < found.cost:
-            found = made
-    return found.x
+    if shape.order == 0:  # between whole samples the motion is a straight line of the dead time: no slope to follow
+        sides = sorted({max(values[0] + side, 0.0) for values in starts for side in (-0.5, 0.5)})
+        starts = [np.array([side]) for side in sides]
+    made = [least_squares(left, values, method="lm", x_scale=0.1, xtol=1e-10, ftol=1e-12) for values in starts]
+    best = min(made, key=lambda one: one.cost).x
+    return np.concatenate([np.abs(best[:1]), best[1:]])
 
 
 def _scored(shape, values, command, motion, Ts, size):

@@ -49,20 +49,20 @@ def loop_of(factor, y, basis, noise) -> Late:
     N = min(len(y), int(PERIODS * period + 4 * (phase + 1)) + 24)
     y, basis = y[:N], basis[:N]
     tried = {}
-    for delay in range(max(round(phase) - NEIGHBOURS, 0), round(phase) + NEIGHBOURS + 1):
+    near = range(max(round(phase) - NEIGHBOURS, 0), round(phase) + NEIGHBOURS + 1)
+    for delay in near if factor.imag else (0,):  # of a loop that is late, no negative factor is the dominant one
         if (delay + 1) + basis.shape[1] < N // 2:
-            z, left = _fitted(y, basis, delay, gain_of(factor, delay))
-            numbers = (delay + 1) * y.shape[1] + 1
-            tried[delay] = misfit(left, y) + np.log(N) * numbers, z, left
+            z, score = _fitted(y, basis, delay, gain_of(factor, delay))
+            tried[delay] = score + np.log(N) * ((delay + 1) * y.shape[1] + 1), z
     alone = round(phase)
     if not tried:
         return Late(alone, gain_of(factor, alone), _nearness(phase), phase, False)
     best = min(tried, key=lambda d: tried[d][0])
-    score, z, left = tried[best]
-    power = np.mean(left**2, axis=0)
+    z, _ = _fitted(y, basis, best, tried[best][1], within=1e-2, to=1e-7)
+    power = np.mean(_left(z, y, basis, best) ** 2, axis=0)
     if np.any(power > WORSE * noise**2 + PART * np.var(y, axis=0)):
         return Late(alone, gain_of(factor, alone), _nearness(phase), phase, False)
-    odds = np.exp(-0.5 * (np.array([s for s, *_ in tried.values()]) - score))
+    odds = np.exp(-0.5 * (np.array([score for score, _ in tried.values()]) - tried[best][0]))
     return Late(best, z, float(1 / odds.sum()), phase, True)
 
 
@@ -71,22 +71,23 @@ def _nearness(phase) -> float:
     return 1.0 - 2.0 * abs(phase - round(phase))
 
 
-def _fitted(y, basis, delay, start):
-    """z, and what (N, k) the loop with it leaves of y."""
+def _fitted(y, basis, delay, start, within=0.35, to=1e-3):
+    """z about `start`, to a share, and the misfit that the loop with it has."""
     from scipy.optimize import minimize_scalar
 
-    def left(z):
-        design = np.hstack([_motions(z, delay, len(y)), basis])
-        q, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
-        return y - q @ (q.T @ y)
-
     made = minimize_scalar(
-        lambda z: misfit(left(z), y),
-        bounds=(0.7 * start, 1.4 * start),
+        lambda z: misfit(_left(z, y, basis, delay), y),
+        bounds=((1 - within) * start, (1 + within) * start),
         method="bounded",
-        options={"xatol": 1e-4 * start},
+        options={"xatol": to * start},
     )
-    return float(made.x), left(made.x)
+    return float(made.x), float(made.fun)
+
+
+def _left(z, y, basis, delay):
+    """(N, k) what of y is no motion of the loop."""
+    q, _ = np.linalg.qr(np.hstack([_motions(z, delay, len(y)), basis]))
+    return y - q @ (q.T @ y)
 
 
 def _motions(z, delay, N):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROWS = 160  # of a Hankel matrix, at most
+ROWS = 128  # of a Hankel matrix, at most
 ORDER = 12  # factors of a recording, at most
 GROWTH = 1.6  # per sample, at most: of a faster one nothing would have been recorded
 EXACT = 1e-8  # share of a column that is rounding
@@ -65,7 +65,7 @@ def _best(y, basis):
 def _candidates(y, basis):
     """Factors for each order."""
     N = len(y)
-    rows = min(N // 2, ROWS)
+    rows = min(int(0.4 * N), ROWS)
     width = N - rows + 1
     windows = np.lib.stride_tricks.sliding_window_view(y / _size(y), width, axis=0)  # (rows, k, width)
     still, _ = np.linalg.qr(basis[:width])
