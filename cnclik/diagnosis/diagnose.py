@@ -200,7 +200,9 @@ def _described(kind, found, chosen, y, alpha, Ts) -> dict:
         "noise": found.noise,
         "path": found.path,
         "modes": found.parts.sum(0),
-        "amplitude": 0.5 * np.minimum(_range(found.parts[chosen]), _range(found.parts)) if len(chosen) else np.zeros(y.shape[1]),
+        "amplitude": 0.5 * np.minimum(_range(found.parts[chosen]), _range(found.parts))
+        if len(chosen)
+        else np.zeros(y.shape[1]),
     }
     if kind in OSCILLATING:
         return made | _of_loop(kind, found.factors[chosen[0]], y, found, alpha, Ts)

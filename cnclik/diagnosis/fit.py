@@ -20,6 +20,7 @@ RATIOS = (0.1, 0.3, 0.7, 1.0, 2.0, 4.0)  # ζ
 BETTER = 10.0  # by which another number must lower the information criterion
 EXPLAINED = 0.5  # share of a motion below which a command has nothing to do with it
 EXACT = 1e-5  # share of a motion that is rounding
+EVALUATIONS = 200  # of a fit from one start
 LEAST = 16  # rows
 
 
@@ -178,33 +179,28 @@ def _motion(shape, values, command, motion, Ts):
 
 def response(drive: Drive, command, Ts):
     """(N,) motion of a drive after commands (N,) that go on from rest at the first; of a velocity from 0 on."""
-    from scipy.signal import lfilter
-
-    model = sampled(drive, Ts)
-    begin = command[0]
-    if drive.command == "position":
-        u = command - begin  # and what it does to the motion, which begins there
-        if not drive.steps_positions:
-            u = np.diff(u, prepend=0.0) / Ts
-    else:
-        u = command - begin  # a constant velocity is added below
-    phi, now = model.phi.reshape(model.size, -1), model.now.reshape(-1)
-    poles = np.poly(phi)
-    top = _numerator(phi, now, poles)
+    model, N, begin = sampled(drive, Ts), len(command), command[0]
+    u = command - begin  # what the first command does is added below
+    if drive.command == "position" and not drive.steps_positions:
+        u = np.diff(u, prepend=0.0) / Ts
+    phi = model.phi.reshape(model.size, -1)
+    rows = np.eye(1, model.size)  # x₀ of Φ^k x, for k = 0, 1, ...
+    while len(rows) < N:
+        rows, phi = np.concatenate([rows, rows @ phi]), phi @ phi
+    impulse = np.zeros(N + model.whole + 2)
+    impulse[model.whole + 1 : -1] += rows[:N] @ model.now.reshape(-1)
     if model.late is not None:
-        top = np.convolve(top, [1.0, 0.0]) + np.convolve(_numerator(phi, model.late.reshape(-1), poles), [0.0, 1.0])
-    top = np.concatenate([np.zeros(model.whole), top])
-    made = lfilter(top, poles, u)
-    return made + begin if drive.command == "position" else made + begin * Ts * np.arange(len(u))
+        impulse[model.whole + 2 :] += rows[:N] @ model.late.reshape(-1)
+    made = _convolved(u, impulse[:N])
+    return made + begin if drive.command == "position" else made + begin * Ts * np.arange(N)
 
 
-def _numerator(phi, gamma, poles):
-    """Of x₀ over u, in powers of one sample back, from Markov parameters."""
-    markov, state = [0.0], gamma
-    for _ in range(len(gamma)):
-        markov.append(state[0])
-        state = phi @ state
-    return np.convolve(poles, markov)[: len(gamma) + 1]
+def _convolved(u, impulse):
+    """The first N of a convolution of two rows (N,)."""
+    N = len(u)
+    if N < 1000:
+        return np.convolve(u, impulse)[:N]
+    return np.fft.irfft(np.fft.rfft(u, 2 * N) * np.fft.rfft(impulse, 2 * N), 2 * N)[:N]
 
 
 def _fit_order(start, order, command, motion, Ts):
@@ -271,7 +267,10 @@ def _least(shape, starts, command, motion, Ts, size):
     if shape.order == 0:  # between whole samples the motion is a straight line of the dead time: no slope to follow
         sides = sorted({max(values[0] + side, 0.0) for values in starts for side in (-0.5, 0.5)})
         starts = [np.array([side]) for side in sides]
-    made = [least_squares(left, values, method="lm", x_scale=0.1, xtol=1e-10, ftol=1e-12) for values in starts]
+    made = [
+        least_squares(left, values, method="lm", x_scale=0.1, xtol=1e-9, ftol=1e-11, max_nfev=EVALUATIONS)
+        for values in starts
+    ]
     best = min(made, key=lambda one: one.cost).x
     return np.concatenate([np.abs(best[:1]), best[1:]])
 

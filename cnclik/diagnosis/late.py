@@ -91,14 +91,8 @@ def _left(z, y, basis, delay):
 
 
 def _motions(z, delay, N):
-    """(N, d + 1) that span all motions of a loop: what it does of itself, shifted."""
-    from scipy.signal import lfilter
-
-    rule = np.zeros(delay + 2)
-    rule[0], rule[1] = 1.0, -1.0
-    rule[-1] += z
-    impulse = np.zeros(N + delay)
-    impulse[0] = 1.0
-    alone = lfilter([1.0], rule, impulse)
-    padded = np.concatenate([np.zeros(delay), alone])
-    return np.stack([padded[j : j + N] for j in range(delay + 1)], 1)
+    """(N, d + 1) that span all motions of a loop: what it does of itself after one impulse, shifted."""
+    alone = [0.0] * delay + [1.0]
+    for _ in range(N - 1):
+        alone.append(alone[-1] - z * alone[-1 - delay])
+    return np.lib.stride_tricks.sliding_window_view(np.array(alone), N).T
