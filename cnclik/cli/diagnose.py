@@ -80,13 +80,25 @@ def _diagnose(args, names, table, clock, Ts):
 def _tell(found):
     if found.stable is None:
         return
-    print(f"z now {found.z:.4g}; at {found.delay} samples of dead time: stable below {found.stable:.4g}, "
+    print(f"z now {found.z:.4g}; at {found.delay:.4g} samples of dead time: stable below {found.stable:.4g}, "
           f"no overshoot below {found.monotone:.4g}, recommended {found.recommended:.4g}; "
           f"confidence in the dead time {found.confidence:.2f}")  # fmt: skip
 
 
 def _fields(found) -> dict:
-    plain = ("period", "growth", "z", "delay", "phase_delay", "confidence", "pure", "stable", "monotone", "recommended")
+    plain = (
+        "period",
+        "growth",
+        "z",
+        "delay",
+        "lag",
+        "phase_delay",
+        "confidence",
+        "pure",
+        "stable",
+        "monotone",
+        "recommended",
+    )
     made = {"kind": str(found.kind), "Ts": found.Ts, "rings": found.rings}
     made |= {name: getattr(found, name) for name in (*plain, "factor", "alpha", "recommended_alpha")}
     made |= {"period_seconds": found.period_seconds, "delay_seconds": found.delay_seconds}

@@ -4,7 +4,8 @@
 lies between recorded commands and the recorded motion. NumPy and SciPy only.
 """
 
-from cnclik.diagnosis.diagnose import Diagnosis, Kind, diagnose
+from cnclik.diagnosis.diagnose import Diagnosis, diagnose
 from cnclik.diagnosis.fit import DriveFit, fit_drive
+from cnclik.diagnosis.judge import Kind
 
 __all__ = ["Diagnosis", "DriveFit", "Kind", "diagnose", "fit_drive"]

@@ -1,42 +1,15 @@
 """Diagnose: whether a recording rings, how late the robot is by that, and which gain would end it."""
 
-import enum
-import functools
-
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.late import gain_of, loop_of
-from cnclik.diagnosis.modes import Modes, find_modes, trend
-from cnclik.integrate.drive import Drive
+from cnclik.diagnosis.advice import advice
+from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, judged, looked_at, spans
+from cnclik.diagnosis.modes import find_modes
 from cnclik.record import record
-from cnclik.stability.driven import DrivenLimits, driven_limits
 
-LEAST = 16  # rows
-MOST = 2000  # rows that are looked at: those that move most
 LONGEST = 250  # samples of a period: what is slower is taken for a path
-TURNS = 3  # periods that must be there of what doesn't die out
 STILL = 1e-12  # share of the largest value that is rounding
-BEGUN = 0.05  # share of the range that something must move to have begun
-BACK = 0.04  # share of the range by which a recording goes back and forth, from which on it rings
-SEEN = 0.01  # share that is left after half a period, below which nobody would call it ringing
-HELD = 1.5  # factor in size over all rows up to which an oscillation counts as sustained
-LOST = 0.05  # share that is left at the end of what has died out
-LATEST = 200  # samples of dead time of which limits are told
-
-
-class Kind(enum.StrEnum):
-    """What a recording shows."""
-
-    RINGING = "ringing"
-    SUSTAINED = "sustained oscillation"
-    GROWING = "growing oscillation"
-    MONOTONE = "monotone decay"
-    QUIET = "quiet"
-    NOISE = "noise"
-
-
-OSCILLATING = (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
 
 
 @record
@@ -49,6 +22,7 @@ class Diagnosis:
       period: of the oscillation [samples]; growth: factor of its size per sample. Of a monotone decay growth alone.
       factors: (g,) complex, of all modes that were found, the dominant first; of each pair one.
       z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that.
+      lag: time constant [s], where alpha and the oscillation say that there is one; then d is no whole number.
       phase_delay: dead time that the dominant factor alone says, not a whole number.
       confidence: in d, 0 to 1. pure: whether gain and dead time explain all of the recording; else a drive lags as
         well, of which d is part.
@@ -66,7 +40,8 @@ class Diagnosis:
     growth: float | None = None
     factors: object = ()
     z: float | None = None
-    delay: int | None = None
+    delay: float | None = None
+    lag: float | None = None
     phase_delay: float | None = None
     confidence: float | None = None
     pure: bool | None = None
@@ -127,140 +102,46 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
     if not moving.any():
         still = np.zeros(y.shape[1])
         return Diagnosis(kind=Kind.QUIET, path=y, modes=np.zeros_like(y), amplitude=still, noise=still, **given)
-    first, last = _looked_at(y[:, moving], longest)
-    seen = y[first:last]
-    found = find_modes(seen[:, moving], longest)
-    kind, chosen = _judged(found, len(seen), longest)
+    size = np.where(moving, np.ptp(y, axis=0), 1.0)
+    scaled = (y - y[0]) / size
+    first, last = looked_at(scaled[:, moving], longest)
+    seen = scaled[first:last, moving]
+    found = find_modes(seen, longest)
+    kind, chosen, own = judged(seen, found, longest)
     if kind in (Kind.GROWING, Kind.RINGING) and len(seen) >= 4 * LEAST:  # what it has come to, if that stays
-        half = first + len(seen) // 2
-        late = find_modes(y[half:last][:, moving], longest)
-        later, of_late = _judged(late, last - half, longest)
-        large = later is Kind.SUSTAINED and np.any(_range(late.parts[of_late]) > 0.1 * _range(found.parts))
-        if large:
-            first, seen, found, kind, chosen = half, y[half:last], late, later, of_late
-    made = _described(kind, found, chosen, seen[:, moving], alpha, Ts)
-    return Diagnosis(kind=kind, first=first, **_spread(made, moving, seen), **given)
-
-
-def _range(parts):
-    """(k,) of the sum of parts (g, N, k)."""
-    return np.ptp(parts.sum(0), axis=0)
-
-
-def _looked_at(y, longest):
-    """(first, last) of the rows that move most: neither what precedes the motion nor more than MOST."""
-    first, last = 0, len(y)
-    if last > MOST:
-        width = int(min(longest, last // 8))
-        kernel = np.ones(width) / width
-        fast = [c - np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in y.T]
-        size = sum((c / (np.std(c) + np.finfo(float).tiny)) ** 2 for c in fast)
-        total = np.concatenate([[0.0], np.cumsum(size)])
-        first = int(np.argmax(total[MOST:] - total[:-MOST]))
-        last = first + MOST
-    away = np.abs(y[first:last] - y[first]) > BEGUN * np.ptp(y[first:last], axis=0)
-    begun = int(np.argmax(away.any(1)))
-    return (first + begun, last) if last - first - begun >= LEAST else (first, last)
-
-
-def _judged(found: Modes, N: int, longest):
-    """(kind, indices of the modes that it is about, the dominant first)."""
-    f, size, angle = found.factors, np.abs(found.factors), np.abs(np.angle(found.factors))
-    energy = np.sum(found.parts**2 / (np.var(found.parts.sum(0) + found.path, axis=0) + 1e-300), axis=(1, 2))
-    turns = N * angle / (2 * np.pi)
-    dies = N * np.log(size) < np.log(LOST)
-    fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (dies & (turns >= 1)))
-    fast &= np.log(size) * np.pi > np.log(SEEN) * angle
-    own = fast | dies  # of the loop, and not of a path
-    chosen = np.flatnonzero(fast)[np.argsort(-energy[fast])]
-    if len(chosen) and _turns_back(found.parts[own].sum(0)):
-        change = N * np.log(size[chosen[0]])
-        if abs(change) < np.log(HELD):
-            return Kind.SUSTAINED, chosen
-        return (Kind.GROWING if change > 0 else Kind.RINGING), chosen
-    real = np.flatnonzero(own & (np.abs(f.imag) < 0.5 * size) & (f.real > 0) & (size < 1))
-    if len(real):
-        return Kind.MONOTONE, real[np.argsort(-energy[real])]
-    largest = np.abs(found.path).max(0) + np.abs(found.parts).sum(0).max(0)
-    return (Kind.QUIET if np.all(found.noise <= 1e-9 * largest) else Kind.NOISE), chosen[:0]
-
-
-def _turns_back(part) -> bool:
-    """Whether (N, k) goes back and forth, and not one way only."""
-    way, span = np.abs(np.diff(part, axis=0)).sum(0), np.ptp(part, axis=0)
-    main = span > 0.1 * span.max()
-    return bool(np.any(way[main] > (1 + BACK) * span[main]))
-
-
-def _described(kind, found, chosen, y, alpha, Ts) -> dict:
-    """Fields of a `Diagnosis`, over the columns that move."""
-    rest = [i for i in range(len(found.factors)) if i not in chosen]
-    made = {
-        "factors": found.factors[[*chosen, *rest]],
-        "noise": found.noise,
-        "path": found.path,
-        "modes": found.parts.sum(0),
-        "amplitude": 0.5 * np.minimum(_range(found.parts[chosen]), _range(found.parts))
-        if len(chosen)
-        else np.zeros(y.shape[1]),
-    }
+        half = len(seen) // 2
+        late = find_modes(seen[half:], longest)
+        later, of_late, own_late = judged(seen[half:], late, longest)
+        if later is Kind.SUSTAINED and np.any(spans(late.parts[of_late]) > 0.1 * spans(found.parts)):
+            first, seen, found, kind, chosen, own = first + half, seen[half:], late, later, of_late, own_late
+    made = given | {"kind": kind, "first": first}
     if kind in OSCILLATING:
-        return made | _of_loop(kind, found.factors[chosen[0]], y, found, alpha, Ts)
-    if kind is Kind.MONOTONE:
-        slowest = float(np.abs(found.factors[chosen[0]]))
-        note = f"A real factor leaves the dead time open; without any, z is 1 − {slowest:.4g} = {1 - slowest:.4g}"
-        gain = "" if alpha is None else f", where alpha Ts is {alpha * Ts:.4g}"
-        return made | {"growth": slowest, "note": f"{note}{gain}. No smaller gain is needed.", "z": 1 - slowest}
-    return made
+        loop = seen - found.path - found.parts[~own].sum(0)
+        made |= advice(kind, found.factors[chosen[0]], loop, found.noise, alpha, Ts)
+    elif kind is Kind.MONOTONE:
+        made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)
+    rest = [i for i in range(len(found.factors)) if i not in chosen]
+    most = np.minimum(spans(found.parts[chosen]), spans(found.parts)) if len(chosen) else np.zeros(seen.shape[1])
+
+    def every(values):  # of all columns, in their units
+        full = np.zeros((*values.shape[:-1], y.shape[1]))
+        full[..., moving] = values
+        return full * size
+
+    return Diagnosis(
+        factors=found.factors[[*chosen, *rest]],
+        amplitude=every(0.5 * most),
+        noise=every(found.noise),
+        path=every(found.path) + y[0],
+        modes=every(found.parts.sum(0)),
+        **made,
+    )
 
 
-def _of_loop(kind, factor, y, found, alpha, Ts) -> dict:
-    made = {"period": float(2 * np.pi / np.abs(np.angle(factor))), "growth": float(np.abs(factor))}
-    late = loop_of(factor, y, trend(len(y)), found.noise)
-    made |= {"delay": late.delay, "phase_delay": late.phase, "confidence": late.confidence, "pure": late.whole}
-    notes = []
-    if late.delay > LATEST:
-        return made | {"z": gain_of(factor, late.delay), "note": "So late is no robot: this may be a path."}
-    limits = limits_at(late.delay)
-    z = limits.stable if kind is Kind.SUSTAINED else late.z
-    made |= {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": limits.recommended}
-    made |= {"factor": limits.recommended / z}
-    if alpha is not None:
-        made |= {"recommended_alpha": alpha * made["factor"]}
-    if kind is Kind.SUSTAINED:
-        notes.append(
-            "An oscillation that keeps its size is clipped, by a limit of speed or by friction: z may be larger."
-        )
-    if made["period"] < 2.01:
-        notes.append("Values return every second sample: z is above 1.")
-    if alpha is not None and kind is not Kind.SUSTAINED and not 0.8 < alpha * Ts / z < 1.25:
-        notes.append(
-            f"alpha Ts is {alpha * Ts:.4g}, not z: drive or measurement change the gain by {z / (alpha * Ts):.3g}."
-        )
-    if not late.whole and late.confidence < 0.6:
-        notes.append(
-            f"The phase says {late.phase:.2f} samples: a drive that lags, of which a recorded step tells more (--step)."
-        )
-    return made | {"note": " ".join(notes)}
-
-
-@functools.lru_cache(maxsize=256)
-def limits_at(delay: int) -> DrivenLimits:
-    """Limits of z of explicit Euler with dead time alone: they don't depend on Ts."""
-    return driven_limits("EE", Ts=1.0, drive=Drive(delay=delay))
-
-
-def _spread(made, moving, seen) -> dict:
-    """The fields with columns that stand still put back in."""
-    for name in ("amplitude", "noise"):
-        every = np.zeros(len(moving))
-        every[moving] = made[name]
-        made[name] = every
-    for name, still in (("path", seen), ("modes", np.zeros_like(seen))):
-        every = np.array(still)
-        every[:, moving] = made[name]
-        made[name] = every
-    return made
+def _monotone(slowest, alpha, Ts) -> dict:
+    note = f"A real factor leaves the dead time open; without any, z is 1 − {slowest:.4g} = {1 - slowest:.4g}"
+    gain = "" if alpha is None else f", where alpha·Ts is {alpha * Ts:.4g}"
+    return {"growth": slowest, "z": 1 - slowest, "note": f"{note}{gain}. No smaller gain is needed."}
 
 
 # --- in words -----------------------------------------------------------------------------------------
@@ -275,7 +156,8 @@ def _sentence(d: Diagnosis) -> str:
         return f"the error shrinks × {d.growth:.4g} per sample and never returns"
     said = f"period {d.period:.4g} samples ({d.period_seconds:.4g} s), × {d.growth:.4g} per sample"
     more = "at least " if d.kind is Kind.SUSTAINED else ""
-    said += f", as of a loop with z = {more}{d.z:.4g} and {d.delay} samples ({d.delay_seconds:.4g} s) of dead time"
+    said += f", as of a loop with z = {more}{d.z:.4g} and {d.delay:.4g} samples ({d.delay_seconds:.4g} s) of dead time"
+    said += "" if d.lag is None else f" and a lag of {d.lag:.3g} s"
     if d.factor is None:
         return said
     most = "at most " if d.kind is Kind.SUSTAINED else ""

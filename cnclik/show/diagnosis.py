@@ -7,6 +7,7 @@ from cnclik.show import style
 
 MOST = 8  # columns that are shown: those that move most
 _TIME = "time $t$ [s]"
+_DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "markeredgewidth": 0.5}
 
 
 def oscillation(signal, found, names):
@@ -20,7 +21,7 @@ def oscillation(signal, found, names):
     t = found.Ts * np.arange(len(signal))
     seen = slice(found.first, found.first + len(found.modes))
     for panel, i in zip(panels, shown, strict=True):
-        panel.plot(t, signal[:, i], ".", color="0.6", markersize=2.5, label="recorded")
+        panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
         panel.plot(t[seen], found.path[:, i], color=style.ORANGE, linestyle=style.DASH, label="path")
         panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="path and modes")
         panel.set_ylabel(f"{names[i]} [as recorded]")
@@ -38,7 +39,7 @@ def drive(Ts, command, motion, fit, names, unit="rad"):
     for i, panel in enumerate(panels):
         right = panel if positions else panel.twinx()
         right.step(t, command[:, i], where="post", color=style.BLACK, linestyle=style.DOT, label="command")
-        panel.plot(t, motion[:, i], ".", color="0.6", markersize=2.5, label="recorded motion")
+        panel.plot(t, motion[:, i], "o", **_DOTS, label="recorded motion")
         panel.plot(t, fit.motion[:, i], color=style.BLUE, label="motion of the fitted drive")
         panel.set_ylabel(f"{names[i]} [{unit}]")
         if not positions:
