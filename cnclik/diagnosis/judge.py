@@ -8,7 +8,8 @@ from cnclik.diagnosis.modes import Modes
 
 MOST = 2000  # rows that are looked at: those that move most
 LEAST = 16  # rows
-TURNS = 3  # periods that must be there of what doesn't die out
+TURNS = 3  # periods that must be there of what doesn't shrink
+SHRUNK = 0.7  # share that is left at the end of what does: of that one period is enough
 BEGUN = 0.05  # share of the range that something must move to have begun
 BACK = 0.04  # share of the range by which a recording goes back and forth, from which on it rings
 SEEN = 0.01  # share that is left after half a period, below which nobody would call it ringing
@@ -16,6 +17,10 @@ HELD = 1.5  # factor in size over all rows up to which an oscillation counts as 
 STEADY = 5e-4  # or this in a sample
 LOST = 0.05  # share that is left at the end of what has died out
 WINDOW = 1.5  # periods of a window in which an oscillation must be seen
+BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
+WAVES = 0.04  # share of the range that such bends may leave in waves
+ABOVE = 1.5  # or times what is left,
+OFTEN = 10  # where there are fewer periods
 THERE = 0.5  # share of it that must be there, beside the cubic that fits best
 
 
@@ -65,28 +70,33 @@ def judged(y, found: Modes, longest):
     energy = np.sum(found.parts**2, axis=(1, 2))
     turns = N * angle / (2 * np.pi)
     dies = N * np.log(size) < np.log(LOST)
-    fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (dies & (turns >= 1)))
-    fast &= np.log(size) * np.pi > np.log(SEEN) * angle
+    shrinks = N * np.log(size) < np.log(SHRUNK)
+    fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (shrinks & (turns >= 1)))
+    visible = np.log(size) * np.pi > np.log(SEEN) * angle
+    fast &= visible
     own = fast | dies
     chosen = np.flatnonzero(fast)[np.argsort(-energy[fast])]
-    if (
-        len(chosen)
-        and _turns_back(found.parts[own].sum(0))
-        and _is_there(y, found.parts[chosen].sum(0), angle[chosen[0]])
-    ):
+    back = len(chosen) and _turns_back(found.parts[own].sum(0))
+    if back and _is_there(y, found, found.parts[chosen].sum(0), angle[chosen[0]]):
         change = np.log(size[chosen[0]])
         if abs(change) < max(np.log(HELD) / N, STEADY):
             return Kind.SUSTAINED, chosen, own
         return (Kind.GROWING if change > 0 else Kind.RINGING), chosen, own
-    real = np.flatnonzero(own & (np.abs(f.imag) < 0.5 * size) & (f.real > 0) & (size < 1))
+    real = np.flatnonzero(dies & (f.real > 0) & ((f.imag == 0) | ~visible))
     if len(real):
         return Kind.MONOTONE, real[np.argsort(-energy[real])], own
     largest = np.abs(found.path).max(0) + np.abs(found.parts).sum(0).max(0)
     return (Kind.QUIET if np.all(found.noise <= 1e-9 * largest) else Kind.NOISE), chosen[:0], own
 
 
-def _is_there(y, part, angle) -> bool:
-    """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits one bend of a path."""
+def _is_there(y, found, part, angle) -> bool:
+    """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits a path's bends."""
+    left = y - found.path - found.parts.sum(0)
+    rough = np.std(np.diff(left, 3, axis=0), axis=0) / np.sqrt(20)  # of white noise its standard deviation
+    many = len(y) * angle > 2 * np.pi * OFTEN
+    large = (np.ptp(part, axis=0) > WAVES * np.ptp(y, axis=0)) & (many | (np.std(part, axis=0) > ABOVE * found.noise))
+    if not np.any(large | (found.noise <= BENT * rough)):
+        return False
     width = min(max(int(WINDOW * 2 * np.pi / angle), 8), len(y))
     smooth, _ = np.linalg.qr(np.linspace(-1, 1, width)[:, None] ** np.arange(4))
     both = power = 0.0

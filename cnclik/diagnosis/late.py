@@ -89,12 +89,9 @@ def _best(delays, y, basis, factor, noise, phase):
     N, tried = len(y), {}
     for delay in delays:
         if (delay + 1) + basis.shape[1] < N // 2:
-            start = gain_of(factor, delay)
-            bounds = (
-                (0.65 * start, 1.35 * start)
-                if abs(delay - phase) <= 1 + NEIGHBOURS
-                else (monotone(delay), 1.2 * stable(delay))
-            )
+            bounds = 0.65 * gain_of(factor, delay), 1.35 * gain_of(factor, delay)
+            if abs(delay - phase) > 1 + NEIGHBOURS:  # then the factor is not its own
+                bounds = monotone(delay), 1.2 * stable(delay)
             z, score = _fitted(y, basis, delay, bounds, 1e-3)
             tried[delay] = score + np.log(N) * ((delay + 1) * y.shape[1] + 1), z
     if not tried:

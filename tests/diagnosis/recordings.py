@@ -22,7 +22,7 @@ def loop(z, d, N, clip=np.inf):
 
 
 def servo(command, Ts, delay, lag=None, omega=None, zeta=None, velocity=False):
-    """(N,) motion after commands (N,) that are held, by SciPy's Runge-Kutta steps: what drives do by their own equation."""
+    """(N,) motion after commands (N,) that are held, by Runge-Kutta steps of the drive's own equation."""
     from scipy.integrate import solve_ivp
 
     t = Ts * np.arange(len(command))

@@ -123,7 +123,7 @@ def test_a_motion_from_one_place_to_another_is_no_oscillation():
 def test_what_is_excited_again_rings_and_is_not_sustained():
     e = np.tile(loop(0.3, 4, 200), 20) + 0.003 * np.random.default_rng(7).standard_normal(4000)
     found = diagnose(e, TS)
-    assert found.kind is Kind.RINGING and about(found, 0.3, 4) and len(found.modes) == 2000
+    assert found.kind is Kind.RINGING and about(found, 0.3, 4) and len(found.modes) > 1900
 
 
 def test_a_drive_that_lags_is_found_by_the_gain():
@@ -145,8 +145,9 @@ def test_limits_of_dead_time_alone_are_those_of_the_theory():
 
 
 def test_a_recording_of_one_period():
-    found = diagnose(loop(0.15, 8, 45), TS)
-    assert about(found, 0.15, 8) and found.period > 30
+    for N in (45, 60):
+        found = diagnose(loop(0.15, 8, N), TS)
+        assert found.delay == 8 and found.z == pytest.approx(0.15, rel=0.1) and found.period > 30
 
 
 def test_a_monotone_decay():
