@@ -28,7 +28,7 @@ def oscillation(signal, found, names):
     return _finish(figure, panels)
 
 
-def drive(Ts, command, motion, fit, names, unit="rad"):
+def drive(Ts, command, motion, fit, names, unit="rad or m"):
     """Command, motion, and the motion of the drive that was fitted; a panel for each joint.
 
     Args:
@@ -43,7 +43,7 @@ def drive(Ts, command, motion, fit, names, unit="rad"):
         panel.plot(t, fit.motion[:, i], color=style.BLUE, label="motion of the fitted drive")
         panel.set_ylabel(f"{names[i]} [{unit}]")
         if not positions:
-            right.set_ylabel(f"command [{unit}/s]")
+            right.set_ylabel(f"command [{unit} per s]")
             right.grid(False)
             right.spines["right"].set_visible(True)
             panel.plot([], [], color=style.BLACK, linestyle=style.DOT, label="command")
