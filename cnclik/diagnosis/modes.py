@@ -11,7 +11,6 @@ import numpy as np
 
 ROWS = 128  # of a Hankel matrix, at most
 ORDER = 12  # factors of a recording, at most
-PATIENCE = 5  # orders that may bring nothing before higher ones are left alone
 GROWTH = 1.6  # per sample, at most: of a faster one nothing would have been recorded
 EXACT = 1e-8  # share of a column that is rounding
 PENALTY = 2.0  # on the logarithm of the number of samples, for each number that is fitted: modes are searched for
@@ -51,12 +50,9 @@ def find_modes(y, slowest: float) -> Modes:
 
 def _best(y, basis):
     found = _in_parts(y, basis, np.zeros(0, complex))
-    vain = 0
     for factors in _candidates(y, basis):
         other = _in_parts(y, basis, factors)
-        found, vain = (other, 0) if other.score < found.score else (found, vain + 1)
-        if vain == PATIENCE:
-            break
+        found = other if other.score < found.score else found
     while len(found.factors):  # what the criterion doesn't miss goes
         fewer = [_in_parts(y, basis, np.delete(found.factors, i)) for i in range(len(found.factors))]
         best = min(fewer, key=lambda one: one.score)
