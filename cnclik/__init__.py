@@ -12,8 +12,10 @@ from cnclik.lazy import on_use
 from cnclik.version import __version__
 
 if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type checkers
-    from cnclik import bench, export, measure, paper, problem, reaching, show, stability, sweeps, tuning
+    from cnclik import bench, diagnosis, export, measure, paper, problem, reaching, show, stability, sweeps, tuning
     from cnclik.compilation import use_cache
+    from cnclik.diagnosis.diagnose import diagnose
+    from cnclik.diagnosis.fit import fit_drive
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
     from cnclik.integrate.drive import Drive
@@ -54,7 +56,10 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
 
 # Where each name is: nothing is loaded before it is asked for, so that the command line answers at once where no
 # number is asked of it.
-_ROOMS = ("bench", "export", "measure", "paper", "problem", "reaching", "show", "stability", "sweeps", "tuning")
+_ROOMS = (
+    *("bench", "diagnosis", "export", "measure", "paper", "problem", "reaching", "show", "stability", "sweeps"),
+    "tuning",
+)
 _INNER = (
     "compilation",
     "errors",
@@ -70,6 +75,8 @@ _INNER = (
 )
 _ON_USE = {
     "compilation": "use_cache",
+    "diagnosis.diagnose": "diagnose",
+    "diagnosis.fit": "fit_drive",
     "errors": "ArgumentError",
     "hints": "use_form use_hints",
     "integrate.drive": "Drive",
@@ -111,6 +118,7 @@ __all__ = [
     *("ArgumentError", "CN", "Chain", "Drive", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method"),
     *("Metrics", "Multistep", "Pose", "RK4", "ReachStatus", "Reached", "Reference", "Status", "Step", "StepError"),
     *("TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate", "causal", "chord", "circle", "damped"),
+    *("diagnose", "diagnosis", "fit_drive"),
     *("exponential", "export", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
     *("manipulability", "manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run"),
     *("newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot", "pose", "pose_task"),

@@ -14,7 +14,10 @@ import cnclik
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = ("errors", "record", "hints", "precision", "compilation", "lazy", "reading", "writing", "version")
 BASE = ("robot", "law", "integrate")  # reached through the names of the package alone
-ROOMS = (*BASE, "reaching", "problem", "measure", "stability", "sweeps", "tuning", "export", "show", "paper", "bench")
+ROOMS = (
+    *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),
+    "bench",
+)
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
 MOST_LINES = 400
 

@@ -21,6 +21,7 @@ VERBS = {
     "solve": "run one loop on one robot: trajectory, figures, summary",
     "reach": "joint values that put the tip at targets: one or a million, with a reason where none do",
     "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
+    "diagnose": "from a recording: does the loop ring, how late is the robot, which gain would end it; its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",

@@ -15,6 +15,14 @@ def read_csv(argument: str, file) -> np.ndarray:
 
     Raises: ArgumentError, naming the argument, for a file that can't be read, or rows that don't fit.
     """
+    return read_columns(argument, file)[1]
+
+
+def read_columns(argument: str, file) -> tuple:
+    """Names of the columns, "1", "2", … where there is no header, and the numbers (rows, columns) of a CSV file.
+
+    Raises: as `read_csv`.
+    """
     path = pathlib.Path(file)
     try:
         text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
@@ -22,12 +30,15 @@ def read_csv(argument: str, file) -> np.ndarray:
     except (UnicodeDecodeError, csv.Error) as error:
         reason = "is no text" if isinstance(error, UnicodeDecodeError) else error
         raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
+    names = ()
     if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
-        rows = rows[1:]
+        names, rows = tuple(name.strip() for name in rows[0]), rows[1:]
     for k, row in enumerate(rows):
         if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
             raise errors.fail(argument, "hold numbers, as many in every row", f"row {k + 1} of {path.name} does not")
-    return np.array(rows, float)
+    table = np.array(rows, float)
+    width = table.shape[-1] if rows else len(names)
+    return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
 
 
 def _is_number(text):

@@ -1,6 +1,6 @@
 """Pictures: every function takes data and returns a matplotlib Figure; one `save` writes it.
 
-Modules: `run` (one loop), `stability`, `sweeps`, `tuning`; `style` (the look, `save`); `output` (`draw`).
+Modules: `run` (one loop), `stability`, `diagnosis`, `sweeps`, `tuning`; `style` (the look, `save`); `output` (`draw`).
 """
 
 from cnclik.lazy import on_use

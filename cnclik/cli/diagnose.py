@@ -1,0 +1,167 @@
+"""`cnclik diagnose`: from a recording, whether the loop rings, how late the robot is, which gain would end it; its
+drive."""
+
+import dataclasses
+import json
+import pathlib
+from typing import Annotated, Literal
+
+import tyro
+
+from cnclik import errors
+from cnclik.cli.common import ComputeOptions
+from cnclik.cli.problem import Number
+
+_TIMES = ("t", "time", "t [s]", "time [s]")  # what a column of times may be called
+
+
+@dataclasses.dataclass(kw_only=True)
+class Args(ComputeOptions):
+    log: Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(metavar="LOG.csv")]
+    """A recording: a row for each sample, a column for each joint, error or command."""
+    Ts: Number = None
+    """Sampling time of loop and recording [s]; may be left out where a column t or time has it."""
+    alpha: Number = None
+    """Gain of the loop [1/s]: then the gain that would end the ringing is told, else by how much to change it."""
+    columns: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = None
+    """Which columns, by name or number; all but times by default. With --step: the commands, then the motions."""
+    longest_period: Number = None
+    """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
+    step: bool = False
+    """Fit a drive to recorded commands and motion: columns named command..., position..., or the two there are."""
+    command: Literal["position", "velocity"] = "position"
+    """With --step: what was commanded."""
+    kind: Annotated[Literal["delay", "lag", "second-order"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """With --step: which drive; what the recording bears by default."""
+    json: bool = False
+    """Print all numbers as JSON."""
+    out: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """Where to draw diagnose.png."""
+
+
+def run(args: Args) -> None:
+    from cnclik.diagnosis.fit import sampling_time
+    from cnclik.problem.tables import read_columns
+
+    if not args.step and args.kind is not None:
+        raise errors.fail("kind", "come with --step", "comes without")
+    names, table = read_columns("LOG", args.log)
+    if table.size == 0:
+        raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
+    clock = next((i for i, name in enumerate(names) if name.lower() in _TIMES), None)
+    if clock is None and args.Ts is None:
+        raise errors.fail("Ts", "be given where no column is called t or time", "is not")
+    Ts = sampling_time(None if clock is None else table[:, clock], args.Ts)
+    (_step if args.step else _diagnose)(args, names, table, clock, Ts)
+
+
+def _diagnose(args, names, table, clock, Ts):
+    from cnclik.diagnosis.diagnose import LONGEST, diagnose
+
+    chosen = _chosen(args.columns, names) or [i for i in range(len(names)) if i != clock]
+    if not chosen:
+        raise errors.fail("LOG", "have a column besides the times", "has none")
+    if args.longest_period is not None:
+        errors.number("longest-period", args.longest_period, positive=True)
+    longest = LONGEST if args.longest_period is None else max(args.longest_period / Ts, 2.0)
+    signal = table[:, chosen]
+    found = diagnose(signal, Ts, alpha=args.alpha, longest=longest)
+    if args.json:
+        print(json.dumps(_fields(found)))
+    else:
+        print(found)
+        _tell(found)
+    if args.out is not None:
+        from cnclik.show.diagnosis import oscillation
+
+        _draw(args, lambda: oscillation(signal, found, [names[i] for i in chosen]))
+
+
+def _tell(found):
+    if found.stable is None:
+        return
+    print(f"z now {found.z:.4g}; at {found.delay:.4g} samples of dead time: stable below {found.stable:.4g}, "
+          f"no overshoot below {found.monotone:.4g}, recommended {found.recommended:.4g}; "
+          f"confidence in the dead time {found.confidence:.2f}")  # fmt: skip
+
+
+def _fields(found) -> dict:
+    plain = (
+        "period",
+        "growth",
+        "z",
+        "delay",
+        "lag",
+        "phase_delay",
+        "confidence",
+        "pure",
+        "stable",
+        "monotone",
+        "recommended",
+    )
+    made = {"kind": str(found.kind), "Ts": found.Ts, "rings": found.rings}
+    made |= {name: getattr(found, name) for name in (*plain, "factor", "alpha", "recommended_alpha")}
+    made |= {"period_seconds": found.period_seconds, "delay_seconds": found.delay_seconds}
+    made |= {"factors": [[float(f.real), float(f.imag)] for f in found.factors]}
+    return made | {"amplitude": list(found.amplitude), "noise": list(found.noise), "note": found.note}
+
+
+def _step(args, names, table, clock, Ts):
+    from cnclik.diagnosis.fit import fit_drive
+
+    if args.alpha is not None:
+        raise errors.fail("alpha", "be left out with --step", "is given")
+    sent, moved = _pairs(args.columns, names, clock)
+    command, motion = table[:, sent], table[:, moved]
+    fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
+    if args.json:
+        drive = fit.drive
+        print(json.dumps({
+            "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "command": drive.command,
+            "delay": drive.delay,
+            "lag": _plain(drive.lag) if drive.order == 1 else None,
+            "natural_frequency": _plain(drive.natural_frequency) if drive.order == 2 else None,
+            "damping_ratio": _plain(drive.damping_ratio) if drive.order == 2 else None,
+            "uncertainty": fit.uncertainty, "rms": list(fit.rms), "explained": fit.explained, "options": fit.options,
+        }))  # fmt: skip
+    else:
+        print(fit.options)
+        print(fit)
+    if args.out is not None:
+        from cnclik.show.diagnosis import drive as figure
+
+        _draw(args, lambda: figure(Ts, command, motion, fit, [names[i] for i in moved]))
+
+
+def _plain(value):
+    return getattr(value, "tolist", lambda: value)()
+
+
+def _chosen(columns, names):
+    """Places of columns that are given by name or number."""
+    return [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
+
+
+def _pairs(columns, names, clock):
+    """Places of the commands and of the motions."""
+    if columns:
+        places = _chosen(columns, names)
+    else:
+        lower = [name.lower() for name in names]
+        sent = [i for i, name in enumerate(lower) if name.startswith(("command", "cmd"))]
+        moved = [i for i, name in enumerate(lower) if name.startswith(("position", "motion"))]
+        places = sent + moved if sent and len(sent) == len(moved) else [i for i in range(len(names)) if i != clock]
+        if not sent and len(places) != 2:
+            raise errors.fail("columns", "name commands, then motions", f"is left out, and LOG has {', '.join(names)}")
+    if len(places) % 2 or not places:
+        raise errors.fail("columns", "name as many motions as commands", f"names {len(places)} columns")
+    return places[: len(places) // 2], places[len(places) // 2 :]
+
+
+def _draw(args, make):
+    from cnclik.show.output import draw
+
+    about = {"Title": f"diagnosis of {args.log.name}", "Comment": f"cnclik diagnose {args.log.name}"}
+    draw({"diagnose.png": (make, about)}, args.out)
+    if not args.json:
+        print(f"Figure in {args.out}")

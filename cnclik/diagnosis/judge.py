@@ -1,0 +1,114 @@
+"""Judge: which of a recording's modes are the loop's, which belong to a path, and what they amount to."""
+
+import enum
+
+import numpy as np
+
+from cnclik.diagnosis.modes import Modes
+
+MOST = 2000  # rows that are looked at: those that move most
+LEAST = 16  # rows
+TURNS = 3  # periods that must be there of what doesn't shrink
+SHRUNK = 0.7  # share that is left at the end of what does: of that one period is enough
+BEGUN = 0.05  # share of the range that something must move to have begun
+BACK = 0.04  # share of the range by which a recording goes back and forth, from which on it rings
+SEEN = 0.01  # share that is left after half a period, below which nobody would call it ringing
+HELD = 1.5  # factor in size over all rows up to which an oscillation counts as sustained
+STEADY = 5e-4  # or this in a sample
+LOST = 0.05  # share that is left at the end of what has died out
+WINDOW = 1.5  # periods of a window in which an oscillation must be seen
+BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
+WAVES = 0.04  # share of the range that such bends may leave in waves
+ABOVE = 1.5  # or times what is left,
+OFTEN = 10  # where there are fewer periods
+THERE = 0.5  # share of it that must be there, beside the cubic that fits best
+
+
+class Kind(enum.StrEnum):
+    """What a recording shows."""
+
+    RINGING = "ringing"
+    SUSTAINED = "sustained oscillation"
+    GROWING = "growing oscillation"
+    MONOTONE = "monotone decay"
+    QUIET = "quiet"
+    NOISE = "noise"
+
+
+OSCILLATING = (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
+
+
+def spans(parts):
+    """(k,) of the sum of parts (g, N, k)."""
+    return np.ptp(parts.sum(0), axis=0)
+
+
+def looked_at(y, longest):
+    """(first, last) of the rows that move most: neither what precedes the motion nor more than MOST."""
+    first, last = 0, len(y)
+    if last > MOST:
+        width = int(min(longest, last // 8))
+        kernel = np.ones(width) / width
+        fast = [c - np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in y.T]
+        size = sum((c / (np.std(c) + np.finfo(float).tiny)) ** 2 for c in fast)
+        total = np.concatenate([[0.0], np.cumsum(size)])
+        first = int(np.argmax(total[MOST:] - total[:-MOST]))
+        last = first + MOST
+    away = np.abs(y[first:last] - y[first]) > BEGUN * np.ptp(y[first:last], axis=0)
+    begun = int(np.argmax(away.any(1)))
+    return (first + begun, last) if last - first - begun >= LEAST else (first, last)
+
+
+def judged(y, found: Modes, longest):
+    """(kind, indices of the modes that it is about with the dominant first, whether each mode is the loop's).
+
+    Args:
+      y: (N, k) what the modes were found in. longest: period in samples of what is no path.
+    """
+    N, f, size = len(y), found.factors, np.abs(found.factors)
+    angle = np.abs(np.angle(f))
+    energy = np.sum(found.parts**2, axis=(1, 2))
+    turns = N * angle / (2 * np.pi)
+    dies = N * np.log(size) < np.log(LOST)
+    shrinks = N * np.log(size) < np.log(SHRUNK)
+    fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (shrinks & (turns >= 1)))
+    visible = np.log(size) * np.pi > np.log(SEEN) * angle
+    fast &= visible
+    own = fast | dies
+    chosen = np.flatnonzero(fast)[np.argsort(-energy[fast])]
+    back = len(chosen) and _turns_back(found.parts[own].sum(0))
+    if back and _is_there(y, found, found.parts[chosen].sum(0), angle[chosen[0]]):
+        change = np.log(size[chosen[0]])
+        if abs(change) < max(np.log(HELD) / N, STEADY):
+            return Kind.SUSTAINED, chosen, own
+        return (Kind.GROWING if change > 0 else Kind.RINGING), chosen, own
+    real = np.flatnonzero(dies & (f.real > 0) & ((f.imag == 0) | ~visible))
+    if len(real):
+        return Kind.MONOTONE, real[np.argsort(-energy[real])], own
+    largest = np.abs(found.path).max(0) + np.abs(found.parts).sum(0).max(0)
+    return (Kind.QUIET if np.all(found.noise <= 1e-9 * largest) else Kind.NOISE), chosen[:0], own
+
+
+def _is_there(y, found, part, angle) -> bool:
+    """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits a path's bends."""
+    left = y - found.path - found.parts.sum(0)
+    rough = np.std(np.diff(left, 3, axis=0), axis=0) / np.sqrt(20)  # of white noise its standard deviation
+    many = len(y) * angle > 2 * np.pi * OFTEN
+    large = (np.ptp(part, axis=0) > WAVES * np.ptp(y, axis=0)) & (many | (np.std(part, axis=0) > ABOVE * found.noise))
+    if not np.any(large | (found.noise <= BENT * rough)):
+        return False
+    width = min(max(int(WINDOW * 2 * np.pi / angle), 8), len(y))
+    smooth, _ = np.linalg.qr(np.linspace(-1, 1, width)[:, None] ** np.arange(4))
+    both = power = 0.0
+    for first in range(0, len(y) - width + 1, width):
+        there, wave = y[first : first + width], part[first : first + width]
+        wave = wave - smooth @ (smooth.T @ wave)
+        both, power = both + np.sum(there * wave), power + np.sum(wave**2)
+    return bool(both > THERE * power)
+
+
+def _turns_back(part) -> bool:
+    """Whether (N, k) goes back and forth, and not one way only."""
+    way, span = np.abs(np.diff(part, axis=0)).sum(0), np.ptp(part, axis=0)
+    main = span > 0.1 * span.max()
+    return bool(np.any(way[main] > (1 + BACK) * span[main]))

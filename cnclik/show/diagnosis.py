@@ -1,0 +1,61 @@
+"""Figures of recordings: what was found in them, and a drive beside the motion that it was fitted to."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from cnclik.show import style
+
+MOST = 8  # columns that are shown: those that move most
+_TIME = "time $t$ [s]"
+_DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "markeredgewidth": 0.5}
+
+
+def oscillation(signal, found, names):
+    """What was recorded, the modes that were found in it, and the path below them; a panel for each column.
+
+    Args:
+      signal: (N, k). found: `Diagnosis` of it. names: of the columns.
+    """
+    shown = np.sort(np.argsort(-found.amplitude, kind="stable")[:MOST])
+    figure, panels = _panels(len(shown))
+    t = found.Ts * np.arange(len(signal))
+    seen = slice(found.first, found.first + len(found.modes))
+    for panel, i in zip(panels, shown, strict=True):
+        panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
+        panel.plot(t[seen], found.path[:, i], color=style.ORANGE, linestyle=style.DASH, label="path")
+        panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="path and modes")
+        panel.set_ylabel(f"{names[i]} [as recorded]")
+    return _finish(figure, panels)
+
+
+def drive(Ts, command, motion, fit, names, unit="rad or m"):
+    """Command, motion, and the motion of the drive that was fitted; a panel for each joint.
+
+    Args:
+      Ts: [s]. command, motion: (N, k). fit: `DriveFit`. names: of the motions.
+    """
+    figure, panels = _panels(min(motion.shape[1], MOST))
+    t, positions = Ts * np.arange(len(motion)), fit.drive.command == "position"
+    for i, panel in enumerate(panels):
+        right = panel if positions else panel.twinx()
+        right.step(t, command[:, i], where="post", color=style.BLACK, linestyle=style.DOT, label="command")
+        panel.plot(t, motion[:, i], "o", **_DOTS, label="recorded motion")
+        panel.plot(t, fit.motion[:, i], color=style.BLUE, label="motion of the fitted drive")
+        panel.set_ylabel(f"{names[i]} [{unit}]")
+        if not positions:
+            right.set_ylabel(f"command [{unit} per s]")
+            right.grid(False)
+            right.spines["right"].set_visible(True)
+            panel.plot([], [], color=style.BLACK, linestyle=style.DOT, label="command")
+    return _finish(figure, panels)
+
+
+def _panels(n):
+    figure, panels = plt.subplots(n, 1, sharex=True, squeeze=False, figsize=(style.PAGE, 0.9 + 1.5 * n))
+    return figure, panels.ravel()
+
+
+def _finish(figure, panels):
+    panels[-1].set_xlabel(_TIME)
+    style.legend(figure, panels[0])
+    return figure

@@ -1,0 +1,88 @@
+"""`cnclik diagnose` as a user meets it: a recording in, a sentence, numbers, a figure; one line for bad input."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cnclik.cli import main
+from tests.diagnosis.recordings import loop, servo
+
+TS = 0.002
+
+
+def write(path, names, *columns):
+    np.savetxt(path, np.stack(columns, 1), delimiter=",", header=",".join(names), comments="", fmt="%.8g")
+    return str(path)
+
+
+@pytest.fixture
+def log(tmp_path):
+    e = loop(0.3, 4, 200)
+    t = TS * np.arange(200)
+    return write(tmp_path / "log.csv", ["time", "q1", "q2"], t, 1 + 0.1 * e, 2 - 0.2 * e)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    command = np.where(np.arange(200) < 5, 0.0, 0.1)
+    motion = servo(command, 0.004, 2.0, omega=23.0, zeta=2.3)
+    return write(tmp_path / "step.csv", ["t", "command", "position"], 0.004 * np.arange(200), command, motion)
+
+
+def test_a_sentence_with_the_gain_that_would_end_it(log, tmp_path, capsys):
+    main(["diagnose", log, "--alpha", "150", "--out", str(tmp_path / "out")])
+    said = capsys.readouterr().out
+    assert said.startswith("ringing: period ") and "z = 0.3 and 4 samples (0.008 s) of dead time; an alpha of" in said
+    assert "recommended" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
+
+
+def test_numbers_as_json(log, capsys):
+    main(["diagnose", log, "--Ts", "0.002", "--columns", "q2", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert said["kind"] == "ringing" and said["rings"] and said["delay"] == 4 and abs(said["z"] - 0.3) < 0.003
+    assert said["period_seconds"] == pytest.approx(TS * said["period"]) and said["recommended_alpha"] is None
+    assert len(said["amplitude"]) == 1
+
+
+def test_a_drive_to_paste(recorded, tmp_path, capsys):
+    main(["diagnose", recorded, "--step", "--out", str(tmp_path / "out")])
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first == "--delay 2 --natural-frequency 23 --damping-ratio 2.3 --command position"
+    assert (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
+    main(["diagnose", recorded, "--step", "--json", "--columns", "command", "position", "--kind", "second-order"])
+    said = json.loads(capsys.readouterr().out)
+    assert said["kind"] == "second-order" and said["natural_frequency"] == pytest.approx(23, rel=1e-3)
+    assert said["lag"] is None and said["explained"] > 0.999
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--Ts", "0.001"], "Argument `Ts` must be that of the recording, 0.002 s, but is 0.001."),
+        (["--columns", "q3"], "Argument `columns` must be one of time, q1, q2, but is 'q3'"),
+        (["--step", "--columns", "q1"], "Argument `columns` must name as many motions as commands"),
+        (["--step", "--alpha", "3"], "Argument `alpha` must be left out with --step, but is given."),
+        (["--kind", "lag"], "Argument `kind` must come with --step, but comes without."),
+        (["--alpha", "-1"], "Argument `alpha` must be positive, but is -1."),
+        (["--longest-period", "0"], "Argument `longest-period` must be positive, but is 0."),
+    ],
+)
+def test_user_errors_are_one_line(log, options, line, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["diagnose", log, *options])
+    said = capsys.readouterr().err.strip()
+    assert left.value.code == 2 and line in said and "\n" not in said
+
+
+def test_a_recording_without_times_needs_Ts(tmp_path, capsys):
+    file = write(tmp_path / "bare.csv", ["q"], loop(1.5, 0, 50))
+    with pytest.raises(SystemExit):
+        main(["diagnose", file])
+    assert "Argument `Ts` must be given where no column is called t or time" in capsys.readouterr().err
+    main(["diagnose", file, "--Ts", "0.01"])
+    assert "every second sample" in capsys.readouterr().out
+    (tmp_path / "empty.csv").write_text("q\n")
+    with pytest.raises(SystemExit):
+        main(["diagnose", str(tmp_path / "empty.csv"), "--Ts", "0.01"])
+    assert "hold numbers" in capsys.readouterr().err

@@ -1,0 +1,176 @@
+"""What is read from a recording is what was put into it: gain, dead time, and whether it rings at all."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.diagnosis import Kind, diagnose
+from cnclik.diagnosis.advice import pure_limits
+from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive
+from cnclik.integrate.measured import solve_driven
+from cnclik.stability.driven import driven_limits, respond
+from tests.diagnosis.recordings import loop, monotone, stable
+
+TS = 0.002
+
+
+def about(found, z, d):
+    return found.rings and found.delay == d and abs(found.z / z - 1) < 0.05
+
+
+@pytest.mark.parametrize("d", range(9))
+def test_gain_and_dead_time_of_loops_that_ring(d):
+    """23 loops of each dead time, 207 in all, half of them with noise of 1 % of the first error."""
+    rng = np.random.default_rng(d)
+    low, high = max(1.6 * monotone(d), 1.15 * (d == 0)), 1.03 * stable(d)
+    wrong = []
+    for i, z in enumerate(rng.uniform(low, high, 23)):
+        e = loop(z, d, 160)
+        y = rng.choice([-1, 1]) * rng.uniform(0.1, 2) * e + rng.uniform(-2, 2)
+        y = y + (i % 2) * 0.01 * np.ptp(y[: d + 4]) / np.ptp(e[: d + 4]) * rng.standard_normal(len(y))
+        found = diagnose(y, TS)
+        if not about(found, z, d):
+            wrong.append((z, i % 2, found.kind, found.delay, found.z))
+    assert not wrong
+
+
+@pytest.mark.parametrize("d", [0, 1, 3, 7])
+def test_what_surrounds_the_ringing_does_not_matter(d):
+    """A drift, a slow path, rest before the step of a target, several joints, a column that stands still."""
+    rng = np.random.default_rng(100 + d)
+    z = 0.9 * stable(d)
+    e, t = loop(z, d, 300), np.arange(300.0)
+    assert about(diagnose(0.1 * e + 1.5 - 0.002 * t, TS), z, d)
+    late = np.concatenate([np.zeros(40), 1 - e])
+    assert about(diagnose(late + 0.005 * rng.standard_normal(len(late)), TS), z, d)
+    e = loop(0.97 * stable(d), d, 1200)
+    path = np.sin(2 * np.pi * np.arange(1200) / 700) + 0.3 * np.cos(2 * np.pi * np.arange(1200) / 431)
+    assert about(diagnose(path + 0.2 * e + 0.001 * rng.standard_normal(1200), TS), 0.97 * stable(d), d)
+    joints = np.stack([0.3 * e + 1, -0.1 * e - 2, np.full(1200, 0.7), 0.02 * e], 1)
+    joints[:, [0, 1, 3]] += 0.002 * rng.standard_normal((1200, 3))
+    found = diagnose(joints, TS)
+    assert about(found, 0.97 * stable(d), d)
+    assert found.amplitude[0] > found.amplitude[1] > found.amplitude[3] > found.amplitude[2] == 0
+
+
+def test_commands_and_joints_of_a_loop_with_noise_in_it():
+    """Recorded by the library's own loops: a mode of the linear theory, and a whole arm."""
+    rng = np.random.default_rng(5)
+    for d, z in ((2, 0.5), (5, 0.22)):
+        q, asked = respond([-z], Drive(delay=d), TS, np.ones(200), noise=0.001 * rng.standard_normal(200))
+        assert about(diagnose(q, TS), z, d) and about(diagnose(asked, TS), z, d)
+    arm = ck.planar_arm([1.0, 0.8])
+    law = ck.Law(arm, ck.position("xy"), alpha=40.0)
+    q0 = np.array([0.4, 1.1])
+    target = ck.hold(ck.pose(arm, q0).position[:2] + np.array([0.005, -0.01]))
+    run = solve_driven(law, target, q0, 0.01, 120, "EE", ck.picard(5), drive=Drive(delay=2))
+    found = diagnose(np.asarray(run.q), 0.01, alpha=40.0)
+    assert about(found, 0.4, 2) and found.recommended_alpha == pytest.approx(40 * found.recommended / found.z)
+
+
+def test_a_gain_that_would_end_it_does():
+    z, d, alpha = 0.4, 3, 200.0
+    found = diagnose(loop(z, d, 200), TS, alpha=alpha)
+    assert found.kind is Kind.RINGING and found.confidence > 0.9 and found.pure
+    assert found.stable == pytest.approx(stable(3)) and found.monotone == pytest.approx(monotone(3), rel=0.02)
+    assert found.recommended < found.monotone and found.factor == pytest.approx(found.recommended / found.z)
+    quiet = diagnose(loop(z * found.recommended_alpha / alpha, d, 200), TS)
+    assert quiet.kind is Kind.MONOTONE
+    said = str(found)
+    assert said.startswith("ringing: period ") and "3 samples (0.006 s) of dead time" in said and "1/s" in said
+
+
+def test_values_that_return_every_second_time():
+    found = diagnose(loop(1.8, 0, 60), TS)
+    assert found.delay == 0 and found.z == pytest.approx(1.8, rel=1e-6) and found.period == pytest.approx(2)
+    assert "every second sample" in str(found) and found.kind is Kind.RINGING
+    assert diagnose(loop(2.05, 0, 60), TS).kind is Kind.GROWING
+
+
+def test_a_clipped_oscillation_is_sustained():
+    rng = np.random.default_rng(2)
+    for d in (0, 2, 5):
+        e = loop(1.4 * stable(d), d, 400, clip=0.3) + 0.002 * rng.standard_normal(400)
+        found = diagnose(e, TS)
+        assert found.kind is Kind.SUSTAINED and found.delay == d, (d, found)
+        assert found.growth == pytest.approx(1, abs=2e-3) and found.z == found.stable and "at least" in str(found)
+
+
+def test_no_oscillation_where_there_is_none():
+    rng = np.random.default_rng(3)
+    for N in (40, 200, 1000):
+        for k in (1, 4):
+            for _ in range(3):
+                assert diagnose(1.0 + 1e-4 * rng.standard_normal((N, k)), TS).kind is Kind.NOISE
+    t = np.arange(600)
+    path = np.sin(2 * np.pi * t / 400)
+    assert diagnose(path + 1e-4 * rng.standard_normal(600), TS).kind is Kind.NOISE
+    for quiet in (np.full(100, 0.3), 0.3 + 1e-4 * np.arange(100.0)):
+        found = diagnose(quiet, TS)
+        assert found.kind is Kind.QUIET and not found.rings and found.z is None and "no oscillation" in str(found)
+
+
+def test_a_motion_from_one_place_to_another_is_no_oscillation():
+    """Bends of a path are sums of waves to whoever fits them: they must be seen in each period."""
+    rng = np.random.default_rng(6)
+    s = np.clip(np.arange(600) / 400, 0, 1)
+    for path in (10 * s**3 - 15 * s**4 + 6 * s**5, s, np.minimum(2 * s, 1) - s**2):
+        for noise in (0.0, 1e-4):
+            assert not diagnose(path + noise * rng.standard_normal(600), TS).rings
+
+
+def test_what_is_excited_again_rings_and_is_not_sustained():
+    e = np.tile(loop(0.3, 4, 200), 20) + 0.003 * np.random.default_rng(7).standard_normal(4000)
+    found = diagnose(e, TS)
+    assert found.kind is Kind.RINGING and about(found, 0.3, 4) and len(found.modes) > 1900
+
+
+def test_a_drive_that_lags_is_found_by_the_gain():
+    """Dead time alone would advise twice the gain: with alpha known, the oscillation says how much of it is a lag."""
+    drive = Drive(delay=2, lag=0.01)
+    limits = driven_limits("EE", Ts=TS, drive=drive)
+    z = 0.8 * limits.stable
+    q, _ = respond([-z], drive, TS, np.ones(300))
+    found = diagnose(q, TS, alpha=z / TS)
+    assert not found.pure and found.delay == pytest.approx(2, abs=0.05) and found.lag == pytest.approx(0.01, rel=0.02)
+    assert found.recommended_alpha == pytest.approx(limits.recommended / TS, rel=0.02)
+    assert "twice too much" in str(diagnose(q, TS)) and "a lag of 0.01 s" in str(found)
+
+
+def test_limits_of_dead_time_alone_are_those_of_the_theory():
+    for d in (0, 1, 5):
+        ours, theirs = pure_limits(d), driven_limits("EE", Ts=TS, drive=Drive(delay=d))
+        assert (ours.stable, ours.recommended) == pytest.approx((theirs.stable, theirs.recommended), rel=1e-3)
+
+
+def test_a_recording_of_one_period():
+    for N in (45, 60):
+        found = diagnose(loop(0.15, 8, N), TS)
+        assert found.delay == 8 and found.z == pytest.approx(0.15, rel=0.1) and found.period > 30
+
+
+def test_a_monotone_decay():
+    rng = np.random.default_rng(4)
+    for noise in (0.0, 0.005):
+        e = loop(0.08, 0, 150) + noise * rng.standard_normal(150)
+        found = diagnose(e, TS, alpha=40.0)
+        assert found.kind is Kind.MONOTONE and found.delay is None and found.z == pytest.approx(0.08, rel=0.05)
+        assert "dead time open" in str(found)
+    assert diagnose(loop(0.9 * monotone(4), 4, 200), TS).kind is Kind.MONOTONE
+
+
+@pytest.mark.parametrize(
+    ("signal", "options", "line"),
+    [
+        (np.zeros(5), {}, "Argument `signal` must have at least 16 rows, but has 5."),
+        (np.zeros((50, 0)), {}, "Argument `signal` must have at least 16 rows, but has 0."),
+        (np.full(50, np.nan), {}, "Argument `signal` must be finite, but is nan at index (0,)."),
+        (np.zeros(50), {"Ts": -1.0}, "Argument `Ts` must be positive, but is -1."),
+        (np.zeros(50), {"alpha": 0.0}, "Argument `alpha` must be positive, but is 0."),
+    ],
+)
+def test_what_cannot_be_diagnosed(signal, options, line):
+    with pytest.raises(ArgumentError) as said:
+        diagnose(signal, **{"Ts": TS} | options)
+    assert str(said.value) == line
