@@ -70,9 +70,7 @@ class Drive:
         errors.one_of("command", self.command, COMMANDS)
         errors.one_of("feedback", self.feedback, FEEDBACKS)
         if self.natural_frequency is not None and not _none(self.lag):
-            raise errors.fail(
-                "natural_frequency", "be left out where there is a lag: a drive has one of both", "is given"
-            )
+            raise errors.fail("natural_frequency", "be left out where there is a lag: a drive has one of both", "is given")
         errors.integer("seed", self.seed, at_least=0)
         for name in _QUANTITIES:
             value = getattr(self, name)

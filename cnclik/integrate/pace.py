@@ -193,7 +193,7 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         )  # until it brakes with all it has
         grows = jnp.maximum(0.0, jnp.sign(turn) * bend) / (TURNING * a)
         now = jnp.abs(turn) / (TURNING * a) + grows * state.share * lag
-        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path bears at x, and what braking takes off by then.
+        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path bears at x, and what is braked by then.
         there = jnp.maximum(jnp.maximum(1.0, now), sp.safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
         caps.append(jnp.sqrt(jnp.minimum(1.0, jnp.min((2 * there - now) / there**2))))
         if stop is not None:

@@ -1,4 +1,4 @@
-"""Resampled: a stream of targets that comes more slowly than the loop runs, as a path that is known when it is needed."""
+"""Resampled: targets that come more slowly than the loop runs, as a path of which nothing is used before it comes."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,10 +22,10 @@ def resampled(
     """A stream of targets, such as a policy's at 30 Hz, for a loop at 1 kHz that knows only what has come.
 
     "hold": the last target; it jumps with every new one and has no velocity. "ramp": from target to target on straight
-    lines; the velocity jumps. "spline": the ramp, averaged over about a period: from the middle of a line to that of the
-    next, with continuous velocity; it goes past the targets, never beyond them, and evens out what they tremble. Each
-    has the velocity of its own motion for the feed-forward. The last target is held. Rotations are interpolated by
-    quaternions and normalised, which turns at constant speed to within 1 % where neighbours are less than 28° apart.
+    lines; the velocity jumps. "spline": the ramp, averaged over about a period: from the middle of a line to that of
+    the next, with continuous velocity; it cuts the corners at the targets, and evens out what they tremble. Each has
+    the velocity of its own motion for the feed-forward. The last target is held. Rotations are interpolated by
+    quaternions and normalised: for neighbours 20° apart the speed of a ramp varies by 0.8 %.
 
     Args:
       times: (K,) when the targets come [s], increasing.
