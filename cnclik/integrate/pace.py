@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.hints import bounded_jit
 from cnclik.record import leaf, record, replace
 from cnclik.robot import spatial as sp
 
@@ -118,8 +119,8 @@ def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: Arra
     check_pace(pace, n)
     if isinstance(pace.velocity, str):
         raise errors.fail("velocity", "be numbers or None: the chain is not known here", f"is {pace.velocity!r}")
-    s, state = share(pace, state, dq / Ts, jnp.asarray(Ts, dq.dtype), stop, sharpness)
-    return s * dq, state
+    Ts = np.asarray(Ts, dq.dtype) if errors.concrete(Ts) else Ts
+    return _scaled(pace, state, dq, Ts, stop, sharpness)
 
 
 def _vector(name, value):
@@ -142,6 +143,12 @@ def check_pace(pace, n: int, chain=None) -> Pace:
 
 
 # --- the share ----------------------------------------------------------------------------------------
+
+
+@bounded_jit
+def _scaled(pace, state, dq, Ts, stop, sharpness):
+    s, state = share(pace, state, dq / Ts, Ts, stop, sharpness)
+    return s * dq, state
 
 
 def _largest(v):
@@ -185,7 +192,7 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
             room = v - jnp.minimum(gains * gains / (2 * EASING * j), v / 2)
         caps.append(1 / jnp.maximum(1.0, _largest(f / room)))
     if stop is not None:
-        stop = jnp.maximum(jnp.asarray(stop, f.dtype), 1e-3 * Ts)
+        stop = jnp.clip(jnp.asarray(stop, f.dtype), 1e-3 * Ts, 1e6 * Ts)
     if a is not None:
         heavy = _largest(f / a)  # its inverse is the largest ṡ
         lag = (
@@ -198,13 +205,13 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         caps.append(jnp.sqrt(jnp.minimum(1.0, jnp.min((2 * there - now) / there**2))))
         if stop is not None:
             slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
-            floor = 1 / jnp.maximum(1.0, 2 * heavy / Ts)
+            floor = 1 / jnp.maximum(1.0, 4 * heavy / Ts)
     if j is not None:
         stiff = _largest(f / j)
         caps.append(jnp.maximum(1.0, _largest(bend / j) / BENDING) ** (-1 / 3))
         if stop is not None:
             slowness = jnp.maximum(slowness, jnp.maximum(1.0, 4 * stiff / (BENDING * stop * stop)) ** (1 / 3))
-            floor = jnp.minimum(floor, 1 / jnp.maximum(1.0, 2 * stiff / Ts**2))
+            floor = jnp.minimum(floor, 1 / jnp.maximum(1.0, 4 * stiff / Ts**2))
     if stop is not None and (a is not None or j is not None):
         floor = jnp.minimum(1.0, floor / jnp.maximum(sharpness, 1e-3))
         caps.append(jnp.maximum(1 / slowness, floor))

@@ -47,7 +47,7 @@ def _loop(law, reference, q0, Ts, t0, stage, pace, *, N, method):
     def one(starting, carry, k):
         q, here, pacing, history = carry
         here = here if waits else t0 + k * Ts
-        part = jnp.clip(jnp.where(pacing.begun, pacing.share, 0.0), least, 1.0) if waits else 1.0
+        part = jnp.clip(pacing.share, least, 1.0) if waits else 1.0
         length = jnp.where(k < N, part * Ts, 0.0)  # see `instants`
         made = advance(law, reference, q, here, length, method, stage, history, starting=starting)
         stop, sharpness = (None, 1.0) if ahead is None else ahead.after(here)

@@ -9,7 +9,7 @@ from cnclik.law.reference import Reference, sample
 from cnclik.law.task import Task
 from cnclik.record import record
 
-ABRUPT = 4.0  # a change of velocity from instant to instant this many times those next to it is a jump
+ABRUPT = 4.0  # a change of velocity from instant to instant this many times the middle one of five is a jump
 SHARP = 0.02  # and this part of the velocity
 _HALVINGS = 24  # of a step, to say when it jumps
 
@@ -54,7 +54,9 @@ def corners(reference: Reference, task: Task, t) -> Corners:
 
     w = velocities(t)
     change, larger = size(w[1:] - w[:-1]), jnp.maximum(size(w[1:]), size(w[:-1]))
-    beside = jnp.maximum(jnp.append(change[1:], 0.0), jnp.concatenate([jnp.zeros_like(change[:1]), change[:-1]]))
+    padded = jnp.concatenate([change[:1], change[:1], change, change[-1:], change[-1:]])
+    # Of five, as a corner at an instant may show on both sides of it.
+    beside = jnp.median(jnp.stack([padded[i : i + change.shape[0]] for i in range(5)]), axis=0)
     jumps = (change > ABRUPT * beside) & (change > SHARP * larger)
 
     def halve(_, ends):
