@@ -58,9 +58,10 @@ def _loop(law, reference, q0, Ts, t0, stage, pace, *, N, method):
         status |= jnp.where(too_fast(law.chain, qdot), int(Status.OVER_VELOCITY), 0)
         status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
         history = made.history
-        if history is not None:
-            new = {"Ts": s * Ts} if waits else {"count": jnp.where(s < 1, 0, history.count)}
-            history = replace(history, **new)
+        if history is not None:  # the past says nothing of what is beyond a corner
+            new = s < 1 if not waits else ahead is not None and stop <= s * Ts
+            count = history.count if new is False else jnp.where(new, 0, history.count)
+            history = replace(history, count=count, Ts=s * Ts if waits else history.Ts)
         # The field of a step that has no use in a run says when the target was where it was.
         step = replace(made, q=q, qdot=qdot, status=status, history=here)
         return (moved, here + s * Ts, pacing, history), step
