@@ -151,8 +151,14 @@ def _scaled(pace, state, dq, Ts, stop, sharpness):
     return s * dq, state
 
 
+def _max(v):
+    """The largest entry, by its place: the derivative of `jnp.max` is NaN where XLA rounds v twice in two ways."""
+    v = v.ravel()
+    return v[jnp.argmax(v)]
+
+
 def _largest(v):
-    return jnp.max(jnp.abs(v))
+    return _max(jnp.abs(v))
 
 
 def share(pace, state, f, Ts, stop, sharpness):
@@ -195,14 +201,12 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         stop = jnp.clip(jnp.asarray(stop, f.dtype), 1e-3 * Ts, 1e6 * Ts)
     if a is not None:
         heavy = _largest(f / a)  # its inverse is the largest ṡ
-        lag = (
-            Ts if j is None else 2 * jnp.max(jnp.where(jnp.isfinite(a), a, 0.0) / j)
-        )  # until it brakes with all it has
+        lag = Ts if j is None else 2 * _max(jnp.where(jnp.isfinite(a), a, 0.0) / j)  # until it brakes with all it has
         grows = jnp.maximum(0.0, jnp.sign(turn) * bend) / (TURNING * a)
         now = jnp.abs(turn) / (TURNING * a) + grows * state.share * lag
         # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path bears at x, and what is braked by then.
         there = jnp.maximum(jnp.maximum(1.0, now), sp.safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
-        caps.append(jnp.sqrt(jnp.minimum(1.0, jnp.min((2 * there - now) / there**2))))
+        caps.append(jnp.sqrt(jnp.minimum(1.0, -_max((now - 2 * there) / there**2))))
         if stop is not None:
             slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
             floor = 1 / jnp.maximum(1.0, 4 * heavy / Ts)
@@ -251,8 +255,8 @@ def _nearest(a, j, state, f, Ts, most, wanted):
     safe = jnp.where(still, 1.0, size)
     middle = b * jnp.sign(g) / safe
     alone = jnp.abs(jnp.clip(middle, 0.0, most) * g - b)
-    excess = jnp.maximum(jnp.max(pairs), jnp.max(alone))
+    excess = jnp.maximum(_max(pairs), _max(alone))
     reach = jnp.maximum(excess, 1.0) / safe
-    low = jnp.max(jnp.where(still, -jnp.inf, middle - reach))
-    high = jnp.min(jnp.where(still, jnp.inf, middle + reach))
+    low = _max(jnp.where(still, -jnp.inf, middle - reach))
+    high = -_max(jnp.where(still, -jnp.inf, -middle - reach))
     return jnp.clip(jnp.maximum(low, jnp.minimum(wanted, high)), 0.0, most), excess
