@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.integrate.lanes import lanes
     from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method, exponential
     from cnclik.integrate.multistep import Multistep
+    from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, paced
     from cnclik.integrate.solve import Step, solve, step
     from cnclik.integrate.stage import chord, newton, picard
     from cnclik.integrate.status import Status, StepError, require_ok
@@ -32,9 +33,11 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
     from cnclik.law.null import maximize_manipulability, posture
     from cnclik.law.reference import Reference, causal, circle, hold, line, lissajous, path, waypoints, with_feedforward
+    from cnclik.law.resampled import resampled
     from cnclik.law.task import Task, orientation, position
     from cnclik.law.task import pose as pose_task
     from cnclik.measure.dataset import to_dataset
+    from cnclik.measure.kept import check_limits
     from cnclik.measure.metrics import Metrics, measure_run
     from cnclik.problem.build import problem_from
     from cnclik.reaching.map import reachability
@@ -84,6 +87,7 @@ _ON_USE = {
     "integrate.lanes": "lanes",
     "integrate.method": "CN EE HEUN IE METHODS MIDPOINT RK4 TRAPEZOID Method exponential",
     "integrate.multistep": "Multistep",
+    "integrate.pace": "Pace Pacing pace_at_rest paced",
     "integrate.solve": "Step solve step",
     "integrate.stage": "chord newton picard",
     "integrate.status": "Status StepError require_ok",
@@ -93,8 +97,10 @@ _ON_USE = {
     "law.limits": "saturation velocity_scaling weighted_least_norm",
     "law.null": "maximize_manipulability posture",
     "law.reference": "Reference causal circle hold line lissajous path waypoints with_feedforward",
+    "law.resampled": "resampled",
     "law.task": "Task orientation pose_task=pose position",
     "measure.dataset": "to_dataset",
+    "measure.kept": "check_limits",
     "measure.metrics": "Metrics measure_run",
     "problem.build": "problem_from",
     "reaching.map": "reachability",
@@ -115,18 +121,18 @@ _ON_USE = {
     "tuning.tune": "tune",
 }
 __all__ = [
-    *("ArgumentError", "CN", "Chain", "Drive", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT", "Method"),
-    *("Metrics", "Multistep", "Pose", "RK4", "ReachStatus", "Reached", "Reference", "Status", "Step", "StepError"),
-    *("TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate", "causal", "chord", "circle", "damped"),
-    *("diagnose", "diagnosis", "fit_drive"),
-    *("exponential", "export", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
+    *("ArgumentError", "CN", "Chain", "Drive", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT"),
+    *("Method", "Metrics", "Multistep", "Pace", "Pacing", "Pose", "RK4", "ReachStatus", "Reached", "Reference"),
+    *("Status", "Step", "StepError", "TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate"),
+    *("causal", "check_limits", "chord", "circle", "damped", "diagnose", "diagnosis", "exponential", "export"),
+    *("fit_drive", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
     *("manipulability", "manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run"),
-    *("newton", "orientation", "panda", "paper", "path", "picard", "planar_arm", "plot", "pose", "pose_task"),
-    *("position", "posture", "problem", "problem_from", "pseudoinverse", "reach", "reachability", "reaching"),
-    *("recommend", "replace", "require_ok", "saturation", "settle", "show", "singular_damped", "solve"),
-    *("spectral_radius", "stability", "stability_limit", "step", "sweep", "sweeps", "to_dataset", "transpose"),
-    *("tune", "tuning", "ur5", "use_cache", "use_form", "use_hints", "velocity_scaling", "verdict", "waypoints"),
-    *("weighted_least_norm", "with_feedforward", "with_tool"),
+    *("newton", "orientation", "pace_at_rest", "paced", "panda", "paper", "path", "picard", "planar_arm"),
+    *("plot", "pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "reach"),
+    *("reachability", "reaching", "recommend", "replace", "require_ok", "resampled", "saturation", "settle"),
+    *("show", "singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep"),
+    *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints"),
+    *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
 ]
 
 

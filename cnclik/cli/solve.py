@@ -85,7 +85,9 @@ def _drive(made) -> str:
     said = [f"{drive.delay:g} samples of dead time"] * bool(drive.delay)
     if drive.order:
         late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
-        said.append(f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands")
+        said.append(
+            f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands"
+        )
     said.append(f"feedback {drive.feedback}")
     return f"; {', '.join(said)}"
 

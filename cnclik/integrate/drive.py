@@ -75,7 +75,9 @@ class Drive:
         errors.one_of("command", self.command, COMMANDS)
         errors.one_of("feedback", self.feedback, FEEDBACKS)
         if self.natural_frequency is not None and not _none(self.lag):
-            raise errors.fail("natural_frequency", "be left out where there is a lag: a drive has one of both", "is given")
+            raise errors.fail(
+                "natural_frequency", "be left out where there is a lag: a drive has one of both", "is given"
+            )
         errors.number("seed", self.seed, at_least=0)
         for name in _QUANTITIES:
             value = getattr(self, name)
@@ -274,7 +276,9 @@ def _within_limits(drive, u, before, Ts):
 def measured_joints(drive: Drive, q, k):
     """What the controller is told of joint values q (n,) at step k: with noise, and in steps of the encoders."""
     if not _none(drive.joint_noise):
-        key = jax.random.fold_in(jax.random.key(jnp.asarray(drive.seed).astype(jnp.uint32)), jnp.asarray(k).astype(jnp.int32))
+        key = jax.random.fold_in(
+            jax.random.key(jnp.asarray(drive.seed).astype(jnp.uint32)), jnp.asarray(k).astype(jnp.int32)
+        )
         q = q + drive.joint_noise * jax.random.normal(key, q.shape, q.dtype)
     if not _none(drive.resolution):
         steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)

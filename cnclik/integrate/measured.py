@@ -122,7 +122,9 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
             moved = sp.like(q, at_drives.x[:, 0])
         if moved is not made.q:
             made = replace(made, qdot=sp.scale(1 / Ts, sp.vsub(moved, q)))
-        return (moved, at_drives, (found, *past)[:late], made.history), replace(made, q=q, x=at.x(), e=at.e, history=None)
+        return (moved, at_drives, (found, *past)[:late], made.history), replace(
+            made, q=q, x=at.x(), e=at.e, history=None
+        )
 
     k = jnp.arange(N + 1).astype(dtype)
     at_drives = None if model is None else resting(drive, model, q0)

@@ -18,6 +18,7 @@ from cnclik.integrate.advance import Step, advance, advanced
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.history import History
 from cnclik.integrate.method import DEFAULT, Method, Multistep, named, starter
+from cnclik.integrate.pace import Pace
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import growing
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
@@ -68,6 +69,7 @@ def solve(
     *,
     t0: ArrayLike = 0.0,
     drive: Drive | None = None,
+    pace: Pace | None = None,
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
@@ -85,6 +87,7 @@ def solve(
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
       drive: what lies between command and motion, see `Drive`; None: nothing. The loop then begins at t = 0.
+      pace: limits of velocity, acceleration and jerk that the loop keeps by going slower, see `Pace`; None: none.
 
     Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
@@ -92,6 +95,12 @@ def solve(
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
+    if pace is not None:
+        from cnclik.integrate.paced import solve_paced  # which rests on this module
+
+        if drive is not None:
+            raise errors.fail("pace", "be left out where there is a drive", "is given")
+        return solve_paced(law, reference, q0, Ts, N, method, stage, t0=t0, pace=pace)
     if drive is not None and not (check_drive(drive, law.chain.n).prompt and drive.exact):
         from cnclik.integrate.measured import solve_driven  # which rests on this module
 

@@ -23,6 +23,7 @@ class Status(enum.IntFlag):
     TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
     RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
     DIVERGED = 256  # joint values beyond any meaning, see `far`, though still finite
+    OVER_ACCELERATION = 512  # no share of a paced step keeps its limits of acceleration and jerk
 
 
 _REMEDY = {
@@ -34,6 +35,7 @@ _REMEDY = {
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",
     Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or saturation()",
+    Status.OVER_ACCELERATION: "round the path's corners, make targets jump less (resampled), or allow more",
 }
 
 
@@ -81,18 +83,26 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is not a number is not known to be large enough.
     status |= jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
-    rounding = 64 * jnp.finfo(residual.dtype).eps
-    outside, fast = first.held, False
+    outside, fast = first.held, too_fast(chain, qdot)
     if not unlimited(chain.lower, chain.upper):
         outside |= sp.some(sp.each(lambda v, low, high: (v <= low) | (v >= high), q, chain.lower, chain.upper))
-    if not unlimited(chain.velocity_limit):
-        fast = sp.some(sp.each(lambda v, most: jnp.abs(v) > most * (1 + rounding), qdot, chain.velocity_limit))
     for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):
         if found is not False:
             status |= jnp.where(found, int(bit), 0)
     if law.task.m > chain.n:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
+
+
+def too_fast(chain, qdot):
+    """Whether a joint is faster than its limit, by more than rounding; False where there is none."""
+    if unlimited(chain.velocity_limit):
+        return False
+
+    def beyond(v, most):
+        return jnp.abs(v) > most * (1 + 64 * jnp.finfo(v.dtype).eps)
+
+    return sp.some(sp.each(beyond, qdot, chain.velocity_limit))
 
 
 def far(dtype) -> float:

@@ -30,6 +30,7 @@ class Trajectory:
       contraction: (N,) ratio of its last two changes; at 1 or more it diverges.
       status: (N,) bits of `Status`.
       evaluations: evaluations of f(q, t) in the whole run, each one a Jacobian and an inverse.
+      path_time: (N + 1,) time on the path where it waits for the robot, see `Pace` [s]; None where that is t.
     """
 
     t: jax.Array
@@ -41,6 +42,12 @@ class Trajectory:
     contraction: jax.Array
     status: jax.Array
     evaluations: jax.Array
+    path_time: object = None
+
+    @property
+    def target_time(self):
+        """(N + 1,) times at which the reference gave the targets [s]."""
+        return self.t if self.path_time is None else self.path_time
 
     def __repr__(self):
         *lanes, N = np.shape(self.status)
@@ -53,6 +60,8 @@ class Trajectory:
         lines[0] += f", {e.dtype}"
         if t.size:
             lines.append(f"  t       {t.min():.6g} to {t.max():.6g} s")
+        if self.path_time is not None:
+            lines.append(f"  path    {np.min(self.path_time):.6g} to {np.max(self.path_time):.6g} s")
         if size.size:
             first, last = size[..., 0].max(), size[..., -1].max()
             lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
@@ -110,13 +119,18 @@ def assemble(t, found, evaluations) -> Trajectory:
 def truncate(run: Trajectory, N: int) -> Trajectory:
     """The first N steps of a run, one lane; every step costs the same number of evaluations."""
     made = run.status.shape[0]
-    points = {name: getattr(run, name)[: N + 1] for name in INSTANTS}
+    points = {name: getattr(run, name)[: N + 1] for name in (*INSTANTS, *_path_time(run))}
     steps = {name: getattr(run, name)[:N] for name in STEPS}
     return replace(run, **points, **steps, evaluations=run.evaluations * min(N, made) // max(made, 1))
 
 
+def _path_time(run):
+    return () if run.path_time is None else ("path_time",)
+
+
 def join(parts) -> Trajectory:
     """Runs end to end, as NumPy arrays: where one ends the next begins, and that instant is kept once."""
+    parts = tuple(parts)
 
     def steps(name):
         return np.concatenate([np.asarray(getattr(p, name)) for p in parts])
@@ -126,7 +140,7 @@ def join(parts) -> Trajectory:
         return np.concatenate([*(v[:-1] for v in values), values[-1][-1:]])
 
     return Trajectory(
-        **{name: instants(name) for name in INSTANTS},
+        **{name: instants(name) for name in (*INSTANTS, *_path_time(parts[0]))},
         **{name: steps(name) for name in STEPS},
         evaluations=sum(np.asarray(p.evaluations) for p in parts),
     )

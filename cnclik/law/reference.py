@@ -302,7 +302,7 @@ def waypoints(
         position = cubic(times, positions, closed, "positions")
     if rotations is not None:
         rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
-        quaternion = cubic(times, _quaternions(rotations), closed, "rotations")
+        quaternion = cubic(times, quaternions(rotations), closed, "rotations")
     times = jnp.asarray(times)
     curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=bool(closed))
     return Reference(curve=curve)
@@ -381,7 +381,7 @@ def _turn(first, last):
 
 
 @bounded_jit
-def _quaternions(rotations):
+def quaternions(rotations):
     """Unit quaternions (K, 4) of rotations, each with the sign nearer to the one before."""
     if rotations.shape[1:] == (4,):
         q = rotations / jnp.linalg.norm(rotations, axis=1, keepdims=True)

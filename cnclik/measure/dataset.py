@@ -56,6 +56,8 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
         "status": (step, trajectory.status, _about("status bits", "1") | flags),
         "evaluations": (dims, np.broadcast_to(evaluations, lanes), _about("evaluations of f(q, t)", "1")),
     }
+    if trajectory.path_time is not None:
+        variables["path_time"] = (instant, trajectory.path_time, _about("time on the path, which waits", "s"))
     labels = {
         "joint": ("joint", list(law.chain.joint_names), _about("joint", "1")),
         "joint_unit": ("joint", list(q_units), _about("unit of the joint's value", "1")),

@@ -7,7 +7,18 @@ built.
 from typing import NamedTuple
 
 from cnclik import errors
-from cnclik.problem.words import COMMANDS, FEEDBACKS, FUTURES, INVERSES, LIMITS, METHODS, REFERENCES, ROBOTS, STAGES, TASKS
+from cnclik.problem.words import (
+    COMMANDS,
+    FEEDBACKS,
+    FUTURES,
+    INVERSES,
+    LIMITS,
+    METHODS,
+    REFERENCES,
+    ROBOTS,
+    STAGES,
+    TASKS,
+)
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 

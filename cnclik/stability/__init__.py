@@ -41,7 +41,26 @@ from cnclik.stability.verdict import Behaviour, Verdict, verdict
 __all__ = ["Advice", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "Practice", "RealAxisLimits"]
 __all__ += ["Recommendation", "Spectrum", "Verdict"]
 __all__ += ["advise", "agreement", "amplification", "at_rest", "attraction_radius", "certified_radius"]
-__all__ += ["curvature_bound", "delay_limit", "delayed_radius", "driven_factors", "driven_limits", "gain_per_second", "gain_per_step", "largest_rate"]
-__all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "practice", "real_axis_limits", "recommend"]
+__all__ += [
+    "curvature_bound",
+    "delay_limit",
+    "delayed_radius",
+    "driven_factors",
+    "driven_limits",
+    "gain_per_second",
+    "gain_per_step",
+    "largest_rate",
+]
+__all__ += [
+    "margin",
+    "one_step",
+    "outcome",
+    "outcomes",
+    "passes_map",
+    "plane",
+    "practice",
+    "real_axis_limits",
+    "recommend",
+]
 __all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
 __all__ += ["stability_map", "stability_region", "step_maps", "task_map", "task_radius", "verdict"]

@@ -225,4 +225,3 @@ def settings(z: float, Ts: float, drive: Drive) -> dict:
         f"gives its z, then multiply solver.error_scale by {z:.4g}/z",
         "UR servoj": f"servoj(q + qdot*{Ts:g}, t={Ts:g}, lookahead_time=0.03): the look-ahead acts as a lag, --lag 0.03",
     }
-

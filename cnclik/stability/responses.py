@@ -81,5 +81,11 @@ def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=D
             "axis": ("axis", list(law.task.names)),
             "time": ("time", np.arange(N + 1) * Ts, {"units": "s"}),
         },
-        attrs={"size": SIZE, "period": PERIOD * Ts, "shown": 26 if drive.prompt else N + 1, "method": method.name, "stage": str(stage)},
+        attrs={
+            "size": SIZE,
+            "period": PERIOD * Ts,
+            "shown": 26 if drive.prompt else N + 1,
+            "method": method.name,
+            "stage": str(stage),
+        },
     )

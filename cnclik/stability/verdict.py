@@ -348,7 +348,9 @@ def _lower(case):
     law, (Ts, method, stage, drive) = case.law, case.loop
     ends = [at for at in (case.end, case.start) if np.isfinite(at.q).all() and np.abs(at.q).max() <= WILD]
     ends = [_resting(law, at) for at in ends]
-    across = [null_radius(*maps(law, at, np.ones(1), Ts, method, stage))[0] for at in ends if callable(law.null_velocity)]
+    across = [
+        null_radius(*maps(law, at, np.ones(1), Ts, method, stage))[0] for at in ends if callable(law.null_velocity)
+    ]
     if any(radius > UNSTABLE for radius in across):
         return _LESS_NULL
     share = min((stable_share(law, at, *case.loop) for at in ends), default=1.0)

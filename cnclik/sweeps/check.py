@@ -193,7 +193,9 @@ def _check_cycles(known):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
         if name not in steps:
-            value = ["M", "delay", "measurement_delay"] if name == LIMIT else known.get(name)  # method and stage follow from nothing
+            value = (
+                ["M", "delay", "measurement_delay"] if name == LIMIT else known.get(name)
+            )  # method and stage follow from nothing
             needs = set() if name in NAMES or value is None else expression.names(name, value)
             if len(seen) < STEPS:
                 steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)

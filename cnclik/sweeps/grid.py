@@ -68,7 +68,11 @@ def axis(name: str, values, where=None) -> Axis:
         found = Axis(name, tuple(values), labels)
     elif name in COMPILED_IN:
         few_enough(where, numbers)
-        fits = functools.partial(errors.integer, where, at_least=0) if name != "delay" else functools.partial(_delay, where)
+        fits = (
+            functools.partial(errors.integer, where, at_least=0)
+            if name != "delay"
+            else functools.partial(_delay, where)
+        )
         known = tuple(fits(v.item() if v.ndim == 0 else v) for v in numbers)
         found = Axis(name, known, known)
     else:

@@ -44,7 +44,10 @@ KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
 OPTIONS = options.SWEPT
-DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {"delay": 0, "measurement_delay": 0}
+DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {
+    "delay": 0,
+    "measurement_delay": 0,
+}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -44,7 +44,10 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
         rows.append(("drive", f"{1e3 * drive.late_by(tuned.Ts):.3g} ms behind its command, order {drive.order}"))
     if np.isfinite(after.noise_gain):
         bears = "any" if np.isinf(after.delay_margin) else f"{after.delay_margin:.3g} samples"
-        rows += [("noise", f"moves joints by {after.noise_gain:.3g} of itself"), ("further dead time", f"bears {bears}")]
+        rows += [
+            ("noise", f"moves joints by {after.noise_gain:.3g} of itself"),
+            ("further dead time", f"bears {bears}"),
+        ]
     if after.speed:
         rows.append(("joint velocity", f"{100 * after.speed:.4g} % of the limit at most"))
     rows += [

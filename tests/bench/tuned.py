@@ -24,13 +24,25 @@ CASES = {
     "Panda, 1 kHz, 5 samples": ("panda", 0.001, Drive(delay=5)),
     "Panda, 100 Hz, drives at once": ("panda", 0.01, Drive()),
 }
-HEADER = ("loop", "α [1/s]", "z", "RMS error before", "after", "overshoot", "settled to 2 % [ms]", "further dead time [samples]", "noise gain")
+HEADER = (
+    "loop",
+    "α [1/s]",
+    "z",
+    "RMS error before",
+    "after",
+    "overshoot",
+    "settled to 2 % [ms]",
+    "further dead time [samples]",
+    "noise gain",
+)
 
 
 def main():
     rows, steps = [], {}
     for name, (robot, Ts, drive) in CASES.items():
-        made = problem_from(robot, reference="circle", radius=0.1, period=4.0, Ts=Ts, N=int(2 / Ts), method="EE", alpha=2.0)
+        made = problem_from(
+            robot, reference="circle", radius=0.1, period=4.0, Ts=Ts, N=int(2 / Ts), method="EE", alpha=2.0
+        )
         found = tune(
             made.law, made.reference, made.q0, Ts=Ts, N=made.N, method=made.method, conditions=Conditions(drive=drive)
         )

@@ -141,8 +141,9 @@ def test_values_of_bits_never_change():
         "TASK_TOO_LARGE",
         "RESTARTED",
         "DIVERGED",
+        "OVER_ACCELERATION",
     ]
-    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(9)], strict=True))
+    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(10)], strict=True))
 
 
 def test_over_velocity():

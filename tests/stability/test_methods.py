@@ -118,7 +118,9 @@ def test_measured_loops_that_are_late_agree(method, delay, limit):
     @jax.jit
     def last(alpha):
         loop = Adjustable(law=ck.replace(LAW, alpha=alpha), Ts=np.asarray(0.1))
-        run = rollout(loop, Scenario(reference=ck.hold(X + 1e-7), q0=Q), 250, method, ck.picard(1), drive=Drive(delay=delay))
+        run = rollout(
+            loop, Scenario(reference=ck.hold(X + 1e-7), q0=Q), 250, method, ck.picard(1), drive=Drive(delay=delay)
+        )
         return abs(run.e[-4:]).max()
 
     if limit == np.inf:

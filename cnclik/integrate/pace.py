@@ -1,0 +1,262 @@
+"""Pace: the steps of a loop, made as short as limits of velocity, acceleration and jerk ask for.
+
+All joints of a step q̇ = f are scaled by one share s in [0, 1], so that the robot goes where the law sends it, but
+later. With path time τ, which advances by s·Ts in a sample,
+
+    q̈ = s² f′ + ṡ f,    q⃛ = s³ f″ + 3 s ṡ f′ + s̈ f,    ′ = d/dτ
+
+so that f′ and f″, which are estimated from the steps as they come, say which s the path bears: a law that nears its
+target, f′ = −α f, has to be slowed down before the target as a turn before its apex. Time-optimal path following knows
+the same bounds (Bobrow, Dubowsky & Gibson 1985); here they are looked ahead by one order of the path.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from cnclik import errors
+from cnclik.hints import bounded_jit
+from cnclik.record import leaf, record, replace
+from cnclik.robot import spatial as sp
+
+TURNING = 0.6  # part of the acceleration that following the path may take at a steady share; the rest changes the share
+BENDING = 0.5  # and part of the jerk
+EASING = 0.5  # part of the jerk with which the share comes to rest at what the path bears
+CHAIN = "chain"
+
+
+@record
+class Pace:
+    """Limits that a loop keeps by going slower along its way.
+
+    Attributes:
+      velocity: [rad/s, m/s], a number or one per joint (n,); "chain": the chain's own; None: none.
+      acceleration: of the sampled motion, (q̇[k] − q̇[k−1])/Ts [rad/s², m/s²], a number or (n,); None: none.
+      jerk: its change per second [rad/s³, m/s³], a number or (n,); None: none.
+      wait: whether the path waits for the robot: its time then advances by share·Ts in a sample, and it is followed
+        late, not cut. None: where the future of the reference is known; a stream of targets (`causal`, `resampled`)
+        goes on by its own clock.
+
+    Raises: ArgumentError for values that do not fit.
+    """
+
+    velocity: object = CHAIN
+    acceleration: object = None
+    jerk: object = None
+    wait: object = None
+
+    def __post_init__(self):
+        if self.wait not in (None, True, False):
+            raise errors.fail("wait", "be True, False or None", f"is {self.wait!r}")
+        for name in ("velocity", "acceleration", "jerk"):
+            value = getattr(self, name)
+            if value is None or (name == "velocity" and isinstance(value, str) and value == CHAIN):
+                continue
+            known = errors.array(name, value, (), (None,), finite=False)
+            if errors.concrete(known) and not (np.asarray(known) > 0).all():
+                raise errors.fail(name, "be positive", f"is {np.asarray(known).min():g}")
+            object.__setattr__(self, name, leaf(value) if np.ndim(value) == 0 else known)
+
+
+@record
+class Pacing:
+    """Where a paced loop is: what `paced` takes and hands back.
+
+    Attributes:
+      velocity, acceleration: (n,) of the last sample, as it was paced [rad/s, rad/s²; m].
+      asked: (n,) velocity that the loop asked for; turn, bend: (n,) its derivatives f′, f″ along the path.
+      share: s of the last step; a path that waits has advanced by share·Ts.
+      excess: the largest part of an acceleration or jerk limit that the step takes with the best share; beyond 1
+        where none keeps them all: after a corner, or a jump of the target.
+      begun: whether a step was paced.
+    """
+
+    velocity: jax.Array
+    acceleration: jax.Array
+    asked: jax.Array
+    turn: jax.Array
+    bend: jax.Array
+    share: jax.Array
+    excess: jax.Array
+    begun: jax.Array
+
+    @property
+    def over(self):
+        """Whether the step breaks a limit of acceleration or jerk, by more than rounding."""
+        return self.excess > 1 + 1024 * jnp.finfo(self.excess.dtype).eps
+
+
+def pace_at_rest(q: ArrayLike) -> Pacing:
+    """The state of a paced loop at rest at joint values q (n,)."""
+    zeros = jnp.zeros_like(_vector("q", q))
+    one = jnp.ones((), zeros.dtype)
+    state = dict.fromkeys(("velocity", "acceleration", "asked", "turn", "bend"), zeros)
+    return Pacing(**state, share=one, excess=0 * one, begun=jnp.zeros((), bool))
+
+
+def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: ArrayLike | None = None, sharpness=1.0):
+    """One step of any loop, scaled to its limits: for a control loop of one's own. Pure.
+
+    Args:
+      pace: its velocity limits as numbers.
+      state: from `pace_at_rest`, then what the call before handed back.
+      dq: (n,) step that the loop asks for, q̇·Ts [rad, m]; of q̇ from any library.
+      Ts: sampling time [s].
+      stop: path time until the path stops or has a corner [s], where that is known ahead: it is slowed down before.
+      sharpness: change of the path's velocity there, as a part of it.
+
+    Returns: (s·dq, state); `state.share` is s, `state.over` whether limits of acceleration or jerk are broken.
+    Raises: ArgumentError for shapes that do not fit.
+    """
+    dq = _vector("dq", dq)
+    n = dq.shape[0]
+    if not isinstance(state, Pacing):
+        raise errors.fail("state", "be what `pace_at_rest` or `paced` handed back", f"is {type(state).__name__}")
+    if state.velocity.shape != (n,):
+        raise errors.fail("dq", f"have {state.velocity.shape[0]} joints, as `state`", f"has {n}")
+    errors.number("Ts", Ts, positive=True)
+    check_pace(pace, n)
+    if isinstance(pace.velocity, str):
+        raise errors.fail("velocity", "be numbers or None: the chain is not known here", f"is {pace.velocity!r}")
+    Ts = np.asarray(Ts, dq.dtype) if errors.concrete(Ts) else Ts
+    return _scaled(pace, state, dq, Ts, stop, sharpness)
+
+
+def _vector(name, value):
+    return jnp.asarray(errors.array(name, value, (None,), finite=False))
+
+
+def check_pace(pace, n: int, chain=None) -> Pace:
+    """The pace, the velocities of a chain filled in; raises ArgumentError unless it is a `Pace` for n joints."""
+    if not isinstance(pace, Pace):
+        raise errors.fail("pace", "be Pace(...)", f"is {type(pace).__name__}")
+    for name in ("velocity", "acceleration", "jerk"):
+        if np.ndim(getattr(pace, name)) == 1:
+            errors.array(name, getattr(pace, name), (n,), finite=False)
+    if chain is None or not isinstance(pace.velocity, str):
+        return pace
+    limits = sp.packed(chain.velocity_limit, float)
+    if errors.concrete(limits):  # NumPy compiles nothing
+        limits = np.asarray(limits)
+    return replace(pace, velocity=limits)
+
+
+# --- the share ----------------------------------------------------------------------------------------
+
+
+@bounded_jit
+def _scaled(pace, state, dq, Ts, stop, sharpness):
+    s, state = share(pace, state, dq / Ts, Ts, stop, sharpness)
+    return s * dq, state
+
+
+def _max(v):
+    """The largest entry, by its place: the derivative of `jnp.max` is NaN where XLA rounds v twice in two ways."""
+    v = v.ravel()
+    return v[jnp.argmax(v)]
+
+
+def _largest(v):
+    return _max(jnp.abs(v))
+
+
+def share(pace, state, f, Ts, stop, sharpness):
+    """(s, the next state) for an asked velocity f (n,)."""
+    dtype, limits = f.dtype, (pace.velocity, pace.acceleration, pace.jerk)
+    v, a, j = (None if w is None else jnp.broadcast_to(jnp.asarray(w, dtype), f.shape) for w in limits)
+    v = None if v is None else jnp.maximum(v, 1e-12)  # a chain may forbid a joint to move
+    # Smoothed over a sample of path time, so that a share of nearly 0 divides nothing by nearly 0.
+    passed = jnp.where(state.begun, Ts * state.share, 0.0)
+    asked = jnp.where(state.begun, state.asked, f)
+    turn = (state.turn * Ts + (f - asked)) / (passed + Ts)
+    bend = (state.bend * Ts + (turn - state.turn)) / (passed + Ts)
+
+    most = jnp.ones((), dtype) if v is None else 1 / jnp.maximum(1.0, _largest(f / v))
+    wanted = _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness)
+    s, excess = _nearest(a, j, state, f, Ts, most, jnp.minimum(wanted, most))
+    velocity = s * f
+    return s, Pacing(
+        velocity=velocity,
+        acceleration=(velocity - state.velocity) / Ts,
+        asked=f,
+        turn=turn,
+        bend=bend,
+        share=s,
+        excess=excess,
+        begun=jnp.ones_like(state.begun),
+    )
+
+
+def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
+    """The share that the path bears, now and as far as it is seen to bend, approached with bounded jerk."""
+    caps, slowness, floor = [1.0], 0.0, 1.0
+    if v is not None:
+        room = v
+        if j is not None:  # what f grows by itself has to be stopped: v + q̈²/(2 j) ≤ V
+            gains = jnp.maximum(0.0, jnp.sign(f) * state.share**2 * turn)
+            room = v - jnp.minimum(gains * gains / (2 * EASING * j), v / 2)
+        caps.append(1 / jnp.maximum(1.0, _largest(f / room)))
+    if stop is not None:
+        stop = jnp.clip(jnp.asarray(stop, f.dtype), 1e-3 * Ts, 1e6 * Ts)
+    if a is not None:
+        heavy = _largest(f / a)  # its inverse is the largest ṡ
+        lag = Ts if j is None else 2 * _max(jnp.where(jnp.isfinite(a), a, 0.0) / j)  # until it brakes with all it has
+        grows = jnp.maximum(0.0, jnp.sign(turn) * bend) / (TURNING * a)
+        now = jnp.abs(turn) / (TURNING * a) + grows * state.share * lag
+        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path bears at x, and what is braked by then.
+        there = jnp.maximum(jnp.maximum(1.0, now), sp.safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
+        caps.append(jnp.sqrt(jnp.minimum(1.0, -_max((now - 2 * there) / there**2))))
+        if stop is not None:
+            slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
+            floor = 1 / jnp.maximum(1.0, 4 * heavy / Ts)
+    if j is not None:
+        stiff = _largest(f / j)
+        caps.append(jnp.maximum(1.0, _largest(bend / j) / BENDING) ** (-1 / 3))
+        if stop is not None:
+            slowness = jnp.maximum(slowness, jnp.maximum(1.0, 4 * stiff / (BENDING * stop * stop)) ** (1 / 3))
+            floor = jnp.minimum(floor, 1 / jnp.maximum(1.0, 4 * stiff / Ts**2))
+    if stop is not None and (a is not None or j is not None):
+        floor = jnp.minimum(1.0, floor / jnp.maximum(sharpness, 1e-3))
+        caps.append(jnp.maximum(1 / slowness, floor))
+    cap = caps[0]
+    for other in caps[1:]:
+        cap = jnp.minimum(cap, other)
+    if j is None:
+        return cap
+    # The square root law, ṡ = √(2 s̈ (cap − s)), whose last sample is dead-beat.
+    gap = cap - state.share
+    return state.share + 2 * EASING * gap * Ts / (
+        jnp.sqrt((EASING * Ts) ** 2 + 2 * EASING * stiff * jnp.abs(gap)) + EASING * Ts
+    )
+
+
+def _nearest(a, j, state, f, Ts, most, wanted):
+    """(s, excess): the share next to the wanted one of those in [0, most] that break a and j least.
+
+    Each limit of each joint says |s g − b| ≤ 1. Intervals on a line have a point in common if any two of them do
+    (Helly), so that the least μ for which all |s g − b| ≤ μ can be kept is found from pairs.
+    """
+    g, b = [], []
+    if a is not None:
+        g.append(f / (a * Ts))
+        b.append(state.velocity / (a * Ts))
+    if j is not None:
+        g.append(f / (j * Ts**2))
+        b.append((state.velocity + Ts * state.acceleration) / (j * Ts**2))
+    if not g:
+        return wanted, jnp.zeros_like(most)
+    g, b = jnp.concatenate(g), jnp.concatenate(b)
+    size = jnp.abs(g)
+    both = size[:, None] + size
+    apart = jnp.abs(b[:, None] * g - g[:, None] * b)
+    pairs = jnp.where(both > 0, apart / jnp.where(both > 0, both, 1.0), 0.0)
+    still = size == 0
+    safe = jnp.where(still, 1.0, size)
+    middle = b * jnp.sign(g) / safe
+    alone = jnp.abs(jnp.clip(middle, 0.0, most) * g - b)
+    excess = jnp.maximum(_max(pairs), _max(alone))
+    reach = jnp.maximum(excess, 1.0) / safe
+    low = _max(jnp.where(still, -jnp.inf, middle - reach))
+    high = -_max(jnp.where(still, -jnp.inf, -middle - reach))
+    return jnp.clip(jnp.maximum(low, jnp.minimum(wanted, high)), 0.0, most), excess

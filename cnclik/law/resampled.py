@@ -1,0 +1,86 @@
+"""Resampled: targets that come more slowly than the loop runs, as a path of which nothing is used before it comes."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from cnclik import errors
+from cnclik.law.curves import Spline
+from cnclik.law.reference import Reference, quaternions
+
+KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # and how late each is at least [longest periods]
+
+
+def resampled(
+    times: ArrayLike,
+    positions: ArrayLike | None = None,
+    rotations: ArrayLike | None = None,
+    *,
+    kind: str = "spline",
+    delay: ArrayLike | None = None,
+) -> Reference:
+    """A stream of targets, such as a policy's at 30 Hz, for a loop at 1 kHz that knows only what has come.
+
+    "hold": the last target; it jumps with every new one and has no velocity. "ramp": from target to target on straight
+    lines; the velocity jumps. "spline": the ramp, averaged over about a period: from the middle of a line to that of
+    the next, with continuous velocity; it cuts the corners at the targets, and evens out what they tremble. Each has
+    the velocity of its own motion for the feed-forward. The last target is held. Rotations are interpolated by
+    quaternions and normalised: for neighbours 20° apart the speed of a ramp varies by 0.8 %.
+
+    Args:
+      times: (K,) when the targets come [s], increasing.
+      positions: (K, d) [m], or None.
+      rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None.
+      kind: "hold", "ramp" or "spline".
+      delay: how late the path is [s]: by default, and at least, what it takes that nothing is used before it comes:
+        0, 1 and 1.5 times the longest period.
+
+    Returns: `Reference` whose future a step doesn't look at, as `causal`.
+    Raises: ArgumentError for shapes and values that do not fit.
+    """
+    errors.one_of("kind", kind, KINDS)
+    times = errors.array("times", times, (None,))
+    count = times.shape[0]
+    if count < 2:
+        raise errors.fail("times", "hold at least two times", f"holds {count}")
+    if positions is None and rotations is None:
+        raise errors.fail("positions", "be given, or `rotations`", "is None")
+    points = []
+    if positions is not None:
+        points.append(errors.array("positions", positions, (count, None)))
+    if rotations is not None:
+        points.append(quaternions(errors.array("rotations", rotations, (count, 4), (count, 3, 3))))
+    known = all(map(errors.concrete, (times, *points)))
+    xp = np if known else jnp  # NumPy compiles nothing
+    times = xp.asarray(times)
+    if known and not np.all(np.diff(times) > 0):
+        raise errors.fail("times", "increase", f"is {times.tolist()}")
+    gap = xp.max(xp.diff(times))
+    least = KINDS[kind] * gap
+    if delay is None:
+        delay = least
+    elif errors.concrete(errors.number("delay", delay)) and known and float(delay) < least * (1 - 1e-9):
+        raise errors.fail("delay", f"be at least {least:g} s, for {kind} to use only what has come", f"is {delay:g}")
+    pieces = [_pieces(xp, kind, times, xp.asarray(p), gap) for p in points]
+    knots, parts = pieces[0][0], [jnp.asarray(coefficients) for _, coefficients in pieces]
+    parts = [None if given is None else parts.pop(0) for given in (positions, rotations)]
+    curve = Spline(
+        times=jnp.asarray(knots + delay), position=parts[0], quaternion=parts[1], rotation=None, closed=False
+    )
+    return Reference(curve=curve, known=False)
+
+
+def _pieces(xp, kind, times, points, gap):
+    """Knots (P + 1,) and coefficients (4, P, d) of the powers of the time since a knot; at rest before and after."""
+    times = xp.concatenate([times[:1] - gap, times, times[-1:] + gap])
+    points = xp.concatenate([points[:1], points, points[-1:]])
+    h = xp.diff(times)[:, None]
+    slope = xp.diff(points, axis=0) / h
+    if kind != "spline":
+        start, moves = points[:-1], slope if kind == "ramp" else 0 * slope
+        return times, xp.stack([start, moves, 0 * start, 0 * start])
+    knots, middle = (times[1:] + times[:-1]) / 2, (points[1:] + points[:-1]) / 2
+    h = xp.diff(knots)[:, None]
+    mean = xp.diff(middle, axis=0) / h
+    second, third = (3 * mean - 2 * slope[:-1] - slope[1:]) / h, (slope[:-1] + slope[1:] - 2 * mean) / h**2
+    return knots, xp.stack([middle[:-1], slope[:-1], second, third])

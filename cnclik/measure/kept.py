@@ -1,0 +1,81 @@
+"""Kept: how much of its limits of velocity, acceleration and jerk a motion takes, joint by joint."""
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.pace import Pace, check_pace
+from cnclik.integrate.trajectory import Trajectory
+from cnclik.record import record
+
+QUANTITIES = ("velocity", "acceleration", "jerk")
+_ROUNDING = 1e-6  # of a limit
+
+
+@record
+class Kept:
+    """The largest parts of their limits that joints take; see `check_limits`.
+
+    Attributes:
+      velocity, acceleration, jerk: (n,) largest |value|/limit; 0 where there is no limit.
+      at: (3, n) when: the start of that sample, in the order of `QUANTITIES` [s].
+      names: of the joints.
+    """
+
+    velocity: object
+    acceleration: object
+    jerk: object
+    at: object
+    names: tuple
+
+    @property
+    def ok(self) -> bool:
+        """Whether all are kept."""
+        return bool(max(np.max(getattr(self, name), initial=0) for name in QUANTITIES) <= 1 + _ROUNDING)
+
+    def __repr__(self):
+        lines = [f"Limits {'kept' if self.ok else 'broken'}: largest part of each, and when"]
+        lines.append(f"  {'joint':<16}" + "".join(f"{name:>24}" for name in QUANTITIES))
+        for i, joint in enumerate(self.names):
+            cells = (f"{getattr(self, name)[i]:.4g} at {self.at[q][i]:.4g} s" for q, name in enumerate(QUANTITIES))
+            lines.append(f"  {joint:<16}" + "".join(f"{cell:>24}" for cell in cells))
+        return "\n".join(lines)
+
+
+def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
+    """A motion against limits, as a robot's controller sees it: differences of sampled joint values, from rest.
+
+    q̇[k] = (q[k+1] − q[k])/Ts, q̈[k] = (q̇[k] − q̇[k−1])/Ts, q⃛[k] = (q̈[k] − q̈[k−1])/Ts, with q̇ and q̈ 0 before. In
+    float32 joint values are rounded, which at 1 kHz alone is a jerk of 100 rad/s³: check motions in float64.
+
+    Args:
+      run: a `Trajectory` of one lane, whose own q̇ is taken; or joint values (N + 1, n) of any source [rad, m].
+      pace: the limits.
+      chain: for its velocity limits, if `pace` says so, and its joints' names.
+      Ts: sampling time of joint values [s].
+
+    Raises: ArgumentError for shapes and values that do not fit.
+    """
+    if isinstance(run, Trajectory):
+        if np.ndim(run.residual) != 1:
+            raise errors.fail("run", "be one lane", f"has {np.ndim(run.residual) - 1} leading axes")
+        t, qdot = np.asarray(run.t, float), np.asarray(run.qdot, float)
+        Ts = (t[-1] - t[0]) / max(len(qdot), 1)
+    else:
+        q = np.asarray(errors.array("run", run, (None, None)), float)
+        errors.number("Ts", Ts, positive=True)
+        qdot, t = np.diff(q, axis=0) / float(Ts), np.arange(len(q)) * float(Ts)
+    n = qdot.shape[1]
+    if not len(qdot):
+        raise errors.fail("run", "have a step", "has none")
+    pace = check_pace(pace, n, chain)
+    if isinstance(pace.velocity, str):
+        raise errors.fail("chain", "be given, for its velocity limits", "is None")
+    found, at, value = {}, [], qdot
+    for name in QUANTITIES:
+        limit = getattr(pace, name)
+        part = np.abs(value) / np.broadcast_to(np.inf if limit is None else np.asarray(limit, float), n)
+        found[name] = part.max(axis=0)
+        at.append(t[part.argmax(axis=0)])
+        value = np.diff(value, axis=0, prepend=np.zeros((1, n))) / Ts
+    names = tuple(f"joint {i + 1}" for i in range(n)) if chain is None else tuple(chain.joint_names)
+    return Kept(**found, at=np.stack(at), names=names)
