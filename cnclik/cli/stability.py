@@ -180,7 +180,8 @@ def _costs(said, found) -> list:
         v = said.speed
         lines.append(
             f"At {v:g} m/s the tip is {_length(gain.lag * v)} behind without feed-forward, "
-            f"{_length(gain.lag_fed_forward * v)} with it, {_length(gain.start_error * v)} for a moment after a sudden start."
+            f"{_length(gain.lag_fed_forward * v)} with it, and {_length(gain.start_error * v)} for a moment after a "
+            "sudden start."
         )
         if said.joint_speed == said.joint_speed:
             lines.append(f"{v:g} m/s takes up to {100 * said.joint_speed:.3g} % of a joint's velocity limit here.")
@@ -188,8 +189,8 @@ def _costs(said, found) -> list:
     if drive is not None and drive.feedback != "commanded" and not drive.ideal:
         late = float(np.max(drive.late_by(Ts)))
         lines.append(
-            f"With --feedback commanded the loop knows nothing of its drives: alpha up to {OWN_COMMANDS / Ts:.4g} 1/s has no "
-            f"overshoot, the motion comes {1e3 * late:.3g} ms after its command, and what is off stays off."
+            "With --feedback commanded the loop knows nothing of its drives: alpha up to "
+            f"{OWN_COMMANDS / Ts:.4g} 1/s has no overshoot, the motion comes {1e3 * late:.3g} ms after its command, and what is off stays off."
         )
     return lines
 

@@ -35,7 +35,7 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     ringing: bool = False
     """Let go of both: the loss alone is made small, and the loop rings."""
     margin: Number = None
-    """Bound of the spectral radius along the path, by which a small error shrinks per step; 1, or 0.9 with --ringing."""
+    """Bound of the spectral radius along the path, by which small errors shrink per step; 1, or 0.9 with --ringing."""
     alpha_bounds: tuple[float, float] | None = None
     """Bounds of the gain [1/s]; z = alpha·Ts from 0.001 to 10 by default."""
     Ts_bounds: tuple[float, float] | None = None

@@ -102,7 +102,7 @@ def modes_of(moved, basis, drive):
 
 
 def radius(steps, drive, Ts):
-    """Spectral radius (...) of modes (..., r, p), or of matrices (..., p, n, n) where each joint has a drive of its own;
+    """Spectral radius (...) of modes (..., r, p), or of matrices (..., p, n, n) where joints have drives of their own;
     inf where not finite, 0 of no mode."""
     return np.abs(_all_factors(steps, drive, Ts)).max(-1, initial=0.0)
 

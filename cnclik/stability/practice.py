@@ -204,8 +204,8 @@ def _reason(gains, chosen, drive) -> str:
         )
     if drive.feedback == "commanded":
         return (
-            "no overshoot even if the joint values it looks at were a sample late; the loop knows its own commands only, "
-            "so drive and dead time don't limit it, and the robot follows them late"
+            "no overshoot even if the joint values it looks at were a sample late; the loop knows its own commands "
+            "only, so drive and dead time don't limit it, and the robot follows them late"
         )
     if chosen < gains.z_recommended:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
@@ -221,7 +221,7 @@ def settings(z: float, Ts: float, drive: Drive) -> dict:
         "pink": f"FrameTask gain: {euler}",
         "mink": f"FrameTask gain: {euler}",
         "MoveIt Servo": f"publish_period: {Ts:g}; pose tracking: x, y, z and angular_proportional_gain: {alpha:.4g}",
-        "ros2 cartesian_controllers": "their p acts as a force on a virtual mass, no rate: log a step, `cnclik diagnose` "
-        f"gives its z, then multiply solver.error_scale by {z:.4g}/z",
-        "UR servoj": f"servoj(q + qdot*{Ts:g}, t={Ts:g}, lookahead_time=0.03): the look-ahead acts as a lag, --lag 0.03",
+        "ros2 cartesian_controllers": "their p acts as a force on a virtual mass, no rate: log a step, "
+        f"`cnclik diagnose` gives its z, then multiply solver.error_scale by {z:.4g}/z",
+        "UR servoj": f"servoj(q + qdot*{Ts:g}, t={Ts:g}, lookahead_time=0.03): a lag, as of --lag 0.03",
     }

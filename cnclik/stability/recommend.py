@@ -179,8 +179,9 @@ def _margin(loop, Ts, reach):
     z = loop.rate * float(errors.number("Ts", Ts, positive=True))
     gains = _recommend(loop, Ts, reach)
     now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage))
-    task, null = loop.modes(np.array([z]), Ts)
-    size = now.radius if loop.drive.prompt else float(radius(task, loop.drive, Ts)[0])
+    size = now.radius
+    if not loop.drive.prompt:
+        size = float(radius(loop.modes(np.array([z]), Ts)[0], loop.drive, Ts)[0])
     known = dict(z=z, z_largest=gains.z_largest, margin=gains.z_largest / z, radius=size, limit=gains.limit)
     return gains, Margin(**known), now
 

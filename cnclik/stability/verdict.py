@@ -25,8 +25,8 @@ from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
-from cnclik.stability.linear import checked
 from cnclik.stability.driven import each_drive, modes_of, overshoot
+from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, fastest_share, maps, radii, stable_share, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
 from cnclik.stability.spectrum import at_rest, check_loop, directions, null_radius, spectrum_of

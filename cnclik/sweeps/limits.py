@@ -15,8 +15,8 @@ def linear_limit(spec, of: Grid) -> dict:
     """The largest z with |R(z)| ≤ 1 as a coordinate, over the axes on which it depends.
 
     R(z) is what a step does to the error where J J# = I and the gain is one number: for the exact pseudoinverse.
-    NaN stands for every other law (damped, transposed, gains per axis) and for drives that lag, inf for a method without a
-    limit.
+    NaN stands for every other law (damped, transposed, gains per axis) and for drives that lag, inf for a method
+    without a limit.
 
     Returns: {"limit": (dimensions, values, attributes)}; {} where no loop has one, or where the spec's own axis z
     isn't alpha·Ts.

@@ -55,7 +55,10 @@ def driven_map(a, drive, Ts):
 
 def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
     """Largest share of an error that a step may take back: without overshoot, also were the dead time longer by
-    `delay_margin` samples, and with at most this noise gain. See `driven_limits`; d^d/(d + 1)^(d + 1) of dead time d."""
+    `delay_margin` samples, and with at most this noise gain.: d^d/(d + 1)^(d + 1) of dead time d.
+
+    See `driven_limits`.
+    """
     found = []
     for one in each_drive(looked_at_drive(drive)):
         late = replace(one, delay=one.delay + delay_margin)

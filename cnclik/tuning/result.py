@@ -65,7 +65,8 @@ class Tuned:
       parameters: what was tuned: `Parameter`s with name, start, lower, upper, unit. values: {name: tuned value}.
       loss: what was made small, in words.
       margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
-      front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what gains of other sizes cost, all else as tuned.
+      front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what other gains
+        cost, all else as tuned.
       before, after: `Performance` as given and as tuned.
       status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
       history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.

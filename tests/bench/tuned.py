@@ -1,6 +1,6 @@
-"""`python -m tests.bench.tuned`: gains that `tune` finds for arms with the drives they have, and how their steps answer.
+"""`python -m tests.bench.tuned`: gains that `tune` finds for arms with drives, and how their steps answer.
 
-Into results/tuning: robots.md (a table), robots.png (the step of each, through its drive, of the axis that answers worst).
+Into results/tuning: robots.md (a table), robots.png (the step of each through its drive, of the worst axis).
 """
 
 import pathlib

@@ -1,4 +1,4 @@
-"""Drives: what is sampled is exact, and a loop through them is what plain integration of the differential equations gives."""
+"""Drives: what is sampled is exact, and a loop through them is what plain integration gives."""
 
 import jax
 import jax.numpy as jnp
@@ -56,8 +56,8 @@ def _plain(drive, alpha, N, feedback="measured", velocity=None):
             arrived = [u for t, u in commands if t <= begin + 1e-12]
             u = arrived[-1] if arrived else (Q if position else np.zeros(2))
 
-            def flow(t, y, u=u):
-                y = y.reshape(x.shape)
+            def flow(t, y, u=u, shape=x.shape):
+                y = y.reshape(shape)
                 if order == 1:
                     last = (u - y[-1]) / np.asarray(drive.lag)
                 else:
@@ -123,7 +123,7 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
     assert limits[0] == limits[1]
     for share, settles in ((0.95, True), (1.05, False)):
         law = ck.replace(LAW, alpha=share * limits[0] / Ts)
-        e = ck.solve(law, ck.hold(start + [1e-7, 0]), Q, Ts, 400, "EE", drive=Drive(measurement_delay=4)).e
+        e = ck.solve(law, ck.hold(start + np.array([1e-7, 0])), Q, Ts, 400, "EE", drive=Drive(measurement_delay=4)).e
         assert (np.abs(e[-20:]).max() < 1e-7) == settles
 
 

@@ -102,7 +102,7 @@ def test_limits_are_where_loops_in_time_begin_to_grow(name):
     assert found.z_largest == pytest.approx(driven_limits("EE", Ts=Ts, drive=drive).stable, rel=1e-6)
 
     def error(z, N=4000, far=1e-7):
-        run = ck.solve(ck.replace(law, alpha=z / Ts), ck.hold(x + [far, 0]), q, Ts, N, "EE", drive=drive)
+        run = ck.solve(ck.replace(law, alpha=z / Ts), ck.hold(x + np.array([far, 0])), q, Ts, N, "EE", drive=drive)
         return np.asarray(run.e)[:, 0] / far
 
     late = [np.abs(error(s * found.z_largest)[-200:]).max() for s in (0.99, 1.01)]
@@ -125,7 +125,7 @@ def test_each_joint_may_have_a_drive_of_its_own():
     x = np.asarray(ck.pose(arm, q).position)[:2]
     for share, grows in ((0.98, False), (1.02, True)):
         law = ck.replace(law, alpha=share * z / Ts)
-        e = np.asarray(ck.solve(law, ck.hold(x + [1e-7, 0]), q, Ts, 4000, "EE", drive=drive).e)
+        e = np.asarray(ck.solve(law, ck.hold(x + np.array([1e-7, 0])), q, Ts, 4000, "EE", drive=drive).e)
         late, middle = (np.abs(e[i : i + 300]).max() for i in (3700, 1850))
         assert (late > middle) == grows
 
@@ -166,7 +166,7 @@ def test_what_practice_says_of_a_gain_is_what_it_does():
         run = ck.solve(ck.replace(law, feedforward=factor), path, q, 0.01, 200, "EE", drive=drive)
         assert run.e[-1, 0] / 0.1 == pytest.approx(getattr(now, name), abs=2e-3), name
     assert np.abs(run.e[:, 0]).max() / 0.1 == pytest.approx(now.start_error, rel=0.02)
-    e = np.asarray(ck.solve(law, ck.hold(x + [1e-6, 0]), q, 0.01, 200, "EE", drive=drive).e)[:, 0] / 1e-6
+    e = np.asarray(ck.solve(law, ck.hold(x + np.array([1e-6, 0])), q, 0.01, 200, "EE", drive=drive).e)[:, 0] / 1e-6
     assert -e.min() == pytest.approx(now.overshoot, abs=1e-3) and now.overshoot > 0.05
     assert np.flatnonzero(np.abs(e) > 0.02)[-1] * 0.01 == pytest.approx(now.settling_time, abs=0.011)
     assert said.recommended.overshoot < 0.01 and said.recommended_alpha < said.fastest_monotone_alpha

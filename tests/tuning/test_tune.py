@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.drive import Drive
 from cnclik.hints import quick_jit
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
