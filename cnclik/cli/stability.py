@@ -190,7 +190,8 @@ def _costs(said, found) -> list:
         late = float(np.max(drive.late_by(Ts)))
         lines.append(
             "With --feedback commanded the loop knows nothing of its drives: alpha up to "
-            f"{OWN_COMMANDS / Ts:.4g} 1/s has no overshoot, the motion comes {1e3 * late:.3g} ms after its command, and what is off stays off."
+            f"{OWN_COMMANDS / Ts:.4g} 1/s has no overshoot, the motion comes {1e3 * late:.3g} ms after its "
+            "command, and what is off stays off."
         )
     return lines
 

@@ -15,9 +15,8 @@ CAPTIONS = {
     "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
     "front": "What other gains cost: the loss against the noise that they pass on, and against the further dead time "
     "that they bear; filled where every constraint is kept.",
-    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path, through the drive; axes "
-    "that "
-    "answer alike lie on each other.",
+    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path, through the drive; "
+    "axes that answer alike lie on each other.",
 }
 
 
