@@ -156,7 +156,11 @@ def _margin(now, said) -> str:
     beyond = "any gain is stable" if now.margin == math.inf else f"gain margin {now.margin:.4g}"
     own = said.now
     late = "" if own.delay_margin == math.inf else f", {own.delay_margin:.3g} samples of dead time more"
-    over = f"a step overshoots by {100 * own.overshoot:.2g} %" if own.overshoot > 1e-3 else "no overshoot"
+    over = (
+        f"a step overshoots by {100 * own.overshoot:.2g} % (ζ = {own.damping_ratio:.2g})"
+        if own.overshoot > 1e-3
+        else "no overshoot"
+    )
     return f"stable: {beyond}{late}; error × {now.radius:.4g} per step, {over}; {now.limit}."
 
 

@@ -144,6 +144,14 @@ def swings(steps, drive, Ts):
     return np.where(slowest, off, 0.0).max(-1)
 
 
+def damping_ratio(steps, drive, Ts) -> float:
+    """ζ of the slowest factor of the modes (r, p): −ln|λ|/|ln λ|, 1 of a real positive one, 0 at the edge."""
+    found = _all_factors(steps[None], drive, Ts).ravel()
+    slowest = found[np.abs(found) >= np.abs(found).max() * (1 - 1e-6)]
+    turn, fall = np.abs(np.angle(slowest)).max(), -np.log(max(np.abs(slowest).max(), _ZERO))
+    return float(fall / np.hypot(fall, turn)) if turn > SWING else 1.0
+
+
 # --- limits -------------------------------------------------------------------------------------------
 
 

@@ -9,6 +9,7 @@ from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.stability.driven import (
+    damping_ratio,
     delay_margin,
     each_drive,
     looked_at,
@@ -36,6 +37,7 @@ class Gain:
 
     Attributes:
       alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
+      damping_ratio: of the slowest pair of factors, 1 where it is real and positive.
       overshoot: of a step, as a share of it. settling_time: until it stays within 2 % of a step [s].
       gain_margin: factor by which alpha may still grow. delay_margin: further dead time that the loop bears [samples].
       noise_gain: standard deviation of the motion per unit of white noise of what is measured; velocity_noise_gain:
@@ -47,6 +49,7 @@ class Gain:
 
     alpha: float
     z: float
+    damping_ratio: float
     overshoot: float
     settling_time: float
     gain_margin: float
@@ -151,7 +154,9 @@ def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
     moved, rows = loop.maps(np.array([z / (loop.rate * Ts)]), np.array([Ts]))
     steps = modes_of(moved, directions(rows)[2], Drive())[0]  # of a square arm each joint is a loop of its own
     each = [_one(steps, drive, Ts) for drive in each_drive(loop.drive)]
-    worst = {name: min(v) if name == "delay_margin" else max(v) for name, v in _by_name(each).items()}
+    worst = {
+        name: min(v) if name in ("delay_margin", "damping_ratio") else max(v) for name, v in _by_name(each).items()
+    }
     return Gain(alpha=z / Ts, z=z, gain_margin=z_largest / z, **worst)
 
 
@@ -164,6 +169,7 @@ def _one(steps, drive, Ts) -> dict:
     lags = [_following(one.real, drive, Ts) for one in steps]
     behind, forward, start = (max(v) for v in zip(*lags, strict=True))
     return {
+        "damping_ratio": damping_ratio(steps, drive, Ts),
         "overshoot": max(overshoot(steps, drive, Ts), 0.0),
         "settling_time": settling(steps, drive, Ts),
         "delay_margin": delay_margin(steps, drive, Ts),

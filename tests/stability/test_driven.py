@@ -1,7 +1,9 @@
 """Linear loops through drives: against closed forms, scipy.signal, and loops in time."""
 
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from hypothesis import given, settings
 from scipy.signal import cont2discrete
 
 import cnclik as ck
@@ -9,6 +11,7 @@ from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.stability import advise, delay_limit, driven_limits, practice, recommend
 from cnclik.stability.driven import (
+    damping_ratio,
     delay_margin,
     driven_factors,
     increments,
@@ -146,6 +149,37 @@ def test_margins_and_noise_are_what_happens():
     assert noise_limit(0.5, Drive(), Ts) == pytest.approx(2 * 0.25 / 1.25, rel=1e-3)
     assert delay_margin(steps(0.25), Drive(), Ts) == pytest.approx((np.pi / np.arcsin(0.125) / 2 - 1) / 2, rel=0.01)
     assert np.abs(open_loop(steps(0.5)[0], Drive(), Ts, np.array([np.pi]))) == pytest.approx(0.25)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    z=st.floats(0.005, 1.5),
+    delay=st.floats(0, 6),
+    lag=st.floats(0.2, 20),
+    kind=st.sampled_from(["none", "lag", "servo", "positions", "rebased"]),
+)
+def test_what_factors_say_happens(z, delay, lag, kind):
+    """Of any drive: a response grows where the largest factor is above 1, and else falls as that factor does."""
+    made = {
+        "none": {},
+        "lag": {"lag": lag * Ts},
+        "servo": {"natural_frequency": 1 / (lag * Ts), "damping_ratio": 0.6},
+        "positions": {"natural_frequency": 1 / (lag * Ts), "damping_ratio": 0.9, "command": "position"},
+        "rebased": {"lag": lag * Ts, "command": "position", "feedback": "rebased"},
+    }[kind]
+    drive = Drive(delay=round(delay, 1), **made)
+    size = float(np.abs(driven_factors(steps(z), drive, Ts)).max())
+    q, _ = respond(steps(z)[0], drive, Ts, np.ones(3000))
+    e = np.abs(q - 1)
+    if size > 1.01:
+        assert not e[-1] < e[:100].max()
+    elif size < 0.99:
+        first, last = (np.log(np.maximum(e[k : k + 200].max(), 1e-300)) for k in (300, 600))
+        assert e[-200:].max() < 1e-9 or last < first
+        if last > np.log(1e-12):
+            assert (last - first) / 300 == pytest.approx(np.log(size), abs=0.02)
+    ratio = damping_ratio(steps(z), drive, Ts)
+    assert ratio <= 1 and (ratio > 0) == (size < 1)
 
 
 def test_a_loop_that_looks_at_its_own_commands_knows_no_drive():
