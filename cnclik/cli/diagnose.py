@@ -45,7 +45,7 @@ def run(args: Args) -> None:
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
-    names, table = read_columns("LOG", args.log)
+    names, table = read_columns("LOG", args.log, gaps=True)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
     clock = next((i for i, name in enumerate(names) if name.lower() in _TIMES), None)
@@ -57,6 +57,7 @@ def run(args: Args) -> None:
 
 def _diagnose(args, names, table, clock, Ts):
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
+    from cnclik.measure.files import plain
 
     chosen = _chosen(args.columns, names) or [i for i in range(len(names)) if i != clock]
     if not chosen:
@@ -64,10 +65,10 @@ def _diagnose(args, names, table, clock, Ts):
     if args.longest_period is not None:
         errors.number("longest-period", args.longest_period, positive=True)
     longest = LONGEST if args.longest_period is None else max(args.longest_period / Ts, 2.0)
-    signal = table[:, chosen]
+    signal = _whole(table[:, chosen])
     found = diagnose(signal, Ts, alpha=args.alpha, longest=longest)
     if args.json:
-        print(json.dumps(_fields(found)))
+        print(json.dumps(plain(_fields(found)), allow_nan=False))
     else:
         print(found)
         _tell(found)
@@ -75,6 +76,17 @@ def _diagnose(args, names, table, clock, Ts):
         from cnclik.show.diagnosis import oscillation
 
         _draw(args, lambda: oscillation(signal, found, [names[i] for i in chosen]))
+
+
+def _whole(table):
+    """Without rows at the end that aren't complete: steps are one fewer than instants."""
+    import numpy as np
+
+    complete = np.flatnonzero(~np.isnan(table).any(1))
+    table = table[: complete[-1] + 1 if len(complete) else 0]
+    if len(complete) < len(table) or not len(table):
+        raise errors.fail("LOG", "hold a number in every row of its columns", "has empty cells")
+    return table
 
 
 def _tell(found):
@@ -108,22 +120,26 @@ def _fields(found) -> dict:
 
 def _step(args, names, table, clock, Ts):
     from cnclik.diagnosis.fit import fit_drive
+    from cnclik.measure.files import plain
 
     if args.alpha is not None:
         raise errors.fail("alpha", "be left out with --step", "is given")
     sent, moved = _pairs(args.columns, names, clock)
-    command, motion = table[:, sent], table[:, moved]
+    import numpy as np
+
+    table = _whole(table[:, [*sent, *moved]])
+    command, motion = np.split(table, [len(sent)], axis=1)
     fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
     if args.json:
         drive = fit.drive
-        print(json.dumps({
+        print(json.dumps(plain({
             "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "command": drive.command,
             "delay": drive.delay,
             "lag": _plain(drive.lag) if drive.order == 1 else None,
             "natural_frequency": _plain(drive.natural_frequency) if drive.order == 2 else None,
             "damping_ratio": _plain(drive.damping_ratio) if drive.order == 2 else None,
             "uncertainty": fit.uncertainty, "rms": list(fit.rms), "explained": fit.explained, "options": fit.options,
-        }))  # fmt: skip
+        }), allow_nan=False))  # fmt: skip
     else:
         print(fit.options)
         print(fit)

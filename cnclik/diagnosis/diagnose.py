@@ -4,7 +4,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.advice import advice
-from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, judged, looked_at, spans
+from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes
 from cnclik.record import record
 
@@ -105,8 +105,8 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
     scaled = (y - y[0]) / size
     first, last = looked_at(scaled[:, moving], longest)
+    first, found = _explained(scaled[first:last, moving], first, longest)
     seen = scaled[first:last, moving]
-    found = find_modes(seen, longest)
     kind, chosen, own = judged(seen, found, longest)
     if kind in (Kind.GROWING, Kind.RINGING) and len(seen) >= 4 * LEAST:  # what it has come to, if that stays
         half = len(seen) // 2
@@ -136,6 +136,24 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
         modes=every(found.parts.sum(0)),
         **made,
     )
+
+
+def _explained(seen, first, longest):
+    """(first row, its modes) of as much as modes explain: a large motion is no linear loop's, its last part is.
+
+    Where nothing is explained, the whole.
+    """
+    whole = first, find_modes(seen, longest)
+    at, found = whole
+    while not explained(seen, found):
+        cut = len(seen) // 4
+        if len(seen) - cut < 4 * LEAST:
+            return whole
+        at, seen = at + cut, seen[cut:]
+        if not np.all(np.ptp(seen, axis=0) > STILL):
+            return whole
+        found = find_modes(seen, longest)
+    return at, found
 
 
 def _monotone(slowest, alpha, Ts) -> dict:

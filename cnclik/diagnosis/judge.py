@@ -18,6 +18,7 @@ STEADY = 5e-4  # or this in a sample
 LOST = 0.05  # share that is left at the end of what has died out
 WINDOW = 1.5  # periods of a window in which an oscillation must be seen
 BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
+LITTLE = 2e-3  # share of the range that is hardly anything
 WAVES = 0.04  # share of the range that such bends may leave in waves
 ABOVE = 1.5  # or times what is left,
 OFTEN = 10  # where there are fewer periods
@@ -89,10 +90,21 @@ def judged(y, found: Modes, longest):
     return (Kind.QUIET if np.all(found.noise <= 1e-9 * largest) else Kind.NOISE), chosen[:0], own
 
 
+def explained(y, found: Modes) -> bool:
+    """Whether what path and modes leave of y (N, k) is noise, or hardly anything."""
+    left = y - found.path - found.parts.sum(0)
+    return bool(np.all(found.noise <= np.maximum(BENT * _roughness(left), LITTLE * np.ptp(y, axis=0))))
+
+
+def _roughness(left):
+    """(k,) of white noise its standard deviation, of what is smooth next to nothing."""
+    return np.std(np.diff(left, 3, axis=0), axis=0) / np.sqrt(20)
+
+
 def _is_there(y, found, part, angle) -> bool:
     """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits a path's bends."""
     left = y - found.path - found.parts.sum(0)
-    rough = np.std(np.diff(left, 3, axis=0), axis=0) / np.sqrt(20)  # of white noise its standard deviation
+    rough = _roughness(left)
     many = len(y) * angle > 2 * np.pi * OFTEN
     large = (np.ptp(part, axis=0) > WAVES * np.ptp(y, axis=0)) & (many | (np.std(part, axis=0) > ABOVE * found.noise))
     if not np.any(large | (found.noise <= BENT * rough)):

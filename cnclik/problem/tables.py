@@ -18,9 +18,10 @@ def read_csv(argument: str, file) -> np.ndarray:
     return read_columns(argument, file)[1]
 
 
-def read_columns(argument: str, file) -> tuple:
+def read_columns(argument: str, file, *, gaps=False) -> tuple:
     """Names of the columns, "1", "2", … where there is no header, and the numbers (rows, columns) of a CSV file.
 
+    Args: gaps: whether cells may be empty; they are NaN.
     Raises: as `read_csv`.
     """
     path = pathlib.Path(file)
@@ -33,6 +34,8 @@ def read_columns(argument: str, file) -> tuple:
     names = ()
     if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
         names, rows = tuple(name.strip() for name in rows[0]), rows[1:]
+    if gaps:
+        rows = [[cell if cell.strip() else "nan" for cell in row] for row in rows]
     for k, row in enumerate(rows):
         if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
             raise errors.fail(argument, "hold numbers, as many in every row", f"row {k + 1} of {path.name} does not")

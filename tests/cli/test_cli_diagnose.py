@@ -86,3 +86,16 @@ def test_a_recording_without_times_needs_Ts(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["diagnose", str(tmp_path / "empty.csv"), "--Ts", "0.01"])
     assert "hold numbers" in capsys.readouterr().err
+
+
+def test_what_solve_writes_can_be_read(tmp_path, capsys):
+    """Its last row has no velocity: of a loop that is 17 samples late, from its joints and from its errors."""
+    loop = "planar:1,1 --target 1.2 0.5 --alpha 30 --Ts 0.002 --delay 17 --method EE --N 400 --csv --no-figures"
+    main(["solve", *loop.split(), "--out", str(tmp_path)])
+    log = str(tmp_path / "trajectory.csv")
+    for columns in (["q_q1", "q_q2"], ["e_x", "e_y"]):
+        capsys.readouterr()
+        main(["diagnose", log, "--alpha", "30", "--columns", *columns, "--json"])
+        found = json.loads(capsys.readouterr().out)
+        assert found["delay"] == 17 and abs(found["z"] - 0.06) < 0.003, columns
+        assert 9 < found["recommended_alpha"] < 11
