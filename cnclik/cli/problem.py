@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from cnclik.problem.options import INTEGER, NAME, NUMBER, NUMBERS, OPTIONS, PATH
+from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PATH, SWEPT
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
 _METAVARS = {NAME: "NAME", NUMBER: "X", NUMBERS: "X ...", INTEGER: "INT"}
@@ -21,7 +21,7 @@ Number = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="
 
 def _field(name):
     """(name, type, field) of one option, for a dataclass that tyro reads."""
-    option = OPTIONS[name]
+    option = SWEPT[name]
     kind, default = _TYPES[option.kind], option.default
     about = {"help": option.help, "metavar": _METAVARS[option.kind]}
     if name == "robot":
@@ -52,6 +52,8 @@ RobotOptions = _group("RobotOptions", _ROBOT)
 TaskOptions = _group("TaskOptions", _TASK)
 ReferenceOptions = _group("ReferenceOptions", _PATHS)
 LoopOptions = _group("LoopOptions", [n for n in OPTIONS if n not in (*_ROBOT, *_TASK, *_PATHS)])
+DriveOptions = _group("DriveOptions", DRIVE)
+MeasuredOptions = _group("MeasuredOptions", MEASURED)
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -61,7 +63,7 @@ class ProblemOptions(LoopOptions, ReferenceOptions, TaskOptions, RobotOptions):
 
 def table(args) -> dict:
     """The problem's part of a verb's options as a flat table, what was left out left out."""
-    names = {name: name + "_" * keyword.iskeyword(name) for name in OPTIONS}
+    names = {name: name + "_" * keyword.iskeyword(name) for name in SWEPT}
     given = {name: getattr(args, field, None) for name, field in names.items()}
     return {name: value for name, value in given.items() if value is not None}
 

@@ -2,6 +2,8 @@
 
 import dataclasses
 import functools
+import json
+import math
 import pathlib
 import time
 from typing import Annotated
@@ -11,15 +13,19 @@ import tyro
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
+from cnclik.cli.problem import DriveOptions, LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, LoopOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
     target: Numbers = None
     """Where the loop is to come to rest: position [m], for a pose optionally a quaternion w x y z."""
+    speed: float = 0.1
+    """Of the tip [m/s]: for lag, tracking error and joint velocities."""
+    json: bool = False
+    """Print the advice as JSON, and nothing else."""
     N: int = 100
     """Horizon of the measured loops: steps."""
     tolerance: float = 1e-3
@@ -88,45 +94,119 @@ def _loop(args):
 
 
 def _advice(args, found, rest):
-    from cnclik.stability.recommend import advise
+    from cnclik.stability.practice import practice
 
+    loop = dict(Ts=found.Ts, method=found.method, stage=found.stage, drive=found.drive)
     with progress.bar("advice"):
-        return found, advise(found.law, found.reference, rest, Ts=found.Ts, method=found.method, stage=found.stage)
+        return found, practice(found.law, found.reference, rest, speed=args.speed, **loop)
 
 
 def _tell(args, advised):
-    """What is safe, and how far the operating point is from what is not."""
-    import numpy as np
+    """What to set, and how far the operating point is from what is not safe."""
+    if args.json:
+        print(json.dumps(_as_table(*advised), allow_nan=False))
+        return
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     from cnclik.record import in_words
-    from cnclik.stability.linear import share_per_step
 
-    found, advice = advised
-    gains, times, now, eigen = advice.gains, advice.times, advice.margin, advice.spectrum
+    found, said = advised
+    console, now, eigen = Console(), said.advice.margin, said.advice.spectrum
     shown = Table(title=f"{_name(found)}, task {' '.join(found.law.task.names)}", title_justify="left")
-    for column, justify in (("", "left"), ("value", "right"), ("z = alpha·Ts", "right"), ("error × per step", "right")):
-        shown.add_column(column, justify=justify)
-    shown.add_row(f"alpha now, Ts = {found.Ts:g} s", in_words(found.law.alpha), f"{now.z:.4g}", f"{now.radius:.4g}")
-    for name, some in (("{} alpha [1/s]", gains), ("{} Ts [s] at alpha now", times)):
-        bounded, slowest = np.isfinite(some.z_largest), np.isfinite(some.z_fastest)
-        edge = (in_words(some.largest), f"{some.z_largest:.4g}", "1") if bounded else ("any", "any", "–")
-        best = (in_words(some.fastest), f"{some.z_fastest:.4g}") if slowest else ("the larger", "the larger")
-        # escape: rich takes [s] for strikethrough
-        shown.add_row(escape(name.format("largest stable")), *edge)
-        shown.add_row(escape(name.format("fastest")), *best, f"{some.radius:.3g}")
-    console = Console()
+    for column in ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler"):
+        shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
+    dead = f", {1e3 * said.assumed_dead_time:g} ms of dead time" if said.assumed_dead_time else ""
+    rows = ("largest stable", "fastest without overshoot", f"recommended{dead}")
+    for row, name in zip(rows, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
+        value, euler = getattr(said, name), said.explicit_euler[name]
+        shown.add_row(row, *map(_or_any, (value, value * found.Ts, euler)))
+    shown.add_row("now", in_words(found.law.alpha), f"{now.z:.4g}", "")
     console.print(shown)
-    verdict = "stable" if now.margin > 1 else "UNSTABLE"
-    console.print(f"{verdict}: gain margin {now.margin:.4g}; {now.limit}.", highlight=False)
-    console.print(
-        f"Gain per step as pink and mink take it: {share_per_step(found.method, now.z):.4g}. "
-        f"Null space: {len(eigen.null)} directions, |λ| = {eigen.null_radius:.4g}. "
-        f"{gains.evaluations} evaluations per step.",
-        highlight=False,
+    lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
+    lines.append(f"At alpha now: {_margin(now, said)}")
+    if said.advice.times is not None:
+        times = said.advice.times
+        edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
+        lines.append(f"Sampling time at alpha now: {edge}.")
+    lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {len(eigen.null)} directions, "
+                 f"|λ| = {eigen.null_radius:.4g}.")  # fmt: skip
+    lines.append("The same loop elsewhere, by explicit Euler:")
+    lines += [f"  {where}: {what}" for where, what in said.settings.items()]
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def escaped(text):
+    """Rich takes [s] for strikethrough."""
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _or_any(value) -> str:
+    return f"{value:.4g}" if value < math.inf else "any"
+
+
+def _margin(now, said) -> str:
+    if now.margin <= 1:
+        return f"UNSTABLE: {now.margin:.4g} of it would be stable; {now.limit}."
+    beyond = "any gain is stable" if now.margin == math.inf else f"gain margin {now.margin:.4g}"
+    own = said.now
+    late = "" if own.delay_margin == math.inf else f", {own.delay_margin:.3g} samples of dead time more"
+    over = f"a step overshoots by {100 * own.overshoot:.2g} %" if own.overshoot > 1e-3 else "no overshoot"
+    return f"stable: {beyond}{late}; error × {now.radius:.4g} per step, {over}; {now.limit}."
+
+
+def _costs(said, found) -> list:
+    """What the recommended gain does."""
+    import numpy as np
+
+    from cnclik.stability.practice import OWN_COMMANDS
+
+    gain, Ts = said.recommended, found.Ts
+    bears = "any dead time" if gain.delay_margin == math.inf else (
+        f"{gain.delay_margin:.3g} samples ({1e3 * gain.delay_margin * Ts:.3g} ms) of dead time more"
+    )  # fmt: skip
+    more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times the gain"
+    lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}, or {more}."]
+    lines.append(
+        f"Noise: joints move by {gain.noise_gain:.3g} of what their measurement is off (RMS), commanded velocities by "
+        f"{gain.velocity_noise_gain:.3g} 1/s times it."
     )
+    if found.law.task.position:
+        v = said.speed
+        lines.append(
+            f"At {v:g} m/s the tip is {_length(gain.lag * v)} behind without feed-forward, "
+            f"{_length(gain.lag_fed_forward * v)} with it, {_length(gain.start_error * v)} for a moment after a sudden start."
+        )
+        if said.joint_speed == said.joint_speed:
+            lines.append(f"{v:g} m/s takes up to {100 * said.joint_speed:.3g} % of a joint's velocity limit here.")
+    drive = found.drive
+    if drive is not None and drive.feedback != "commanded" and not drive.ideal:
+        late = float(np.max(drive.late_by(Ts)))
+        lines.append(
+            f"With --feedback commanded the loop knows nothing of its drives: alpha up to {OWN_COMMANDS / Ts:.4g} 1/s has no "
+            f"overshoot, the motion comes {1e3 * late:.3g} ms after its command, and what is off stays off."
+        )
+    return lines
+
+
+def _length(metres) -> str:
+    for unit, scale in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
+        if abs(metres) * scale >= 1 or unit == "µm":
+            return f"{metres * scale:.3g} {unit}"
+
+
+def _as_table(found, said) -> dict:
+    """The advice as plain numbers; null is any, or not known."""
+    from cnclik.measure.files import plain
+
+    margin = said.advice.margin
+    about = dict(robot=found.name, task=list(found.law.task.names), method=str(found.method), Ts=found.Ts)
+    about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
+    told = plain(about | plain(said))
+    return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}
 
 
 def _name(found):
@@ -177,7 +257,7 @@ def _map(args, out):
     found, rest = _loop(args)
     advised = _advice(args, found, rest)
     _tell(args, advised)
-    now, rate = advised[1].margin, largest_rate(found.law.alpha)
+    now, rate = advised[1].advice.margin, largest_rate(found.law.alpha)
     # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
     half = np.sqrt(min(now.margin, 20 / now.z))
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)

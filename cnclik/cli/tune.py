@@ -11,13 +11,13 @@ import tyro
 from cnclik import errors
 from cnclik.cli import common
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import Number, ProblemOptions, problem, table
+from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, ProblemOptions):
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Tune the loop that these options describe: tuned.json, figures, summary.md."""
 
     N: int = 200
@@ -28,20 +28,20 @@ class Args(ComputeOptions, ProblemOptions):
     """Gain to tune: scalar, per-axis, matrix (symmetric positive definite), or as --alpha is given."""
     loss: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[=WEIGHT] ...")] = ("tracking",)
     """tracking (RMS), worst, settling, effort, jerk, noise, delay; several with weights: tracking=1 jerk=1e-4."""
-    margin: float = 0.9
-    """Bound of the spectral radius along the path: a small error shrinks by it per step."""
+    delay_margin: float = 1.0
+    """Further dead time [samples] with which a step must still not overshoot."""
+    noise_gain: float = 0.5
+    """Bound of how much of measurement noise the joints follow (standard deviations)."""
     ringing: bool = False
-    """Allow gains with which a step takes back more of an error than there is (z > 1 for EE): it then changes sign."""
+    """Let go of both: the loss alone is made small, and the loop rings."""
+    margin: Number = None
+    """Bound of the spectral radius along the path, by which a small error shrinks per step; 1, or 0.9 with --ringing."""
     alpha_bounds: tuple[float, float] | None = None
     """Bounds of the gain [1/s]; z = alpha·Ts from 0.001 to 10 by default."""
     Ts_bounds: tuple[float, float] | None = None
     """Bounds of the sampling time [s], where it is tuned; a factor 4 around --Ts by default."""
     velocity_limit: Number = None
     """Joint velocity limit [rad/s, m/s] for all joints in place of the robot's own; 0 for none."""
-    noise: float = 0.0
-    """Standard deviation of the measured error [m, rad]."""
-    delay: int = 0
-    """Samples by which the measured error is late."""
     model_error: float = 0.0
     """Relative error of the link lengths the law believes in."""
     draws: int = 1
@@ -52,8 +52,6 @@ class Args(ComputeOptions, ProblemOptions):
     """Evaluations with gradient per start."""
     starts: int = 1
     """Descents side by side, the first from --alpha, the others drawn."""
-    seed: int = 0
-    """Of everything drawn."""
     out: Path = Path("tuned")
     """Folder for results."""
     figures: bool = True
@@ -61,7 +59,8 @@ class Args(ComputeOptions, ProblemOptions):
 
 
 def run(args: Args) -> None:
-    made, asked = _problem(args), _asked(args)
+    made = _problem(args)
+    asked = _asked(args, made)
     from cnclik import tuning
     from cnclik.cli import progress
     from cnclik.show.output import draw, load_ahead
@@ -92,7 +91,7 @@ def run(args: Args) -> None:
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
 
 
-def _asked(args) -> dict:
+def _asked(args, made) -> dict:
     """What is asked of the loop, as `tune` takes it."""
     from cnclik.tuning import Conditions, Descent
 
@@ -103,10 +102,14 @@ def _asked(args) -> dict:
         over=args.over,
         bounds=bounds,
         loss=_loss(args.loss),
-        margin=args.margin,
-        ringing=args.ringing,
+        **{name: getattr(args, name) for name in ("delay_margin", "noise_gain", "ringing", "margin")},
         velocity_limit="chain" if limit is None else None if limit == 0 else limit,
-        conditions=Conditions(**{field.name: getattr(args, field.name) for field in dataclasses.fields(Conditions)}),
+        conditions=Conditions(
+            **{name: getattr(args, name) for name in ("model_error", "draws", "tolerance")},
+            **{} if made.drive is None else {"drive": made.drive},
+            noise=0.0 if made.noise is None else made.noise,
+            seed=int(made.seed),
+        ),
         descent=Descent(steps=args.steps, starts=args.starts),
     )
 

@@ -71,7 +71,7 @@ class Drive:
         errors.one_of("feedback", self.feedback, FEEDBACKS)
         if self.natural_frequency is not None and not _none(self.lag):
             raise errors.fail("natural_frequency", "be left out where there is a lag: a drive has one of both", "is given")
-        errors.integer("seed", self.seed, at_least=0)
+        errors.number("seed", self.seed, at_least=0)
         for name in _QUANTITIES:
             value = getattr(self, name)
             if value is not None and not _none(value):
@@ -172,10 +172,13 @@ def sampled(drive: Drive, Ts) -> Sampled:
     Γ₀ and Γ₁ are what a command does in the part of a sample that is left when it arrives, and in the part before
     (Åström & Wittenmark 1997, Section 2.3).
     """
-    known = all(map(errors.concrete, jax.tree.leaves((drive, Ts))))
-    a, b = _continuous(drive, np if known else jnp)
     whole = math.floor(drive.delay)
     share = drive.delay - whole
+    if drive.order == 0:
+        late = Ts * np.full(1, share) if share else None
+        return Sampled(phi=np.ones((1, 1)), now=Ts * np.full(1, 1.0 - share), late=late, whole=whole)
+    known = all(map(errors.concrete, jax.tree.leaves((drive, Ts))))
+    a, b = _continuous(drive, np if known else jnp)
     phi, gamma = _held(a, b, Ts * (1.0 - share), known)
     if share == 0:
         return Sampled(phi=phi, now=gamma, late=None, whole=whole)
@@ -185,8 +188,6 @@ def sampled(drive: Drive, Ts) -> Sampled:
 
 def _continuous(drive, xp):
     """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis is that of the joints, if any."""
-    if drive.order == 0:
-        return xp.zeros((1, 1)), xp.ones(1)
     if drive.order == 1:
         poles = [1.0 / xp.asarray(drive.lag)]
     else:
@@ -263,7 +264,7 @@ def _within_limits(drive, u, before, Ts):
 def measured_joints(drive: Drive, q, k):
     """What the controller is told of joint values q (n,) at step k: with noise, and in steps of the encoders."""
     if not _none(drive.joint_noise):
-        key = jax.random.fold_in(jax.random.key(drive.seed), jnp.asarray(k).astype(jnp.int32))
+        key = jax.random.fold_in(jax.random.key(jnp.asarray(drive.seed).astype(jnp.uint32)), jnp.asarray(k).astype(jnp.int32))
         q = q + drive.joint_noise * jax.random.normal(key, q.shape, q.dtype)
     if not _none(drive.resolution):
         steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)

@@ -1,7 +1,12 @@
 """Files of results: one way to write a dataset, a table, a Markdown table."""
 
 import csv
+import dataclasses
+import math
+import os
 import pathlib
+
+import numpy as np
 
 
 def save_netcdf(data, path) -> None:
@@ -22,3 +27,24 @@ def markdown(header, rows, *, left=1) -> str:
     header, *rows = ([str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows))
     rule = ["---" if i < left else "---:" for i in range(len(header))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (header, rule, *rows))
+
+
+def plain(value):
+    """For JSON: nested tables, lists, numbers and texts; what is not finite is null, a record a table of its fields.
+
+    A record's `run` and `advice`, which are whole records behind its numbers, are left out.
+    """
+    if dataclasses.is_dataclass(value):
+        kept = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "advice"))
+        value = {name: getattr(value, name) for name in kept}
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(np.asarray(value).tolist())
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

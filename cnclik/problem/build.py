@@ -32,7 +32,8 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they a
 class Problem:
     """What `solve` needs, `solve(p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage, drive=p.drive)`, and its name.
 
-    `noise` (m,) or a number is the standard deviation of the measured error, or None, and `seed` that of what is drawn.
+    `drive` is None where nothing was said of it. `noise` (m,) or a number is the standard deviation of the measured
+    error, or None, `seed` that of what is drawn.
     """
 
     name: str
@@ -43,14 +44,9 @@ class Problem:
     N: int
     method: Method
     stage: object
-    drive: Drive = Drive()
+    drive: Drive | None = None
     noise: object = None
     seed: int = 0
-
-    @property
-    def measured(self) -> bool:
-        """Whether a robot adds something to the loop: it is then run by `run`, not by `solve` alone."""
-        return self.noise is not None or not (self.drive.prompt and self.drive.exact)
 
 
 def problem_from(robot, **options) -> Problem:
@@ -85,6 +81,8 @@ def problem_from(robot, **options) -> Problem:
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
     path = {name: v[name] for name in PATH}
+    seed = errors.number("seed", 0 if v["seed"] is None else v["seed"], at_least=0)
+    said = {name: v[name] for name in DRIVE if v[name] is not None}
     reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     return Problem(
@@ -96,9 +94,9 @@ def problem_from(robot, **options) -> Problem:
         N=N,
         method=named(v["method"]),
         stage=stage_from(v["stage"], v["M"]),
-        drive=drive_from(chain, **{name: v[name] for name in (*DRIVE, "seed") if v[name] is not None}),
+        drive=drive_from(chain, seed=seed, **said) if said else None,
         noise=v["noise"],
-        seed=errors.integer("seed", v["seed"] or 0, at_least=0),
+        seed=seed,
     )
 
 

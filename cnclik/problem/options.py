@@ -81,17 +81,16 @@ OPTIONS = {
 }  # fmt: skip
 
 DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`
-    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones.", 0.0,
-                    must="at least 0"),
+    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones.", must="at least 0"),
     "lag": Option(NUMBERS, "Time constant of a first-order drive [s], one number or one per joint.", unit="s",
                   must="positive"),
     "natural_frequency": Option(NUMBERS, "ω₀ of a second-order drive [rad/s], in place of a lag: √(k_p/m) of a "
                                 "position servo.", unit="rad/s", must="positive"),
     "damping_ratio": Option(NUMBERS, "ζ of a second-order drive, 1 by default: k_v/(2 m ω₀) of a position servo.",
                             must="positive"),
-    "command": Option(NAME, f"What a drive takes: {_listed(COMMANDS)}.", "velocity"),
+    "command": Option(NAME, f"What a drive takes: {_listed(COMMANDS)}; velocity by default."),
     "feedback": Option(NAME, f"Joint values that the controller looks at: {_listed(FEEDBACKS)} (measured, and position "
-                       "commands begin there).", "measured"),
+                       "commands begin there); measured by default."),
     "drive_velocity": Option(NUMBERS, "Joint velocity beyond which the drive doesn't follow [rad/s, m/s].",
                              unit="q/s", must="positive"),
     "drive_acceleration": Option(NUMBERS, "Joint acceleration beyond which the drive doesn't follow [rad/s², m/s²].",
@@ -103,7 +102,7 @@ DRIVE = {  # what lies between a command and the motion, and what is measured of
 NOISE = {
     "noise": Option(NUMBERS, "Standard deviation of white noise of the measured error, one number or one per task "
                     "coordinate [m, rad].", unit="m, rad", must="at least 0"),
-    "seed": Option(INTEGER, "Of what is drawn.", 0, must="at least 0"),
+    "seed": Option(INTEGER, "Of what is drawn; 0 by default.", must="at least 0"),
 }  # fmt: skip
 MEASURED = DRIVE | NOISE  # what a robot adds to a loop
 SWEPT = OPTIONS | MEASURED

@@ -81,11 +81,30 @@ def operating(field, tuned):
     return figure
 
 
+def front(tuned):
+    """Loss of gains of other sizes, against the noise that they pass on and the further dead time that they bear."""
+    data, kept = tuned.front, tuned.front["violation"] <= 1e-6
+    figure, panels = plt.subplots(1, 2, figsize=(style.COLUMN, 2.4), sharey=True)
+    names = (("noise_gain", "noise gain"), ("delay_margin", "dead time to spare [samples]"))
+    for panel, (name, label) in zip(panels, names, strict=True):
+        x = np.where(np.isfinite(data[name]), data[name], np.nan)
+        y = np.where(np.isfinite(data["loss"]), data["loss"], np.nan)
+        panel.plot(x, y, color="0.6", linewidth=0.8, zorder=1)
+        for some, look, word in ((kept, style.COLORS[0], "kept"), (~kept, "white", "not kept")):
+            panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.COLORS[0], markersize=4, label=word)
+        after = getattr(tuned.after, name)
+        panel.plot([after], [tuned.after.loss], "D", color=style.VERMILION, markersize=6, label="recommended", zorder=5)
+        panel.set(xscale="log", yscale="log", xlabel=label)
+    panels[0].set_ylabel(f"loss: {tuned.loss}")
+    panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
+    return figure
+
+
 def responses(data):
     """Step and sine test around the resting place, per task axis, and what the sine leaves as an error."""
     figure, panels = plt.subplots(3, 1, figsize=(style.COLUMN, 4.2))
     for panel, test in zip(panels[:2], ("step", "sine"), strict=True):
-        one = data.sel(test=test).isel(time=slice(0, 26 if test == "step" else None))
+        one = data.sel(test=test).isel(time=slice(0, data.attrs["shown"] if test == "step" else None))
         panel.plot(one.time, one.wanted[0], color="0.55", linewidth=2.4, label="wanted", zorder=1)
         _lines(panel, one, one.response, "." if test == "step" else "")
         panel.set_ylabel(f"{test} response")
@@ -112,6 +131,7 @@ def drawings(tuned) -> dict:
     drawn["error"] = lambda: error(tuned)
     if tuned.status != "non-finite" and np.isfinite(np.asarray(tuned.after.run.q)[-1]).all():
         drawn["operating"] = lambda: operating(radius_field(tuned), tuned)
-        if not tuned.conditions.delay:  # responses are of loops whose error is not late
-            drawn["responses"] = lambda: responses(end_responses(tuned))
+        if len(tuned.front["z"]):
+            drawn["front"] = lambda: front(tuned)
+        drawn["responses"] = lambda: responses(end_responses(tuned))
     return drawn

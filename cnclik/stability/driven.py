@@ -11,6 +11,7 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive, sampled
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
+from cnclik.robot import spatial as sp
 from cnclik.stability.linear import EPS, REACH, amplification, checked, first_above, least_on
 
 SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
@@ -41,12 +42,12 @@ def increments(method, stage, z):
 
 def loop_matrix(steps, drive: Drive, Ts: float):
     """The matrix (..., S, S) of a loop whose step is Σⱼ Dⱼ y[k−j], D (..., p, n, n): what its own code makes of unit
-    vectors.
+    vectors. Pure: D may be traced.
 
     The state is the drives' (n, s), the sum of the steps where the loop depends on it, the commands under way, and
     the joint values that the method remembers.
     """
-    model, (p, n, _) = sampled(drive, Ts), steps.shape[-3:]
+    model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], sp.library(steps)
     count = model.size + drive.adds_up + model.remembered + p - 1
     units = np.eye(n * count)
     x = units[:, : n * model.size].reshape(-1, n, model.size)
@@ -55,22 +56,22 @@ def loop_matrix(steps, drive: Drive, Ts: float):
     line, older = tuple(rest[: model.remembered]), rest[model.remembered :]
     seen = sent if drive.feedback == "commanded" else x[..., 0]
     past = [seen, *older]
-    step = sum(v @ np.swapaxes(steps[..., j, :, :], -1, -2) for j, v in enumerate(past))
+    step = sum(v @ xp.swapaxes(steps[..., j, :, :], -1, -2) for j, v in enumerate(past))
     sent = (seen if drive.feedback == "rebased" else sent) + step
     x, line = model.moved(x, line, sent if drive.steps_positions else step / Ts)
     parts = [x.reshape(*x.shape[:-2], -1), *[sent] * drive.adds_up, *line, *past[: p - 1]]
     shape = np.broadcast_shapes(*(v.shape[:-1] for v in parts))
-    return np.swapaxes(np.concatenate([np.broadcast_to(v, (*shape, v.shape[-1])) for v in parts], -1), -1, -2)
+    return xp.swapaxes(xp.concatenate([xp.broadcast_to(v, (*shape, v.shape[-1])) for v in parts], -1), -1, -2)
 
 
-def _looked_at(drive) -> Drive:
+def looked_at_drive(drive) -> Drive:
     """The drive as the loop knows it: of its own commands it learns nothing else."""
     return Drive() if drive.feedback == "commanded" else drive
 
 
 def driven_factors(steps, drive: Drive, Ts: float):
     """All factors (..., S) of modes whose step is Σⱼ Dⱼ y[k−j], D (..., p), one drive for all joints."""
-    return np.linalg.eigvals(loop_matrix(np.asarray(steps)[..., None, None], _looked_at(drive), Ts))
+    return np.linalg.eigvals(loop_matrix(np.asarray(steps)[..., None, None], looked_at_drive(drive), Ts))
 
 
 def modes_of(moved, basis, drive):
@@ -110,7 +111,7 @@ def _all_factors(steps, drive, Ts):
     finite = np.isfinite(steps).all(axes)
     steps = np.where(np.expand_dims(finite, axes), steps, 0.0)
     if own_drives(drive):
-        found = np.linalg.eigvals(loop_matrix(steps, _looked_at(drive), Ts))
+        found = np.linalg.eigvals(loop_matrix(steps, looked_at_drive(drive), Ts))
         still = np.argsort(np.abs(found - 1.0), -1)[..., : _idle(steps)]  # what no step moves stays where it is
         np.put_along_axis(found, still, 0.0, -1)
     else:
@@ -189,7 +190,21 @@ def looked_at(drive, size: int) -> int:
 
 def longer(drive) -> Drive:
     """The drive with the dead time that a recommended gain is safe for."""
+    if drive.feedback == "commanded":  # the loop itself has none
+        return Drive(delay=SPARE)
     return replace(drive, delay=drive.delay + SPARE)
+
+
+def each_drive(drive) -> list:
+    """The drives of the joints that differ, each as one for all joints."""
+    names = ("lag", "natural_frequency", "damping_ratio")
+    count = max([len(v) for name in names if np.ndim(v := getattr(drive, name)) == 1], default=0)
+    if not count:
+        return [drive]
+    values = np.stack([np.broadcast_to(np.nan if (v := getattr(drive, name)) is None else v, count) for name in names])
+    given = [name for name in names if np.ndim(getattr(drive, name)) or getattr(drive, name) not in (None, 0.0)]
+    found = np.unique(values, axis=1).T
+    return [replace(drive, **{name: np.asarray(one[names.index(name)]) for name in given}) for one in found]
 
 
 def monotone_limit(modes, drive, Ts, stable, reach, points):
@@ -251,7 +266,7 @@ def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
     return q, asked
 
 
-def _long(steps, drive, Ts, share=1e-3) -> int:
+def until_settled(steps, drive, Ts, share=1e-3) -> int:
     """Samples until a mode has settled to a share."""
     worst = float(np.abs(driven_factors(steps, drive, Ts)).max())
     wanted = np.log(share) / np.log(worst) if 0 < worst < 1 else LONGEST
@@ -262,7 +277,7 @@ def overshoot(steps, drive, Ts) -> float:
     """By how much of a step the modes (r, p) move beyond the target, at most."""
     found = 0.0
     for one in _different(steps):
-        q, _ = respond(one.real, drive, Ts, np.ones(_long(one, drive, Ts)))
+        q, _ = respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))
         found = max(found, float(q.max()) - 1.0)
     return found if np.isfinite(found) else np.inf
 
@@ -271,7 +286,7 @@ def settling(steps, drive, Ts, share=0.02) -> float:
     """Time until the modes (r, p) stay within a share of a step [s]; inf where they don't."""
     last = 0
     for one in _different(steps):
-        q, _ = respond(one.real, drive, Ts, np.ones(_long(one, drive, Ts)))
+        q, _ = respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))
         outside = np.flatnonzero(~(np.abs(q - 1.0) <= share))
         if outside[-1] == len(q) - 1:
             return np.inf
@@ -284,7 +299,7 @@ def noise_gain(steps, drive, Ts) -> tuple:
     the root of the sum of the squares of what one disturbed measurement does. Of the worst of the modes (r, p)."""
     motion = speed = 0.0
     for one in _different(steps):
-        N = _long(one, drive, Ts)
+        N = until_settled(one, drive, Ts)
         q, asked = respond(one.real, drive, Ts, np.zeros(N), noise=np.eye(1, N)[0])
         motion, speed = max(motion, float(np.linalg.norm(q))), max(speed, float(np.linalg.norm(asked)) / Ts)
     return motion, speed
@@ -295,12 +310,23 @@ def _different(steps):
     return np.unique(np.round(steps, 9), axis=0)
 
 
+def noise_limit(most: float, drive: Drive, Ts: float) -> float:
+    """Share of an error that a step may take back so that the noise gain is at most `most`: 2m²/(1 + m²) of a loop
+    without drive, for then it is √(g/(2 − g))."""
+    low, high = 0.0, min(2.0, driven_limits(Ts=Ts, drive=drive).stable)
+    for _ in range(24):
+        share = 0.5 * (low + high)
+        kept = noise_gain(np.array([[-share]]), drive, Ts)[0] <= most
+        low, high = (share, high) if kept else (low, share)
+    return low
+
+
 # --- margins ------------------------------------------------------------------------------------------
 
 
 def open_loop(steps, drive: Drive, Ts: float, omega):
     """L(e^{iω}) (k,) of a mode (p,), 1 + L = 0 being its characteristic equation; ω in radians per sample."""
-    model, zeta = sampled(_looked_at(drive), Ts), np.exp(1j * np.asarray(omega))
+    model, zeta = sampled(looked_at_drive(drive), Ts), np.exp(1j * np.asarray(omega))
     d = sum(v * zeta**-j for j, v in enumerate(steps))
     phi, now, late = (np.broadcast_to(v, v.shape) for v in (model.phi, model.now, model.now * 0))
     late = late if model.late is None else model.late

@@ -8,26 +8,41 @@ from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import record
-from cnclik.stability.driven import delay_margin, driven_limits, noise_gain, overshoot, own_drives, respond, settling
-from cnclik.stability.linear import share_per_step
-from cnclik.stability.recommend import Advice, advise, loop_at_rest
+from cnclik.stability.driven import (
+    delay_margin,
+    each_drive,
+    looked_at,
+    modes_of,
+    monotone_limit,
+    noise_gain,
+    overshoot,
+    respond,
+    settling,
+    until_settled,
+)
+from cnclik.stability.recommend import Advice, advise, loop_at_rest, recommend
+from cnclik.stability.spectrum import directions, step_map
 
+ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
 SPEED = 0.1  # [m/s] of the tip, where none is given
-MOST_GAIN_MARGIN = 1e6  # beyond it there is none to speak of
+OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
+MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
+KEPT = 1e-3  # share of a speed up to which a lag is settled
 
 
 @record
 class Gain:
-    """What one gain does in a loop; linear, at rest.
+    """What one gain does in a loop: linear, at rest, the worst of the task's directions and of the joints' drives.
 
     Attributes:
-      alpha: [1/s]; z: alpha·Ts.
-      overshoot: of a step, as a share of it. settling_time: until within 2 % of a step [s].
+      alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
+      overshoot: of a step, as a share of it. settling_time: until it stays within 2 % of a step [s].
       gain_margin: factor by which alpha may still grow. delay_margin: further dead time that the loop bears [samples].
       noise_gain: standard deviation of the motion per unit of white noise of what is measured; velocity_noise_gain:
-        that of the commanded velocity [1/s].
-      lag: how far behind a target at constant speed the motion is without feed-forward [s].
-      tracking_error: the largest error after the target starts at the speed, with the velocity fed forward [m].
+        of the commanded velocity per unit of it [1/s].
+      lag: how far a motion is behind a target at constant speed without feed-forward [s].
+      lag_fed_forward: the same with feed-forward. start_error: largest error after a target starts at 1 m/s, with
+        feed-forward [s]; times a speed it is an error.
     """
 
     alpha: float
@@ -39,32 +54,34 @@ class Gain:
     noise_gain: float
     velocity_noise_gain: float
     lag: float
-    tracking_error: float
+    lag_fed_forward: float
+    start_error: float
 
 
 @record
 class Practice:
-    """What to set on a robot. Gains are inf where any is.
+    """What to set on a robot. Gains are inf where any is stable, or has no overshoot.
 
     Attributes:
       largest_stable_alpha, fastest_monotone_alpha, recommended_alpha: [1/s] of the loop's method: the largest that is
-        stable, that has no overshoot, and that would have none if the dead time were longer by a sample.
+        stable, that has no overshoot, and that would have none if the dead time were a sample longer.
+      assumed_dead_time: [s] under which a gain is recommended where nothing is known of the drives; else None.
       reason: why that one, in words.
-      now, recommended: `Gain` as the law has it, and as recommended.
-      explicit_euler: {"largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"} of the step that other
-        libraries take.
-      recommended_method: by name. speed: of the tip [m/s], for the errors.
-      joint_speed: largest share of a joint's velocity limit that this speed takes, in the worst direction; NaN where
-        there is no limit.
-      settings: {where: settings in words} for other libraries and controllers.
+      now, recommended: `Gain` as the law has it (None where that is unstable), and as recommended.
+      explicit_euler: the three gains of the step that other libraries take, by the same names.
+      recommended_method: by name.
+      speed: of the tip [m/s]. joint_speed: largest share of a joint's velocity limit that it takes, in the worst
+        direction at rest; NaN where there is no limit, or no position among the task's coordinates.
+      settings: {where: what to set there, in words}.
       advice: `Advice`, on which this rests.
     """
 
     largest_stable_alpha: float
     fastest_monotone_alpha: float
     recommended_alpha: float
+    assumed_dead_time: float | None
     reason: str
-    now: Gain
+    now: Gain | None
     recommended: Gain
     explicit_euler: dict
     recommended_method: str
@@ -76,36 +93,135 @@ class Practice:
 
 @in_float64
 def practice(
-    law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive: Drive = Drive(), speed: float = SPEED
+    law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive: Drive | None = None, speed: float = SPEED
 ) -> Practice:
     """What to set on a robot: gains, what they cost, and the same for other libraries. In float64.
 
     Args:
       law, reference, q: the loop at rest, as for `recommend`. Ts: sampling time [s]. method, stage: as for `solve`.
-      drive: what lies between command and motion.
-      speed: of the tip [m/s], for tracking errors and joint velocities.
+      drive: what lies between command and motion; None: nothing is known of it. What is stable is then told of drives
+        that follow at once, and a gain is recommended that bears ASSUMED seconds of dead time.
+      speed: of the tip [m/s], for the joint velocities.
     """
-    errors.number("speed", speed, at_least=0)
-    Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(speed)
-    loop = loop_at_rest(law, reference, q, method, stage, drive)
-    advice = advise(law, reference, q, Ts=Ts, method=method, stage=stage, drive=drive)
-    gains = advice.gains
-
-    def seen(z):
-        """What a gain of z does."""
-        alpha, steps = z / Ts, loop.modes(np.array([z]), Ts)[0][0]
-        share = gains.z_largest / z
-        if own_drives(drive):
-            steps = _alike(steps)
-        return Gain(
-            alpha=alpha,
-            z=z,
-            overshoot=max(overshoot(steps, drive, Ts), 0.0),
-            settling_time=settling(steps, drive, Ts),
-            gain_margin=share if share < MOST_GAIN_MARGIN else np.inf,
-            delay_margin=delay_margin(steps, _worst(drive), Ts),
-            **dict(zip(("noise_gain", "velocity_noise_gain"), noise_gain(steps, _worst(drive), Ts), strict=True)),
-            **_tracking(steps, _worst(drive), Ts, speed),
+    Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(errors.number("speed", speed, at_least=0))
+    method, known = named(method), Drive() if drive is None else drive
+    found = advise(law, reference, q, Ts=Ts, method=method, stage=stage, drive=known)
+    gains = euler = found.gains
+    if method.name != EE.name:
+        euler = recommend(law, reference, q, Ts=Ts, method=EE, drive=known)
+    loop = loop_at_rest(law, reference, q, method, stage, known)
+    safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
+    if drive is None:
+        safe = Drive(delay=ASSUMED / Ts)
+        slower = loop._replace(drive=safe)
+        chosen, by_euler = (
+            monotone(one, Ts, min(z.z_recommended, MOST_Z))
+            for one, z in ((slower, gains), (slower._replace(method=EE), euler))
         )
+    chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
+    return Practice(
+        largest_stable_alpha=gains.z_largest / Ts,
+        fastest_monotone_alpha=gains.z_monotone / Ts,
+        recommended_alpha=chosen / Ts,
+        assumed_dead_time=ASSUMED if drive is None else None,
+        reason=_reason(gains, chosen, drive),
+        now=gain_at(loop, found.margin.z, Ts, gains.z_largest) if found.margin.margin > 1 else None,
+        recommended=gain_at(loop._replace(drive=safe), chosen, Ts, gains.z_largest),
+        explicit_euler={
+            "largest_stable_alpha": euler.z_largest / Ts,
+            "fastest_monotone_alpha": euler.z_monotone / Ts,
+            "recommended_alpha": by_euler / Ts,
+        },
+        recommended_method=DEFAULT.name,
+        speed=speed,
+        joint_speed=_joint_speed(loop, Ts, speed),
+        settings=settings(by_euler, Ts, known),
+        advice=found,
+    )
 
-    return seen
+
+def monotone(loop, Ts, most) -> float:
+    """Largest z up to `most` without overshoot in a loop at rest."""
+    points = looked_at(loop.drive, 1)
+    return monotone_limit(lambda z: loop.modes(z, Ts)[0], loop.drive, Ts, most, most, points)
+
+
+def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
+    """What a gain of z does in a loop at rest, see `loop_at_rest`. Args: z_largest: the largest stable one."""
+    moved, rows = loop.maps(np.array([z / (loop.rate * Ts)]), np.array([Ts]))
+    steps = modes_of(moved, directions(rows)[2], Drive())[0]  # of a square arm each joint is a loop of its own
+    each = [_one(steps, drive, Ts) for drive in each_drive(loop.drive)]
+    worst = {name: min(v) if name == "delay_margin" else max(v) for name, v in _by_name(each).items()}
+    return Gain(alpha=z / Ts, z=z, gain_margin=z_largest / z, **worst)
+
+
+def _by_name(tables) -> dict:
+    return {name: [table[name] for table in tables] for name in tables[0]}
+
+
+def _one(steps, drive, Ts) -> dict:
+    motion, speed = noise_gain(steps, drive, Ts)
+    lags = [_following(one.real, drive, Ts) for one in steps]
+    behind, forward, start = (max(v) for v in zip(*lags, strict=True))
+    return {
+        "overshoot": max(overshoot(steps, drive, Ts), 0.0),
+        "settling_time": settling(steps, drive, Ts),
+        "delay_margin": delay_margin(steps, drive, Ts),
+        "noise_gain": motion,
+        "velocity_noise_gain": speed,
+        "lag": behind,
+        "lag_fed_forward": forward,
+        "start_error": start,
+    }
+
+
+def _following(steps, drive, Ts) -> tuple:
+    """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]."""
+    N = until_settled(steps, drive, Ts, KEPT)
+    target = Ts * np.arange(N + 1)
+    behind, forward = (target - respond(steps, drive, Ts, target[:-1], feed)[0] for feed in (0.0, 1.0))
+    at_last = 0.0 if abs(forward[-1]) < KEPT * np.abs(forward).max() else float(forward[-1])
+    return float(behind[-1]), at_last, float(np.abs(forward).max())
+
+
+def _joint_speed(loop, Ts, speed) -> float:
+    """Largest |J#_i v|/limit_i over the directions of v."""
+    count, limit = len(loop.law.task.position), np.asarray(loop.law.chain.velocity_limit, float)
+    if not count or not np.isfinite(limit).any():
+        return np.nan
+    rows = step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage)[1]
+    return float(np.max(np.linalg.norm(np.linalg.pinv(rows)[:, :count], axis=1) * speed / limit))
+
+
+# --- in words -----------------------------------------------------------------------------------------
+
+
+def _reason(gains, chosen, drive) -> str:
+    if drive is None:
+        return (
+            f"the largest without overshoot on an arm with {1e3 * ASSUMED:g} ms of dead time, as nothing is known of "
+            "yours: --delay, --lag and the like say what it has, --delay 0 that its drives follow at once"
+        )
+    if drive.feedback == "commanded":
+        return (
+            "no overshoot even if the joint values it looks at were a sample late; the loop knows its own commands only, "
+            "so drive and dead time don't limit it, and the robot follows them late"
+        )
+    if chosen < gains.z_recommended:
+        return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
+    return f"the largest without overshoot, also were the dead time {drive.delay + 1:g} samples and not {drive.delay:g}"
+
+
+def settings(z: float, Ts: float, drive: Drive) -> dict:
+    """The same loop by explicit Euler elsewhere: {where: what to set there}. z: alpha·Ts, at most 1."""
+    alpha, own = z / Ts, OWN_COMMANDS
+    euler = f"{z:.4g} with dt={Ts:g} where the configuration is measured, {own:g} where it is the last command"
+    return {
+        "pink": f"FrameTask gain: {euler}",
+        "mink": f"FrameTask gain: {euler}",
+        "MoveIt Servo": f"publish_period: {Ts:g}; pose tracking: x, y, z and angular_proportional_gain: {alpha:.4g}",
+        "ros2 cartesian_controllers": "their p acts as a force on a virtual mass, no rate: log a step, `cnclik diagnose` "
+        f"gives its z, then multiply solver.error_scale by {z:.4g}/z",
+        "UR servoj": f"servoj(q + qdot*{Ts:g}, t={Ts:g}, lookahead_time=0.03): the look-ahead acts as a lag, --lag 0.03",
+    }
+

@@ -103,7 +103,7 @@ class Advice:
     spectrum: Spectrum
 
 
-class _Loop(NamedTuple):
+class LoopAtRest(NamedTuple):
     """A loop at rest, checked, with the number behind its gain."""
 
     law: object
@@ -124,10 +124,11 @@ class _Loop(NamedTuple):
         return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
 
 
-def _loop(law, reference, q, method, stage, drive=Drive()) -> _Loop:
+def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
+    """Args: as for `recommend`."""
     method, stage = checked(method, stage)
     held, drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
-    return _Loop(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive)
+    return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive)
 
 
 @in_float64
@@ -149,7 +150,7 @@ def recommend(
       drive: what lies between command and motion, see `Drive`; its limits and noise have no say in this.
       reach: z up to which is looked.
     """
-    return _recommend(_loop(law, reference, q, method, stage, drive), Ts, reach)
+    return _recommend(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
 
 
 @in_float64
@@ -158,7 +159,7 @@ def margin(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Driv
 
     Args: as for `recommend`.
     """
-    return _margin(_loop(law, reference, q, method, stage, drive), Ts, reach)[1]
+    return _margin(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)[1]
 
 
 @in_float64
@@ -167,7 +168,7 @@ def advise(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Driv
 
     Args: as for `recommend`.
     """
-    loop = _loop(law, reference, q, method, stage, drive)
+    loop = loop_at_rest(law, reference, q, method, stage, drive)
     gains, room, now = _margin(loop, Ts, reach)
     times = _recommend(loop, None, reach) if drive.prompt else None
     return Advice(gains=gains, times=times, margin=room, spectrum=now)

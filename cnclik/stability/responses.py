@@ -5,13 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.measured import solve_measured
 from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
 from cnclik.law.shifted import shifted
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.record import record, replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked
@@ -36,10 +37,11 @@ class _Probe:
 
 
 @one_off(static_argnames=("N", "method"))
-def _responses(law, curve, q, Ts, stage, units, omega, *, N, method):
+def _responses(law, curve, q, Ts, stage, units, omega, drive, *, N, method):
     def one(unit, omega):
         probe = _Probe(unit=unit, omega=omega)
-        run = solve(law, shifted(ref.Reference(curve=curve), law.task, probe), q, Ts, N, method, stage)
+        target = shifted(ref.Reference(curve=curve), law.task, probe)
+        run = solve_measured(law, target, q, Ts, N, method, stage, drive=drive)
         wanted = probe.wanted(run.t)
         return wanted, wanted - (run.e / SIZE) @ unit
 
@@ -47,25 +49,29 @@ def _responses(law, curve, q, Ts, stage, units, omega, *, N, method):
 
 
 @in_float64
-def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), N=2 * PERIOD):
+def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), N=None):
     """Step and sine responses at a resting place, in units of the input. In float64.
 
     Args:
-      law, reference, q, Ts, method, stage: the loop at rest, as for `recommend`.
-      N: samples.
+      law, reference, q, Ts, method, stage, drive: the loop at rest, as for `recommend`; what a drive adds by chance,
+        or does at its limits, has no part in this.
+      N: samples; by default as many as two periods of the sine and ten times the dead time and lag.
     Returns: an xarray.Dataset over (test, axis, time): `wanted` and `response`.
     """
     import xarray as xr
 
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
-    N = errors.integer("N", N, at_least=1)
+    check_drive(drive, law.chain.n)
+    drive = replace(drive, drive_velocity=None, drive_acceleration=None, joint_noise=0.0, resolution=0.0)
+    long = int(np.ceil(10 * np.max(drive.late_by(float(Ts))) / float(Ts)))
+    N = errors.integer("N", max(2 * PERIOD, long) if N is None else N, at_least=1)
     held = at_rest(law, reference, q)
     q = as_joint_values(law.chain, q)
     m, Ts = law.task.m, float(Ts)
     units = np.tile(np.eye(m), (2, 1))
     omega = np.repeat([0.0, 2 * np.pi / (PERIOD * Ts)], m)
-    made = _responses(law, held.curve, q, jnp.asarray(Ts), stage, units, omega, N=N, method=method)
+    made = _responses(law, held.curve, q, jnp.asarray(Ts), stage, units, omega, drive, N=N, method=method)
     wanted, response = (np.asarray(v).reshape(2, m, N + 1) for v in made)
     dims = ("test", "axis", "time")
     return xr.Dataset(
@@ -75,5 +81,5 @@ def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), N=2 * P
             "axis": ("axis", list(law.task.names)),
             "time": ("time", np.arange(N + 1) * Ts, {"units": "s"}),
         },
-        attrs={"size": SIZE, "period": PERIOD * Ts, "method": method.name, "stage": str(stage)},
+        attrs={"size": SIZE, "period": PERIOD * Ts, "shown": max(26, long // 2), "method": method.name, "stage": str(stage)},
     )

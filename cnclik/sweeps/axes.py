@@ -6,11 +6,11 @@ import math
 import numpy as np
 
 from cnclik import errors
-from cnclik.problem.options import NAME, OPTIONS, check_values
+from cnclik.problem.options import NAME, SWEPT, check_values
 from cnclik.sweeps import expression
 from cnclik.sweeps.grid import COMPILED_IN, COUNTED, Axis, axis
 
-NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # never expressions
+NAMES = tuple(name for name, option in SWEPT.items() if option.kind == NAME)  # never expressions
 MOST_VALUES = 10_000_000  # of an axis
 MOST_WHOLE = 2**53  # integers beyond it are no floats
 KINDS = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed", "per")}

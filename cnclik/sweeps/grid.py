@@ -6,6 +6,7 @@ before it, here or in another process.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Mapping
@@ -67,8 +68,9 @@ def axis(name: str, values, where=None) -> Axis:
         found = Axis(name, tuple(values), labels)
     elif name in COMPILED_IN:
         few_enough(where, numbers)
-        whole = tuple(errors.integer(where, v.item() if v.ndim == 0 else v, at_least=0) for v in numbers)
-        found = Axis(name, whole, whole)
+        fits = functools.partial(errors.integer, where, at_least=0) if name == "N" else functools.partial(_delay, where)
+        known = tuple(fits(v.item() if v.ndim == 0 else v) for v in numbers)
+        found = Axis(name, known, known)
     else:
         found = Axis(name, numbers, None)
     if not len(found):
@@ -76,6 +78,12 @@ def axis(name: str, values, where=None) -> Axis:
     if found.inner and not np.all(np.isfinite(found.values)):
         raise errors.fail(where, "hold finite values", "does not")
     return found
+
+
+def _delay(where, value):
+    """A whole number of samples as an integer, others as they are."""
+    value = errors.number(where, value, at_least=0)
+    return int(value) if float(value).is_integer() else float(value)
 
 
 def few_enough(where, values):

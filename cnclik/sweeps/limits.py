@@ -15,7 +15,8 @@ def linear_limit(spec, of: Grid) -> dict:
     """The largest z with |R(z)| ≤ 1 as a coordinate, over the axes on which it depends.
 
     R(z) is what a step does to the error where J J# = I and the gain is one number: for the exact pseudoinverse.
-    NaN stands for every other law (damped, transposed, gains per axis), inf for a method without a limit.
+    NaN stands for every other law (damped, transposed, gains per axis) and for drives that lag, inf for a method without a
+    limit.
 
     Returns: {"limit": (dimensions, values, attributes)}; {} where no loop has one, or where the spec's own axis z
     isn't alpha·Ts.
@@ -38,10 +39,13 @@ def _limits(spec, program, counts) -> list:
     """The limit of one program for each count of passes; NaN where linear theory has none, or lanes differ in it."""
     lanes = [program | spec.first(last=last) for last in (False, True)]
     for lane in lanes:
-        law, _, _, Ts, *_ = spec.build(**lane)
+        made = spec.build(**lane)
+        law, drive = made.law, made.drive
         if not isinstance(law.inverse, Pseudoinverse) or np.ndim(law.alpha) != 0:
             return [np.nan] * len(counts)
-        if "z" in lane and not np.isclose(float(law.alpha) * float(Ts), float(lane["z"]), rtol=1e-6):
+        if drive is not None and (drive.order or drive.feedback != "measured"):
+            return [np.nan] * len(counts)
+        if "z" in lane and not np.isclose(float(law.alpha) * float(made.Ts), float(lane["z"]), rtol=1e-6):
             return [np.nan] * len(counts)
     out = []
     for passes in counts:

@@ -23,15 +23,17 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import form, use_form
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import solve_measured, white_noise
 from cnclik.integrate.method import named
 from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.measure import metrics
 from cnclik.problem import options
-from cnclik.problem.build import problem_from
+from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.names import robot_from, stage_from
 from cnclik.reading import read_bytes
 from cnclik.robot.rolled import pays
+from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, per_joint
@@ -42,7 +44,7 @@ KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
 OPTIONS = options.SWEPT
-DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
+DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {"delay": 0.0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,24 +109,15 @@ class Spec:
         known, look = self.lookup(**values)
         return {name: look(name) for name in known if name in OPTIONS}
 
-    def build(self, /, **values):
-        """Everything `solve` needs for one loop: (law, reference, q0, Ts, N, method, stage)."""
+    def build(self, /, **values) -> Problem:
+        """One loop."""
         v = self.values(**values)
         for name in ("robot", "reference"):
             v[name] = str(self.file(v[name]) or v[name])
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        p = problem_from(**{name: value for name, value in v.items() if name not in options.MEASURED})
-        return p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage
-
-    def measured(self, law, N, /, **values) -> dict:
-        """How the error of one loop of `build` is measured: `delay` and `noise` (N, m); {} where it is the true one."""
-        v = self.values(**values)
-        delay, noise = errors.integer("delay", v["delay"], at_least=0), v.get("noise")
-        if noise is None:
-            return {"delay": delay} if delay else {}
-        return {"delay": delay, "noise": white_noise(noise, N, law.task.m, v["seed"])}
+        return problem_from(**v)
 
     def file(self, text) -> pathlib.Path | None:
         """The file that a name stands for, relative to the spec's folder, or None."""
@@ -134,7 +127,7 @@ class Spec:
     def _limit(self, look):
         """The linear theory's largest stable z, inf where there is none; for a traced M, from a table."""
         M = look("M")
-        of = functools.partial(_stable, look("method"), look("stage"), look("delay"))
+        of = functools.partial(_stable, look("method"), look("stage"), float(look("delay")))
         if errors.concrete(M):
             return of(int(M))
         counts = [int(m) for m in self.axes["M"].values]
@@ -144,21 +137,19 @@ class Spec:
 
     def study(self, /, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
-        loop = law, reference, _, _, N, method, stage = self.build(**values)
-        how = self.measured(law, N, **values)
-        work = _evaluations(law, N, method, stage) * math.prod(len(a) for a in self.axes.values() if a.inner)
-        with use_form(form() or ("rolled" if pays(work, law, alone=False) else None)):
-            run = solve_measured(*loop, **how) if how else solve(*loop)
-            return metrics.measure_run(run, law, reference, self.metrics, tolerance=self.tolerance)
+        made = self.build(**values)
+        work = _evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner)
+        with use_form(form() or ("rolled" if pays(work, made.law, alone=False) else None)):
+            run = _run(made)
+            return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""
-        law, _, _, _, N, method, stage = self.build(**program, **self.first(last=True))
-        return _evaluations(law, N, method, stage)
+        return _evaluations(self.build(**program, **self.first(last=True)))
 
     def all_units(self) -> dict:
         """Units of the axes, given or known."""
-        law = self.build(**self.grid().programs[0], **self.first())[0]
+        law = self.build(**self.grid().programs[0], **self.first()).law
         known = UNITS | {name: "1" for name in self.bundles}
         for name, one in self.axes.items():
             width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
@@ -181,9 +172,18 @@ class Spec:
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
 
 
-def _evaluations(law, N, method, stage) -> float:
-    stage = dataclasses.replace(stage, M=getattr(stage, "maximum", stage.M))
-    return N * float(evaluations_per_step(method, stage, law.chain.n))
+def _evaluations(p) -> float:
+    stage = dataclasses.replace(p.stage, M=getattr(p.stage, "maximum", p.stage.M))
+    return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
+
+
+def _run(p):
+    """A loop's run, as its robot has it."""
+    drive, loop = p.drive or Drive(), (p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage)
+    if p.noise is None and drive.prompt and drive.exact:
+        return solve(*loop)
+    noise = None if p.noise is None else white_noise(p.noise, p.N, p.law.task.m, p.seed)
+    return solve_measured(*loop, drive=drive, noise=noise)
 
 
 def joints_of(known, look) -> int:
@@ -198,7 +198,9 @@ def _stable(method, stage, delay, M) -> float:
     with jax.ensure_compile_time_eval():  # a number, also where a loop is being traced
         # M as an array: one program for every M.
         stage = stage_from(stage, np.asarray(M), maximum=max(M, 16)) if method.implicit else None
-        return float(delay_limit(delay, method, stage) if delay else stability_limit(method, stage))
+        if delay % 1:
+            return driven_limits(method, stage, Ts=1.0, drive=Drive(delay=delay)).stable
+        return float(delay_limit(int(delay), method, stage) if delay else stability_limit(method, stage))
 
 
 # --- reading ------------------------------------------------------------------------------------------

@@ -1,8 +1,9 @@
-"""Conditions: under what a loop is judged: noise, delay, a wrong model, and how many draws of them."""
+"""Conditions: under what a loop is judged: noise, drives, a wrong model, and how many draws of them."""
 
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive
 from cnclik.record import record, stack
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.stability.spectrum import check_loop
@@ -12,11 +13,11 @@ from cnclik.tuning.rollout import Scenario
 
 @record
 class Conditions:
-    """What a robot adds to a loop. As they are, none: the measured error is the true one, at once.
+    """What a robot adds to a loop. As they are, none: the measured error is the true one, motion what was commanded.
 
     Attributes:
       noise: standard deviation of the measured error, a number or (m,) [m, rad].
-      delay: samples by which the measured error is late. It counts in the loss and in the constraints.
+      drive: what lies between command and motion, see `Drive`. It counts in the loss and in the constraints.
       model_error: relative error of the link lengths the law believes in.
       draws: scenarios drawn of noise and model error for each path.
       tolerance: what counts as arrived, for the loss "settling" [m, rad].
@@ -26,7 +27,7 @@ class Conditions:
     """
 
     noise: object = 0.0
-    delay: int = 0
+    drive: Drive = Drive()
     model_error: float = 0.0
     draws: int = 1
     tolerance: float = 1e-3
@@ -35,7 +36,8 @@ class Conditions:
     def __post_init__(self):
         if np.any(np.asarray(errors.array("noise", self.noise, (), (None,)), float) < 0):
             raise errors.fail("noise", "be at least 0", f"is {np.asarray(self.noise).tolist()}")
-        errors.integer("delay", self.delay, at_least=0)
+        if not isinstance(self.drive, Drive):
+            raise errors.fail("drive", "be Drive(...)", f"is {type(self.drive).__name__}")
         errors.number("model_error", self.model_error, at_least=0)
         errors.integer("draws", self.draws, at_least=1)
         errors.number("tolerance", self.tolerance, positive=True)

@@ -12,7 +12,7 @@ from cnclik.tuning.parameters import Adjustable, scheduled
 def radius_field(tuned, q=None):
     """Spectral radius of the linear loop at rest at q over gains and sampling times around a tuned one.
 
-    Its delay is that of the tuning. In float64 whatever JAX's setting is.
+    Through the drive of the tuning. In float64 whatever JAX's setting is.
 
     Args:
       tuned: `Tuned`. q: (n,) [rad, m]; by default the end of the tuned run.
@@ -24,25 +24,23 @@ def radius_field(tuned, q=None):
     alpha = np.geomspace(tuned.after.z / tuned.Ts / 20, tuned.after.z / tuned.Ts * 8, 40)
     Ts = np.geomspace(tuned.Ts / 8, tuned.Ts * 8, 25)
     grid_Ts, grid_alpha = (v.ravel() for v in np.meshgrid(Ts, alpha, indexing="ij"))
-    delay = tuned.conditions.delay
-    radius = radius_over(tuned.law, q, grid_alpha, grid_Ts, tuned.method, tuned.stage, delay=delay)
+    drive = tuned.conditions.drive
+    radius = radius_over(tuned.law, q, grid_alpha, grid_Ts, tuned.method, tuned.stage, drive=drive)
     gain = "gain α" if np.ndim(tuned.law.alpha) == 0 else "largest gain of α"
     return xr.Dataset(
         {"radius": (("Ts", "alpha"), radius.reshape(25, 40), {"units": "1", "long_name": "spectral radius"})},
         coords={"alpha": ("alpha", alpha, {"units": "1/s"}), "Ts": ("Ts", Ts, {"units": "s"})},
-        attrs={"Ts_before": float(tuned.before.run.t[1] - tuned.before.run.t[0]), "gain": gain, "delay": delay},
+        attrs={"Ts_before": float(tuned.before.run.t[1] - tuned.before.run.t[0]), "gain": gain, "delay": drive.delay},
     )
 
 
 @in_float64
 def end_responses(tuned):
-    """Step and sine responses of a tuned loop around the end of its run, see `stability.responses`.
+    """Step and sine responses of a tuned loop around the end of its run, through its drive, see `stability.responses`.
 
     With the gain that a schedule ends at; in float64 whatever JAX's setting is.
-
-    Returns: an xarray.Dataset, or None for a loop whose error is late, which that can't run.
     """
-    if tuned.conditions.delay:
-        return None
     law = scheduled(Adjustable(law=tuned.law, Ts=tuned.Ts, schedule=tuned.schedule), 1.0)
-    return responses(law, None, np.asarray(tuned.after.run.q)[-1], Ts=tuned.Ts, method=tuned.method, stage=tuned.stage)
+    rest = np.asarray(tuned.after.run.q)[-1]
+    loop = dict(Ts=tuned.Ts, method=tuned.method, stage=tuned.stage, drive=tuned.conditions.drive)
+    return responses(law, None, rest, **loop)

@@ -5,11 +5,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.stability.linear import at_rest_as, late_factors
-from cnclik.stability.spectrum import at_rest, largest_rate, of_error, one_step, step_maps
+from cnclik.stability.driven import (
+    driven_limits,
+    each_drive,
+    looked_at_drive,
+    loop_matrix,
+    modes_of,
+    noise_limit,
+    radius,
+)
+from cnclik.stability.linear import at_rest_as
+from cnclik.stability.spectrum import at_rest, directions, largest_rate, of_error, one_step, step_maps
 
 SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
 
@@ -35,23 +45,22 @@ def _forgetful(method):
     return same
 
 
-def delayed(a, delay: int):
-    """The step of a loop that acts on the error `delay` samples ago: e[k+1] = e[k] + (A − I) e[k−d], as one matrix."""
-    if delay == 0:
+def driven_map(a, drive, Ts):
+    """The step of a loop through its drives as one matrix, from what a step does to the error at rest, A (m, m)."""
+    if drive.prompt:
         return a
-    m = len(a)
-    eye = jnp.eye(m, dtype=a.dtype)
-    older = jnp.eye(m * (delay + 1), k=-m, dtype=a.dtype)  # each error moves on by one place
-    return older.at[:m, :m].set(eye).at[:m, -m:].set(a - eye)
+    steps = a - jnp.eye(len(a), dtype=a.dtype)
+    return loop_matrix(steps[None], looked_at_drive(drive), 1.0 if drive.order == 0 else Ts)
 
 
-def monotone_limit(delay: int) -> float:
-    """Largest share of an error that a step may take back without the error ever changing its sign: d^d/(d+1)^(d+1).
-
-    e[k+1] = e[k] − z e[k−d] has a solution that never changes sign up to this z, and beyond it none (Ladas, Philos &
-    Sficas 1989): 1, 1/4, 4/27, … for d = 0, 1, 2, …
-    """
-    return float(delay) ** delay / float(delay + 1) ** (delay + 1)
+def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
+    """Largest share of an error that a step may take back: without overshoot, also were the dead time longer by
+    `delay_margin` samples, and with at most this noise gain. See `driven_limits`; d^d/(d + 1)^(d + 1) of dead time d."""
+    found = []
+    for one in each_drive(looked_at_drive(drive)):
+        late = replace(one, delay=one.delay + delay_margin)
+        found += [driven_limits(Ts=Ts, drive=late).monotone, noise_limit(noise_gain, one, Ts)]
+    return min(found)
 
 
 # --- size ---------------------------------------------------------------------------------------------
@@ -94,20 +103,23 @@ def measured_radius(matrix):
     return jnp.where(finite, jnp.max(jnp.abs(values)), jnp.inf)
 
 
-def radius_over(law, q, alpha, Ts, method, stage, *, delay=0):
+def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
     """Spectral radius of the loop at rest at q for many gains and sampling times.
 
     Args:
       law: its alpha, of any shape, is scaled. q: (n,).
       alpha, Ts: (k,) largest |eigenvalue| of the gain [1/s], sampling time [s].
-      method, stage: as for `solve`. delay: samples by which the error is late.
+      method, stage: as for `solve`. drive: what lies between command and motion.
     Returns: (k,).
     """
     q = as_joint_values(law.chain, q)
     law = replace(law, alpha=jnp.asarray(law.alpha))
     scale = np.asarray(alpha) / largest_rate(law.alpha)
     moved, rows = step_maps(law, at_rest(law, None, q), q, scale, Ts, _forgetful(method), stage)
-    maps = of_error(moved, rows, np)
-    finite = np.isfinite(maps).all((-2, -1))
-    factors = np.linalg.eigvals(np.where(finite[:, None, None], maps, 0.0))
-    return np.where(finite, np.abs(late_factors(factors, delay)).max((-2, -1)), np.inf)
+    steps = modes_of(moved, directions(rows)[2], drive)
+    if drive.order == 0:
+        return radius(steps, drive, 1.0)
+    found = np.empty(len(steps))
+    for one in np.unique(Ts):
+        found[Ts == one] = radius(steps[Ts == one], drive, float(one))
+    return found

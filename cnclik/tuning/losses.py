@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive
 from cnclik.robot.spatial import safe_sqrt
-from cnclik.tuning.linear import delayed
+from cnclik.tuning.linear import driven_map
 
 
 class View(NamedTuple):
@@ -98,6 +99,9 @@ def noise(view: View):
     return _deviation(_sum_of_powers(view.maps, change @ jnp.swapaxes(change, -1, -2)))
 
 
+LATE = Drive(delay=1.0)
+
+
 def delay(view: View):
     """What is left of a unit error if it is measured one sample late: √(Σ ‖e[k]‖²), RMS over axes and path [1].
 
@@ -106,7 +110,7 @@ def delay(view: View):
     """
     m = view.maps.shape[-1]
     start = jnp.zeros((2 * m, 2 * m), view.maps.dtype).at[:m, :m].set(jnp.eye(m, dtype=view.maps.dtype))
-    return _deviation(jax.vmap(lambda a: _sum_of_powers(delayed(a, 1), start)[:m, :m])(view.maps))
+    return _deviation(jax.vmap(lambda a: _sum_of_powers(driven_map(a, LATE, 1.0), start)[:m, :m])(view.maps))
 
 
 LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise, delay)}

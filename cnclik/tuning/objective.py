@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
+from cnclik.stability.driven import delay_margin, noise_gain, own_drives, radius
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import check_loop
 from cnclik.tuning import linear
@@ -24,7 +26,7 @@ from cnclik.tuning.rollout import rollout
 INTERVALS = 8  # along each path: at their ends the spectral radius is asked for
 TOGETHER = 16  # values judged in one go: one shape, one program
 CONSTRAINT_TOLERANCE = 2**22 * np.finfo(float).eps  # exceeded by less, relatively, a constraint is kept: rounding
-CONSTRAINTS = ("spectral radius", "ringing", "null space", "joint velocity")
+CONSTRAINTS = ("spectral radius", "overshoot", "null space", "joint velocity")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -36,11 +38,13 @@ class Goal:
         Ts), or `parameters.Parameter`s of one's own.
       bounds: {name: (lower, upper)} in place of the defaults.
       loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
+      delay_margin: further dead time [samples] with which a step still must not overshoot. With A the one-step map of
+        the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) where that makes d samples: z ≤ 1/4 for explicit Euler and drives
+        that follow at once, 1 for a delay margin of 0.
+      noise_gain: bound of the standard deviation of the motion per unit of white noise of what is measured.
+      ringing: lets go of both: what is made small is the loss alone, and with it the loop rings.
       margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
-        at least by this factor per step.
-      ringing: whether a step may take back more of an error than there is, so that it changes its sign. Not by
-        default: with A the one-step map of the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) for d samples of delay: z ≤ 1
-        for explicit Euler and no delay.
+        at least by this factor per step. 1, stable, by default; 0.9 for a loop that may ring.
       velocity_limit: (n,) [rad/s, m/s], one number for all joints, "chain": the robot's own, or None.
       conditions: noise, delay and model error it is judged under, see `Conditions`.
     """
@@ -48,12 +52,18 @@ class Goal:
     over: object = ("alpha",)
     bounds: dict | None = None
     loss: object = "tracking"
-    margin: float = 0.9
+    delay_margin: float = 1.0
+    noise_gain: float = 0.5
     ringing: bool = False
+    margin: float | None = None
     velocity_limit: object = "chain"
     conditions: Conditions = dataclasses.field(default_factory=Conditions)
 
     def __post_init__(self):
+        errors.number("delay_margin", self.delay_margin, at_least=0)
+        errors.number("noise_gain", self.noise_gain, positive=True)
+        if self.margin is None:
+            object.__setattr__(self, "margin", 0.9 if self.ringing else 1.0)
         if errors.number("margin", self.margin, positive=True) > 1:
             raise errors.fail("margin", "be at most 1", f"is {self.margin:g}")
         if not isinstance(self.bounds, (dict, type(None))):
@@ -102,19 +112,30 @@ class LoopObjective:
     horizon: object
     tolerance: object
     N: int
-    delay: int
+    drive: object
     method: object
     stage: object
+    contracts: bool  # whether the margin asks for more than the bound on corrections gives
 
     @property
     def constraints(self) -> int:
         """How many constraints there are: known without tracing them."""
-        kinds = 2 + callable(self.loop.law.null_velocity)
+        kinds = 1 + self.contracts + callable(self.loop.law.null_velocity)
         return kinds * len(self.postures) + len(self.joints)
+
+    def costs(self, correction: float) -> dict:
+        """Noise gain and delay margin of a loop that takes back this share of an error, by linear theory."""
+        unknown = dict(noise_gain=np.inf, delay_margin=0.0)
+        if not 0 < correction < np.inf:
+            return unknown
+        steps, drive, Ts = np.array([[-correction]]), self.drive, float(self.loop.Ts)
+        if radius(steps[None], drive, Ts)[0] >= 1:
+            return unknown
+        return dict(noise_gain=noise_gain(steps, drive, Ts)[0], delay_margin=delay_margin(steps, drive, Ts))
 
     def _runs(self, loop):
         def run(scenario):
-            return rollout(loop, scenario, self.N, self.method, self.stage, delay=self.delay, horizon=self.horizon)
+            return rollout(loop, scenario, self.N, self.method, self.stage, drive=self.drive, horizon=self.horizon)
 
         return jax.vmap(run)(self.scenarios)
 
@@ -147,9 +168,11 @@ class LoopObjective:
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
         maps, across = self._maps(loop, self.postures)
-        radius = jax.vmap(lambda a: linear.radius_bound(linear.delayed(a, self.delay)))(maps)
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
-        constraints = [radius / self.margin - 1.0, correction / self.largest_correction - 1.0]
+        constraints = [correction / self.largest_correction - 1.0]
+        if self.contracts:
+            radius = jax.vmap(lambda a: linear.radius_bound(linear.driven_map(a, self.drive, self.loop.Ts)))(maps)
+            constraints.append(radius / self.margin - 1.0)
         if callable(self.loop.law.null_velocity):
             constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
         if self.joints:
@@ -173,7 +196,7 @@ class LoopObjective:
         def largest(matrices):
             return told(jnp.max(jax.vmap(linear.measured_radius)(matrices)))
 
-        radius = largest(jax.vmap(lambda a: linear.delayed(a, self.delay))(maps))
+        radius = largest(jax.vmap(lambda a: linear.driven_map(a, self.drive, self.loop.Ts))(maps))
         null_radius, correction = largest(across), largest(_corrections(maps))
         speed = told(jnp.max(self._speed(runs))) if self.joints else jnp.zeros_like(radius)
         ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
@@ -224,7 +247,12 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
     longest = steps_to(horizon, shortest)
     runs = scenarios(law, reference, q0, longest, goal.conditions)
     joints, limits = _limits(law.chain, goal.velocity_limit)
-    delay = goal.conditions.delay
+    drive = check_drive(goal.conditions.drive, law.chain.n)
+    if own_drives(drive):
+        raise errors.fail("drive", "be one for all joints to tune with, such as the slowest", "has several numbers")
+    if drive.order and any(p.name == "Ts" for p in parameters):
+        raise errors.fail("over", "not hold Ts where the drive has a lag", "holds it")
+    most = np.inf if goal.ringing else linear.largest_share(drive, float(Ts), goal.delay_margin, goal.noise_gain)
     return LoopObjective(
         loop=loop,
         parameters=parameters,
@@ -233,15 +261,16 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
         moments=np.tile(np.linspace(0, 1, INTERVALS + 1), len(runs.q0)),
         losses=tuple((fn, np.asarray(w)) for fn, w in terms(goal.loss)),
         margin=np.asarray(float(goal.margin)),
-        largest_correction=np.asarray(np.inf if goal.ringing else linear.monotone_limit(delay)),
+        largest_correction=np.asarray(most),
         limits=limits,
         joints=joints,
         horizon=np.asarray(horizon),
         tolerance=np.asarray(float(goal.conditions.tolerance)),
         N=longest,
-        delay=delay,
+        drive=drive,
         method=method,
         stage=stage,
+        contracts=goal.ringing or goal.margin < 1,
     )
 
 

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from cnclik.measure.files import markdown
 from cnclik.record import in_words
 from cnclik.tuning.controller import controller_lines
@@ -11,7 +13,9 @@ CAPTIONS = {
     "history": "Loss and worst constraint over the evaluations.",
     "error": "Error before and after.",
     "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
-    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path; axes that "
+    "front": "What other gains cost: the loss against the noise that they pass on, and against the further dead time "
+    "that they bear; filled where every constraint is kept.",
+    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path, through the drive; axes that "
     "answer alike lie on each other.",
 }
 
@@ -33,8 +37,14 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
         ("spectral radius", f"{_finite(after.radius)} (margin {tuned.margin:g}; before {_finite(before.radius)})"),
         ("a step takes back", f"{_finite(after.correction)} of a small error (before {_finite(before.correction)})"),
     ]
-    if tuned.conditions.delay:
-        rows.append(("delay", f"{tuned.conditions.delay} samples"))
+    drive = tuned.conditions.drive
+    if drive.delay:
+        rows.append(("dead time", f"{drive.delay:g} samples"))
+    if drive.order:
+        rows.append(("drive", f"{1e3 * drive.late_by(tuned.Ts):.3g} ms behind its command, order {drive.order}"))
+    if np.isfinite(after.noise_gain):
+        bears = "any" if np.isinf(after.delay_margin) else f"{after.delay_margin:.3g} samples"
+        rows += [("noise", f"moves joints by {after.noise_gain:.3g} of itself"), ("further dead time", f"bears {bears}")]
     if after.speed:
         rows.append(("joint velocity", f"{100 * after.speed:.4g} % of the limit at most"))
     rows += [
@@ -54,8 +64,6 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
         text += [f"pink and mink: {lines['pink_mink']}."]
     if figures:
         text += ["", "## Figures", "", *(f"![{CAPTIONS[f]}]({f}.png)\n\n{CAPTIONS[f]}\n" for f in figures)]
-        if tuned.conditions.delay:
-            text += ["Responses are not drawn: they are of loops whose error is not late."]
     return "\n".join(text).rstrip() + "\n"
 
 

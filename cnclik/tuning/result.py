@@ -1,13 +1,10 @@
 """Result: what a tuning found, as a record, as plain numbers for a file, and in words."""
 
-import dataclasses
-import math
-import os
-
 import jax
 import numpy as np
 
 from cnclik.integrate.trajectory import Trajectory, truncate
+from cnclik.measure.files import plain
 from cnclik.record import in_words, record
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions
@@ -34,6 +31,8 @@ class Performance:
       radius: spectral radius in the task's directions at rest, delay included: a small error shrinks by it per step.
       null_radius: spectral radius in the null space of J; 1 where nothing acts there, 0 where there is none.
       correction: share of a small error that one step takes back, |1 − λ|: z for explicit Euler and exact J#.
+      noise_gain: standard deviation of the motion per unit of white noise of what is measured, by linear theory.
+      delay_margin: further dead time that the loop bears [samples]; inf for any.
       speed: |q̇| over its limit; 0 where there are no limits.
       violation: by how much the worst constraint is exceeded, relative to its bound; at most 0 where all are kept.
       worst: which one that is.
@@ -45,6 +44,8 @@ class Performance:
     radius: float
     null_radius: float
     correction: float
+    noise_gain: float
+    delay_margin: float
     speed: float
     violation: float
     worst: str
@@ -64,6 +65,7 @@ class Tuned:
       parameters: what was tuned: `Parameter`s with name, start, lower, upper, unit. values: {name: tuned value}.
       loss: what was made small, in words.
       margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
+      front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what gains of other sizes cost, all else as tuned.
       before, after: `Performance` as given and as tuned.
       status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
       history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.
@@ -86,6 +88,7 @@ class Tuned:
     loss: str
     margin: float
     ringing: bool
+    front: dict
     before: Performance
     after: Performance
     status: str
@@ -149,11 +152,15 @@ def gradient_in_words(count, mode, method, stage) -> str:
     return f"{gradient_mode(count, mode)} mode, {numbers}, {stages}"
 
 
-def result(objective, values, before, after, *, goal, reference, q0, gradient, **ended) -> Tuned:
+FRONT = ("z", "loss", "noise_gain", "delay_margin", "violation")
+
+
+def result(objective, values, before, after, others, *, goal, reference, q0, gradient, **ended) -> Tuned:
     """`Tuned` from the values chosen and what was judged.
 
     Args:
       objective: `LoopObjective`. values: one per parameter. before, after: `Judged`.
+      others: (values, `Judged`) of gains of other sizes.
       goal: `Goal`. reference, q0, gradient: as `tune` was given them.
       ended: status, history, starts, evaluations of `Tuned`.
     """
@@ -162,6 +169,7 @@ def result(objective, values, before, after, *, goal, reference, q0, gradient, *
         _copied(pm.put(objective.loop, parameters, [np.asarray(v) for v in some]))
         for some in (values, [p.start for p in parameters])
     )
+    front = [_performance(objective, pm.put(objective.loop, parameters, some), judged) for some, judged in others]
     return Tuned(
         law=loop.law,
         reference=_copied(reference),
@@ -177,6 +185,7 @@ def result(objective, values, before, after, *, goal, reference, q0, gradient, *
         loss=loss_in_words(goal.loss),
         margin=float(objective.margin),
         ringing=bool(goal.ringing),
+        front={name: np.array([getattr(p, name) for p in front]) for name in FRONT},
         before=_performance(objective, own, before),
         after=_performance(objective, loop, after),
         gradient=gradient_in_words(pm.total(parameters), gradient, objective.method, objective.stage),
@@ -192,6 +201,7 @@ def _copied(tree):
 def _performance(objective, loop, judged) -> Performance:
     return Performance(
         **{name: float(getattr(judged, name)) for name in ("loss", "radius", "null_radius", "correction", "speed")},
+        **objective.costs(float(judged.correction)),
         violation=judged.violation,
         worst=CONSTRAINTS[int(np.argmax(judged.excess))],
         z=pm.gain_per_step(loop),
@@ -204,7 +214,7 @@ def _performance(objective, loop, judged) -> Performance:
 
 
 _AS_THEY_ARE = (
-    *("Ts", "N", "values", "loss", "margin", "ringing", "conditions", "before", "after"),
+    *("Ts", "N", "values", "loss", "margin", "ringing", "front", "conditions", "before", "after"),
     *("satisfied", "status", "why", "gradient", "evaluations", "starts"),
 )
 
@@ -226,20 +236,3 @@ def to_json(tuned: Tuned, **about) -> dict:
         "history": {k: np.asarray(v).astype(float) for k, v in tuned.history.items()},
     }
     return plain(made | about)
-
-
-def plain(value):
-    """For JSON: lists, numbers and texts; what is not finite is null."""
-    if isinstance(value, (Conditions, Performance)):
-        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "run"}
-    if isinstance(value, dict):
-        return {k: plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(np.asarray(value).tolist())
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

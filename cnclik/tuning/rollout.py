@@ -1,5 +1,6 @@
 """Rollout: one run that a tuning looks at, with what is measured and the gain as a schedule has it."""
 
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import solve_measured
 from cnclik.integrate.solve import cast, solve
 from cnclik.integrate.trajectory import Trajectory
@@ -22,16 +23,17 @@ class Scenario:
     plant: object = None
 
 
-def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, delay: int = 0, horizon=None) -> Trajectory:
+def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, drive=Drive(), horizon=None) -> Trajectory:
     """Run the loop for N steps. Pure, for jit, vmap and grad.
 
     Args:
       loop, scenario: what runs, and under which conditions.
-      N, method, stage: as for `solve`. delay: as for `solve_measured`.
+      N, method, stage: as for `solve`. drive: as for `solve_measured`.
       horizon: [s] over which a gain schedule is spread, N·Ts by default.
     """
     asked = loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage
-    if delay == 0 and loop.schedule is None and scenario.noise is None and scenario.plant is None:
+    alone = drive.prompt and drive.exact and loop.schedule is None and scenario.noise is None and scenario.plant is None
+    if alone:
         return solve(*asked)
     horizon = N * loop.Ts if horizon is None else horizon
     schedule = cast(loop.schedule, scenario.q0.dtype)
@@ -40,4 +42,4 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, dela
         return scheduled(replace(loop, law=law, schedule=schedule), t / horizon)
 
     gained = None if loop.schedule is None else gained
-    return solve_measured(*asked, delay=delay, noise=scenario.noise, plant=scenario.plant, gained=gained)
+    return solve_measured(*asked, drive=drive, noise=scenario.noise, plant=scenario.plant, gained=gained)

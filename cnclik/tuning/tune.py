@@ -1,7 +1,8 @@
-"""tune: the gains of a loop by gradient, with stability as a constraint.
+"""tune: the gains of a loop by gradient, with what a robot bears as constraints.
 
 A loss on the error alone drives the gain to the edge of what is allowed, so the edge is part of the problem: along the
-path a small error shrinks by `margin` per step and doesn't change its sign, and joint velocities keep their limits.
+path a step doesn't overshoot, not even were the dead time a sample longer, noise is not magnified beyond a bound, and
+joint velocities keep their limits.
 While it descends, eigenvalues are bounded by smooth functions; at the end they are measured, and the result says what
 was found.
 """
@@ -20,6 +21,7 @@ from cnclik.tuning.descent import Descent, descend
 from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
+FRONT = 5.0  # factor by which gains beside the tuned one are larger or smaller
 FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
 
 
@@ -44,7 +46,7 @@ def tune(
     progress=None,
     **goal,
 ) -> Tuned:
-    """Tune a loop's gains by gradient: loss → min, spectral radius ≤ margin, no ringing, |q̇| ≤ limit.
+    """Tune a loop's gains by gradient: loss → min, no overshoot with a sample of dead time to spare, |q̇| ≤ limit.
 
     Computed in float64 whatever JAX's setting is.
 
@@ -56,8 +58,9 @@ def tune(
       method, stage: as for `solve`.
       descent: how it descends, see `Descent`.
       progress: called with (evaluations, of how many, loss in words) after each round, or None.
-      goal: over, bounds, loss, margin, ringing, velocity_limit, conditions, see `Goal`: by default alpha, for the RMS
-        error, a spectral radius of at most 0.9, no ringing, the robot's own joint velocities, no noise and no delay.
+      goal: over, bounds, loss, delay_margin, noise_gain, ringing, margin, velocity_limit, conditions, see `Goal`: by
+        default alpha, for the RMS error, no overshoot with a sample of dead time to spare, a noise gain of at most 0.5,
+        the robot's own joint velocities, and drives that follow at once.
 
     Returns: `Tuned`; it keeps every constraint, or says by how much not.
     Raises: ArgumentError for arguments that do not fit.
@@ -76,7 +79,7 @@ def tune(
         nothing = {name: np.zeros(0) for name in ("loss", "violation", "accepted")}
         own = _values(objective, pm.free_of(parameters, own))
         ended = dict(status="non-finite", history=nothing, starts=np.full(1, np.inf), evaluations=0)
-        return result(objective, own, before, judge(objective, [own])[0], **ended, **asked)
+        return result(objective, own, before, judge(objective, [own])[0], [], **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
     objective = replace(objective, postures=judged[safe].postures)  # constraints along that run
@@ -99,11 +102,13 @@ def tune(
     kept = [float(c.judged.loss) if c.judged.kept else np.inf for c in candidates[:-1]]
     starts = np.reshape(kept, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
+    values = _values(objective, chosen.u)
     return result(
         objective,
-        _values(objective, chosen.u),
+        values,
         before,
         chosen.judged,
+        _front(objective, values),
         status=done.why if chosen.judged.kept else "infeasible",
         history={name: history[winner] for name, history in done.history._asdict().items()},
         starts=starts,
@@ -136,6 +141,19 @@ def _gains_over_z(objective):
 
     made = [start | {p.name: gain(p, z / Ts) for p in gains} for z in (FALLBACK_Z if gains else (0.0,))]
     return [tuple(values.values()) for values in made]
+
+
+def _front(objective, values) -> list:
+    """(values, `Judged`) of the tuned gain in other sizes: what a smaller or larger one costs."""
+    gains = [p.name in ("alpha", "schedule") for p in objective.parameters]
+    if not any(gains):
+        return []
+    sizes = np.geomspace(1 / FRONT, FRONT, TOGETHER)
+    made = [
+        tuple(_bounded(p, s * v) if gain else v for p, v, gain in zip(objective.parameters, values, gains, strict=True))
+        for s in sizes
+    ]
+    return list(zip(made, judge(objective, made), strict=True))
 
 
 # --- candidates ---------------------------------------------------------------------------------------
