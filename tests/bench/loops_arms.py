@@ -68,10 +68,10 @@ class Arm:
         ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", settings)
         return ET.tostring(robot, encoding="unicode")
 
-    def model(self, servo: Servo):
+    def model(self, servo: Servo, step=STEP):
         """MuJoCo's model: no weight, no contact, no friction, a servo and ARMATURE on each joint."""
         spec = mujoco.MjSpec.from_string(self.text)
-        spec.option.timestep = STEP
+        spec.option.timestep = step
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.gravity = np.zeros(3)
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

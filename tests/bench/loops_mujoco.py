@@ -1,6 +1,6 @@
 """The loop of `tests.bench.loops` in MuJoCo: many gains and delays side by side, and what is measured of them.
 
-A lane is a gain and a number of samples of delay. It starts at rest in the posture, its target 5 mm and 10 mrad away.
+A lane is a gain and a number of samples of delay. It starts at rest in the posture, its target 0.5 mm and 1 mrad away.
 Python runs at the controller's rate, C at the physics'.
 """
 
@@ -13,9 +13,9 @@ from tests.bench.loops_arms import STEP
 
 DIRECTION = np.array([0.6, -0.5, 0.62, 0.6, 0.5, -0.6])
 SHIFT = DIRECTION / np.repeat([np.linalg.norm(DIRECTION[:3]), np.linalg.norm(DIRECTION[3:])], 3) * np.repeat(
-    [5e-3, 1e-2], 3
+    [5e-4, 1e-3], 3
 )
-LOST = 40.0  # times the first error, from which on a lane is given up
+LOST = 100.0  # times the first error, from which on a lane is given up
 GONE = 1e-6  # of the first error, below which it is rounding that goes up and down
 OVERSHOOT = 0.01
 
@@ -27,6 +27,7 @@ class Setup(NamedTuple):
     servo: object
     Ts: float
     feedback: str = "measured"
+    step: float = STEP  # of the physics [s]
 
 
 class Run(NamedTuple):
@@ -35,7 +36,7 @@ class Run(NamedTuple):
     e: np.ndarray
 
 
-def _turn_from(wanted, rotation):
+def turn_from(wanted, rotation):
     """Rotation vectors (B, 3) from rotations (B, 3, 3) to those that are wanted."""
     r = wanted @ np.swapaxes(rotation, -1, -2)
     half = 0.5 * np.stack([r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]], -1)
@@ -44,7 +45,7 @@ def _turn_from(wanted, rotation):
     return half * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)[:, None]
 
 
-def _rotation(v):
+def rotation_of(v):
     """Rotation matrix of a rotation vector (3,)."""
     quaternion, out = np.empty(4), np.empty(9)
     angle = float(np.linalg.norm(v))
@@ -59,9 +60,9 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
     Args:
       shift: (6,) of the target from the posture's pose [m, rad]. velocity: (3,) with which it then moves [m/s].
     """
-    arm, servo, Ts, feedback = setup
-    model = arm.model(servo)
-    tip, n, B, sub = model.body(arm.tip).id, arm.n, len(alphas), round(Ts / STEP)
+    arm, servo, Ts, feedback, physics = setup
+    model = arm.model(servo, physics)
+    tip, n, B, sub = model.body(arm.tip).id, arm.n, len(alphas), round(Ts / physics)
     look = mujoco.MjData(model)  # what the controller computes, and where the true tip is
     datas = [mujoco.MjData(model) for _ in range(B)]
     position, steps = servo.command == "position", np.asarray(alphas)[:, None] * Ts
@@ -74,7 +75,7 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
     sent, size = np.tile(arm.q, (B, 1)), line.shape[0]
     look.qpos[:] = arm.q
     mujoco.mj_kinematics(model, look)
-    goal, wanted = look.xpos[tip] + shift[:3], _rotation(shift[3:]) @ look.xmat[tip].reshape(3, 3)
+    goal, wanted = look.xpos[tip] + shift[:3], rotation_of(shift[3:]) @ look.xmat[tip].reshape(3, 3)
     e = np.full((N + 1, B, 6), np.nan)
     alive = list(range(B))
 
@@ -88,7 +89,7 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
 
     def error(k):
         here = goal if velocity is None else goal + velocity * (k * Ts)
-        return np.concatenate([here - at, _turn_from(wanted, rotation)], -1)
+        return np.concatenate([here - at, turn_from(wanted, rotation)], -1)
 
     for k in range(N + 1):
         for b in alive:
@@ -139,7 +140,7 @@ def beyond(e) -> np.ndarray:
 
 
 def first_crossing(values, delays, low, high, lanes=6, rounds=3):
-    """Smallest gain (K,) at which values(alphas (B,), delays (B,), last) -> (B,) is above 0, of a loop for each delay.
+    """Smallest gain (K,) at which values(alphas (B,), delays (B,), effort) -> (B,) is above 0, of a loop for each delay.
 
     Each round looks at `lanes` gains in geometric steps between the last one below 0 and the first one above; in the
     end a line is drawn between these two. inf where none is found up to `high`, 0 where `low` is above already.
@@ -150,13 +151,13 @@ def first_crossing(values, delays, low, high, lanes=6, rounds=3):
     found = np.full(K, np.nan)
     for turn in range(rounds):
         share = (np.arange(lanes) / (lanes - 1) if turn == 0 else np.arange(1, lanes + 1) / (lanes + 1))[:, None]
-        last = turn == rounds - 1
+        last, effort = turn == rounds - 1, 2.0 ** (turn - 1)
         low = np.where(last, 0.92 * low, low)  # the last round looks longer, and so may find less to be stable
         alphas = low * (high / low) ** share
         open_ = np.flatnonzero(np.isnan(found))
         seen = np.full((lanes, K), np.nan)
         looked = alphas[:, open_]
-        seen[:, open_] = values(looked.ravel(), np.tile(delays[open_], lanes), last).reshape(looked.shape)
+        seen[:, open_] = values(looked.ravel(), np.tile(delays[open_], lanes), effort).reshape(looked.shape)
         for i in open_:
             over = np.flatnonzero(seen[:, i] > 0)
             first = over[0] if len(over) else lanes
@@ -178,48 +179,52 @@ def samples(setup, delay, least=300) -> int:
     return int(max(least, own, 80 * (delay + 1)))
 
 
-def limits(setup, delays, scale, runner=run):
+def limits(setup, delays, scale, runner=run, *, calm=True):
     """Largest stable gain, and the fastest without overshoot, of a loop for each delay.
 
     Args:
       scale (K,): gains of about the right size: from 1/50 to 4 times these, and below, is looked.
-      runner: runner(setup, alphas, delays, N) -> Run.
+      runner: runner(setup, alphas, delays, N) -> Run. calm: whether the second is looked for.
     """
 
     def by_length(what):
-        def values(alphas, lags, last):
+        def values(alphas, lags, effort):
             out = np.empty(len(alphas))
             for N in {samples(setup, d) for d in lags}:
                 mine = np.array([samples(setup, d) == N for d in lags])
-                out[mine] = what(runner(setup, alphas[mine], lags[mine], N * (1 + (last and what is growth))).e)
+                steps = int(N * (effort if what is growth else 0.5))
+                out[mine] = what(runner(setup, alphas[mine], lags[mine], steps).e)
             return out
 
         return values
 
     scale = np.asarray(scale, float)
     largest = first_crossing(by_length(growth), delays, scale / 50, scale * 4)
+    if not calm:
+        return largest, None
     top = np.where(np.isfinite(largest) & (largest > 0), largest, scale)
-    smooth = first_crossing(by_length(lambda e: beyond(e) - OVERSHOOT), delays, top / 1000, top, lanes=8)
+    smooth = first_crossing(by_length(lambda e: beyond(e) - OVERSHOOT), delays, top / 1000, top)
     return largest, smooth
 
 
-def ramp_lag(setup, alphas, delays, seconds=6.0, speed=4e-3):
+def ramp_lag(setup, alphas, delays, runner=run, seconds=8.0, speed=2e-3):
     """How far behind a ramp the tip is in the end, as a time [s] (B,)."""
     velocity = speed * SHIFT[:3] / np.linalg.norm(SHIFT[:3])
-    e = run(setup, np.asarray(alphas), np.asarray(delays), round(seconds / setup.Ts), SHIFT * 0.0, velocity).e
+    N = round(seconds / setup.Ts)
+    e = runner(setup, np.asarray(alphas), np.asarray(delays), N, SHIFT * 0.0, velocity).e
     return e[-1, :, :3] @ velocity / speed**2
 
 
 def step_response(setup, joint, size, N):
     """One joint's command is stepped, the others hold: command (N,), motion (N + 1,) from rest, without delay."""
-    arm, servo, Ts, _ = setup
-    model = arm.model(servo)
+    arm, servo, Ts, _, physics = setup
+    model = arm.model(servo, physics)
     data = mujoco.MjData(model)
     data.qpos[:] = arm.q
     data.ctrl[:] = arm.q if servo.command == "position" else 0.0
     motion = np.zeros(N + 1)
     data.ctrl[joint] += size
     for k in range(N):
-        mujoco.mj_step(model, data, round(Ts / STEP))
+        mujoco.mj_step(model, data, round(Ts / physics))
         motion[k + 1] = data.qpos[joint] - arm.q[joint]
     return np.full(N, size), motion
