@@ -28,6 +28,7 @@ from cnclik.stability.recommend import recommend
 from tests.bench.loops_mujoco import LOST, SHIFT, Run, step_response
 
 REACH, POINTS = 8.0, 32  # z up to which is looked, and at how many values together
+BEGUN = 1e-4  # share of a motion by which it has begun
 CLOSE = 0.01  # rms share of a motion that a fit may leave
 
 
@@ -61,7 +62,7 @@ def second_order(stiffness, damping) -> dict:
     return dict(natural_frequency=w, damping_ratio=damping / (2 * w))
 
 
-def predicted(setup, drive):
+def predicted(setup, drive, reach=REACH):
     """(largest, fastest without overshoot, recommended) alpha, as `recommend` finds them.
 
     It asks what `recommend` asks, at fewer values of z, and of joints that don't depend on each other one at a time:
@@ -85,8 +86,10 @@ def predicted(setup, drive):
         off = np.where(found.real < 0, 2.0, np.abs(found.imag) / np.maximum(size, 1e-12))
         return size.max(-1), np.where(slow & (size > 1e-9), off, 0.0).max(-1)
 
-    largest = first_above(lambda z: both(z, drive)[0], 1 + SLACK, REACH, POINTS)
-    calm = [first_above(lambda z, d=d: both(z, d)[1], SWING, min(largest, REACH), POINTS) for d in (drive, longer(drive))]
+    largest = first_above(lambda z: both(z, drive)[0], 1 + SLACK, reach, POINTS)
+    calm = [
+        first_above(lambda z, d=d: both(z, d)[1], SWING, min(largest, reach), POINTS) for d in (drive, longer(drive))
+    ]
     return tuple(float(min(v, largest)) / Ts for v in (largest, *calm))
 
 
@@ -177,8 +180,12 @@ def response(drive, Ts, command):
 
 
 def fitted_drive(command, motion, Ts, kind) -> dict:
-    """Delay [samples] and lag, or ω₀ and ζ, of the drive whose response to a command is nearest to a motion."""
-    first = int(np.argmax(np.abs(motion) > 1e-3 * np.abs(motion).max()))
+    """Delay [samples] and lag, or ω₀ and ζ, of the drive whose response to a command is nearest to a motion.
+
+    The delay is kept to where the motion begins: least squares alone would trade it for lag where other joints, which
+    no drive of one joint knows, bend the response.
+    """
+    first = int(np.argmax(np.abs(motion) > BEGUN * np.abs(motion).max()))
 
     def made(p):
         own = dict(lag=np.exp(p[1])) if kind == "velocity" else second_order(np.exp(p[1]), np.exp(p[2]))
@@ -188,8 +195,9 @@ def fitted_drive(command, motion, Ts, kind) -> dict:
         return (response(Drive(command=kind, **made(p)), Ts, command) - motion) / np.abs(motion).max()
 
     tries = [[0.01], [0.001]] if kind == "velocity" else [[500.0, 100.0], [5000.0, 300.0]]
-    starts = [np.array([max(first - 0.6, 0.05), *np.log(own)]) for own in tries]
-    low, high = [0.0, *[np.log(1e-4)] * (len(starts[0]) - 1)], [np.inf, *[np.log(1e6)] * (len(starts[0]) - 1)]
+    starts = [np.array([max(first - 1.0, 0.05), *np.log(own)]) for own in tries]
+    low = [max(first - 1.5, 0.0), *[np.log(1e-4)] * (len(starts[0]) - 1)]
+    high = [first + 0.5, *[np.log(1e6)] * (len(starts[0]) - 1)]
     scale = [0.3, *[1.0] * (len(low) - 1)]
     fits = []
     for start in starts:

@@ -12,11 +12,14 @@ import numpy as np
 from tests.bench.loops_arms import STEP
 
 DIRECTION = np.array([0.6, -0.5, 0.62, 0.6, 0.5, -0.6])
-SHIFT = DIRECTION / np.repeat([np.linalg.norm(DIRECTION[:3]), np.linalg.norm(DIRECTION[3:])], 3) * np.repeat(
-    [5e-4, 1e-3], 3
+SHIFT = (
+    DIRECTION
+    / np.repeat([np.linalg.norm(DIRECTION[:3]), np.linalg.norm(DIRECTION[3:])], 3)
+    * np.repeat([5e-4, 1e-3], 3)
 )
 LOST = 100.0  # times the first error, from which on a lane is given up
 GONE = 1e-6  # of the first error, below which it is rounding that goes up and down
+STAYS = 1e-3  # growth that is said of an error that is still larger than the first
 OVERSHOOT = 0.01
 
 
@@ -124,12 +127,14 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
 
 def growth(e) -> np.ndarray:
     """Logarithm (B,) of how the envelope of ‖e‖ changed from the last sixth but one of a run to the last; inf if given
-    up. By then what decays has gone, and what swings at the limit is left."""
+    up. By then what decays has gone, and what swings at the limit is left. An error that is larger than the first one
+    counts as growing: fast joints may swing without end."""
     size = np.linalg.norm(e * np.repeat([1.0, 0.5], 3), axis=-1)
     part = len(size) // 6
     with np.errstate(all="ignore"):
         found = np.log(size[-part:].max(0) / size[-2 * part : -part].max(0))
-        found = np.where(size[-part:].max(0) < GONE * size[0], -1.0, found)
+    found = np.where(size[-part:].max(0) < GONE * size[0], -1.0, found)
+    found = np.where(size[-part:].max(0) > size[0], np.maximum(found, STAYS), found)
     return np.where(np.isfinite(size[-1]), found, np.inf)
 
 
@@ -140,7 +145,7 @@ def beyond(e) -> np.ndarray:
 
 
 def first_crossing(values, delays, low, high, lanes=6, rounds=3):
-    """Smallest gain (K,) at which values(alphas (B,), delays (B,), effort) -> (B,) is above 0, of a loop for each delay.
+    """Smallest gain (K,) where values(alphas (B,), delays (B,), effort) -> (B,) is above 0, of a loop for each delay.
 
     Each round looks at `lanes` gains in geometric steps between the last one below 0 and the first one above; in the
     end a line is drawn between these two. inf where none is found up to `high`, 0 where `low` is above already.
@@ -151,8 +156,9 @@ def first_crossing(values, delays, low, high, lanes=6, rounds=3):
     found = np.full(K, np.nan)
     for turn in range(rounds):
         share = (np.arange(lanes) / (lanes - 1) if turn == 0 else np.arange(1, lanes + 1) / (lanes + 1))[:, None]
-        last, effort = turn == rounds - 1, 2.0 ** (turn - 1)
-        low = np.where(last, 0.92 * low, low)  # the last round looks longer, and so may find less to be stable
+        effort = 2.0 ** (turn - 1)
+        if turn:  # a round looks longer than the one before, and so may find less to be stable
+            low, below = 0.8 * low, np.full(K, -np.inf)
         alphas = low * (high / low) ** share
         open_ = np.flatnonzero(np.isnan(found))
         seen = np.full((lanes, K), np.nan)
@@ -170,7 +176,9 @@ def first_crossing(values, delays, low, high, lanes=6, rounds=3):
                 low[i], below[i] = alphas[first - 1, i], seen[first - 1, i]
     with np.errstate(invalid="ignore"):
         share = np.where(np.isfinite(above), -below / (above - below), 0.5)
-    return np.where(np.isnan(found), low * (high / low) ** np.where(np.isfinite(share), np.clip(share, 0, 1), 0.5), found)
+    return np.where(
+        np.isnan(found), low * (high / low) ** np.where(np.isfinite(share), np.clip(share, 0, 1), 0.5), found
+    )
 
 
 def samples(setup, delay, least=300) -> int:
