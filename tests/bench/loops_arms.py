@@ -69,7 +69,7 @@ class Arm:
         return ET.tostring(robot, encoding="unicode")
 
     def model(self, servo: Servo, step=STEP):
-        """MuJoCo's model: no weight, no contact, no friction, a servo and ARMATURE on each joint."""
+        """MuJoCo's model: no weight, contact, friction or limit of effort, a servo and ARMATURE on each joint."""
         spec = mujoco.MjSpec.from_string(self.text)
         spec.option.timestep = step
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -87,6 +87,7 @@ class Arm:
             actuator.ctrllimited = actuator.forcelimited = False
         model = spec.compile()
         model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
+        model.jnt_actfrclimited[:] = False  # efforts of the URDF file: at them a loop swings without growing
         return model
 
     def inertia(self) -> np.ndarray:

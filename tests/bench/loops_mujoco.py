@@ -19,7 +19,7 @@ SHIFT = (
 )
 LOST = 100.0  # times the first error, from which on a lane is given up
 GONE = 1e-6  # of the first error, below which it is rounding that goes up and down
-STAYS = 1e-3  # growth that is said of an error that is still larger than the first
+FLAT = 1e-3  # growth up to which an error stays as it is: what the commands alone don't see remains
 OVERSHOOT = 0.01
 
 
@@ -134,7 +134,7 @@ def growth(e) -> np.ndarray:
     with np.errstate(all="ignore"):
         found = np.log(size[-part:].max(0) / size[-2 * part : -part].max(0))
     found = np.where(size[-part:].max(0) < GONE * size[0], -1.0, found)
-    found = np.where(size[-part:].max(0) > size[0], np.maximum(found, STAYS), found)
+    found = np.where(size[-part:].max(0) > size[0], np.maximum(found, FLAT), found - FLAT)
     return np.where(np.isfinite(size[-1]), found, np.inf)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from cnclik.measure.files import markdown, plain
 from cnclik.show import style
+from tests.bench.loops_words import CALM, FINDINGS, FINE, LAG, METHOD, NAMES
 
 MODELS = ("kinematic", "delay", "lag", "second order", "modes", "fitted", "equations")
 CLOSE = 0.15  # by which a prediction may be off
@@ -74,13 +75,17 @@ def peers(rows) -> str:
     return markdown([*head, "error rises", "a joint goes back", "the same at 0.9 of the largest"], lines, left=2)
 
 
+def _first(cells) -> list:
+    """The cells of the first table of this kind."""
+    return [c for c in cells if c["robot"] == "UR5" and c["rate"] in (500, 100)]
+
+
 def trial(cells) -> str:
     """The UR5's table: measured largest gains, and what each model says over them."""
     lines = []
-    for c in cells:
-        if c["robot"] == "UR5" and c["rate"] in (500, 100):
-            said = [_said(ratio(c, m)) for m in MODELS]
-            lines.append([c["servo"], c["rate"], c["delay"], f"{_number(c['largest']):.1f}", *said])
+    for c in _first(cells):
+        said = [_said(ratio(c, m)) for m in MODELS]
+        lines.append([c["servo"], c["rate"], c["delay"], f"{_number(c['largest']):.1f}", *said])
     return markdown(["servo", "rate [Hz]", "delay", "measured [1/s]", *MODELS], lines)
 
 
@@ -225,8 +230,7 @@ def summary(found, cells) -> str:
             f"samples of delay, and its recommended gain is quiet (no rise of the error, no joint that goes back) in "
             f"{quiet} of {len(rows)} loops."
         )
-    for robots, words in (({"UR5"}, "on the UR5"), ({c["robot"] for c in cells}, "in all cells")):
-        some = [c for c in cells if c["robot"] in robots]
+    for some, words in ((_first(cells), "in the UR5's table below"), (cells, "in all cells")):
         told = []
         for m in MODELS:
             of = np.array([v for c in some if not np.isnan(v := ratio(c, m))])
@@ -234,23 +238,6 @@ def summary(found, cells) -> str:
             told.append(f"{m} {within} of {len(of)}")
         said.append(f"- Predicted largest gain within {100 * CLOSE:.0f} % of MuJoCo's, {words}: {', '.join(told)}.")
     return "\n".join(said) + "\n"
-
-
-NAMES = """Gains are alpha in 1/s, delays samples of the controller, ratios predicted over measured. Models: *kinematic*
-(no drive), *delay* (dead time alone), *lag* (a first-order lag for each joint: m/k_v of a velocity servo, k_v/k_p of a
-position servo), *second order* (for each joint ω₀² = k_p/m, 2ζω₀ = k_v/m, m the diagonal of the inertia in this
-posture), *modes* (the same with the eigenvalues of k_v⁻¹M in place of the diagonal; arms of six joints, where the loop
-is the same for every direction of the joints), *fitted* (dead time and lag, or ω₀ and ζ, of each joint estimated from a
-recorded step), *equations* (not cnclik: the coupled linear equations in MuJoCo's own steps, run in time).
-"""
-
-METHOD = """MuJoCo: URDF files without shapes, no gravity, contact or friction, armature 0.1 kg m², steps of 1 ms
-(implicitfast), servos "position" with k_p 2000 and k_v 400 (first three joints), 500 and 100 (others), "stiff" with ten
-times the k_p; the same pose loop (J#, explicit Euler) at each rate, the target 0.5 mm and 1 mrad away, feedback of the
-measured joints with the command added up. The largest gain is where the envelope of the error grows in the last sixth
-of a run, found by bisection; no overshoot means that the tip goes at most 1 % beyond. At 5 mm, as the first table of
-this kind had it, a loop without delay chatters without growing between about 1000 and 1400 1/s (velocity servos).
-"""
 
 
 def write(found, folder) -> None:
@@ -284,9 +271,3 @@ def write(found, folder) -> None:
     if rows := _rows(found, ", checks"):
         made.append(f"### Second looks\n\n{checked(rows)}")
     (folder / "README.md").write_text("\n".join(made), encoding="utf-8")
-
-
-FINDINGS = ""
-CALM = ""
-LAG = ""
-FINE = ""
