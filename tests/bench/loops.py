@@ -53,21 +53,29 @@ def group(arm, inertia, servo, rate) -> list:
         name: loops_mujoco.limits(setup, delays, around, loops_models.linear_run(model))
         for name, model in linear.items()
     }
-    fits = {delay: loops_models.fitted(setup, delay) for delay in FIT_AT}
-    cells = []
+    cells, fits = [], fitted(setup, delays.tolist())
     for i, delay in enumerate(delays.tolist()):
-        at = max(d for d in FIT_AT if d <= delay)
-        fit = fits[at] | {"delay": fits[at]["delay"] + delay - at}
         cell = {"robot": arm.name, "servo": servo, "rate": rate, "delay": delay}
         cell |= {"largest": float(largest[i]), "calm": float(calm[i])}
         cell["in_time"] = {name: [float(v[i]) for v in found] for name, found in in_time.items()}
-        cell["fit"] = {k: np.round(v, 6).tolist() for k, v in fit.items()}
+        cell["fits"] = {name: {k: np.round(v, 6).tolist() for k, v in fit.items()} for name, fit in fits[delay].items()}
         cell["predicted"] = {
             name: loops_models.predicted(setup, drive)
-            for name, drive in loops_models.drives(setup, delay, inertia, fit).items()
+            for name, drive in loops_models.drives(setup, delay, inertia, fits[delay]).items()
         }
         cells.append(cell)
     return cells
+
+
+def fitted(setup, delays) -> dict:
+    """{delay: {model: keyword arguments of a Drive}} from recorded steps."""
+    made = {delay: {} for delay in delays}
+    for name, together in (("fitted", False), ("together", True)):
+        records = {at: loops_models.fitted(setup, at, together) for at in FIT_AT}
+        for delay in delays:
+            at = max(d for d in FIT_AT if d <= delay)
+            made[delay][name] = records[at] | {"delay": records[at]["delay"] + delay - at}
+    return made
 
 
 def feedbacks(arm, inertia, servo, rate) -> list:

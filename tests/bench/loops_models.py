@@ -25,17 +25,18 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.linear import first_above
 from cnclik.stability.recommend import recommend
-from tests.bench.loops_mujoco import LOST, SHIFT, Run, step_response
+from tests.bench.loops_mujoco import LOST, SHIFT, Run, step_responses
 
-REACH, POINTS = 8.0, 32  # z up to which is looked, and at how many values together
+REACH, POINTS = 10.0, 40  # z up to which is looked, and at how many values together
 BEGUN = 1e-4  # share of a motion by which it has begun
+STEPPED = 0.02  # [rad, rad/s]
 CLOSE = 0.01  # rms share of a motion that a fit may leave
 
 
-def drives(setup, delay, inertia, fitted=None) -> dict:
+def drives(setup, delay, inertia, fits=None) -> dict:
     """{model: Drive} of cnclik for a loop; the kinematic one has none of all this.
 
-    Args: inertia (n, n) [kg m²]; fitted: keyword arguments of a Drive that were estimated, or None.
+    Args: inertia (n, n) [kg m²]; fits: {model: keyword arguments of a Drive} that were estimated.
     """
     servo, feedback = setup.servo, dict(command=setup.servo.command, feedback=setup.feedback)
     kp, kv = setup.arm.gains(servo)
@@ -51,9 +52,7 @@ def drives(setup, delay, inertia, fitted=None) -> dict:
         made["second order"] = Drive(delay=delay, **second_order(kp / m, kv / m), **feedback)
         if setup.arm.n == 6:
             made["modes"] = Drive(delay=delay, **second_order((kp / kv)[0] / modes, 1 / modes), **feedback)
-    if fitted is not None:
-        made["fitted"] = Drive(**fitted, **feedback)
-    return made
+    return made | {name: Drive(**fit, **feedback) for name, fit in (fits or {}).items()}
 
 
 def second_order(stiffness, damping) -> dict:
@@ -207,13 +206,12 @@ def fitted_drive(command, motion, Ts, kind) -> dict:
     return made(min(fits, key=lambda f: f.cost).x)
 
 
-def fitted(setup, delay) -> dict:
-    """Keyword arguments of the Drive that is estimated from a step of each joint, recorded with this delay."""
+def fitted(setup, delay, together) -> dict:
+    """Keyword arguments of the Drive that is estimated from steps, recorded with this delay: of each joint alone while
+    others hold, or of all joints at once."""
     N = int(np.clip((1.0 if setup.servo.command == "position" else 0.15) / setup.Ts, 40, 200))
-    found = []
-    for joint in range(setup.arm.n):
-        command, motion = step_response(setup, joint, 0.02, N)
-        motion = np.concatenate([np.zeros(delay), motion[: len(motion) - delay]])
-        found.append(fitted_drive(command, motion, setup.Ts, setup.servo.command))
+    motions = step_responses(setup, STEPPED, N, together)
+    late = np.concatenate([np.zeros((delay, setup.arm.n)), motions[: len(motions) - delay]])
+    found = [fitted_drive(np.full(N, STEPPED), q, setup.Ts, setup.servo.command) for q in late.T]
     joined = {name: np.array([one[name] for one in found]) for name in found[0]}
     return joined | {"delay": float(np.median(joined["delay"]))}

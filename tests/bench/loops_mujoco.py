@@ -223,16 +223,17 @@ def ramp_lag(setup, alphas, delays, runner=run, seconds=8.0, speed=2e-3):
     return e[-1, :, :3] @ velocity / speed**2
 
 
-def step_response(setup, joint, size, N):
-    """One joint's command is stepped, the others hold: command (N,), motion (N + 1,) from rest, without delay."""
+def step_responses(setup, size, N, together):
+    """Motions (N + 1, n) of the joints from rest, each after a step of its command: one by one, or all at once."""
     arm, servo, Ts, _, physics = setup
     model = arm.model(servo, physics)
-    data = mujoco.MjData(model)
-    data.qpos[:] = arm.q
-    data.ctrl[:] = arm.q if servo.command == "position" else 0.0
-    motion = np.zeros(N + 1)
-    data.ctrl[joint] += size
-    for k in range(N):
-        mujoco.mj_step(model, data, round(Ts / physics))
-        motion[k + 1] = data.qpos[joint] - arm.q[joint]
-    return np.full(N, size), motion
+    rest = arm.q if servo.command == "position" else np.zeros(arm.n)
+    motions = np.zeros((N + 1, arm.n))
+    for stepped in [np.arange(arm.n)] if together else np.arange(arm.n)[:, None]:
+        data = mujoco.MjData(model)
+        data.qpos[:], data.ctrl[:] = arm.q, rest
+        data.ctrl[stepped] += size
+        for k in range(N):
+            mujoco.mj_step(model, data, round(Ts / physics))
+            motions[k + 1, stepped] = data.qpos[stepped] - arm.q[stepped]
+    return motions

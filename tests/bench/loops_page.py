@@ -9,7 +9,7 @@ from cnclik.measure.files import markdown, plain
 from cnclik.show import style
 from tests.bench.loops_words import CALM, FINDINGS, FINE, LAG, METHOD, NAMES
 
-MODELS = ("kinematic", "delay", "lag", "second order", "modes", "fitted", "equations")
+MODELS = ("kinematic", "delay", "lag", "second order", "modes", "fitted", "together", "lower", "equations")
 CLOSE = 0.15  # by which a prediction may be off
 ZERO = 5e-6  # share below which is said none
 
@@ -40,6 +40,8 @@ def ratio(cell, model) -> float:
     """Predicted over measured largest gain of a cell; NaN where a model does not speak of it."""
     if model == "equations":
         told = cell["in_time"]["equations"][0]
+    elif model == "lower":
+        told = min((cell["predicted"][m][0] for m in ("fitted", "together")), key=_number)
     elif model in cell["predicted"]:
         told = cell["predicted"][model][0]
     else:
@@ -122,9 +124,9 @@ def beyond(cells) -> str:
     for c in cells:
         value = ratio(c, "fitted")
         if _off(value) > np.log1p(CLOSE):
-            said = [_said(v) for v in (value, ratio(c, "modes"), ratio(c, "equations"))]
+            said = [_said(v) for v in (value, *(ratio(c, m) for m in ("lower", "modes", "equations")))]
             lines.append([c["robot"], c["servo"], c["rate"], c["delay"], *said, reason(c)])
-    head = ["robot", "servo", "rate [Hz]", "delay", "fitted", "modes", "equations", "why"]
+    head = ["robot", "servo", "rate [Hz]", "delay", "fitted", "lower", "modes", "equations", "why"]
     return markdown(head, lines, left=2) if lines else "None.\n"
 
 
@@ -192,7 +194,7 @@ def checked(rows) -> str:
 
 def figure(cells, path):
     """Predicted over measured largest gain against delay, a panel per servo."""
-    shown = ("kinematic", "delay", "lag", "second order", "modes", "fitted")
+    shown = ("kinematic", "delay", "lag", "second order", "modes", "lower")
     servos = list(dict.fromkeys(c["servo"] for c in cells))
     with style.style():
         drawn, panels = plt.subplots(1, len(servos), figsize=(style.PAGE, 2.5), sharey=True)
