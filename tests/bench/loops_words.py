@@ -9,12 +9,14 @@ FINDINGS = """\
   arms of six joints; what is left there is growth too slow for the runs.
 - **Velocity servos**: their lag is right within 15 % from two samples of delay on. Below that MuJoCo's own step is
   seen: it moves half a step of the physics earlier than a held command does, a quarter of a sample at 500 Hz. With
-  steps of 0.1 ms the same prediction is right within 5 %.
+  steps of 0.1 ms the same prediction is right within 6 %.
 - **A drive fitted to recorded steps** of one joint at a time knows no coupling, which also bends the step that it is
   fitted to. Stepped all at once the UR5's joints show it (0.92 to 0.99 of the position servos' limits), but joints
-  that swing against each other look lighter so: on the Panda that fit alone names up to 2.5 times too much. The
-  lower of the two limits is safe on all three arms; each cell where the first fit is off by more than 15 % stands
-  below with its reason.
+  that swing against each other look lighter so: on the Panda that fit alone names up to 2.6 times too much. The
+  lower of the two limits is at most 16 % too high for position servos of all three arms, and within 15 % in the UR5's
+  table but for velocity servos without delay, where it is too low. With a slow velocity servo and little delay even
+  it is up to 34 % too high (Panda): lag and dead time are mistaken for each other. Each cell where the first fit is
+  off by more than 15 % stands below with its reason.
 - **Fast is not what is stable**: with the menagerie's position servos (k_p/k_v = 5 1/s) and measured feedback
   nothing above 1.9 1/s is without overshoot, at any rate, where 116 1/s is still stable. The coupled equations say
   it to the percent, drives of the joints' own within a quarter.
