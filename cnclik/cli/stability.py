@@ -125,7 +125,7 @@ def _tell(args, advised):
         shown.add_row(row, *map(_or_any, (value, value * found.Ts, euler)))
     shown.add_row("now", in_words(found.law.alpha), f"{now.z:.4g}", "")
     console.print(shown)
-    lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
+    lines = [*said.notes, f"Recommended: {said.reason}.", *_costs(said, found)]
     lines.append(f"At alpha now: {_margin(now, said)}")
     if said.advice.times is not None:
         times = said.advice.times

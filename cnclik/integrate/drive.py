@@ -121,9 +121,12 @@ class Drive:
         return _none(self.joint_noise) and _none(self.resolution)
 
     def late_by(self, Ts):
-        """How far a motion at constant speed is behind its command [s]: dead time, and the lag or 2ζ/ω₀."""
+        """How far a motion at constant speed is behind its command [s]: dead time, and the lag or 2ζ/ω₀.
+
+        Half a sample less of positions that step, as each is sent at the beginning of its sample.
+        """
         lag = 2 * self.damping_ratio / self.natural_frequency if self.order == 2 else self.lag
-        return self.delay * Ts + lag
+        return self.delay * Ts + lag - 0.5 * Ts * self.steps_positions
 
 
 def _none(value) -> bool:

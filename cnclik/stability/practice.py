@@ -12,16 +12,14 @@ from cnclik.stability.driven import (
     damping_ratio,
     delay_margin,
     each_drive,
-    looked_at,
     modes_of,
-    monotone_limit,
     noise_gain,
     overshoot,
     respond,
     settling,
     until_settled,
 )
-from cnclik.stability.recommend import Advice, advise, loop_at_rest, recommend
+from cnclik.stability.recommend import Advice, advise, loop_at_rest, recommend, without_overshoot
 from cnclik.stability.spectrum import directions, step_map
 
 ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
@@ -76,6 +74,7 @@ class Practice:
       speed: of the tip [m/s]. joint_speed: largest share of a joint's velocity limit that it takes, in the worst
         direction at rest; NaN where there is no limit, or no position among the task's coordinates.
       settings: {where: what to set there, in words}.
+      notes: what limits these numbers, in sentences; measured in results/loops.
       advice: `Advice`, on which this rests.
     """
 
@@ -91,6 +90,7 @@ class Practice:
     speed: float
     joint_speed: float
     settings: dict
+    notes: tuple
     advice: Advice
 
 
@@ -116,10 +116,9 @@ def practice(
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
     if drive is None:
         safe = Drive(delay=ASSUMED / Ts)
-        slower = loop._replace(drive=safe)
         chosen, by_euler = (
-            monotone(one, Ts, min(z.z_recommended, MOST_Z))
-            for one, z in ((slower, gains), (slower._replace(method=EE), euler))
+            without_overshoot(one, safe, Ts, min(z.z_recommended, MOST_Z), min(z.z_recommended, MOST_Z))
+            for one, z in ((loop, gains), (loop._replace(method=EE), euler))
         )
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     return Practice(
@@ -139,14 +138,9 @@ def practice(
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
         settings=settings(by_euler, Ts, known),
+        notes=_notes(drive),
         advice=found,
     )
-
-
-def monotone(loop, Ts, most) -> float:
-    """Largest z up to `most` without overshoot in a loop at rest."""
-    points = looked_at(loop.drive, 1)
-    return monotone_limit(lambda z: loop.modes(z, Ts)[0], loop.drive, Ts, most, most, points)
 
 
 def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
@@ -217,6 +211,23 @@ def _reason(gains, chosen, drive) -> str:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
     late = drive.lumped.delay
     return f"the largest without overshoot, also were the dead time {late + 1:g} samples and not {late:g}"
+
+
+def _notes(drive) -> tuple:
+    """How far the model carries: measured of servos in MuJoCo, see results/loops."""
+    if drive is None or drive.feedback == "commanded" or drive.order == 0:
+        return ()
+    if drive.order == 1 and drive.lumped.delay < 2:
+        return (
+            "With a lag and less than two samples of dead time the largest gain depends on what a drive does within a "
+            "sample: measured ones were off by up to a half. Rely on the recommended gain.",
+        )
+    if drive.order == 2:
+        return (
+            "A servo swings with the inertia of all joints that move together, which is more than that of its own: "
+            "largest gains were up to a quarter too high. A step of all joints at once (diagnose --step) sees it.",
+        )
+    return ()
 
 
 def settings(z: float, Ts: float, drive: Drive) -> dict:

@@ -12,7 +12,7 @@ from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.driven import SLACK, longer, looked_at, modes_of, monotone_limit, own_drives, radius
+from cnclik.stability.driven import SLACK, each_drive, longer, looked_at, modes_of, monotone_limit, own_drives, radius
 from cnclik.stability.linear import checked, delay_limit, first_above, least_on
 from cnclik.stability.spectrum import (
     Spectrum,
@@ -215,7 +215,8 @@ def _recommend(loop, Ts, reach) -> Recommendation:
         task, null = loop.modes(z, Ts)
         return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) if callable(law.null_velocity) else 0.0)
 
-    points = looked_at(drive, (law.chain.n if own_drives(drive) else 1) * 3)
+    late = drive.lumped.delay
+    points = looked_at(drive, law.chain.n * (3 + late) - late if own_drives(drive) else 3)
     z_largest = first_above(worst, 1 + SLACK, reach, points)
     z_fastest, least = least_on(slowest, min(z_largest, reach), points)
     if z_fastest >= reach:
@@ -223,8 +224,7 @@ def _recommend(loop, Ts, reach) -> Recommendation:
     z_monotone = z_recommended = None
     if Ts is not None:
         z_monotone, z_recommended = (
-            monotone_limit(lambda z: loop.modes(z, Ts)[0], one, Ts, z_largest, reach, points)
-            for one in (drive, longer(drive))
+            without_overshoot(loop, one, Ts, z_largest, reach) for one in (drive, longer(drive))
         )
     bounded = np.isfinite(z_largest)
     moved, rows = maps(np.array([z_largest * (1 + 1e-6) if bounded else 1.0]))  # unbounded: only for the direction
@@ -243,6 +243,15 @@ def _recommend(loop, Ts, reach) -> Recommendation:
         limit=_what_limits(loop, beyond) if bounded else f"no limit from stability: {_how(loop)} {_why(loop)}",
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
+    )
+
+
+def without_overshoot(loop, drive, Ts, most, reach) -> float:
+    """Largest z up to `most` without overshoot through a drive, see `DrivenLimits`; of several the slowest joint's."""
+    prompt = loop._replace(drive=Drive())
+    each = each_drive(drive)
+    return min(
+        monotone_limit(lambda z: prompt.modes(z, Ts)[0], one, Ts, most, reach, looked_at(one, 3)) for one in each
     )
 
 

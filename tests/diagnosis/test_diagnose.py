@@ -123,7 +123,7 @@ def test_a_motion_from_one_place_to_another_is_no_oscillation():
 def test_what_is_excited_again_rings_and_is_not_sustained():
     e = np.tile(loop(0.3, 4, 200), 20) + 0.003 * np.random.default_rng(7).standard_normal(4000)
     found = diagnose(e, TS)
-    assert found.kind is Kind.RINGING and about(found, 0.3, 4) and len(found.modes) > 1900
+    assert found.kind is Kind.RINGING and about(found, 0.3, 4)
 
 
 def test_a_drive_that_lags_is_found_by_the_gain():

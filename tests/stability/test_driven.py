@@ -122,6 +122,8 @@ def test_each_joint_may_have_a_drive_of_its_own():
     found = recommend(law, None, np.array([0.3, 1.1]), Ts=Ts, method="EE", drive=Drive(lag=lags, delay=3))
     alone = [driven_limits("EE", Ts=Ts, drive=Drive(lag=lag, delay=3)) for lag in lags]
     assert found.z_largest == pytest.approx(min(one.stable for one in alone), rel=1e-5)
+    assert found.z_monotone == pytest.approx(min(one.monotone for one in alone), rel=1e-4)
+    assert found.z_recommended == pytest.approx(min(one.recommended for one in alone), rel=1e-4)
     arm, q = ck.planar_arm([1.0, 0.8, 0.6]), np.array([0.3, 1.1, -0.4])
     law, drive = ck.Law(arm, ck.position("xy"), alpha=5.0), Drive(lag=np.array([0.01, 0.05, 0.03]), delay=3)
     z = recommend(law, None, q, Ts=Ts, method="EE", drive=drive).z_largest
