@@ -19,7 +19,7 @@ from cnclik.stability.driven import (
     settling,
     until_settled,
 )
-from cnclik.stability.recommend import Advice, advise, loop_at_rest, recommend, without_overshoot
+from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of, without_overshoot
 from cnclik.stability.spectrum import directions, step_map
 
 ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
@@ -108,11 +108,11 @@ def practice(
     """
     Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(errors.number("speed", speed, at_least=0))
     method, known = named(method), Drive() if drive is None else drive
-    found = advise(law, reference, q, Ts=Ts, method=method, stage=stage, drive=known)
+    loop = loop_at_rest(law, reference, q, method, stage, known)
+    found = advice_of(loop, Ts)
     gains = euler = found.gains
     if method.name != EE.name:
-        euler = recommend(law, reference, q, Ts=Ts, method=EE, drive=known)
-    loop = loop_at_rest(law, reference, q, method, stage, known)
+        euler = recommendation_of(loop._replace(method=EE), Ts)
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
     if drive is None:
         safe = Drive(delay=ASSUMED / Ts)

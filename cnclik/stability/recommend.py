@@ -113,9 +113,14 @@ class LoopAtRest(NamedTuple):
     stage: object
     rate: float
     drive: Drive
+    known: dict  # maps that were asked for: limits of one loop look at the same gains
 
     def maps(self, scale, Ts):
-        return step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
+        """See `step_maps`."""
+        key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
+        if key not in self.known:
+            self.known[key] = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
+        return self.known[key]
 
     def modes(self, z, Ts):
         """What a step does in the directions of the task, and of the null space, at gains of z; see `modes_of`."""
@@ -128,7 +133,7 @@ def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
     """Args: as for `recommend`."""
     method, stage = checked(method, stage)
     held, drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
-    return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive)
+    return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
 
 
 @in_float64
@@ -150,7 +155,7 @@ def recommend(
       drive: what lies between command and motion, see `Drive`; its limits and noise have no say in this.
       reach: z up to which is looked.
     """
-    return _recommend(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
+    return recommendation_of(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
 
 
 @in_float64
@@ -168,16 +173,20 @@ def advise(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Driv
 
     Args: as for `recommend`.
     """
-    loop = loop_at_rest(law, reference, q, method, stage, drive)
+    return advice_of(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
+
+
+def advice_of(loop: LoopAtRest, Ts, reach=REACH) -> Advice:
+    """`advise` of a loop that is known to be at rest."""
     gains, room, now = _margin(loop, Ts, reach)
-    times = _recommend(loop, None, reach) if drive.prompt else None
+    times = recommendation_of(loop, None, reach) if loop.drive.prompt else None
     return Advice(gains=gains, times=times, margin=room, spectrum=now)
 
 
 def _margin(loop, Ts, reach):
     """`Recommendation` of alpha, `Margin` and `Spectrum`."""
     z = loop.rate * float(errors.number("Ts", Ts, positive=True))
-    gains = _recommend(loop, Ts, reach)
+    gains = recommendation_of(loop, Ts, reach)
     now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage))
     size = now.radius
     if not loop.drive.prompt:
@@ -186,7 +195,8 @@ def _margin(loop, Ts, reach):
     return gains, Margin(**known), now
 
 
-def _recommend(loop, Ts, reach) -> Recommendation:
+def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
+    """`recommend` of a loop that is known to be at rest."""
     law, rate, drive = loop.law, loop.rate, loop.drive
     reach = float(errors.number("reach", reach, positive=True))
     if Ts is not None:
