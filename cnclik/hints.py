@@ -292,6 +292,20 @@ def equations(jaxpr):
                 yield from equations(getattr(value, "jaxpr", value))
 
 
+_LAPACK_NAMES = """
+    cholesky eig eigh geqp3 geqrf hessenberg householder_product lu qr schur svd triangular_solve
+"""
+_LAPACK = frozenset(_LAPACK_NAMES.split())
+
+
+def shares_threads(jaxpr) -> bool:
+    """Whether a traced program calls LAPACK, which hands a batch out to XLA's threads and waits for them on one.
+
+    Where as many such calls run side by side as there are threads, each waits for the others, for ever (jaxlib 0.10).
+    """
+    return any(equation.primitive.name in _LAPACK for equation in equations(jaxpr))
+
+
 def _is_native(jaxpr) -> bool:
     return all(equation.primitive.name in _NATIVE for equation in equations(jaxpr))
 

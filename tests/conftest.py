@@ -12,6 +12,7 @@ import sys
 import tempfile
 
 os.environ.setdefault("MPLBACKEND", "agg")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's own threads: workers share few cores
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # One thread per xdist worker, as several share few cores; and programs that run once are ready sooner less optimised,
 # with XLA's older emitters where it still has them. CI runs a part of the suite with the defaults.
@@ -34,7 +35,15 @@ from cnclik.hints import use_form
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
-LONGEST = ("test_docs.py", "test_store.py", "test_tune.py", "test_forms.py", "test_verdict.py")
+LONGEST = (
+    "test_docs.py",
+    "test_diagnose.py",
+    "test_fit.py",
+    "test_store.py",
+    "test_tune.py",
+    "test_forms.py",
+    "test_verdict.py",
+)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -78,13 +78,13 @@ def _tile(law, reference, q, scale, Ts, method, stage):
     return moved, rows[0]
 
 
-def of_error(moved, rows, xp=jnp):
+def of_error(moved, rows, xp=jnp, inverse=None):
     """What maps S of q (..., n, n) do to the error at rest where the task's rows are J (m, n): I + J (S − I) J#.
 
-    Of p instants, (..., p·n, p·n), it is what they do to as many errors.
+    Of p instants, (..., p·n, p·n), it is what they do to as many errors. Args: inverse: J# (n, m), if it is known.
     """
     p = moved.shape[-1] // rows.shape[1]
-    down, up = (at_instants(v, p, xp) for v in (rows, xp.linalg.pinv(rows)))
+    down, up = (at_instants(v, p, xp) for v in (rows, xp.linalg.pinv(rows) if inverse is None else inverse))
     eye = xp.eye(moved.shape[-1], dtype=rows.dtype)
     return xp.eye(len(down), dtype=rows.dtype) + down @ (moved - eye) @ up
 

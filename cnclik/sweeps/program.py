@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import as_here, cores
+from cnclik.hints import as_here, cores, shares_threads
 from cnclik.integrate.lanes import lanes, options
 from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid
@@ -42,6 +42,7 @@ class Program(NamedTuple):
     run: Callable  # {name: values per lane} -> {name: results per lane}
     outputs: tuple
     memory: int  # bytes it needs while it runs
+    alone: bool  # whether its blocks must not run side by side, see `shares_threads`
 
 
 # Dimensions of what `solve` returns, for a study that returns whole trajectories.
@@ -78,7 +79,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         with jax.enable_x64(True):
             return compiled({name: jnp.asarray(v) for name, v in values.items()})
 
-    return Program(run, found["outputs"], memory)
+    return Program(run, found["outputs"], memory, shares_threads(traced.jaxpr))
 
 
 def _named(result) -> dict:
@@ -122,10 +123,11 @@ def run_blocks(study, of: Grid, blocks, first: Program | None = None):
     for (number, group), program in zip(groups, compiled, strict=True):
         if first is not None and [o[:3] for o in program.outputs] != [o[:3] for o in first.outputs]:
             raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
-        with ThreadPoolExecutor(workers) as pool:
+        at_once = 1 if program.alone else workers
+        with ThreadPoolExecutor(at_once) as pool:
             for block in group:
                 waiting.append(pool.submit(_compute, program, of, block))
-                if len(waiting) > workers + 1:
+                if len(waiting) > at_once + 1:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

@@ -33,8 +33,9 @@ def maps_at_rest(law, q, Ts, method, stage):
     With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
     """
     moved, rows = one_step(law, at_rest(law, None, q), q, Ts, _forgetful(method), stage)
-    across = jnp.eye(len(q), dtype=q.dtype) - jnp.linalg.pinv(rows) @ rows
-    return of_error(moved, rows), across @ moved @ across
+    inverse = jnp.linalg.pinv(rows)  # once: of two batches side by side LAPACK's threads may wait for each other
+    across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
+    return of_error(moved, rows, inverse=inverse), across @ moved @ across
 
 
 def _forgetful(method):
@@ -46,11 +47,11 @@ def _forgetful(method):
 
 
 def driven_map(a, drive, Ts):
-    """The step of a loop through its drives as one matrix, from what a step does to the error at rest, A (m, m)."""
+    """The step of a loop through its drives as one matrix, from A (..., m, m), that of the error at rest."""
     if drive.prompt:
         return a
-    steps = a - jnp.eye(len(a), dtype=a.dtype)
-    return loop_matrix(steps[None], looked_at_drive(drive), 1.0 if drive.order == 0 else Ts)
+    steps = a - np.eye(a.shape[-1], dtype=a.dtype)
+    return loop_matrix(steps[..., None, :, :], looked_at_drive(drive), 1.0 if drive.order == 0 else Ts)
 
 
 def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
@@ -99,11 +100,11 @@ def radius_estimate(matrix):
     return radius_bound(matrix) / matrix.shape[0] ** (0.5 ** (SQUARINGS + 1))
 
 
-def measured_radius(matrix):
-    """Spectral radius by eigenvalues; inf where the matrix is not finite. No derivative."""
-    finite = jnp.all(jnp.isfinite(matrix))
-    values = jnp.linalg.eigvals(jnp.where(finite, matrix, 0.0))
-    return jnp.where(finite, jnp.max(jnp.abs(values)), jnp.inf)
+def measured_radius(matrices):
+    """Largest spectral radius of matrices (..., K, m, m), NumPy arrays, by eigenvalues; inf where one isn't finite."""
+    finite = np.isfinite(matrices).all((-1, -2, -3))
+    values = np.linalg.eigvals(np.where(finite[..., None, None, None], matrices, 0.0))
+    return np.where(finite, np.abs(values).max((-1, -2)), np.inf)
 
 
 def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):

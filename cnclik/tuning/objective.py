@@ -171,7 +171,7 @@ class LoopObjective:
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
         constraints = [correction / self.largest_correction - 1.0]
         if self.contracts:
-            radius = jax.vmap(lambda a: linear.radius_bound(linear.driven_map(a, self.drive, self.loop.Ts)))(maps)
+            radius = jax.vmap(linear.radius_bound)(linear.driven_map(maps, self.drive, self.loop.Ts))
             constraints.append(radius / self.margin - 1.0)
         if callable(self.loop.law.null_velocity):
             constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
@@ -179,41 +179,53 @@ class LoopObjective:
             constraints.append(self._speed(runs) - 1.0)
         return self._loss(loop, runs, maps), jnp.concatenate(constraints)
 
-    def judge(self, values) -> Judged:
-        """What the values lead to, eigenvalues measured along the runs themselves."""
+    def look(self, values) -> dict:
+        """What `judge` needs of the runs that the values lead to, along which maps are taken. Pure."""
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
         moments = jnp.linspace(0, 1, INTERVALS + 1)
         k = jnp.clip(jnp.round(moments * self.horizon / loop.Ts).astype(int), 0, self.N)
         postures = runs.q[:, k].reshape(-1, runs.q.shape[-1])
         maps, across = self._maps(loop, postures)
-        loss = self._loss(loop, runs, maps)
-        finite = jnp.isfinite(loss) & jnp.all(jnp.isfinite(runs.q))
+        return {
+            "loss": self._loss(loop, runs, maps),
+            "finite": jnp.all(jnp.isfinite(runs.q)),
+            "maps": maps,
+            "across": across,
+            "speed": jnp.max(self._speed(runs)) if self.joints else jnp.zeros((), runs.q.dtype),
+            "postures": postures,
+            "run": jax.tree.map(lambda x: x[0], runs),
+        }
+
+    def measured(self, seen: dict) -> Judged:
+        """`Judged` of what `look` saw of many values, NumPy arrays with a leading axis.
+
+        Eigenvalues are NumPy's: of two batches of them in one compiled program LAPACK's threads wait for each other.
+        """
+        maps = seen["maps"]
+        finite = np.isfinite(seen["loss"]) & seen["finite"]
 
         def told(value):
-            return jnp.where(finite & jnp.isfinite(value), value, jnp.inf)
+            return np.where(finite & np.isfinite(value), value, np.inf)
 
-        def largest(matrices):
-            return told(jnp.max(jax.vmap(linear.measured_radius)(matrices)))
-
-        radius = largest(jax.vmap(lambda a: linear.driven_map(a, self.drive, self.loop.Ts))(maps))
-        null_radius, correction = largest(across), largest(_corrections(maps))
-        speed = told(jnp.max(self._speed(runs))) if self.joints else jnp.zeros_like(radius)
+        radius = told(linear.measured_radius(linear.driven_map(maps, self.drive, float(self.loop.Ts))))
+        null_radius, correction = (told(linear.measured_radius(v)) for v in (seen["across"], _corrections(maps, np)))
+        speed = told(seen["speed"])
         ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
-        asked = (True, jnp.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
-        excess = jnp.where(jnp.array(asked), jnp.stack(ratios) - 1.0, -jnp.inf)
-        run = jax.tree.map(lambda x: x[0], runs)
-        return Judged(told(loss), radius, null_radius, correction, speed, excess, postures, run)
+        asked = (True, np.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
+        excess = np.where(asked, np.stack(ratios, -1) - 1.0, -np.inf)
+        postures, run = seen["postures"], seen["run"]
+        return Judged(told(seen["loss"]), radius, null_radius, correction, speed, excess, postures, run)
 
 
-def _corrections(maps):
+def _corrections(maps, xp=jnp):
     """I − A: what a step takes back of an error."""
-    return jnp.eye(maps.shape[-1], dtype=maps.dtype) - maps
+    return xp.eye(maps.shape[-1], dtype=maps.dtype) - maps
 
 
 @one_off(as_given=True)
-def _judge(objective, values):
-    return jax.vmap(objective.judge)(values)
+def _look(objective, values):
+    return jax.vmap(objective.look)(values)
 
 
 @in_float64
@@ -227,7 +239,7 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
         part = many[i : i + together]
         padded = [*part, *[part[-1]] * (together - len(part))]
         lanes = tuple(np.stack([v[j] for v in padded]) for j in range(len(objective.parameters)))
-        made = jax.tree.map(np.asarray, _judge(objective, lanes))
+        made = objective.measured(jax.tree.map(np.asarray, _look(objective, lanes)))
         found += [jax.tree.map(lambda x, j=j: x[j], made) for j in range(len(part))]
     return found
 

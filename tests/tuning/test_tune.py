@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.hints import quick_jit
+from cnclik.hints import equations, quick_jit
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
@@ -172,6 +172,15 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     np.testing.assert_allclose(found.after.z, wide.after.z, rtol=1e-9)
     assert 0.8 < found.after.z <= 1 + 1e-7 and found.satisfied  # ten steps
     assert abs(found.after.null_radius - 0.9) < 1e-2  # 1 − rate·Ts
+
+
+def test_no_two_batches_of_lapack_run_side_by_side():
+    """They wait for each other's threads, for ever: `tune` hung where three batches of eigenvalues were due at once."""
+    objective = loop_objective(LAW, LINE, Q0, **LOOP)
+    with ck.use_form("unrolled"):
+        traced = jax.make_jaxpr(jax.vmap(objective.look))((np.full(4, 5.0),))
+    names = [one.primitive.name for one in equations(traced.jaxpr)]
+    assert names.count("svd") == 1 and not {"eig", "eigh", "lu", "cholesky", "triangular_solve"} & set(names)
 
 
 # --- constraints --------------------------------------------------------------------------------------
