@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import after
 from cnclik.integrate.drive import check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
@@ -167,7 +168,7 @@ class LoopObjective:
         """(loss, constraints (c,)), smooth: relative excess of each constraint at each posture, or for each joint."""
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
-        maps, across = self._maps(loop, self.postures)
+        maps, across = self._maps(loop, after(jnp.asarray(self.postures), runs.q))
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
         constraints = [correction / self.largest_correction - 1.0]
         if self.contracts:
