@@ -21,7 +21,15 @@ from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
 from tests.fuzz import judge, many
 
-SHARES = {"urdf": 0.33, "toml": 0.18, "tables": 0.2, "expressions": 0.215, "arguments": 0.07, "stores": 0.005}
+SHARES = {
+    "urdf": 0.33,
+    "toml": 0.18,
+    "tables": 0.2,
+    "expressions": 0.2,
+    "arguments": 0.07,
+    "logs": 0.015,
+    "stores": 0.005,
+}
 
 
 def main() -> None:

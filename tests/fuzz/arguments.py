@@ -14,7 +14,7 @@ import tyro
 
 from cnclik.cli import VERBS, main
 from cnclik.problem import words
-from cnclik.problem.options import OPTIONS
+from cnclik.problem.options import SWEPT
 from tests.fuzz import stores
 from tests.fuzz.judge import one_line
 from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, slipped
@@ -57,6 +57,8 @@ CHOICES = {
     },
     **{
         "future": words.FUTURES,
+        "command": words.COMMANDS,
+        "feedback": words.FEEDBACKS,
         "out": OUT,
         "over": ("alpha", "damping", "links", "tool", "Ts", "schedule", "feedforward"),
     },
@@ -144,7 +146,7 @@ def _word(rng, name, hint, odd):
     if given and chance(rng, 1 - odd / 3):
         word = any_of(rng, given)
         return slipped(rng, word) if chance(rng, odd / 3) else word
-    if kinds & {int, float} or OPTIONS.get(name, OPTIONS["robot"]).kind in ("number", "numbers", "integer"):
+    if kinds & {int, float} or SWEPT.get(name, SWEPT["robot"]).kind in ("number", "numbers", "integer"):
         return any_of(rng, NUMERIC if chance(rng, odd) else NUMERIC[:6])
     return any_of(rng, TEXTS if chance(rng, odd / 3) else FILES if chance(rng, odd) else FILES[:5]).replace("\x00", "")
 

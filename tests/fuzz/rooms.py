@@ -1,11 +1,12 @@
 """Rooms: the kinds of inputs, each a module with `draw(rng)`, an input, and `attempt(input, folder)`, its use."""
 
-from tests.fuzz import arguments, expressions, stores, tables, toml, urdf
+from tests.fuzz import arguments, expressions, logs, stores, tables, toml, urdf
 
 ROOMS = {
     "urdf": urdf,
     "toml": toml,
     "tables": tables,
+    "logs": logs,
     "expressions": expressions,
     "arguments": arguments,
     "stores": stores,

@@ -5,7 +5,7 @@ import pytest
 from tests.fuzz.judge import judge, repeat
 from tests.fuzz.rooms import ROOMS
 
-COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "stores": 12}
+COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "logs": 40, "stores": 12}
 
 
 @pytest.mark.parametrize("name", ROOMS)

@@ -1,0 +1,54 @@
+"""Recordings for `diagnose`: loops that ring, steps of drives, noise, and what logs are full of."""
+
+import contextlib
+import io
+
+import numpy as np
+
+from cnclik.cli import main
+from tests.fuzz.judge import one_line
+from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
+
+OPTIONS = (["--step"], ["--alpha", "20"], ["--json"], ["--command", "velocity"], ["--kind", "lag"])
+
+
+def draw(rng):
+    """(the file's bytes, options)."""
+    rows = int(any_of(rng, (0, 1, 5, 15, 16, 40, 120, 300)))
+    columns = int(rng.integers(1, 4))
+    k = np.arange(rows)[:, None]
+    growth, turn = rng.uniform(0.9, 1.05), rng.uniform(0, np.pi)
+    values = any_of(rng, (1.0, 1e-9, 1e9, 1e300)) * growth**k * np.cos(turn * k + rng.uniform(0, 6, (1, columns)))
+    if chance(rng, 0.3):
+        values = (k > rows // 4) * rng.normal(size=columns) * (1 - np.exp(-np.maximum(k - rows // 4, 0) / 7))
+    values = values + any_of(rng, (0.0, 1e-3, 1.0)) * rng.normal(size=(rows, columns)) + rng.normal(size=columns)
+    names = [any_of(rng, ("q1", "command", "position", "x", "t", "")) for _ in range(columns)]
+    timed = chance(rng, 0.5)
+    if timed:
+        values, names = np.hstack([0.01 * k + any_of(rng, (0.0, 1.7e9)), values]), ["time", *names]
+    cells = [[f"{v:.9g}" for v in row] for row in values]
+    if timed or chance(rng, 0.5):
+        cells.insert(0, names)
+    for _ in range(int(rng.integers(1, 4)) if cells and chance(rng, 0.3) else 0):
+        row = any_of(rng, cells)
+        j = int(rng.integers(len(row) + 1))
+        row[j : j + 1] = any_of(rng, ([any_of(rng, NUMBERS)], [any_of(rng, TEXTS)], [], [""], [slipped(rng, "1.5")]))
+    data = "\n".join(",".join(row) for row in cells).encode("utf-8", errors="replace")
+    chosen = [word for one in OPTIONS if chance(rng, 0.15) for word in one]
+    if not timed or chance(rng, 0.1):
+        chosen += ["--Ts", "0.01"]
+    if chance(rng, 0.2):
+        chosen += ["--columns", any_of(rng, (*names, "none"))]
+    return damaged(rng, data) if chance(rng, 0.1) else data, chosen
+
+
+def attempt(made, folder) -> None:
+    data, options = made
+    file, said, code = folder / "log.csv", io.StringIO(), 0
+    file.write_bytes(data)
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            main(["diagnose", str(file), *options])
+        except SystemExit as leaving:
+            code = leaving.code
+    one_line(code, said.getvalue())
