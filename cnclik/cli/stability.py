@@ -118,7 +118,7 @@ def _tell(args, advised):
     shown = Table(title=f"{_name(found)}, task {' '.join(found.law.task.names)}", title_justify="left")
     for column in ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler"):
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
-    dead = f", {1e3 * said.assumed_dead_time:g} ms of dead time" if said.assumed_dead_time else ""
+    dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
     rows = ("largest stable", "fastest without overshoot", f"recommended{dead}")
     for row, name in zip(rows, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
         value, euler = getattr(said, name), said.explicit_euler[name]

@@ -9,6 +9,8 @@ from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.stability.driven import (
+    POINTS,
+    SPARE,
     damping_ratio,
     delay_margin,
     each_drive,
@@ -19,10 +21,12 @@ from cnclik.stability.driven import (
     settling,
     until_settled,
 )
-from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of, without_overshoot
+from cnclik.stability.linear import first_above
+from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
 from cnclik.stability.spectrum import directions, step_map
 
 ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
+LONGEST = 300  # samples of it that are looked at
 SPEED = 0.1  # [m/s] of the tip, where none is given
 OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
 MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
@@ -110,23 +114,20 @@ def practice(
     method, known = named(method), Drive() if drive is None else drive
     loop = loop_at_rest(law, reference, q, method, stage, known)
     found = advice_of(loop, Ts)
-    gains = euler = found.gains
-    if method.name != EE.name:
-        euler = recommendation_of(loop._replace(method=EE), Ts)
+    gains, by = found.gains, loop._replace(method=EE)
+    euler = gains if method.name == EE.name else recommendation_of(by, Ts)
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
     if drive is None:
-        safe = Drive(delay=ASSUMED / Ts)
-        chosen, by_euler = (
-            without_overshoot(one, safe, Ts, min(z.z_recommended, MOST_Z), min(z.z_recommended, MOST_Z))
-            for one, z in ((loop, gains), (loop._replace(method=EE), euler))
-        )
+        safe = Drive(delay=min(ASSUMED / Ts, LONGEST))
+        chosen, by_euler = (taking_back(one, monotone_share(safe.delay + SPARE), Ts) for one in (loop, by))
+        chosen, by_euler = min(chosen, gains.z_recommended), min(by_euler, euler.z_recommended)
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     return Practice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
         recommended_alpha=chosen / Ts,
-        assumed_dead_time=ASSUMED if drive is None else None,
-        reason=_reason(gains, chosen, drive),
+        assumed_dead_time=safe.delay * Ts if drive is None else None,
+        reason=_reason(gains, chosen, drive, safe.delay * Ts),
         now=gain_at(loop, found.margin.z, Ts, gains.z_largest) if found.margin.margin > 1 else None,
         recommended=gain_at(loop._replace(drive=safe), chosen, Ts, gains.z_largest),
         explicit_euler={
@@ -141,6 +142,16 @@ def practice(
         notes=_notes(drive),
         advice=found,
     )
+
+
+def monotone_share(delay: float) -> float:
+    """Largest share of an error that a step may take back without overshoot, d samples late: d^d/(d + 1)^(d + 1)."""
+    return float(np.exp(delay * np.log(delay / (delay + 1))) / (delay + 1)) if delay else 1.0
+
+
+def taking_back(loop, share: float, Ts: float) -> float:
+    """z up to MOST_Z with which a step takes back a share of an error at rest, in any direction of the task."""
+    return first_above(lambda z: np.abs(loop.modes(z, Ts)[0].sum(-1)).max(-1), share, MOST_Z, POINTS)
 
 
 def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
@@ -196,10 +207,10 @@ def _joint_speed(loop, Ts, speed) -> float:
 # --- in words -----------------------------------------------------------------------------------------
 
 
-def _reason(gains, chosen, drive) -> str:
+def _reason(gains, chosen, drive, assumed) -> str:
     if drive is None:
         return (
-            f"the largest without overshoot on an arm with {1e3 * ASSUMED:g} ms of dead time, as nothing is known of "
+            f"the largest without overshoot on an arm with {1e3 * assumed:.3g} ms of dead time, as nothing is known of "
             "yours: --delay, --lag and the like say what it has, --delay 0 that its drives follow at once"
         )
     if drive.feedback == "commanded":

@@ -9,7 +9,9 @@ from scipy.signal import cont2discrete
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
+from cnclik.integrate import drive as drives
 from cnclik.integrate.drive import Drive, sampled
+from cnclik.problem import words
 
 Ts = 0.02
 ARM = ck.planar_arm([1.0, 0.8])
@@ -193,9 +195,13 @@ def test_what_is_no_drive_is_refused(given, words):
         Drive(**given)
 
 
+def test_words_are_the_drives_own():
+    assert (words.COMMANDS, words.FEEDBACKS) == (drives.COMMANDS, drives.FEEDBACKS)
+
+
 def test_a_drive_that_does_not_fit_the_loop_is_refused():
-    for drive, words in ((Drive(lag=np.ones(3)), r"`lag` must have shape \(2,\)"), (3, "`drive` must be Drive")):
-        with pytest.raises(ArgumentError, match=words):
+    for drive, line in ((Drive(lag=np.ones(3)), r"`lag` must have shape \(2,\)"), (3, "`drive` must be Drive")):
+        with pytest.raises(ArgumentError, match=line):
             ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, "EE", drive=drive)
     with pytest.raises(ArgumentError, match="`t0` must be 0"):
         ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, "EE", t0=1.0, drive=Drive(delay=1))
