@@ -173,12 +173,9 @@ class Sampled:
         return self.whole + (self.late is not None)
 
     def moved(self, x, line, u):
-        """States (..., n, s) a sample later and the commands that still act then, from those before and u (..., n)."""
-        line = (u, *line)
-        x = (self.phi @ x[..., None])[..., 0] + self.now * line[self.whole][..., None]
-        if self.late is not None:
-            x = x + self.late * line[self.whole + 1][..., None]
-        return x, line[: self.remembered]
+        """States (..., n, s) a sample later, from those before, the commands on the way (the newest first), and u."""
+        x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
+        return x if self.late is None else x + self.late * line[self.whole][..., None]
 
 
 def sampled(drive: Drive, Ts) -> Sampled:
@@ -239,7 +236,7 @@ class Driven(NamedTuple):
     """Where drives are."""
 
     x: object  # (n, s)
-    line: tuple  # of (n,): commands that have not arrived, the newest first
+    line: object  # (d, n): commands that still act, the newest first
     sent: object  # (n,): the sum of the controller's steps
     limited: object  # (n,), (n,): the last command as the drive took it, and how fast it changed; None without limits
 
@@ -249,7 +246,7 @@ def resting(drive: Drive, model: Sampled, q) -> Driven:
     x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(q)
     held = q if drive.steps_positions else jnp.zeros_like(q)
     bounded = not (drive.drive_velocity is drive.drive_acceleration is None)
-    return Driven(x, (held,) * model.remembered, q, (held, jnp.zeros_like(q)) if bounded else None)
+    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, (held, jnp.zeros_like(q)) if bounded else None)
 
 
 def driven(drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
@@ -259,8 +256,8 @@ def driven(drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
     limited = at.limited
     if limited is not None:
         u, limited = _within_limits(drive, u, limited, Ts)
-    x, line = model.moved(at.x, at.line, u)
-    return Driven(x, line, sent, limited)
+    line = jnp.concatenate([u[None], at.line])[: len(at.line)]
+    return Driven(model.moved(at.x, at.line, u), line, sent, limited)
 
 
 def _within_limits(drive, u, before, Ts):

@@ -20,7 +20,7 @@ SWING = 1e-4  # share of a factor by which it may be off the real axis: where tw
 OVERSHOOT = 0.01  # of a step, up to which it counts as none
 SPARE = 1.0  # samples of dead time beyond the known ones under which a recommended gain still has no overshoot
 WORK = 1e6  # of eigenvalues looked at together: their number times the cube of the matrix's size
-POINTS = 256  # values of z that are looked at together, at most
+POINTS = 128  # values of z that are looked at together, at most
 FAR = 1e12  # times the input, beyond which a response is not followed
 LONG = 200  # samples of dead time up to which limits are looked for
 LONGEST = 20_000  # samples of a response
@@ -60,7 +60,8 @@ def loop_matrix(steps, drive: Drive, Ts: float):
     past = [seen, *older]
     step = sum(v @ xp.swapaxes(steps[..., j, :, :], -1, -2) for j, v in enumerate(past))
     sent = (seen if drive.feedback == "rebased" else sent) + step
-    x, line = model.moved(x, line, sent if drive.steps_positions else step / Ts)
+    u = sent if drive.steps_positions else step / Ts
+    x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
     parts = [x.reshape(*x.shape[:-2], -1), *[sent] * drive.adds_up, *line, *past[: p - 1]]
     shape = np.broadcast_shapes(*(v.shape[:-1] for v in parts))
     return xp.swapaxes(xp.concatenate([xp.broadcast_to(v, (*shape, v.shape[-1])) for v in parts], -1), -1, -2)
@@ -282,7 +283,8 @@ def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
         step = float(np.dot(steps, past)) + forward * Ts
         asked[k] = step
         sent = np.array([(looked if drive.feedback == "rebased" else sent[0]) + step])
-        x, line = model.moved(x, line, sent if drive.steps_positions else np.array([step / Ts]))
+        u = sent if drive.steps_positions else np.array([step / Ts])
+        x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
         q[k + 1] = x[0, 0]
     return q, asked
 
