@@ -17,7 +17,7 @@ from cnclik.record import is_literal, leaf, record, replace
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
-MOST = 1000  # samples of dead time
+MOST = 100  # samples of dead time and of a measurement's together: theory's matrices have as many rows
 _ABSENT = ("lag", "joint_noise", "resolution")  # not there where they are 0
 _QUANTITIES = (  # of all joints or of each
     *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
@@ -68,10 +68,11 @@ class Drive:
         if not errors.concrete(self.delay):
             raise errors.fail("delay", "be a known number of samples", "is traced: there is a program for each")
         errors.number("delay", self.delay, at_least=0)
-        if self.delay > MOST:
-            raise errors.fail("delay", f"be at most {MOST} samples", f"is {float(self.delay):g}")
+        errors.integer("measurement_delay", self.measurement_delay, at_least=0)
+        if self.delay + self.measurement_delay > MOST + 1:  # advice looks a sample further
+            late = float(self.delay) + self.measurement_delay
+            raise errors.fail("delay", f"be at most {MOST} samples, that of a measurement included", f"is {late:g}")
         object.__setattr__(self, "delay", float(self.delay))
-        errors.integer("measurement_delay", self.measurement_delay, at_least=0, at_most=MOST)
         errors.one_of("command", self.command, COMMANDS)
         errors.one_of("feedback", self.feedback, FEEDBACKS)
         if self.natural_frequency is not None and not _none(self.lag):

@@ -22,7 +22,6 @@ SPARE = 1.0  # samples of dead time beyond the known ones under which a recommen
 WORK = 1e6  # of eigenvalues looked at together: their number times the cube of the matrix's size
 POINTS = 128  # values of z that are looked at together, at most
 FAR = 1e12  # times the input, beyond which a response is not followed
-LONG = 200  # samples of dead time up to which limits are looked for
 LONGEST = 20_000  # samples of a response
 
 
@@ -194,13 +193,6 @@ def limits_of(modes, drive, Ts, *, reach=REACH, size=2) -> DrivenLimits:
     )
 
 
-def check_short(drive) -> Drive:
-    """The drive; raises ArgumentError where its dead time makes a matrix too large to look for its limits."""
-    if drive.feedback != "commanded" and drive.lumped.delay > LONG:
-        raise errors.fail("delay", f"be at most {LONG} samples to look for limits", f"is {drive.lumped.delay:g}")
-    return drive
-
-
 def looked_at(drive, size: int) -> int:
     """How many values of z are looked at together: of matrices of this size and the dead time's."""
     return int(np.clip(WORK / (size + drive.lumped.delay) ** 3, 16, POINTS))
@@ -255,7 +247,7 @@ def driven_limits(method="EE", stage=None, *, Ts: float, drive: Drive = Drive())
     errors.number("Ts", Ts, positive=True)
     if own_drives(drive):
         raise errors.fail("drive", "be one for all joints (`advise` takes one for each)", "has several numbers")
-    return limits_of(lambda z: increments(method, stage, z)[..., None, :], check_short(drive), float(Ts))
+    return limits_of(lambda z: increments(method, stage, z)[..., None, :], drive, float(Ts))
 
 
 # --- responses ----------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 from cnclik.integrate.drive import Drive
 from cnclik.law import reference as ref
 from cnclik.robot.rolled import one_off
-from cnclik.stability.driven import modes_of, radius
+from cnclik.stability.driven import looked_at, modes_of, radius
 from cnclik.stability.spectrum import directions, step_maps, task_radius
 
 GAINS = 256  # looked at together
@@ -50,25 +50,28 @@ def radii(law, at: Instant, scale, Ts, method, stage, drive=Drive()):
 def stable_share(law, at: Instant, Ts, method, stage, drive=Drive()) -> float:
     """Share of the gain up to which the loop is stable at an instant, to 1 %: 1 if all of it is, 0 below LEAST."""
 
+    count = GAINS if drive.prompt else looked_at(drive, 3)
+
     def bad(scale):
         return ~(radii(law, at, scale, Ts, method, stage, drive) <= 1 + _NOISE)
 
     for top in np.geomspace(1, LEAST, 6)[:-1]:  # three decades at a time
-        grid = np.geomspace(top * 1e-3, top, GAINS)
+        grid = np.geomspace(top * 1e-3, top, count)
         unstable = bad(grid)
         first = int(np.argmax(unstable))
         if not unstable.any():
             return float(top)
         if first > 0:
-            grid = np.linspace(grid[first - 1], grid[first], GAINS)
+            grid = np.linspace(grid[first - 1], grid[first], count)
             return float(grid[max(int(np.argmax(bad(grid))) - 1, 0)])
     return 0.0
 
 
 def fastest_share(law, at: Instant, Ts, method, stage, drive=Drive()) -> float:
     """Share of the gain, at most 1, with which the loop settles soonest at an instant."""
-    grid = np.linspace(0, 1, GAINS + 1)[1:]
+    count = GAINS if drive.prompt else 2 * (looked_at(drive, 3) // 2)
+    grid = np.linspace(0, 1, count + 1)[1:]
     for _ in range(2):
         best = grid[np.argmin(radii(law, at, grid, Ts, method, stage, drive))]
-        grid = np.minimum(best + (np.arange(GAINS) - GAINS // 2) / (GAINS // 2) / GAINS, 1.0)
+        grid = np.clip(best + (np.arange(count) - count // 2) / (count // 2) / count, 1e-9, 1.0)
     return float(best)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive
+from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
@@ -26,7 +26,6 @@ from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommen
 from cnclik.stability.spectrum import directions, step_map
 
 ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
-LONGEST = 300  # samples of it that are looked at
 SPEED = 0.1  # [m/s] of the tip, where none is given
 OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
 MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
@@ -118,7 +117,7 @@ def practice(
     euler = gains if method.name == EE.name else recommendation_of(by, Ts)
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
     if drive is None:
-        safe = Drive(delay=min(ASSUMED / Ts, LONGEST))
+        safe = Drive(delay=min(ASSUMED / Ts, MOST - SPARE))
         chosen, by_euler = (taking_back(one, monotone_share(safe.delay + SPARE), Ts) for one in (loop, by))
         chosen, by_euler = min(chosen, gains.z_recommended), min(by_euler, euler.z_recommended)
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)

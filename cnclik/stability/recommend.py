@@ -14,7 +14,6 @@ from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.stability.driven import (
     SLACK,
-    check_short,
     each_drive,
     longer,
     looked_at,
@@ -142,7 +141,7 @@ class LoopAtRest(NamedTuple):
 def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
     """Args: as for `recommend`."""
     method, stage = checked(method, stage)
-    held, drive = at_rest(law, reference, q), check_short(check_drive(drive, law.chain.n))
+    held, drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
     return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
 
 

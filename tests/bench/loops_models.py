@@ -173,7 +173,8 @@ def response(drive, Ts, command):
     made, x = sampled(drive, Ts), np.zeros((1, sampled(drive, Ts).size))
     line, q = (np.zeros(1),) * made.remembered, np.zeros(len(command) + 1)
     for k, u in enumerate(command):
-        x, line = made.moved(x, line, np.array([u]))
+        sent = np.array([u])
+        x, line = made.moved(x, line, sent), (sent, *line)[: made.remembered]
         q[k + 1] = x[0, 0]
     return q
 

@@ -178,7 +178,8 @@ def test_float32_runs_in_float32():
     ("given", "words"),
     [
         ({"delay": -1}, "`delay` must be at least 0, but is -1"),
-        ({"delay": 1e6}, "`delay` must be at most 1000 samples"),
+        ({"delay": 1e6}, "`delay` must be at most 100 samples"),
+        ({"delay": 150, "measurement_delay": 60}, "a measurement included, but is 210"),
         ({"delay": jnp.nan}, "`delay` must be finite"),
         ({"lag": -0.1}, "`lag` must be positive, but is -0.1"),
         ({"lag": 0.1, "natural_frequency": 3.0}, "`natural_frequency` must be left out where there is a lag"),

@@ -217,8 +217,6 @@ def test_one_line_for_what_can_not_be_asked():
         recommend(law, None, q, drive=Drive(delay=1))
     with pytest.raises(ArgumentError, match="`drive` must be one for all joints"):
         driven_limits("EE", Ts=Ts, drive=Drive(lag=np.ones(2)))
-    with pytest.raises(ArgumentError, match="`delay` must be at most 200 samples to look for limits, but is 201"):
-        recommend(law, None, q, Ts=Ts, drive=Drive(delay=201))
     with pytest.raises(ArgumentError, match="`speed` must be at least 0"):
         practice(law, None, q, Ts=Ts, speed=-1)
     with pytest.raises(ArgumentError, match=r"`lag` must have shape \(2,\)"):
