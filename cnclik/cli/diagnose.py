@@ -59,7 +59,7 @@ def _diagnose(args, names, table, clock, Ts):
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
     from cnclik.measure.files import plain
 
-    chosen = _chosen(args.columns, names) or [i for i in range(len(names)) if i != clock]
+    chosen = _chosen(args.columns, names) or _usual(names, clock)
     if not chosen:
         raise errors.fail("LOG", "have a column besides the times", "has none")
     if args.longest_period is not None:
@@ -76,6 +76,14 @@ def _diagnose(args, names, table, clock, Ts):
         from cnclik.show.diagnosis import oscillation
 
         _draw(args, lambda: oscillation(signal, found, [names[i] for i in chosen]))
+
+
+def _usual(names, clock) -> list:
+    """Errors, else joints, of what `cnclik solve --csv` writes; else all columns but the times."""
+    for kind in ("e_", "q_"):
+        if found := [i for i, name in enumerate(names) if name.startswith(kind)]:
+            return found
+    return [i for i in range(len(names)) if i != clock]
 
 
 def _whole(table):

@@ -14,6 +14,7 @@ from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import DriveOptions, LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
+from cnclik.problem.options import DRIVE
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -70,6 +71,12 @@ def run(args: Args) -> None:
 
 def _check(args):
     errors.integer("cells", args.cells, at_least=2, at_most=10_000)
+    if args.map or args.plane:
+        wanted = "--map" if args.map else "--plane"
+        given = next((name for name in DRIVE if getattr(args, name) is not None), None)
+        if given or args.json:
+            name = given or "json"
+            raise errors.fail(name, f"be left out with {wanted}, which is of loops without drives", "is given")
     for name in ("methods", "passes"):
         if not getattr(args, name):
             raise errors.fail(name, "name at least one", "is empty")
@@ -119,13 +126,15 @@ def _tell(args, advised):
     for column in ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler"):
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
     dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
-    rows = ("largest stable", "fastest without overshoot", f"recommended{dead}")
+    at_once = "*" if said.assumed_dead_time else ""
+    rows = (f"largest stable{at_once}", f"fastest without overshoot{at_once}", f"recommended{dead}")
     for row, name in zip(rows, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
         value, euler = getattr(said, name), said.explicit_euler[name]
         shown.add_row(row, *map(_or_any, (value, value * found.Ts, euler)))
     shown.add_row("now", in_words(found.law.alpha), f"{now.z:.4g}", "")
     console.print(shown)
-    lines = [*said.notes, f"Recommended: {said.reason}.", *_costs(said, found)]
+    lines = ["* of drives that follow at once"] * bool(at_once)
+    lines += [*said.notes, f"Recommended: {said.reason}.", *_costs(said, found)]
     lines.append(f"At alpha now: {_margin(now, said)}")
     if said.advice.times is not None:
         times = said.advice.times
@@ -193,8 +202,8 @@ def _costs(said, found) -> list:
     if drive is not None and drive.feedback != "commanded" and not drive.ideal:
         late = float(np.max(drive.late_by(Ts)))
         lines.append(
-            "With --feedback commanded the loop knows nothing of its drives: alpha up to "
-            f"{OWN_COMMANDS / Ts:.4g} 1/s has no overshoot, the motion comes {1e3 * late:.3g} ms after its "
+            "With --feedback commanded the loop knows nothing of its drives: commands have no overshoot up to alpha = "
+            f"{OWN_COMMANDS / Ts:.4g} 1/s, the motion comes {1e3 * late:.3g} ms after its "
             "command, and what is off stays off."
         )
     return lines

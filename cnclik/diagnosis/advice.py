@@ -10,6 +10,8 @@ from cnclik.stability.driven import DrivenLimits, driven_limits
 LATEST = 500  # samples of dead time: what is later is no robot
 SLOW = 60  # samples of a period from which on a path may have it
 NEAR = 1.25  # factor between alpha·Ts and z that is worth no word
+SURE = 0.1  # confidence in the dead time below which no gain is named
+APART = 3.0  # factor between alpha·Ts and z from which on what swings is not that loop
 BELOW = 0.97  # share of the limit below which a loop can't keep an oscillation by itself
 
 
@@ -52,6 +54,14 @@ def advice(kind, factor, y, noise, alpha, Ts) -> dict:
         notes.append(
             "A drive lags: without its gain (--alpha) or a recorded step (--step) twice too much may be advised."
         )
+    doubtful = made.get("confidence", 1.0) < SURE or (
+        alpha is not None and not 1 / APART < z / (alpha * Ts) < APART and not made.get("lag")
+    )
+    if doubtful:  # a path looks like a slow loop with much dead time
+        note = (
+            "No gain is named: this may be the motion of a path, or of another loop. Record the loop at rest, pushed."
+        )
+        return made | {"z": z, "note": note}
     made |= {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": limits.recommended}
     made |= {"factor": limits.recommended / z, "note": " ".join(notes)}
     if alpha is not None:

@@ -168,7 +168,7 @@ class _Shape:
         for i, name in enumerate(_names(self.order), 1):
             low, high = (bound * self.Ts ** _POWER[name] for bound in _BOUNDS[name])
             rest[name] = float(np.clip(np.exp(values[self.place(i, joint)]), low, high))
-        return replace(self.start, delay=abs(float(values[0])), **rest)
+        return replace(self.start, delay=min(abs(float(values[0])), MOST), **rest)
 
 
 def _motion(shape, values, command, motion, Ts):

@@ -41,8 +41,9 @@ class Drive:
       command: "velocity", or "position": the controller adds up its steps and sends joint values. Without lag both
         are the same.
       feedback: which joint values the controller looks at. "measured": the robot's own, what it has commanded being
-        added up for itself; "commanded": its own commands, so that it never learns of drive and dead time; "rebased":
-        measured, and each position command begins there, not at the last command.
+        added up for itself; "commanded": its own commands, so that it never learns of drive and dead time, nor of
+        joint noise and a measurement's delay; "rebased": measured, and each position command begins there, not at the
+        last command.
       drive_velocity, drive_acceleration: beyond which the drive doesn't follow a command, a number or (n,)
         [rad/s, m/s], [rad/s², m/s²]; None: none.
       joint_noise: standard deviation of measured joint values, a number or (n,) [rad, m]; resolution: of the encoders
@@ -79,9 +80,16 @@ class Drive:
             raise errors.fail(
                 "natural_frequency", "be left out where there is a lag: a drive has one of both", "is given"
             )
+        if self.natural_frequency is None and not (is_literal(self.damping_ratio) and self.damping_ratio == 1):
+            raise errors.fail("damping_ratio", "come with a natural_frequency", "comes without")
+        if self.feedback == "rebased" and not self.steps_positions:
+            must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
+            raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
         errors.number("seed", self.seed, at_least=0)
         for name in _QUANTITIES:
             value = getattr(self, name)
+            if name == "damping_ratio" and self.natural_frequency is None:
+                continue
             if value is not None and not (_none(value) and name in _ABSENT):
                 _check(name, value, zero=name in ("joint_noise", "resolution"))
                 object.__setattr__(self, name, leaf(value))

@@ -73,7 +73,8 @@ def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
     found, at, value = {}, [], qdot
     for name in QUANTITIES:
         limit = getattr(pace, name)
-        part = np.abs(value) / np.broadcast_to(np.inf if limit is None else np.asarray(limit, float), n)
+        most = np.broadcast_to(np.inf if limit is None else np.asarray(limit, float), n)
+        part = np.abs(value) / np.maximum(most, 1e-12)  # a joint that may not move and doesn't keeps its limit
         found[name] = part.max(axis=0)
         at.append(t[part.argmax(axis=0)])
         value = np.diff(value, axis=0, prepend=np.zeros((1, n))) / Ts

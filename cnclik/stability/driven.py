@@ -186,8 +186,8 @@ def limits_of(modes, drive, Ts, *, reach=REACH, size=2) -> DrivenLimits:
     fastest, rate = least_on(lambda z: radius(modes(z), drive, Ts), min(stable, reach), points)
     return DrivenLimits(
         stable=stable,
-        monotone=monotone_limit(modes, drive, Ts, stable, reach, points),
-        recommended=monotone_limit(modes, longer(drive), Ts, stable, reach, points),
+        monotone=(monotone := monotone_limit(modes, drive, Ts, stable, reach, points)),
+        recommended=min(monotone, monotone_limit(modes, longer(drive), Ts, stable, reach, points)),
         fastest=np.inf if fastest >= reach else fastest,
         rate=rate,
     )
@@ -207,7 +207,7 @@ def longer(drive) -> Drive:
 
 def each_drive(drive) -> list:
     """The drives of the joints that differ, each as one for all joints."""
-    names = ("lag", "natural_frequency", "damping_ratio")
+    names = ("natural_frequency", "damping_ratio") if drive.order == 2 else ("lag",)
     count = max([len(v) for name in names if np.ndim(v := getattr(drive, name)) == 1], default=0)
     if not count:
         return [drive]

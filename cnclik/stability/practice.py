@@ -7,7 +7,7 @@ from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.record import record, replace
 from cnclik.stability.driven import (
     POINTS,
     SPARE,
@@ -120,7 +120,13 @@ def practice(
         safe = Drive(delay=min(ASSUMED / Ts, MOST - SPARE))
         chosen, by_euler = (taking_back(one, monotone_share(safe.delay + SPARE), Ts) for one in (loop, by))
         chosen, by_euler = min(chosen, gains.z_recommended), min(by_euler, euler.z_recommended)
-    chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
+    chosen, by_euler, z_largest = min(chosen, MOST_Z), min(by_euler, MOST_Z), gains.z_largest
+    if drive is None:  # (Levin & May 1976)
+        z_largest = min(z_largest, taking_back(loop, 2 * np.sin(np.pi / (4 * safe.delay + 2)), Ts))
+    elsewhere = by_euler
+    if known.feedback == "commanded":
+        measured = loop._replace(method=EE, drive=replace(known, feedback="measured"))
+        elsewhere = min(recommendation_of(measured, Ts).z_recommended, MOST_Z)
     return Practice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
@@ -128,7 +134,7 @@ def practice(
         assumed_dead_time=safe.delay * Ts if drive is None else None,
         reason=_reason(gains, chosen, drive, safe.delay * Ts),
         now=gain_at(loop, found.margin.z, Ts, gains.z_largest) if found.margin.margin > 1 else None,
-        recommended=gain_at(loop._replace(drive=safe), chosen, Ts, gains.z_largest),
+        recommended=gain_at(loop._replace(drive=safe), chosen, Ts, z_largest),
         explicit_euler={
             "largest_stable_alpha": euler.z_largest / Ts,
             "fastest_monotone_alpha": euler.z_monotone / Ts,
@@ -137,8 +143,8 @@ def practice(
         recommended_method=DEFAULT.name,
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
-        settings=settings(by_euler, Ts, known),
-        notes=_notes(drive),
+        settings=settings(elsewhere, by_euler, Ts),
+        notes=_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
         advice=found,
     )
 
@@ -214,17 +220,31 @@ def _reason(gains, chosen, drive, assumed) -> str:
         )
     if drive.feedback == "commanded":
         return (
-            "no overshoot even if the joint values it looks at were a sample late; the loop knows its own commands "
-            "only, so drive and dead time don't limit it, and the robot follows them late"
+            "no overshoot, of the commands not even if the loop looked at them a sample late; it knows its own "
+            "commands only, so dead time doesn't limit it, and the robot follows them late"
         )
     if chosen < gains.z_recommended:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
     late = drive.lumped.delay
-    return f"the largest without overshoot, also were the dead time {late + 1:g} samples and not {late:g}"
+    return f"the largest without overshoot, also were the dead time a sample longer than {late:g}"
 
 
-def _notes(drive) -> tuple:
-    """How far the model carries: measured of servos in MuJoCo, see results/loops."""
+def _notes(drive, steps) -> tuple:
+    """What these numbers leave out; how far the model carries was measured of servos in MuJoCo, see results/loops."""
+    said = []
+    if np.abs(np.imag(steps)).max(initial=0.0) > 1e-9:
+        said.append(
+            "The gain matrix turns the error as it shrinks it (complex eigenvalues): overshoot doesn't tell. "
+            "Go by the largest stable gain, and keep well below it."
+        )
+    if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
+        said.append(
+            "Limits, noise and resolution of the drives have no part in this linear answer: `solve` shows them."
+        )
+    return (*said, *_carries(drive))
+
+
+def _carries(drive) -> tuple:
     if drive is None or drive.feedback == "commanded" or drive.order == 0:
         return ()
     if drive.order == 1 and drive.lumped.delay < 2:
@@ -240,9 +260,12 @@ def _notes(drive) -> tuple:
     return ()
 
 
-def settings(z: float, Ts: float, drive: Drive) -> dict:
-    """The same loop by explicit Euler elsewhere: {where: what to set there}. z: alpha·Ts, at most 1."""
-    alpha, own = z / Ts, OWN_COMMANDS
+def settings(z: float, own: float, Ts: float) -> dict:
+    """The same loop by explicit Euler elsewhere: {where: what to set there}.
+
+    Args: z: alpha·Ts, at most 1, of measured feedback. own: of this loop; OWN_COMMANDS where that is measured.
+    """
+    alpha, own = z / Ts, OWN_COMMANDS if own == z else own
     euler = f"{z:.4g} with dt={Ts:g} where the configuration is measured, {own:g} where it is the last command"
     return {
         "pink": f"FrameTask gain: {euler}",

@@ -245,6 +245,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         z_monotone, z_recommended = (
             without_overshoot(loop, one, Ts, z_largest, reach) for one in (drive, longer(drive))
         )
+        z_recommended = min(z_recommended, z_monotone)
     bounded = np.isfinite(z_largest)
     moved, rows = maps(np.array([z_largest * (1 + 1e-6) if bounded else 1.0]))  # unbounded: only for the direction
     beyond = spectrum_of(moved[0], rows)

@@ -41,7 +41,7 @@ class Goal:
       loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
       delay_margin: further dead time [samples] with which a step still must not overshoot. With A the one-step map of
         the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) where that makes d samples: z ≤ 1/4 for explicit Euler and drives
-        that follow at once, 1 for a delay margin of 0.
+        that follow at once.
       noise_gain: bound of the standard deviation of the motion per unit of white noise of what is measured.
       ringing: lets go of both: what is made small is the loss alone, and with it the loop rings.
       margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
