@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import COMMANDS, Drive, sampled
+from cnclik.integrate.drive import COMMANDS, MOST, Drive, sampled
 from cnclik.record import record, replace
 
 KINDS = ("delay", "lag", "second-order")  # by their order
