@@ -185,10 +185,13 @@ def _costs(said, found) -> list:
     )  # fmt: skip
     more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times the gain"
     lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}, or {more}."]
-    lines.append(
+    drive = found.drive
+    own = drive is not None and drive.feedback == "commanded"
+    noise = (
         f"Noise: joints move by {gain.noise_gain:.3g} of what their measurement is off (RMS), commanded velocities by "
         f"{gain.velocity_noise_gain:.3g} 1/s times it."
     )
+    lines += [] if own else [noise]
     if found.law.task.position:
         v = said.speed
         lines.append(
@@ -198,8 +201,7 @@ def _costs(said, found) -> list:
         )
         if said.joint_speed == said.joint_speed:
             lines.append(f"{v:g} m/s takes up to {100 * said.joint_speed:.3g} % of a joint's velocity limit here.")
-    drive = found.drive
-    if drive is not None and drive.feedback != "commanded" and not drive.ideal:
+    if drive is not None and not own and not drive.ideal:
         late = float(np.max(drive.late_by(Ts)))
         lines.append(
             "With --feedback commanded the loop knows nothing of its drives: commands have no overshoot up to alpha = "
