@@ -94,8 +94,8 @@ def front(tuned):
         panel.plot(x, y, color="0.6", linewidth=0.8, zorder=1)
         for some, look, word in ((kept, style.COLORS[0], "kept"), (~kept, "white", "not kept")):
             panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.COLORS[0], markersize=4, label=word)
-        after = getattr(tuned.after, name)
-        panel.plot([after], [tuned.after.loss], "D", color=style.VERMILION, markersize=6, label="recommended", zorder=5)
+        after, word = getattr(tuned.after, name), "recommended" if tuned.satisfied else "exceeds least"
+        panel.plot([after], [tuned.after.loss], "D", color=style.VERMILION, markersize=6, label=word, zorder=5)
         panel.set(xscale="log", yscale="log", xlabel=label, ylabel=f"loss: {tuned.loss}")
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
