@@ -99,7 +99,7 @@ def _march(made, report):
     from cnclik.integrate.solve import solve
     from cnclik.integrate.trajectory import join, truncate
 
-    if made.noise is not None or made.drive is not None:
+    if made.measured:
         return _driven(made, report)
     size = made.N if made.method.steps > 1 else min(made.N, PIECE)  # a memory would begin anew with every piece
     pieces = -(-made.N // size)  # the last one may run past N; what is beyond is cut off
@@ -126,15 +126,13 @@ def _driven(made, report):
     import jax
     import numpy as np
 
-    from cnclik.integrate.drive import Drive
-    from cnclik.integrate.measured import solve_driven, white_noise
+    from cnclik.integrate.measured import solve_driven
 
-    noise = None if made.noise is None else white_noise(made.noise, made.N, made.law.task.m, made.seed)
-    loop = made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage
+    loop, measured = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage), made.measured
     report(0, made.N)
     for again in range(2):  # the first compiles
         begun = time.perf_counter()
-        found = jax.block_until_ready(solve_driven(*loop, drive=made.drive or Drive(), noise=noise))
+        found = jax.block_until_ready(solve_driven(*loop, **measured))
         seconds = time.perf_counter() - begun
         report((again + 1) * made.N // 2, made.N)
     return jax.tree.map(np.asarray, found), seconds / made.N

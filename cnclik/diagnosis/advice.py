@@ -3,9 +3,10 @@
 import numpy as np
 
 from cnclik.diagnosis.judge import Kind
-from cnclik.diagnosis.late import gain_of, lag_of, loop_of, monotone, slowest_of, stable
+from cnclik.diagnosis.late import gain_of, lag_of, loop_of, slowest_of
 from cnclik.diagnosis.modes import trend
 from cnclik.stability.driven import DrivenLimits, driven_limits
+from cnclik.stability.linear import late_monotone, late_stable
 
 LATEST = 500  # samples of dead time: what is later is no robot
 SLOW = 60  # samples of a period from which on a path may have it
@@ -72,14 +73,13 @@ def advice(kind, factor, y, noise, alpha, Ts) -> dict:
 def pure_limits(delay: int) -> DrivenLimits:
     """`driven_limits` of explicit Euler with d samples of dead time alone, in closed form.
 
-    Stable to 2 sin(π/(2(2d + 1))) (Levin & May 1976), monotone to d^d/(d + 1)^(d + 1), where a double factor is
-    d/(d + 1).
+    Where it is monotone no longer a double factor is d/(d + 1).
     """
-    most = monotone(delay)
+    most = late_monotone(delay)
     return DrivenLimits(
-        stable=stable(delay),
+        stable=late_stable(delay),
         monotone=most,
-        recommended=monotone(delay + 1),
+        recommended=late_monotone(delay + 1),
         fastest=most,
         rate=delay / (delay + 1),
     )

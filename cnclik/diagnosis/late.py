@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.diagnosis.modes import misfit
-from cnclik.integrate.drive import Drive, sampled
+from cnclik.integrate.drive import MOST, Drive, sampled
 from cnclik.stability.driven import driven_factors
+from cnclik.stability.linear import late_monotone, late_stable
 
 NEIGHBOURS = 2  # on either side of the dead time that the phase gives, which are tried
 PERIODS = 12  # of a recording that is looked at
@@ -37,16 +38,6 @@ def phase_delay(factor) -> float:
 def gain_of(factor, delay) -> float:
     """|z| = |λ|^d |1 − λ|."""
     return float(np.abs(factor) ** delay * np.abs(1 - factor))
-
-
-def stable(delay) -> float:
-    """Largest stable z."""
-    return float(2 * np.sin(np.pi / (2 * (2 * delay + 1))))
-
-
-def monotone(delay) -> float:
-    """Largest z without overshoot."""
-    return float((delay / (delay + 1.0)) ** delay / (delay + 1.0))
 
 
 def slowest_of(z, delay) -> complex:
@@ -91,7 +82,7 @@ def _best(delays, y, basis, factor, noise, phase):
         if (delay + 1) + basis.shape[1] < N // 2:
             bounds = 0.65 * gain_of(factor, delay), 1.35 * gain_of(factor, delay)
             if abs(delay - phase) > 1 + NEIGHBOURS:  # then the factor is not its own
-                bounds = monotone(delay), 1.2 * stable(delay)
+                bounds = late_monotone(delay), 1.2 * late_stable(delay)
             z, score = _fitted(y, basis, delay, bounds, 1e-3)
             tried[delay] = score + np.log(N) * ((delay + 1) * y.shape[1] + 1), z
     if not tried:
@@ -143,10 +134,12 @@ def lag_of(factor, z, Ts):
     phase = max(phase_delay(factor), 0.1)
 
     def drive_of(values):
-        return Drive(delay=float(min(abs(values[0]), 2 * phase + 2)), lag=float(np.exp(np.clip(values[1], -20, 5))))
+        return Drive(
+            delay=float(min(abs(values[0]), 2 * phase + 2, MOST)), lag=float(np.exp(np.clip(values[1], -20, 5)))
+        )
 
     def off(values):
-        value = 1.0 + z / Ts * _transfer(drive_of(values), Ts, factor)
+        value = 1.0 + z / Ts * sampled(drive_of(values), Ts).transfer(factor)
         return [value.real, value.imag]
 
     for share in (0.5, 0.2, 0.8):
@@ -157,12 +150,3 @@ def lag_of(factor, z, Ts):
             if abs(largest - np.abs(factor)) < 1e-3:
                 return drive
     return None
-
-
-def _transfer(drive, Ts, at) -> complex:
-    """Of the motion over a command, at a point of the plane."""
-    model = sampled(drive, Ts)
-    phi, force = model.phi.reshape(model.size, -1), model.now.reshape(-1) * at**-model.whole
-    if model.late is not None:
-        force = force + model.late.reshape(-1) * at ** -(model.whole + 1)
-    return np.linalg.solve(at * np.eye(model.size) - phi, force)[0]

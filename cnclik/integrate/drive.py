@@ -186,6 +186,14 @@ class Sampled:
         x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
         return x if self.late is None else x + self.late * line[self.whole][..., None]
 
+    def transfer(self, at):
+        """Of the motion over the command, at points of the plane (...), of a drive that is one for all joints."""
+        at = np.asarray(at)[..., None]
+        force = self.now * at**-self.whole
+        if self.late is not None:
+            force = force + self.late * at ** -(self.whole + 1)
+        return np.linalg.solve(at[..., None] * np.eye(self.size) - self.phi, force[..., None])[..., 0, 0]
+
 
 def sampled(drive: Drive, Ts) -> Sampled:
     """The drive at a sampling time, exact for a command that is held (zero-order hold); NumPy's where all is known.

@@ -6,6 +6,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
+from cnclik.integrate.measured import white_noise
 from cnclik.integrate.method import Method, named
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
@@ -49,6 +50,14 @@ class Problem:
     drive: Drive | None = None
     noise: object = None
     seed: int = 0
+
+    @property
+    def measured(self) -> dict:
+        """`drive` and `noise` as `solve_measured` takes them; {} where the loop is `solve`'s own."""
+        drive = self.drive or Drive()
+        if self.noise is None:
+            return {} if drive.prompt and drive.exact else {"drive": drive}
+        return {"drive": drive, "noise": white_noise(self.noise, self.N, self.law.task.m, self.seed)}
 
 
 def problem_from(robot, **options) -> Problem:

@@ -174,25 +174,6 @@ class DrivenLimits:
     rate: float
 
 
-def limits_of(modes, drive, Ts, *, reach=REACH, size=2) -> DrivenLimits:
-    """`DrivenLimits` of a loop given by its steps: modes(z) for z (k,) is (k, r, p), see `driven_factors`, or
-    (k, p, n, n) where joints differ in their drives.
-
-    Args:
-      reach: z up to which is looked. size: states of the matrix beside those of the dead time.
-    """
-    points = looked_at(drive, size)
-    stable = first_above(lambda z: radius(modes(z), drive, Ts), 1 + SLACK, reach, points)
-    fastest, rate = least_on(lambda z: radius(modes(z), drive, Ts), min(stable, reach), points)
-    return DrivenLimits(
-        stable=stable,
-        monotone=(monotone := monotone_limit(modes, drive, Ts, stable, reach, points)),
-        recommended=min(monotone, monotone_limit(modes, longer(drive), Ts, stable, reach, points)),
-        fastest=np.inf if fastest >= reach else fastest,
-        rate=rate,
-    )
-
-
 def looked_at(drive, size: int) -> int:
     """How many values of z are looked at together: of matrices of this size and the dead time's."""
     return int(np.clip(WORK / (size + drive.lumped.delay) ** 3, 16, POINTS))
@@ -218,12 +199,15 @@ def each_drive(drive) -> list:
 
 
 def monotone_limit(modes, drive, Ts, stable, reach, points):
-    """Largest z up to `stable` without overshoot, see `DrivenLimits`. Args: as for `limits_of`."""
+    """Largest z up to `stable` without overshoot, see `DrivenLimits`, of one drive for all joints.
+
+    Args:
+      modes: modes(z) for z (k,) are the loop's (k, r, p), see `driven_factors`.
+      reach: z up to which is looked. points: of them together.
+    """
     found = first_above(lambda z: swings(modes(z), drive, Ts), SWING, min(stable, reach), points)
     found = min(stable, found)
-    if own_drives(drive) or not np.isfinite(found):
-        return found
-    if overshoot(modes(np.array([found]))[0], drive, Ts) <= OVERSHOOT:
+    if not np.isfinite(found) or overshoot(modes(np.array([found]))[0], drive, Ts) <= OVERSHOOT:
         return found
     low, high = 0.0, found
     for _ in range(12):
@@ -247,7 +231,24 @@ def driven_limits(method="EE", stage=None, *, Ts: float, drive: Drive = Drive())
     errors.number("Ts", Ts, positive=True)
     if own_drives(drive):
         raise errors.fail("drive", "be one for all joints (`advise` takes one for each)", "has several numbers")
-    return limits_of(lambda z: increments(method, stage, z)[..., None, :], drive, float(Ts))
+    Ts, points = float(Ts), looked_at(drive, 2)
+
+    def modes(z):
+        return increments(method, stage, z)[..., None, :]
+
+    def size(z):
+        return radius(modes(z), drive, Ts)
+
+    stable = first_above(size, 1 + SLACK, REACH, points)
+    fastest, rate = least_on(size, min(stable, REACH), points)
+    monotone, late = (monotone_limit(modes, one, Ts, stable, REACH, points) for one in (drive, longer(drive)))
+    return DrivenLimits(
+        stable=stable,
+        monotone=monotone,
+        recommended=min(monotone, late),
+        fastest=np.inf if fastest >= REACH else fastest,
+        rate=rate,
+    )
 
 
 # --- responses ----------------------------------------------------------------------------------------
@@ -290,20 +291,22 @@ def until_settled(steps, drive, Ts, share=1e-3) -> int:
     return int(np.clip(2 * wanted + 4 * drive.lumped.delay + 50, 50, LONGEST))
 
 
+def _answers(steps, drive, Ts):
+    """What each of the modes (r, p) makes of a step of the target."""
+    for one in _different(steps):
+        yield respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))[0]
+
+
 def overshoot(steps, drive, Ts) -> float:
     """By how much of a step the modes (r, p) move beyond the target, at most."""
-    found = 0.0
-    for one in _different(steps):
-        q, _ = respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))
-        found = max(found, float(q.max()) - 1.0)
-    return found if np.isfinite(found) else np.inf
+    found = max((float(q.max()) - 1.0 for q in _answers(steps, drive, Ts)), default=0.0)
+    return max(found, 0.0) if np.isfinite(found) else np.inf
 
 
 def settling(steps, drive, Ts, share=0.02) -> float:
     """Time until the modes (r, p) stay within a share of a step [s]; inf where they don't."""
     last = 0
-    for one in _different(steps):
-        q, _ = respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))
+    for q in _answers(steps, drive, Ts):
         with np.errstate(invalid="ignore"):
             outside = np.flatnonzero(~(np.abs(q - 1.0) <= share))
         if outside[-1] == len(q) - 1:
@@ -346,11 +349,7 @@ def open_loop(steps, drive: Drive, Ts: float, omega):
     """L(e^{iω}) (k,) of a mode (p,), 1 + L = 0 being its characteristic equation; ω in radians per sample."""
     model, zeta = sampled(looked_at_drive(drive), Ts), np.exp(1j * np.asarray(omega))
     d = sum(v * zeta**-j for j, v in enumerate(steps))
-    phi, now, late = (np.broadcast_to(v, v.shape) for v in (model.phi, model.now, model.now * 0))
-    late = late if model.late is None else model.late
-    force = now * zeta[:, None] ** -model.whole + late * zeta[:, None] ** -(model.whole + 1)
-    eye = np.eye(model.size)
-    motion = np.linalg.solve(zeta[:, None, None] * eye - phi, force[..., None])[:, 0, 0]  # of a command
+    motion = model.transfer(zeta)
     if not drive.steps_positions or drive.feedback == "commanded":
         return -d * motion / Ts
     if drive.feedback == "rebased":

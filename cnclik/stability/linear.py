@@ -301,6 +301,19 @@ def late_factors(prompt, delay: int):
     return np.linalg.eigvals(companion(row))
 
 
+def late_stable(delay: float) -> float:
+    """Largest stable z of explicit Euler d samples late: 2 sin(π/(2(2d + 1))) (Levin & May 1976)."""
+    return 2 * math.sin(math.pi / (4 * delay + 2))
+
+
+def late_monotone(delay: float) -> float:
+    """Largest z of explicit Euler d samples late without overshoot: d^d/(d + 1)^(d + 1).
+
+    Up to it an error may keep its sign, beyond it none does (Ladas, Philos & Sficas 1989).
+    """
+    return (delay / (delay + 1)) ** delay / (delay + 1)
+
+
 def delay_limit(delay: int, method="EE", stage=None) -> float:
     """Largest stable z = alpha·Ts with an error measured `delay` samples late, on the real axis.
 

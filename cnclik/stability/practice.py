@@ -21,7 +21,7 @@ from cnclik.stability.driven import (
     settling,
     until_settled,
 )
-from cnclik.stability.linear import first_above
+from cnclik.stability.linear import first_above, late_monotone, late_stable
 from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
 from cnclik.stability.spectrum import directions, step_map
 
@@ -118,11 +118,11 @@ def practice(
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
     if drive is None:
         safe = Drive(delay=min(ASSUMED / Ts, MOST - SPARE))
-        chosen, by_euler = (taking_back(one, monotone_share(safe.delay + SPARE), Ts) for one in (loop, by))
+        chosen, by_euler = (taking_back(one, late_monotone(safe.delay + SPARE), Ts) for one in (loop, by))
         chosen, by_euler = min(chosen, gains.z_recommended), min(by_euler, euler.z_recommended)
     chosen, by_euler, z_largest = min(chosen, MOST_Z), min(by_euler, MOST_Z), gains.z_largest
-    if drive is None:  # (Levin & May 1976)
-        z_largest = min(z_largest, taking_back(loop, 2 * np.sin(np.pi / (4 * safe.delay + 2)), Ts))
+    if drive is None:
+        z_largest = min(z_largest, taking_back(loop, late_stable(safe.delay), Ts))
     elsewhere = by_euler
     if known.feedback == "commanded":
         measured = loop._replace(method=EE, drive=replace(known, feedback="measured"))
@@ -147,11 +147,6 @@ def practice(
         notes=_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
         advice=found,
     )
-
-
-def monotone_share(delay: float) -> float:
-    """Largest share of an error that a step may take back without overshoot, d samples late: d^d/(d + 1)^(d + 1)."""
-    return float(np.exp(delay * np.log(delay / (delay + 1))) / (delay + 1)) if delay else 1.0
 
 
 def taking_back(loop, share: float, Ts: float) -> float:
@@ -180,7 +175,7 @@ def _one(steps, drive, Ts) -> dict:
     behind, forward, start = (max(v) for v in zip(*lags, strict=True))
     return {
         "damping_ratio": damping_ratio(steps, drive, Ts),
-        "overshoot": max(overshoot(steps, drive, Ts), 0.0),
+        "overshoot": overshoot(steps, drive, Ts),
         "settling_time": settling(steps, drive, Ts),
         "delay_margin": delay_margin(steps, drive, Ts),
         "noise_gain": motion,

@@ -24,7 +24,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import form, use_form
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import solve_measured, white_noise
+from cnclik.integrate.measured import solve_measured
 from cnclik.integrate.method import named
 from cnclik.integrate.solve import evaluations_per_step, solve
 from cnclik.measure import metrics
@@ -182,11 +182,8 @@ def _evaluations(p) -> float:
 
 def _run(p):
     """A loop's run, as its robot has it."""
-    drive, loop = p.drive or Drive(), (p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage)
-    if p.noise is None and drive.prompt and drive.exact:
-        return solve(*loop)
-    noise = None if p.noise is None else white_noise(p.noise, p.N, p.law.task.m, p.seed)
-    return solve_measured(*loop, drive=drive, noise=noise)
+    loop, measured = (p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage), p.measured
+    return solve_measured(*loop, **measured) if measured else solve(*loop)
 
 
 def joints_of(known, look) -> int:
