@@ -75,3 +75,20 @@ def problem(args):
 
     with progress.bar("start and path"):
         return problem_from(**table(args))
+
+
+def drive_words(made) -> str:
+    """What a robot adds, such as "2 samples of dead time, drives 20 ms behind their commands"; "" where nothing."""
+    import numpy as np
+
+    drive = made.drive
+    if drive is None or (drive.prompt and drive.exact):
+        return ""
+    said = [f"{drive.delay:g} samples of dead time"] * bool(drive.delay)
+    if drive.order:
+        late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
+        said.append(
+            f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands"
+        )
+    said.append(f"feedback {drive.feedback}")
+    return ", ".join(said)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, as_options
-from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
+from cnclik.cli.problem import MeasuredOptions, ProblemOptions, drive_words, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
 
@@ -53,7 +53,7 @@ def run(args: Args) -> None:
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
     print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
-    print(f"{_loop(made)}, along {args.reference}{_drive(made)}")
+    print("; ".join(filter(None, (f"{_loop(made)}, along {args.reference}", drive_words(made)))))
     Console().print(_summary(made, trajectory, seconds))
     print(as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}"))
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
@@ -73,23 +73,6 @@ def _loop(made) -> str:
     alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
     stage = f" by {made.stage}" * made.method.implicit
     return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, alpha = {alpha} 1/s, z = alpha·Ts = {z}"
-
-
-def _drive(made) -> str:
-    """What a robot adds, such as "; 2 samples of dead time, drives 20 ms behind their commands"."""
-    import numpy as np
-
-    drive = made.drive
-    if drive is None or (drive.prompt and drive.exact):
-        return ""
-    said = [f"{drive.delay:g} samples of dead time"] * bool(drive.delay)
-    if drive.order:
-        late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
-        said.append(
-            f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands"
-        )
-    said.append(f"feedback {drive.feedback}")
-    return f"; {', '.join(said)}"
 
 
 def _march(made, report):

@@ -5,6 +5,7 @@ import functools
 import json
 import math
 import pathlib
+import textwrap
 import time
 from typing import Annotated
 
@@ -13,7 +14,16 @@ import tyro
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import DriveOptions, LoopOptions, Numbers, RobotOptions, TaskOptions, problem, table
+from cnclik.cli.problem import (
+    DriveOptions,
+    LoopOptions,
+    Numbers,
+    RobotOptions,
+    TaskOptions,
+    drive_words,
+    problem,
+    table,
+)
 from cnclik.problem.options import DRIVE
 
 
@@ -27,8 +37,8 @@ class Args(ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions)
     """Of the tip [m/s]: for lag, tracking error and joint velocities."""
     json: bool = False
     """Print the advice as JSON, and nothing else."""
-    N: int = 100
-    """Horizon of the measured loops: steps."""
+    N: int | None = None
+    """Horizon of the measured loops in steps: 100, and 400 with a drive, through which loops swing and settle late."""
     tolerance: float = 1e-3
     """Fraction of the initial error below which a measured loop must stay to count as converged."""
     plane: bool = False
@@ -71,16 +81,16 @@ def run(args: Args) -> None:
 
 def _check(args):
     errors.integer("cells", args.cells, at_least=2, at_most=10_000)
-    if args.map or args.plane:
-        wanted = "--map" if args.map else "--plane"
-        given = next((name for name in DRIVE if getattr(args, name) is not None), None)
-        if given or args.json:
-            name = given or "json"
-            raise errors.fail(name, f"be left out with {wanted}, which is of loops without drives", "is given")
+    if args.json and (args.map or args.plane):
+        raise errors.fail("json", "be left out with --map and --plane", "is given")
+    given = next((name for name in DRIVE if getattr(args, name) is not None), None)
+    if args.plane and given:
+        raise errors.fail(given, "be left out with --plane, which is of methods alone", "is given")
     for name in ("methods", "passes"):
         if not getattr(args, name):
             raise errors.fail(name, "name at least one", "is empty")
-    errors.integer("N", args.N, at_least=4, at_most=errors.MOST)
+    if args.N is not None:
+        errors.integer("N", args.N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", args.tolerance, positive=True)
     for name, given in (("alpha-range", args.alpha_range), ("Ts-range", args.Ts_range)):
         if given is not None:
@@ -132,9 +142,11 @@ def _tell(args, advised):
         value, euler = getattr(said, name), said.explicit_euler[name]
         shown.add_row(row, *map(_or_any, (value, value * found.Ts, euler)))
     shown.add_row("now", in_words(found.law.alpha), f"{now.z:.4g}", "")
+    for note in said.notes:  # what the numbers can't say comes before them
+        console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
     lines = ["* of drives that follow at once"] * bool(at_once)
-    lines += [*said.notes, f"Recommended: {said.reason}.", *_costs(said, found)]
+    lines += [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines.append(f"At alpha now: {_margin(now, said)}")
     if said.advice.times is not None:
         times = said.advice.times
@@ -282,21 +294,23 @@ def _map(args, out):
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)
     times = np.geomspace(*_range(args.Ts_range, found.Ts, half), args.cells)
     config = as_json(table(args) | {"tolerance": args.tolerance})
-    loop = dict(method=found.method, stage=found.stage, N=args.N, tolerance=args.tolerance)
+    driven = {} if found.drive is None else {"drive": found.drive}
+    N = args.N or (400 if driven else 100)
+    loop = dict(method=found.method, stage=found.stage, N=N, tolerance=args.tolerance)
     with progress.bar("loops") as report:
         data = stability_map(
-            found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop
+            found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop, **driven
         )
     attributes = provenance(float) | {"config": config}
     data = data.assign_attrs(attributes)
     out.write("map.nc", functools.partial(save_netcdf, data))
     from cnclik.show import stability as show
 
-    title = f"{_name(found)}, N = {args.N}"
+    title = "\n".join(filter(None, (f"{_name(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)
     figures = {"map.png": (lambda: show.stability_map(data, title=title, operating=point), about)}
-    if found.method.implicit:
+    if found.method.implicit and not driven:
         z, some = np.linspace(0.02, 3.0, 2 * args.cells), range(max(args.passes) + 1)
         with progress.bar("loops") as report:
             strip = passes_map(

@@ -215,6 +215,11 @@ def sampled(drive: Drive, Ts) -> Sampled:
     return Sampled(phi=phi @ first, now=gamma, late=(phi @ late[..., None])[..., 0], whole=whole)
 
 
+def moving(drive: Drive, Ts):
+    """`sampled`, or None where motion is the controller's own step."""
+    return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
+
+
 def _continuous(drive, xp):
     """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis is that of the joints, if any."""
     if drive.order == 1:

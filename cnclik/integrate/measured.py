@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, check_drive, driven, measured_joints, resting, sampled
+from cnclik.integrate.drive import Drive, check_drive, driven, measured_joints, moving, resting
 from cnclik.integrate.history import blank
 from cnclik.integrate.method import named
 from cnclik.integrate.solve import advance, cast, check_arguments, early_steps, evaluations_of
@@ -77,25 +77,41 @@ def _checked(law, reference, q0, Ts, N, method, stage, drive, noise):
     check_drive(drive, law.chain.n)
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    return law, reference, q0, Ts, stage, drive, sampled(drive, Ts) if _moves_late(drive) else None, noise
+    return law, reference, q0, Ts, stage, drive, moving(drive, Ts), noise
 
 
-def _moves_late(drive) -> bool:
-    """Whether motion is something else than the controller's step."""
-    return not drive.ideal or drive.feedback == "commanded"
+def at_rest(law, reference, start, drive, model, *, method, plant=None):
+    """The state that `through` begins with, from the joint values `start` in the form of the program."""
+    at_drives = None if model is None else resting(drive, model, sp.packed(start))
+    zero = jnp.zeros((), sp.packed(start).dtype)
+    first = look(_truly(law, plant), reference, zero, start).e  # until the first measurement arrives
+    return start, at_drives, (first,) * _late(drive), blank(law, start, method)
 
 
-def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, method, gained=None):
-    dtype, differs = q0.dtype, plant is not None
-    law, start = in_form(law, q0)
-    plant = in_form(plant, start)[0] if differs else law.chain
-    law, plant, reference, noise, Ts, drive, model = cast((law, plant, reference, noise, Ts, drive, model), dtype)
-    true_law = replace(law, chain=plant)
-    commanded, late = drive.feedback == "commanded", 0 if drive.feedback == "commanded" else drive.measurement_delay
+def _truly(law, plant):
+    return law if plant is None else replace(law, chain=plant)
 
-    def one(starting, carry, k):
-        q, at_drives, past, history = carry
-        t = k * Ts
+
+def _late(drive) -> int:
+    return 0 if drive.feedback == "commanded" else drive.measurement_delay
+
+
+def through(law, reference, Ts, stage, drive, model, *, method, N, noise=None, plant=None, gained=None):
+    """The step of a loop on a robot, to be repeated from `at_rest` on: one(starting, state, k) -> (state, `Step`).
+
+    Args: as for `solve_measured`, all of one dtype; `model` as by `moving`.
+    """
+    differs, true_law = plant is not None, _truly(law, plant)
+    commanded, late = drive.feedback == "commanded", _late(drive)
+    as_told = noise is None and not differs and drive.prompt and drive.exact  # the loop is `solve`'s own
+
+    def one(starting, state, k):
+        q, at_drives, past, history = state
+        t, length = k * Ts, jnp.where(k < N, Ts, 0.0)  # see `instants`
+        now = law if gained is None else gained(law, t)
+        if as_told:
+            made = advance(now, reference, q, t, length, method, stage, history, starting=starting)
+            return (made.q, at_drives, past, made.history), replace(made, q=q, history=None)
         at, seen = look(true_law, reference, t, q), q
         if commanded:
             seen = sp.like(q, at_drives.sent)
@@ -111,8 +127,6 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
         told = reference
         if believed is not measured:
             told = shifted(reference, law.task, _between(law.task, measured, believed))
-        length = jnp.where(k < N, Ts, 0.0)  # see `instants`
-        now = law if gained is None else gained(law, t)
         made = advance(now, told, seen, t, length, method, stage, history, starting=starting)
         if model is None:
             moved = made.q if seen is q else sp.vadd(q, sp.vsub(made.q, seen))
@@ -126,10 +140,17 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
             made, q=q, x=at.x(), e=at.e, history=None
         )
 
-    k = jnp.arange(N + 1).astype(dtype)
-    at_drives = None if model is None else resting(drive, model, q0)
-    first = look(true_law, reference, jnp.zeros((), dtype), start).e  # until the first measurement arrives
-    state = start, at_drives, (first,) * late, blank(law, start, method)
+    return one
+
+
+def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, method, gained=None):
+    law, start = in_form(law, q0)
+    if plant is not None:
+        plant = in_form(plant, start)[0]
+    law, plant, reference, noise, Ts, drive, model = cast((law, plant, reference, noise, Ts, drive, model), q0.dtype)
+    one = through(law, reference, Ts, stage, drive, model, method=method, N=N, noise=noise, plant=plant, gained=gained)
+    state = at_rest(law, reference, start, drive, model, method=method, plant=plant)
+    k = jnp.arange(N + 1).astype(q0.dtype)
     found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
     return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
 

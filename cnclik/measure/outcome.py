@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.hints import one_function
-from cnclik.integrate.history import blank
+from cnclik.integrate.drive import Drive
+from cnclik.integrate.measured import at_rest, through
 from cnclik.integrate.method import DEFAULT, Method, named
-from cnclik.integrate.solve import advance, cast
+from cnclik.integrate.solve import cast
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
 from cnclik.record import record
@@ -27,7 +28,8 @@ class Ending(enum.IntEnum):
     """How a loop ended."""
 
     CONVERGED = 0  # throughout the last quarter the error is below tolerance·scale
-    SLOW = 1  # not there yet, but all of the last quarter is below all of the one before, and clearly
+    SLOW = 1  # not there yet, but all of the last quarter is clearly below all of the one before; or, through a drive,
+    # where errors swing, below the largest of it
     STALLED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
     DIVERGED = 3  # not finite, or in the last quarter the error comes up to the scale again
     NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity while the error was below the scale
@@ -74,8 +76,7 @@ class Outcome:
 class _Seen(NamedTuple):
     """What is remembered of a loop while it runs."""
 
-    q: tuple
-    history: object  # of a multistep method, or None
+    state: tuple  # of the loop, joint values first
     scale: jax.Array  # the error to compare with
     last_above: jax.Array  # last step with an error above tolerance·scale
     least_before: jax.Array  # least and largest error in the third quarter
@@ -86,24 +87,39 @@ class _Seen(NamedTuple):
     singular_first: jax.Array  # a step was near a singularity before that
 
 
-def outcome(law, reference, q0, Ts, N: int, method: Method = DEFAULT, stage=picard(5), *, tolerance=1e-3, scale=None):
+def outcome(
+    law,
+    reference,
+    q0,
+    Ts,
+    N: int,
+    method: Method = DEFAULT,
+    stage=picard(5),
+    *,
+    drive=Drive(),
+    model=None,
+    tolerance=1e-3,
+    scale=None,
+):
     """Run the loop for N steps and say how it ended, without keeping its path: pure, for vmap over many.
 
     Args:
       law, reference, q0, Ts, N, method, stage: as for `solve`; nothing is checked here.
+      drive: what lies between command and motion; the error is that of what truly moves. model: it as `moving` samples
+        it.
       tolerance: fraction of `scale` that counts as arrived.
       scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
     """
     method = named(method)
     law, start = in_form(law, q0)
-    law, reference, Ts, tolerance = cast((law, reference, Ts, tolerance), q0.dtype)
+    law, reference, Ts, tolerance, drive, model = cast((law, reference, Ts, tolerance, drive, model), q0.dtype)
     Ts = jnp.asarray(Ts, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)
     given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
     def one(own, seen, k):
-        law, reference, Ts, stage, tolerance, given = own
-        made = advance(law, reference, seen.q, k * Ts, Ts, method, stage, seen.history)
+        *loop, tolerance, given = own
+        state, made = through(*loop, method=method, N=N)(False, seen.state, k)
         size = sp.safe_norm(made.e)
         first = jnp.where(jnp.isfinite(size), size, jnp.nan)  # what begins nowhere arrives nowhere
         scale = jnp.where(k == 0, first, seen.scale) if given is None else seen.scale
@@ -113,8 +129,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = DEFAULT, stage=pica
         status = jnp.where(k < N, made.status.astype(jnp.int32), 0)
         third = (k >= before) & (k < tail)
         return _Seen(
-            q=made.q,
-            history=made.history,
+            state=state,
             scale=scale,
             last_above=jnp.where(size <= tolerance * scale, seen.last_above, k),
             least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),
@@ -133,8 +148,7 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = DEFAULT, stage=pica
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
     seen = _Seen(
-        q=start,
-        history=blank(law, start, method),
+        state=at_rest(law, reference, start, drive, model, method=method),
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,
@@ -144,10 +158,12 @@ def outcome(law, reference, q0, Ts, N: int, method: Method = DEFAULT, stage=pica
         grown=never,
         singular_first=never,
     )
-    run = one_function(loop) if sp.unrolled(seen.q) else loop
-    seen = run((law, reference, Ts, stage, tolerance, given), seen, k)
+    run = one_function(loop) if sp.unrolled(start) else loop
+    seen = run((law, reference, Ts, stage, drive, model, tolerance, given), seen, k)
     scale, largest = seen.scale, seen.largest
-    ending = classify(largest, seen.least_before, seen.largest_before, scale, tolerance, seen.singular_first)
+    # Through a drive an error swings, and a loop is on its way where its swings become smaller.
+    least = seen.least_before if drive.prompt else seen.largest_before
+    ending = classify(largest, least, seen.largest_before, scale, tolerance, seen.singular_first)
     converged = ending == Ending.CONVERGED
     steps = seen.last_above + 1
     return Outcome(

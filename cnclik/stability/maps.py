@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.solve import evaluations_per_step
@@ -17,7 +18,7 @@ from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.rolled import one_off, pays
 from cnclik.stability.linear import checked, stability_limit
-from cnclik.stability.recommend import recommend
+from cnclik.stability.recommend import largest_stable, loop_at_rest
 from cnclik.stability.spectrum import check_loop, largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
@@ -36,6 +37,7 @@ def outcomes(
     N=100,
     method=DEFAULT,
     stage=picard(5),
+    drive=Drive(),
     tolerance=1e-3,
     scale=None,
     chunk=CHUNK,
@@ -47,6 +49,7 @@ def outcomes(
       law, reference: the loop; a gain that is no scalar is scaled so that its largest |eigenvalue| is alpha.
       q0: (..., n) start; alpha, Ts, M: (...); all are broadcast against each other, one loop each.
       M: passes in place of the stage's own, or None.
+      drive: what lies between command and motion, see `Drive`; its dead time is in samples, all else in seconds.
       N, tolerance, scale: horizon in steps and what counts as arrived.
       chunk: loops run between two calls of `progress`, on all cores.
       progress: called as progress(loops done, of how many), or None.
@@ -54,6 +57,7 @@ def outcomes(
     """
     method, stage = checked(method, stage)
     check_loop(law, reference)
+    check_drive(drive, law.chain.n)
     N = errors.integer("N", N, at_least=4)
     errors.number("tolerance", tolerance, positive=True)
     given = (("q0", q0), ("alpha", alpha), ("Ts", Ts), ("M", 0 if M is None else M))
@@ -80,21 +84,26 @@ def outcomes(
         return np.concatenate([values, np.broadcast_to(values[-1:], (pad, *tail))])  # one shape, one compilation
 
     factor, time = flat(alpha) / largest_rate(law.alpha), flat(Ts)
+    # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
+    times, which = np.unique(time, return_inverse=True)
+    models = jax.tree.map(lambda *each: np.stack(each), *(moving(drive, float(T)) for T in times))
+    models = jax.tree.map(lambda each: each[which], models)
     start = flat(q0, tail=q0.shape[-1:])
     if M is not None:
         M = flat(M, int)
         stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))
 
-    def one(q0, factor, Ts, M):
+    def one(q0, factor, Ts, M, model):
         gained = replace(law, alpha=law.alpha * factor)
         own = stage if M is None else replace(stage, M=M)
-        return outcome(gained, reference, q0, Ts, N, method, own, tolerance=tolerance, scale=scale)
+        through = dict(drive=drive, model=model)
+        return outcome(gained, reference, q0, Ts, N, method, own, **through, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
     run = one_off(jax.vmap(one)) if pays(evaluations, law, alone=False) else lanes(one, block=BLOCK)
     done = []
     for i in range(0, count, chunk):
-        part = [None if v is None else v[i : i + chunk] for v in (start, factor, time, M)]
+        part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023
         done.append(jax.tree.map(np.asarray, run(*part)))
         if progress is not None:
             progress(min(i + chunk, count), count)
@@ -102,13 +111,15 @@ def outcomes(
 
 
 @in_float64
-def stability_map(law, reference, q0, *, alpha, Ts, method=DEFAULT, stage=picard(5), N=100, rest=None, **options):
+def stability_map(
+    law, reference, q0, *, alpha, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), N=100, rest=None, **options
+):
     """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest. In float64.
 
     Args:
       law, reference, q0: the loop; the reference must hold still.
       alpha: (a,) gains [1/s]. Ts: (b,) sampling times [s].
-      method, stage: as for `solve`.
+      method, stage: as for `solve`. drive: as for `outcomes`.
       rest: where the loop comes to rest, if that is known; else `settle` finds it.
       N, options: as for `outcomes`.
     Returns: an xarray.Dataset over (Ts, alpha), with `limit` (Ts,), the largest stable alpha by `recommend`.
@@ -119,8 +130,10 @@ def stability_map(law, reference, q0, *, alpha, Ts, method=DEFAULT, stage=picard
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
     rest = settle(law, reference, q0) if rest is None else rest
-    made = outcomes(law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, N=N, **options)
-    limit = boundary(law, reference, rest, Ts=Ts, method=method, stage=stage)
+    made = outcomes(
+        law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, drive=drive, N=N, **options
+    )
+    limit = boundary(law, reference, rest, Ts=Ts, method=method, stage=stage, drive=drive)
     return xr.Dataset(
         _variables(made, ("Ts", "alpha")) | {"limit": ("Ts", limit, {"units": "1/s", "long_name": "linear boundary"})},
         coords={
@@ -132,12 +145,15 @@ def stability_map(law, reference, q0, *, alpha, Ts, method=DEFAULT, stage=picard
 
 
 @in_float64
-def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5)):
-    """Largest stable alpha [1/s] by linear theory for each Ts (b,): a hyperbola, unless a null-space velocity acts."""
+def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()):
+    """Largest stable alpha [1/s] by linear theory for each Ts (b,).
+
+    A hyperbola, unless a null-space velocity acts or drives have a time of their own.
+    """
     Ts = np.asarray(Ts, float)
-    some = Ts if callable(law.null_velocity) else Ts[:1]
-    found = [recommend(law, reference, rest, Ts=float(T), method=method, stage=stage).z_largest for T in some]
-    return np.asarray(found) / Ts
+    some = Ts if callable(law.null_velocity) or drive.order else Ts[:1]
+    loop = loop_at_rest(law, reference, rest, method, stage, drive)
+    return np.asarray([largest_stable(loop, float(T)) for T in some]) / Ts
 
 
 @in_float64

@@ -1,5 +1,6 @@
 """Recommendations: what gain is safe at a sampling time, what sampling time at a gain, and how far off the edge is."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -131,9 +132,16 @@ class LoopAtRest(NamedTuple):
             self.known[key] = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
         return self.known[key]
 
+    def along(self, z, Ts=None):
+        """`maps` at gains of z; with Ts None at sampling times of z."""
+        z = np.asarray(z, float)
+        return self.maps(
+            *((np.ones_like(z), z / self.rate) if Ts is None else (z / (self.rate * Ts), np.full_like(z, Ts)))
+        )
+
     def modes(self, z, Ts):
         """What a step does in the directions of the task, and of the null space, at gains of z; see `modes_of`."""
-        moved, rows = self.maps(np.asarray(z, float) / (self.rate * Ts), np.full(np.shape(z), Ts))
+        moved, rows = self.along(z, Ts)
         _, _, along, across = directions(rows)
         return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
 
@@ -219,25 +227,13 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         alpha = np.asarray(law.alpha)
         return np.multiply(alpha, z / (rate * Ts), where=alpha != 0, out=np.zeros(alpha.shape))  # 0·∞ stays 0
 
-    def maps(z):
-        z = np.asarray(z, float)
-        scale, times = (np.ones_like(z), z / rate) if Ts is None else (z / (rate * Ts), np.full_like(z, Ts))
-        return loop.maps(scale, times)
+    maps = functools.partial(loop.along, Ts=Ts)
 
     def slowest(z):
         return task_radius(*maps(z)) if drive.prompt else radius(loop.modes(z, Ts)[0], drive, Ts)
 
-    def worst(z):
-        if drive.prompt:
-            moved, rows = maps(z)
-            return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
-        task, null = loop.modes(z, Ts)
-        return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) if callable(law.null_velocity) else 0.0)
-
-    late = drive.lumped.delay
-    points = looked_at(drive, law.chain.n * (3 + late) - late if own_drives(drive) else 3)
-    z_largest = first_above(worst, 1 + SLACK, reach, points)
-    z_fastest, least = least_on(slowest, min(z_largest, reach), points)
+    z_largest = largest_stable(loop, Ts, reach)
+    z_fastest, least = least_on(slowest, min(z_largest, reach), _points(loop))
     if z_fastest >= reach:
         z_fastest = np.inf
     z_monotone = z_recommended = None
@@ -264,6 +260,27 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
+
+
+def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:
+    """Largest stable z, of gains at a sampling time, or, with Ts None, of sampling times; inf where every one is."""
+    drive = loop.drive
+
+    def worst(z):
+        if drive.prompt:
+            moved, rows = loop.along(z, Ts)
+            return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
+        task, null = loop.modes(z, Ts)
+        moves = callable(loop.law.null_velocity)
+        return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) if moves else 0.0)
+
+    return first_above(worst, 1 + SLACK, reach, _points(loop))
+
+
+def _points(loop):
+    """How many gains are looked at."""
+    n, late = loop.law.chain.n, loop.drive.lumped.delay
+    return looked_at(loop.drive, n * (3 + late) - late if own_drives(loop.drive) else 3)
 
 
 def without_overshoot(loop, drive, Ts, most, reach) -> float:

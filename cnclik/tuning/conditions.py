@@ -61,15 +61,16 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
     rng = np.random.default_rng(conditions.seed)
 
-    def drawn(i):
+    def drawn(i, draw):
         return Scenario(
             reference=references[i % len(references)],
             q0=as_joint_values(law.chain, q0[i % len(q0)]),
             noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
             plant=_perturbed(law.chain, conditions.model_error, rng) if conditions.model_error > 0 else None,
+            draw=draw,
         )
 
-    return stack(drawn(i) for i in range(count) for _ in range(conditions.draws))
+    return stack(drawn(i, draw) for i in range(count) for draw in range(conditions.draws))
 
 
 def _perturbed(chain, relative, rng):

@@ -87,6 +87,22 @@ def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
     assert "64 loops" in capsys.readouterr().out
 
 
+def test_map_through_a_drive_agrees_with_its_boundary(tmp_path, capsys):
+    import xarray as xr
+
+    drive = ["--Ts", "0.01", "--delay", "3", "--lag", "0.05", "--N", "300"]
+    main(["stability", "planar:1,1", "--method", "EE", "--map", *drive, "--cells", "10", "--out", str(tmp_path)])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["map.nc", "map.png"]
+    with xr.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
+        assert data.ending.attrs["flag_meanings"].split()[3] == "DIVERGED"
+        beyond = data.alpha / data.limit
+        assert (data.ending.where(beyond > 1.1, 3) == 3).all() and (data.ending.where(beyond < 0.9, 0) < 2).all()
+        assert ((beyond > 1.1).any(), (beyond < 0.9).any()) == (True, True)
+        z = data.limit * data.Ts
+        assert z.max() > 1.2 * z.min()  # a lag has a time of its own: no hyperbola
+    assert "100 loops" in capsys.readouterr().out
+
+
 def test_plane_writes_the_limits_of_every_M_and_of_late_errors(tmp_path, capsys):
     main(["stability", "--plane", "--methods", "EE", "IE", "--passes", "2", "--out", str(tmp_path)])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["plane.md", "plane.nc", "plane.png"]

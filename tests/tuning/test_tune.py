@@ -13,7 +13,9 @@ from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
+from cnclik.tuning.conditions import scenarios
 from cnclik.tuning.descent import gradient_mode
+from cnclik.tuning.rollout import rollout
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])  # the tip is at (1, 1)
@@ -275,6 +277,17 @@ def test_noise_delay_and_wrong_lengths_run_as_in_plain_numpy():
 
 
 @pytest.mark.slow
+def test_each_draw_has_joint_noise_of_its_own():
+    conditions = Conditions(drive=Drive(joint_noise=1e-3, seed=4), draws=3)
+    drawn = scenarios(LAW, LINE, np.array([0.3, 1.2]), 5, conditions)
+    loop = pm.Adjustable(law=LAW, Ts=0.1)
+    runs = jax.vmap(lambda one: rollout(loop, one, 5, "EE", ck.picard(1), drive=conditions.drive).q)(drawn)
+    for draw, q in enumerate(runs):
+        own = ck.solve(LAW, LINE, [0.3, 1.2], 0.1, 5, "EE", drive=Drive(joint_noise=1e-3, seed=4 + draw))
+        np.testing.assert_allclose(q, own.q, atol=1e-12)
+    assert np.ptp(runs[:, -1], axis=0).min() > 1e-4
+
+
 def test_late_loops_are_tuned_by_their_own_roots():
     """With one sample of delay the roots of λ² − λ + z count: no ringing up to 1/4, a margin of 0.6 from 0.24 up."""
     found = tune(LAW, PATHS, STARTS, **LOOP, margin=0.6, conditions=LATE, descent=Descent(steps=60, starts=2))
