@@ -288,6 +288,14 @@ def test_each_draw_has_joint_noise_of_its_own():
     assert np.ptp(runs[:, -1], axis=0).min() > 1e-4
 
 
+def test_a_gain_that_is_hardly_any_is_said_to_be():
+    fast = ck.circle([1.0, 0.6], 0.2, period=0.7)
+    at = dict(Ts=0.01, N=60, method="EE", descent=Descent(steps=30))
+    late = tune(LAW, fast, [1.0, -1.2], conditions=Conditions(drive=Drive(delay=3, lag=0.1)), **at)
+    assert late.after.z * 60 < 1 and "hardly any" in str(late)
+    assert "hardly any" not in str(tune(LAW, fast, [1.0, -1.2], **at))
+
+
 def test_late_loops_are_tuned_by_their_own_roots():
     """With one sample of delay the roots of λ² − λ + z count: no ringing up to 1/4, a margin of 0.6 from 0.24 up."""
     found = tune(LAW, PATHS, STARTS, **LOOP, margin=0.6, conditions=LATE, descent=Descent(steps=60, starts=2))
