@@ -110,8 +110,9 @@ def stop(name, folder, rng, seconds, wanted):
     time.sleep(max(seconds * rng.uniform(0, 1), 1.0))  # before that Python itself is being loaded
     process.send_signal(sent)
     code, said = ended(process)
-    if code in (0, -sent):  # it had done its work, and Python was about to end
-        return None if sorted(files(out)) == sorted(wanted) else "ended well with other files"
+    if code in (0, -sent):  # it had done its work, and Python was about to end; or had not yet begun to hear
+        unheard = code == -sent and not out.exists()
+        return None if unheard or sorted(files(out)) == sorted(wanted) else "ended well with other files"
     if code != (130 if sent == signal.SIGINT else 143) or len(said) != 1:
         return f"{sent.name}: exit code {code}, {said}"
     if out.exists() and hidden(out):

@@ -11,6 +11,7 @@ import cnclik as ck
 from cnclik.hints import equations, quick_jit
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
+from cnclik.problem.build import problem_from
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import scenarios
@@ -289,11 +290,12 @@ def test_each_draw_has_joint_noise_of_its_own():
 
 
 def test_a_gain_that_is_hardly_any_is_said_to_be():
-    fast = ck.circle([1.0, 0.6], 0.2, period=0.7)
+    fast = problem_from("planar:1,0.8", reference="circle", radius=0.2, period=0.7)
     at = dict(Ts=0.01, N=60, method="EE", descent=Descent(steps=30))
-    late = tune(LAW, fast, [1.0, -1.2], conditions=Conditions(drive=Drive(delay=3, lag=0.1)), **at)
+    on_it = fast.law, fast.reference, fast.q0
+    late = tune(*on_it, conditions=Conditions(drive=Drive(delay=3, lag=0.1)), **at)
     assert late.after.z * 60 < 1 and "hardly any" in str(late)
-    assert "hardly any" not in str(tune(LAW, fast, [1.0, -1.2], **at))
+    assert "hardly any" not in str(tune(*on_it, **at))
 
 
 def test_late_loops_are_tuned_by_their_own_roots():
