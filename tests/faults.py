@@ -31,14 +31,15 @@ import numpy as np
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
 
-SPEC = pathlib.Path(__file__).parents[1] / "sweeps" / "agreement.toml"
+SPEC = pathlib.Path(__file__).parents[1] / "sweeps" / "horizon.toml"
 PLANAR = ["planar:1,1", "--reference", "circle"]
+AXES = ("method=['EE']", "Ts=[0.1]", "alpha=[1, 9]")
 COMMANDS = {  # every verb that writes results, on small cases
     "solve": ["solve", *PLANAR, "--N", "50", "--csv"],
     "tune": ["tune", *PLANAR, "--N", "20", "--steps", "3"],
     "stability --map": ["stability", "planar:1,1", "--map", "--cells", "8", "--N", "20"],
     "reach": ["reach", "planar:1,1", "--random", "20", "--out", "{out}/answers.csv"],
-    "sweep": ["sweep", str(SPEC), "--set", "axes.z={ linspace = [0.5, 3, 20] }", "--set", "N=40"],
+    "sweep": ["sweep", str(SPEC), *sum((["--set", f"axes.{axis}"] for axis in AXES), [])],
 }
 DATA = {"trajectory.nc", "trajectory.csv", "tuned.json", "summary.md", "map.nc", "passes.nc", "answers.csv"}
 

@@ -97,9 +97,9 @@ def tune(
         descent=descent,
         progress=progress,
     )
-    candidates = _judged(objective, [*done.u, *done.best, anchor])
-    chosen = _restored(objective, candidates)
-    kept = [float(c.judged.loss) if c.judged.kept else np.inf for c in candidates[:-1]]
+    ends = _judged(objective, [*done.u, *done.best, anchor])
+    chosen = _restored(objective, [*ends, *begun])
+    kept = [float(c.judged.loss) if c.judged.kept else np.inf for c in ends[:-1]]
     starts = np.reshape(kept, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
     values = _values(objective, chosen.u)
