@@ -39,7 +39,7 @@ COMMANDS = {  # every verb that writes results, on small cases
     "tune": ["tune", *PLANAR, "--N", "20", "--steps", "3"],
     "stability --map": ["stability", "planar:1,1", "--map", "--cells", "8", "--N", "20"],
     "reach": ["reach", "planar:1,1", "--random", "20", "--out", "{out}/answers.csv"],
-    "sweep": ["sweep", str(SPEC), *sum((["--set", f"axes.{axis}"] for axis in AXES), [])],
+    "sweep": ["sweep", str(SPEC), *(word for axis in AXES for word in ("--set", f"axes.{axis}"))],
 }
 DATA = {"trajectory.nc", "trajectory.csv", "tuned.json", "summary.md", "map.nc", "passes.nc", "answers.csv"}
 
