@@ -41,6 +41,7 @@ SMALLER_REACH = {"--random": ["--random", "12"], "--map": ["--cells", "3", "--or
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 HEAVY = ("saturation",)  # linear programs of seven joints compile for half a minute: with `-m slow` only
+NO_FILES = ("robots", "solve", "stability", "diagnose")  # without --out nothing on a page reads what they write
 NEEDS_OTHER_MACHINES = ("srun", "ssh", "--distributed")
 # In the place of every spec: what the pages read from sweeps/plane.toml is in it.
 SPEC = """
@@ -117,6 +118,7 @@ def read_aloud(page, folder, less):
     """Run a page from its top to its end, as a reader would who types all of it into one shell and one Python."""
     prepare(folder, less)
     names, done = {"__name__": "page"}, []
+    before = [text for other in PAGES[: PAGES.index(page)] for _, text in parts(other)] if less else []
     for kind, text in parts(page):
         if kind == "python":
             code = text.replace("1_000_000", "1_000").replace(", 200)", ", 4)") if less else text
@@ -124,6 +126,8 @@ def read_aloud(page, folder, less):
                 exec(compile(code, page.name, "exec"), names)
             continue
         argv = shlex.split(text.partition(" > ")[0])[1:]
+        if text in before and argv[0] in NO_FILES and "--out" not in argv:
+            continue
         argv = fewer(argv) if less else argv
         if argv[0] in ELSEWHERE or any(word.isupper() and word.isalpha() for word in argv[:2]) or argv in done:
             continue
