@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PATH, SWEPT
+from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
 _METAVARS = {NAME: "NAME", NUMBER: "X", NUMBERS: "X ...", INTEGER: "INT"}
@@ -54,6 +54,7 @@ ReferenceOptions = _group("ReferenceOptions", _PATHS)
 LoopOptions = _group("LoopOptions", [n for n in OPTIONS if n not in (*_ROBOT, *_TASK, *_PATHS)])
 DriveOptions = _group("DriveOptions", DRIVE)
 MeasuredOptions = _group("MeasuredOptions", MEASURED)
+PaceOptions = _group("PaceOptions", PACE)
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -81,6 +82,10 @@ def drive_words(made) -> str:
     """What a robot adds, such as "2 samples of dead time, drives 20 ms behind their commands"; "" where nothing."""
     import numpy as np
 
+    if made.pace is not None:
+        return "steps scaled along the way to limits of " + ", ".join(
+            name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name) is not None
+        )
     drive = made.drive
     if drive is None or (drive.prompt and drive.exact):
         return ""

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, as_options
-from cnclik.cli.problem import MeasuredOptions, ProblemOptions, drive_words, problem, table
+from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
+class Args(ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
     """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
 
     out: Path = Path("solved")
@@ -82,8 +82,8 @@ def _march(made, report):
     from cnclik.integrate.solve import solve
     from cnclik.integrate.trajectory import join, truncate
 
-    if made.measured:
-        return _driven(made, report)
+    if made.measured or made.pace is not None:
+        return _whole(made, report)
     size = made.N if made.method.steps > 1 else min(made.N, PIECE)  # a memory would begin anew with every piece
     pieces = -(-made.N // size)  # the last one may run past N; what is beyond is cut off
 
@@ -104,18 +104,20 @@ def _march(made, report):
     return truncate(join(parts), made.N), seconds / (pieces * size)
 
 
-def _driven(made, report):
-    """The same through the robot's drives, in one piece: what is under way would begin anew with every piece."""
+def _whole(made, report):
+    """The same through drives or at a pace, in one piece: what is under way would begin anew with every piece."""
     import jax
     import numpy as np
 
     from cnclik.integrate.measured import solve_driven
+    from cnclik.integrate.paced import solve_paced
 
-    loop, measured = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage), made.measured
+    loop, paced = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage), made.pace is not None
+    run, also = (solve_paced, {"pace": made.pace}) if paced else (solve_driven, made.measured)
     report(0, made.N)
     for again in range(2):  # the first compiles
         begun = time.perf_counter()
-        found = jax.block_until_ready(solve_driven(*loop, **measured))
+        found = jax.block_until_ready(run(*loop, **also))
         seconds = time.perf_counter() - begun
         report((again + 1) * made.N // 2, made.N)
     return jax.tree.map(np.asarray, found), seconds / made.N

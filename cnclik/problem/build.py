@@ -8,6 +8,7 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import white_noise
 from cnclik.integrate.method import Method, named
+from cnclik.integrate.pace import Pace
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, causal
@@ -24,7 +25,7 @@ from cnclik.problem.names import (
     start_from,
     task_from,
 )
-from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT
+from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values
 from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import FUTURES
 
@@ -35,8 +36,8 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they a
 class Problem:
     """What `solve` needs, `solve(p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage, drive=p.drive)`, and its name.
 
-    `drive` is None where nothing was said of it. `noise` (m,) or a number is the standard deviation of the measured
-    error, or None, `seed` that of what is drawn.
+    `drive` and `pace` are None where nothing was said of them. `noise` (m,) or a number is the standard deviation of
+    the measured error, or None, `seed` that of what is drawn.
     """
 
     name: str
@@ -48,12 +49,13 @@ class Problem:
     method: Method
     stage: object
     drive: Drive | None = None
+    pace: Pace | None = None
     noise: object = None
     seed: int = 0
 
     @property
     def measured(self) -> dict:
-        """`drive` and `noise` as `solve_measured` takes them; {} where the loop is `solve`'s own."""
+        """`drive` and `noise` as `solve_measured` takes them; {} where the loop is `solve`'s own, paced or not."""
         drive = self.drive or Drive()
         if self.noise is None:
             return {} if drive.prompt and drive.exact else {"drive": drive}
@@ -98,6 +100,10 @@ def problem_from(robot, **options) -> Problem:
     path = {name: v[name] for name in PATH}
     seed = errors.number("seed", 0 if v["seed"] is None else v["seed"], at_least=0)
     said = {name: v[name] for name in DRIVE if v[name] is not None}
+    kept = {name: v[name] for name in PACE if v[name] is not None}
+    drive = drive_from(chain, seed=seed, **said) if said else None
+    if kept and (v["noise"] is not None or (drive is not None and not (drive.prompt and drive.exact))):
+        raise errors.fail(next(iter(kept)), "be left out where there are drives or noise", "is given")
     reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     return Problem(
@@ -109,7 +115,8 @@ def problem_from(robot, **options) -> Problem:
         N=N,
         method=named(v["method"]),
         stage=stage_from(v["stage"], v["M"]),
-        drive=drive_from(chain, seed=seed, **said) if said else None,
+        drive=drive,
+        pace=pace_from(chain, **kept) if kept else None,
         noise=v["noise"],
         seed=seed,
     )
@@ -117,10 +124,23 @@ def problem_from(robot, **options) -> Problem:
 
 def drive_from(chain, **given) -> Drive:
     """A `Drive` from its options; several numbers are one per joint."""
+    return Drive(**_per_joint(chain, given))
+
+
+def pace_from(chain, **given) -> Pace:
+    """A `Pace` from its options, see `drive_from`."""
+    made = _per_joint(chain, given)
+    for name, value in made.items():
+        if errors.concrete(value):
+            check_values(name, name, np.atleast_1d(errors.array(name, value, (), (chain.n,))))
+    return Pace(**{name.removeprefix("max_"): value for name, value in made.items()})
+
+
+def _per_joint(chain, given) -> dict:
     made = {}
     for name, value in given.items():
         value = value[0] if isinstance(value, (tuple, list)) and len(value) == 1 else value
         if isinstance(value, (tuple, list)):
             value = errors.array(name, value, (chain.n,))
         made[name] = value
-    return Drive(**made)
+    return made

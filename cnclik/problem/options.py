@@ -117,8 +117,15 @@ NOISE = {
                     "coordinate [m, rad].", unit="m, rad", must="at least 0"),
     "seed": Option(INTEGER, "Of what is drawn; 0 by default.", must="at least 0"),
 }  # fmt: skip
+PACE = {  # limits that the loop keeps by going slower along its way: fields of `Pace`
+    "max_velocity": Option(NUMBERS, "Joint velocity that the steps are scaled to, one number or one per joint "
+                           "[rad/s, m/s]; with the next two the robot's own by default.", unit="q/s", must="positive"),
+    "max_acceleration": Option(NUMBERS, "Joint acceleration that they are scaled to [rad/s², m/s²].", unit="q/s²",
+                               must="positive"),
+    "max_jerk": Option(NUMBERS, "Joint jerk that they are scaled to [rad/s³, m/s³].", unit="q/s³", must="positive"),
+}  # fmt: skip
 MEASURED = DRIVE | NOISE  # what a robot adds to a loop
-SWEPT = OPTIONS | MEASURED
+SWEPT = OPTIONS | MEASURED | PACE
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
@@ -147,7 +154,9 @@ def units(law, width=None) -> dict:
     power = len(law.task.position)
     known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
     known["w"] = known["J"]
-    known |= {f"q/{time}": ", ".join(f"{u}/{time}" for u in dict.fromkeys(law.chain.units)) for time in ("s", "s²")}
+    known |= {
+        f"q/{time}": ", ".join(f"{u}/{time}" for u in dict.fromkeys(law.chain.units)) for time in ("s", "s²", "s³")
+    }
     if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
         known["w"] = f"m^{power}"
     return {name: known.get(option.unit, option.unit) for name, option in SWEPT.items() if option.kind != NAME}

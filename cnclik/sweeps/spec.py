@@ -183,7 +183,7 @@ def _evaluations(p) -> float:
 def _run(p):
     """A loop's run, as its robot has it."""
     loop, measured = (p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage), p.measured
-    return solve_measured(*loop, **measured) if measured else solve(*loop)
+    return solve_measured(*loop, **measured) if measured else solve(*loop, pace=p.pace)
 
 
 def joints_of(known, look) -> int:

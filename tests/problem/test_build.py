@@ -57,6 +57,18 @@ def test_a_future_may_be_unknown():
         p.problem_from("panda", future="unkown")
 
 
+def test_a_pace_is_options_like_the_others():
+    made = p.problem_from("panda", max_jerk=[500.0], max_acceleration=[1.0, 2, 3, 4, 5, 6, 7])
+    assert made.pace.velocity == "chain" and made.pace.jerk == 500 and made.pace.acceleration[6] == 7
+    for options, told in (
+        ({"max_jerk": -1.0}, "`max_jerk` must hold values that are positive, but holds -1"),
+        ({"max_jerk": [1.0, 2.0]}, r"`max_jerk` must have shape \(7,\)"),
+        ({"max_jerk": 1.0, "delay": 2}, "`max_jerk` must be left out where there are drives"),
+    ):
+        with pytest.raises(ck.ArgumentError, match=told):
+            p.problem_from("panda", **options)
+
+
 @pytest.mark.parametrize(
     "text, position, orientation",
     [
