@@ -42,7 +42,8 @@ def drives(setup, delay, inertia, fits=None) -> dict:
     kp, kv = setup.arm.gains(servo)
     m = np.diag(inertia)
     modes = eigh(inertia, np.diag(kv), eigvals_only=True)  # of M v = λ k_v v [s]
-    made = {"kinematic": Drive(feedback=setup.feedback), "delay": Drive(delay=delay, feedback=setup.feedback)}
+    at_once = "measured" if setup.feedback == "rebased" else setup.feedback  # without a lag both are the same
+    made = {"kinematic": Drive(feedback=at_once), "delay": Drive(delay=delay, feedback=at_once)}
     if servo.command == "velocity":
         made["lag"] = Drive(delay=delay, lag=m / kv, **feedback)
         if setup.arm.n == 6:
