@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
+from cnclik.programs import kept as kept_whole
 from cnclik.record import combine, partition
 
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
@@ -81,6 +82,11 @@ def as_here(fn):
             return fn(*args, **named)
 
     return there
+
+
+def _around():
+    """All that tracing depends on besides arguments and JAX's settings."""
+    return _context.value, _lanes.value, _form.value
 
 
 def on_cpu() -> bool:
@@ -205,10 +211,13 @@ def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
             made.setdefault(key, bounded_jit(fn, compiler_options=known_options(compiler) or None, **options))
         return made[key]
 
-    plain = bounded_jit(fn, **options)
+    plain, static = bounded_jit(fn, **options), options.get("static_argnames", ())
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
+        found = kept_whole(fn, _around(), known_options(compiler), static, args, kwargs)
+        if found is not None:
+            return found
         try:
             return now()(*args, **kwargs)
         except ValueError as error:

@@ -121,8 +121,11 @@ def _prepare(cache: bool) -> None:
     jax.config.update("jax_enable_x64", True)
     if cache:
         from cnclik.compilation import use_cache
+        from cnclik.programs import keep
 
-        use_cache()
+        place = use_cache()
+        named = "JAX_COMPILATION_CACHE_DIR" in os.environ  # others may write there
+        keep(None if named else place)
     else:
         jax.config.update("jax_enable_compilation_cache", False)
 

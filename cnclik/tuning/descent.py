@@ -60,6 +60,11 @@ def default_optimizer():
     return optax.lbfgs(memory_size=10, linesearch=None)
 
 
+def _or_default(optimizer):
+    """None is a part of a program that a later process knows again; what optax makes are functions made anew."""
+    return default_optimizer() if optimizer is None else optimizer
+
+
 def gradient_mode(count: int, mode="auto") -> str:
     """How gradients of `count` free numbers are taken: "forward" up to 8, else "reverse"."""
     return mode if mode != "auto" else "forward" if count <= FORWARD_UP_TO else "reverse"
@@ -116,7 +121,7 @@ def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, 
       objective: a record with `parameters`, called with their values for (loss, constraints (c,)).
       carry: `Carry` with a leading axis (S,).
       multipliers: (S, c). weight: (S,) of the quadratic term. scale: (S,) of the loss.
-      optimizer: an optax transformation; its updates are what is tried first.
+      optimizer: an optax transformation, or None, as in `Descent`; its updates are what is tried first.
       mode: "forward" or "reverse".
     Returns: (`Carry`, `History` (S, steps)).
     """
@@ -134,6 +139,8 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
 
     limits = jnp.finfo(carry.u.dtype)
     derivative = jax.jacfwd(merit, has_aux=True) if mode == "forward" else jax.grad(merit, has_aux=True)
+
+    optimizer = _or_default(optimizer)
 
     def one(c: Carry, _):
         trial = c.u + c.size * c.direction
@@ -185,7 +192,7 @@ def _where(condition, a, b):
 
 @bounded_jit(static_argnames=("optimizer", "constraints"))
 def _begin(starts, *, optimizer, constraints):
-    return jax.vmap(lambda u: begin(optimizer, u, constraints))(starts)
+    return jax.vmap(lambda u: begin(_or_default(optimizer), u, constraints))(starts)
 
 
 class Descended(NamedTuple):
@@ -211,7 +218,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
     """
     starts = np.asarray(starts, jax.dtypes.canonicalize_dtype(float))
     (count, size), dtype = starts.shape, starts.dtype
-    optimizer = default_optimizer() if descent.optimizer is None else descent.optimizer
+    optimizer = descent.optimizer
     mode = gradient_mode(size, descent.gradient)
     carry = _begin(starts, optimizer=optimizer, constraints=constraints)
     scale = np.asarray(scale, dtype)

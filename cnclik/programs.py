@@ -1,0 +1,181 @@
+"""Programs kept whole between runs: what an earlier process has traced and compiled is loaded, and not made again.
+
+JAX's own cache knows a program by its text, which has to be traced first: most of what is waited for the second time.
+Here it is known by all that its text is made of: the function with all that it has got hold of, and the source of this
+package; literals, shapes and types of its arguments; JAX's settings and its version; the environment and the machine.
+A program of what can't be told so, as of a function of the user's, is left to JAX's own cache.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import io
+import marshal
+import os
+import pathlib
+import pickle
+import sys
+import time
+import types
+
+import jax
+import numpy as np
+from jax._src.config import persistent_cache_min_compile_time_secs as _kept_by_jax_from
+
+_NUMBERS = (bool, int, float, complex)
+_ARRAYS = (np.ndarray, np.generic, jax.Array)
+# Packages whose names say what they mean.
+_KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax")
+_SWITCHES = ("CNCLIK_", "JAX_", "XLA_")  # beginnings of variables of the environment that programs depend on
+_MOST = 128  # programs held by this process
+ENDING = "-cache"  # of files' names, as JAX's own
+_place = None  # where programs are kept; None: nowhere
+_held = {}
+
+
+class _UnknownError(Exception):
+    """Something that names no program."""
+
+
+class _Place:
+    """Where an array stands in arguments or results, and what is known of it beforehand."""
+
+    def __init__(self, value, *_):
+        self.shape, self.weak = np.shape(value), isinstance(value, _NUMBERS) or bool(getattr(value, "weak_type", False))
+        self.kind = type(value).__name__ if isinstance(value, _NUMBERS) else str(value.dtype)
+
+
+class _Pickler(pickle.Pickler):
+    def reducer_override(self, value):
+        package = str(getattr(value, "__module__", None)).partition(".")[0]
+        if (callable(value) or isinstance(value, type)) and package not in _KNOWN:
+            raise _UnknownError
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):  # and not what else it remembers
+            fields = [getattr(value, f.name) for f in dataclasses.fields(value)]
+            return _Place, (0, type(value).__module__, type(value).__qualname__, fields)
+        if package != "cnclik" or not isinstance(value, types.FunctionType):
+            return NotImplemented
+        # Our own, also one that is made anew by each call: by its code and what it has got hold of.
+        held = [cell.cell_contents for cell in value.__closure__ or ()]
+        return _Place, (0, value.__module__, marshal.dumps(value.__code__, 0), value.__defaults__, held)
+
+
+def keep(folder) -> None:
+    """Keep programs in a folder, one that only its owner may write; None: keep none."""
+    global _place
+    _place = None if folder is None else pathlib.Path(folder)
+
+
+def kept(fn, context, options, static, args, named):
+    """What fn gives for arguments, by a program that was kept, or is now; None where it can't be.
+
+    Args:
+      fn: the pure function, from this package. static: names of arguments that are compiled in.
+      context: all that tracing depends on besides, in values that can be pickled.
+      options: the compiler's.
+      args, named: fn's.
+    """
+    if _place is None or jax.default_backend() != "cpu" or jax.config.jax_disable_jit:
+        return None
+    asked = _asked(fn, context, options, static, args, named)
+    if asked is None:
+        return None
+    key, leaves, make = asked
+    found = _held.get(key) or _read(key) or _made(key, leaves, make, options)
+    while len(_held) >= _MOST:
+        _held.pop(next(iter(_held)))
+    _held[key] = found
+    program, results = found
+    return jax.tree.unflatten(jax.tree.structure(results), program(*leaves))
+
+
+def _asked(fn, context, options, static, args, named):
+    """(key, leaves, the function of these leaves alone), or None where arguments are traced or can't be named."""
+    compiled_in = {name: value for name, value in named.items() if name in static}
+    others = {name: value for name, value in named.items() if name not in static}
+    leaves, tree = jax.tree.flatten((args, others))
+    if any(isinstance(leaf, jax.core.Tracer) or not isinstance(leaf, (*_NUMBERS, *_ARRAYS)) for leaf in leaves):
+        return None
+    shape = jax.tree.unflatten(tree, map(_Place, leaves))
+    settings = sorted((name, repr(value)) for name, value in jax.config.values.items())
+    text = io.BytesIO()
+    try:
+        known = fn, context, options, compiled_in, shape, settings
+        pickler = _Pickler(text, protocol=5)
+        pickler.fast = True  # by what things are, and not by which of them are the same
+        pickler.dump(known)
+    except (_UnknownError, pickle.PicklingError, TypeError, ValueError, AttributeError, RecursionError):
+        return None
+
+    def make(*leaves):
+        args, others = jax.tree.unflatten(tree, leaves)
+        return fn(*args, **others, **compiled_in)
+
+    return hashlib.sha256(text.getvalue() + surroundings()).hexdigest(), leaves, make
+
+
+@functools.cache
+def surroundings() -> bytes:
+    """A digest of what all programs of a process share: versions, this package's source, the environment."""
+    from importlib.metadata import version
+
+    here, digest = pathlib.Path(__file__).parent, hashlib.sha256()
+    switches = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SWITCHES))
+    versions = sys.version, *(version(name) for name in ("jax", "jaxlib", "numpy", "optax"))
+    digest.update(repr((versions, switches, len(jax.devices()))).encode())
+    for file in sorted(here.rglob("*.py")):
+        digest.update(file.relative_to(here).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.digest()
+
+
+def _made(key, leaves, make, options):
+    """(program, what it returns with a place for each array), compiled now and kept where that is possible."""
+    outcome = {}
+
+    def flat(*leaves):
+        arrays, tree = jax.tree.flatten(make(*leaves))
+        outcome["results"] = jax.tree.unflatten(tree, map(_Place, arrays))
+        return arrays
+
+    flat.__name__ = f"kept_{key}"  # a name that JAX's own cache doesn't know: what comes from there can't be kept again
+    lowered = jax.jit(flat, compiler_options=options or None).lower(*leaves)
+    with _kept_by_jax_from(float("inf")):
+        program = lowered.compile()
+    results = outcome["results"]
+    with contextlib.suppress(Exception):  # callbacks, a full disk: what isn't kept is made again
+        from jax.experimental import serialize_executable
+
+        whole = pickle.dumps((serialize_executable.serialize(program), results), protocol=5)
+        beside = _place / f".{key}-{os.getpid()}"
+        try:
+            beside.write_bytes(hashlib.sha256(whole).digest() + whole)
+            beside.replace(_place / f"{key}{ENDING}")
+        finally:
+            beside.unlink(missing_ok=True)
+    return program, results
+
+
+@functools.cache
+def _know_lapack():
+    """JAX finds LAPACK when it first writes a program that calls it; one that is loaded would call nothing."""
+    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), "float32"))
+
+
+def _read(key):
+    """(program, results) as `_made`, or None where there is none that is whole."""
+    begun = time.time()
+    try:
+        whole = memoryview((_place / f"{key}{ENDING}").read_bytes())
+        if hashlib.sha256(whole[32:]).digest() != whole[:32]:
+            return None
+        from jax.experimental import serialize_executable
+
+        _know_lapack()
+        serialized, results = pickle.loads(whole[32:])
+        program = serialize_executable.deserialize_and_load(*serialized)
+    except Exception:  # whatever is wrong with it, there is another way
+        return None
+    jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
+    jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
+    return program, results

@@ -1,0 +1,137 @@
+"""Programs kept whole: the same question finds its program again, any other one does not, and results are the same."""
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import programs
+from cnclik.hints import quick_jit
+from cnclik.integrate.solve import _run
+from cnclik.record import replace
+
+ARM = ck.planar_arm([1.0, 0.8])
+LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
+Q = np.array([0.3, 1.1])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    programs.keep(tmp_path)
+    programs._held.clear()
+    yield tmp_path
+    programs.keep(None)
+    programs._held.clear()
+
+
+def files(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def asked(law=LAW, target=(1.2, 0.9), N=4, method="EE", q=Q, Ts=0.1, solve=None):
+    solve = solve or quick_jit(_run, static_argnames=("N", "method"))
+    method = ck.METHODS[method]
+    return solve(law, ck.hold(np.array(target)), q, np.float64(Ts), np.float64(0.0), ck.picard(3), N=N, method=method)
+
+
+def test_a_program_is_found_again_and_gives_the_same(folder):
+    first = asked()
+    kept = files(folder)
+    assert len(kept) == 1
+    programs._held.clear()  # as another process would begin
+    again = asked()
+    assert files(folder) == kept
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert repr(first) == repr(again) and type(again) is ck.Trajectory
+    # Other numbers in arrays are no other program.
+    moved = asked(target=(1.1, 0.8), Ts=0.2, q=Q + 0.1)
+    assert files(folder) == kept and np.abs(moved.q - first.q).max() > 0.05
+    plain = ck.solve(LAW, ck.hold([1.1, 0.8]), Q + 0.1, 0.2, 4, "EE")
+    np.testing.assert_allclose(moved.q, plain.q, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"law": ck.Law(ARM, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))},
+        {"law": replace(LAW, chain=ck.planar_arm([1.0, 0.9]))},
+        {"N": 5},
+        {"method": "CN"},
+        {"q": Q.astype("float32")},
+    ],
+    ids=["inverse", "robot", "N", "method", "dtype"],
+)
+def test_what_is_compiled_in_makes_another_program(folder, change):
+    asked()
+    before = files(folder)
+    asked(**change)
+    assert len(files(folder) - before) == 1
+    law = change.get("law", LAW)
+    got = asked(**change).q[-1]
+    wanted = ck.solve(law, ck.hold([1.2, 0.9]), change.get("q", Q), 0.1, change.get("N", 4), change.get("method", "EE"),
+                      ck.picard(3)).q[-1]  # fmt: skip
+    np.testing.assert_allclose(got, wanted, rtol=1e-5 if "q" in change else 1e-12)
+
+
+def test_settings_make_another_program(folder):
+    asked()
+    before = files(folder)
+    with ck.use_form("unrolled"):
+        asked()
+    with ck.use_hints(False):
+        asked()
+    with jax.default_matmul_precision("float32"):
+        asked()
+    assert len(files(folder) - before) == 3
+
+
+def test_a_function_of_the_users_is_never_kept(folder):
+    path = ck.path(lambda t: (1.0 + 0.1 * t, 0.9 + 0.0 * t))
+    solve = quick_jit(_run, static_argnames=("N", "method"))
+    arguments = LAW, path, Q, np.float64(0.1), np.float64(0.0), ck.picard(3)
+    run = solve(*arguments, N=3, method=ck.EE)
+    assert not files(folder) and run.q.shape == (4, 2)
+    gain = 2.0
+
+    def user(x):
+        return gain * x
+
+    user.__module__ = "__main__"
+    assert quick_jit(user)(1.5) == 3.0 and not files(folder)
+
+
+def test_a_closure_is_known_by_what_it_holds(folder):
+    def times(gain):
+        def scaled(x):
+            return gain * x
+
+        scaled.__module__ = "cnclik.test"
+        return quick_jit(scaled)
+
+    assert [float(times(gain)(1.5)) for gain in (2.0, 3.0, 2.0)] == [3.0, 4.5, 3.0]
+    assert len(files(folder)) == 2
+
+
+def test_what_is_damaged_is_made_again(folder):
+    first = asked()
+    (file,) = folder.iterdir()
+    for content in (b"", file.read_bytes()[:-7], b"x" * 500):
+        file.write_bytes(content)
+        programs._held.clear()
+        np.testing.assert_array_equal(asked().q, first.q)
+        assert len(file.read_bytes()) > 1000  # and kept once more
+
+
+def test_many_programs_of_one_function_stand_side_by_side(folder):
+    """What was loaded once, from JAX's cache or from here, can't be kept: functions are missing then."""
+    wanted = {N: asked(N=N).q for N in (2, 3, 4, 5)}
+    programs._held.clear()
+    for _ in range(2):
+        for N, q in wanted.items():
+            np.testing.assert_array_equal(asked(N=N).q, q)
+
+
+def test_nothing_is_kept_where_nobody_asked(tmp_path):
+    assert programs._place is None
+    asked()
