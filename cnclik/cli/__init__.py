@@ -8,6 +8,7 @@ import contextlib
 import gc
 import importlib
 import os
+import signal
 import sys
 import time
 
@@ -69,14 +70,21 @@ def _run(verb, *options) -> None:
     except FigureError as error:
         _leave(1, error)
     except KeyboardInterrupt:
-        _leave(130, "Interrupted; what was complete is kept.")
+        _stopped(signal.SIGINT)
     except terminal.Terminated:
-        _leave(143, "Terminated; what was complete is kept.")
+        _stopped(signal.SIGTERM)
     except Exception:
+        if terminal.heard_now:
+            _stopped(terminal.heard_now[0])
         if _has_platform():
             raise
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
         _leave(2, errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}"))
+
+
+def _stopped(sent) -> None:
+    word = "Interrupted" if sent == signal.SIGINT else "Terminated"
+    _leave(128 + sent, f"{word}; what was complete is kept.")
 
 
 def _has_platform() -> bool:

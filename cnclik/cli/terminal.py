@@ -42,6 +42,7 @@ class Terminated(BaseException):
 
 
 _STOPS = {signal.SIGTERM: Terminated, signal.SIGINT: KeyboardInterrupt}
+heard_now = []  # signals that a command was sent: extensions that are being loaded make errors of their own of them
 _PATIENCE = 30.0  # [s] that cleaning up may take after a signal
 
 
@@ -129,11 +130,10 @@ def _stoppable(process):
     as SIGINT behind `&` in a script, stays ignored.
     """
 
-    stopped = False
+    heard_now.clear()
 
     def end(sent, _):
-        nonlocal stopped
-        stopped = True
+        heard_now.append(sent)
         if process:
             faulthandler.dump_traceback_later(_PATIENCE, exit=True, file=nowhere)
         raise _STOPS[sent]
@@ -160,4 +160,4 @@ def _stoppable(process):
                 faulthandler.cancel_dump_traceback_later()
             sys.unraisablehook = hook
             for sent, handler in before.items():
-                signal.signal(sent, signal.SIG_IGN if process and stopped else handler)  # once is enough
+                signal.signal(sent, signal.SIG_IGN if process and heard_now else handler)  # once is enough

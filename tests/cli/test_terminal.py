@@ -104,6 +104,22 @@ def test_signals_leave_no_half_results(tmp_path, sent, code, says):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_error_that_a_signal_made_is_that_signal(monkeypatch, capsys):
+    """NumPy, interrupted while it is being loaded, says that it can't be."""
+    from cnclik.cli import robots
+
+    def loaded(args):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("numpy._core.multiarray failed to import") from None
+
+    monkeypatch.setattr(robots, "run", loaded)
+    with pytest.raises(SystemExit) as left:
+        main(["robots", "panda"])
+    assert left.value.code == 130 and capsys.readouterr().err == "cnclik: Interrupted; what was complete is kept.\n"
+
+
 def test_a_signal_that_is_ignored_stays_ignored(tmp_path):
     """As a shell has it for what a script runs behind `&`: Ctrl-C is for the script."""
     process = command(tmp_path, 1, "signal.SIG_IGN", stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
