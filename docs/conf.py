@@ -28,6 +28,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
+    "docstrings",
     "mathml",
     "evidence",
     "examples",
@@ -50,6 +51,7 @@ nb_merge_streams = True
 
 # API
 autodoc_member_order = "bysource"
+default_role = "py:obj"  # `name` in a docstring is code, and a link where it is known
 autodoc_typehints = "none"
 autodoc_preserve_defaults = True
 autodoc_class_signature = "separated"
