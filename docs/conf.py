@@ -34,7 +34,12 @@ extensions = [
     "examples",
     "offline",
 ]
-exclude_patterns = ["_ext", "_static", "gallery/*", *(f"gallery-pages/*.{kind}" for kind in ("ipynb", "py", "zip", "json"))]
+exclude_patterns = [
+    "_ext",
+    "_static",
+    "gallery/*",
+    *(f"gallery-pages/*.{kind}" for kind in ("ipynb", "py", "zip", "json")),
+]
 nitpicky = False
 
 # Pages

@@ -16,7 +16,9 @@ def copy(app, config):
     """`results/**` that a page may show, as `docs/results`; what has not changed is left alone."""
     source, copies = ROOT / "results", pathlib.Path(app.srcdir) / "results"
     found = {p.relative_to(source) for p in source.rglob("*") if p.suffix in KEPT and "data.zarr" not in p.parts}
-    found -= {name for name in found if name.suffix == ".md" and not (source / name).read_text("utf-8").startswith("# ")}
+    found -= {
+        name for name in found if name.suffix == ".md" and not (source / name).read_text("utf-8").startswith("# ")
+    }
     for old in [p for p in copies.rglob("*") if p.is_file()] if copies.exists() else ():
         if old.relative_to(copies) not in found:
             old.unlink()

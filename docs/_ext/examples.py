@@ -16,7 +16,15 @@ def run(app):
     if os.environ.get("CNCLIK_DOCS_RUN", "1") == "0":
         return
     LOG.info("running the examples of README and docs/*.md (CNCLIK_DOCS_RUN=0 leaves them out)")
-    command = [sys.executable, "-m", "pytest", "-q", "-n", os.environ.get("CNCLIK_DOCS_WORKERS", "2"), "tests/test_docs.py"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-n",
+        os.environ.get("CNCLIK_DOCS_WORKERS", "2"),
+        "tests/test_docs.py",
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         raise ExtensionError(f"an example of a page failed:\n{done.stdout[-4000:]}{done.stderr[-2000:]}")

@@ -1,0 +1,16 @@
+"""
+Where can the arm reach, and in how many orientations?
+======================================================
+
+`ck.reachability` tries every place of a plane in orientations that fill the turns evenly: here 10 of them for a
+Panda, over 20 × 20 places.
+"""
+
+import cnclik as ck
+from cnclik.show.reach import reachability
+from cnclik.show.style import style
+
+found = ck.reachability(ck.panda(), "xz", cells=20, orientations=10)
+with style():
+    reachability(found, title="Panda")
+print(found.reached)
