@@ -13,6 +13,8 @@ sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 # Kernels of the tutorials import what is documented, not what may be installed.
 os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
 
+import look  # noqa: E402
+
 from cnclik.version import __version__  # noqa: E402
 
 RUN = os.environ.get("CNCLIK_DOCS_RUN", "1") != "0"
@@ -48,6 +50,7 @@ myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 myst_links_external_new_tab = False
 highlight_language = "text"  # a fence without a language is what a terminal shows
+os.environ["IPYTHONDIR"] = look.kernels()
 nb_execution_mode = "force" if RUN else "off"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
@@ -78,7 +81,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 1e9,
     "write_computation_times": False,
     "image_srcset": ["2x"],
-    "reset_modules": ("matplotlib",),
+    "reset_modules": ("matplotlib", "look.of_project"),
 }
 # matplotlib's Agg canvas has no window to show; every script of a gallery is told so.
 warnings.filterwarnings("ignore", category=UserWarning, message=".*non-interactive.*")

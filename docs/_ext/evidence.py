@@ -30,11 +30,12 @@ def copy(app, config):
 
 
 def lead(app, docname, source):
-    """Links to the copies; and from them back to pages."""
+    """Links to the copies, and from them back to pages; to the gallery as it is built."""
     if docname.startswith("results/"):
         source[0] = re.sub(r"\]\(((?:\.\./)+)docs/", r"](\1", source[0])
     else:
         source[0] = re.sub(r"\]\(((?:\.\./)*)\.\./results/", r"](\1results/", source[0])
+        source[0] = source[0].replace("](gallery/GALLERY_HEADER.rst)", "](gallery-pages/index.rst)")
 
 
 def setup(app):

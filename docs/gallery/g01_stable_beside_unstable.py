@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import BLUE, VERMILION, style
+from cnclik.show.style import BLUE, VERMILION
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts, N = ck.planar_arm([1.0] * 5, clockwise=True), np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0]), 0.1, 42
@@ -36,15 +36,14 @@ def joints(q):
     return np.concatenate([np.zeros((*q.shape[:-1], 1, 2)), np.cumsum(links, axis=-2)], axis=-2)
 
 
-with style():
-    figure, panels = plt.subplots(1, 2, figsize=(6.4, 2.9), sharey=True)
+figure, panels = plt.subplots(1, 2, figsize=(6.4, 2.9), sharey=True)
 drawn = []
 for panel, (z, q), color, word in zip(panels, runs.items(), (BLUE, VERMILION), ("stable", "unstable"), strict=True):
     places = joints(q)
     panel.plot([4, 2], [1, 1], color="0.6", lw=3, alpha=0.6)
     trail = panel.plot([], [], color=color, lw=0.8, alpha=0.8)[0]
     links = panel.plot([], [], "o-", color=color, lw=3, ms=5, mfc="white")[0]
-    panel.set(xlim=(-0.6, 4.9), ylim=(-0.9, 3.1), aspect="equal", xticks=[], yticks=[])
+    panel.set(xlim=(-1.4, 4.6), ylim=(-1.2, 3.2), aspect="equal", xticks=[], yticks=[])
     panel.set_title(f"alpha = {z / Ts:g} 1/s, z = {z:g}: {word}")
     panel.grid(False)
     panel.spines[:].set_visible(False)

@@ -11,14 +11,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import COLORS, style
+from cnclik.show.style import COLORS
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.05
 target = ck.hold(np.asarray(ck.pose(arm, q0).position)[:2] + np.array([0.02, 0.0]))
 
-with style():
-    figure, panel = plt.subplots(figsize=(6, 2.8))
+figure, panel = plt.subplots(figsize=(6, 2.8))
 for z, color in zip((0.3, 1.0, 1.7, 2.1), COLORS, strict=False):
     law = ck.Law(arm, ck.position("xy"), alpha=z / Ts)
     run = ck.solve(law, target, q0, Ts, 20, "EE")

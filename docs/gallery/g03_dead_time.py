@@ -10,15 +10,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cnclik import stability
-from cnclik.show.style import BLUE, SKY, VERMILION, style
+from cnclik.show.style import BLUE, SKY, VERMILION
 
 d = np.arange(13)
 stable = [stability.delay_limit(int(k)) for k in d]
 exponential = [stability.delay_limit(int(k), "EXP-EE") for k in d]
 quiet = d**d / (d + 1.0) ** (d + 1)
 
-with style():
-    figure, panel = plt.subplots(figsize=(6, 2.9))
+figure, panel = plt.subplots(figsize=(6, 2.9))
 panel.plot(d, stable, "s-", color=VERMILION, label="EE, largest stable")
 panel.plot(d, exponential, "P-", color=SKY, label="EXP-EE, largest stable")
 panel.plot(d, quiet, "o-", color=BLUE, label="EE, no overshoot")

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import BLUE, GUIDE, style
+from cnclik.show.style import BLUE, GUIDE
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts, noise = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.01, 1e-4
@@ -29,8 +29,7 @@ def motion(z):
 
 
 z = np.geomspace(0.01, 1.8, 14)
-with style():
-    figure, panel = plt.subplots(figsize=(6, 2.8))
+figure, panel = plt.subplots(figsize=(6, 2.8))
 fine = np.geomspace(0.01, 1.9, 200)
 panel.plot(fine, np.sqrt(fine / (2 - fine)), color=BLUE, label="√(z/(2 − z))")
 panel.plot(z, motion(z), "o", color=BLUE, mfc="white", label="3000 steps, simulated")

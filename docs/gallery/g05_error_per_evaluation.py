@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import line, style
+from cnclik.show.style import line
 
 jax.config.update("jax_enable_x64", True)
 arm, path = ck.planar_arm([1.0, 0.8, 0.5]), ck.circle([1.2, 0.8], 0.3, period=4.0)
@@ -19,8 +19,7 @@ law = ck.Law(arm, ck.position("xy"), alpha=5.0)
 q0 = ck.solve(law, ck.hold([1.5, 0.8]), np.array([0.0, 0.9, 0.5]), 0.1, 60).q[-1]
 Ts = np.array([0.2, 0.1, 0.05, 0.025])
 
-with style():
-    figure, panel = plt.subplots(figsize=(6, 3.2))
+figure, panel = plt.subplots(figsize=(6, 3.2))
 for name in ("EE", "CN", "RK4", "EXP-EE", "EXP-MIDPOINT", "EXP-AB2", "EXP-RK4"):
 
     @jax.jit

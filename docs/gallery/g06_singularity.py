@@ -11,14 +11,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import COLORS, DASHES, style
+from cnclik.show.style import COLORS, DASHES
 
 jax.config.update("jax_enable_x64", True)
 arm, q0 = ck.planar_arm([1.0, 1.0]), np.array([-0.9, 1.3])
 path = ck.line(np.asarray(ck.pose(arm, q0).position)[:2], [0.4, 2.15], duration=2.0)
 
-with style():
-    figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
+figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
 inverses = {"pseudoinverse": ck.pseudoinverse(), "damped(0.05)": ck.damped(0.05), "damped(0.2)": ck.damped(0.2)}
 for (name, inverse), color, dash in zip(inverses.items(), COLORS, DASHES, strict=False):
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=inverse)

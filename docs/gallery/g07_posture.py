@@ -11,13 +11,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import BLUE, VERMILION, style
+from cnclik.show.style import BLUE, VERMILION
 
 jax.config.update("jax_enable_x64", True)
-arm, q0 = ck.planar_arm([1.0] * 5, clockwise=True), np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0])
-rest = np.array([-0.6, 0.9, 0.9, 0.6, 0.6])
+arm, q0 = ck.planar_arm([1.0] * 5, clockwise=True), np.array([0.2, 1.2, 0.9, 0.2, 0.1])
+rest = np.array([-1.2, 1.5, 1.5, 0.9, -0.8])
+tip = np.asarray(ck.pose(arm, q0).position)[:2]
 law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(rest, rate=1.0))
-run = ck.solve(law, ck.hold([4.0, 1.0]), q0, 0.05, 120)
+run = ck.solve(law, ck.hold(tip), q0, 0.05, 120)
 
 
 def joints(q):
@@ -26,8 +27,7 @@ def joints(q):
     return np.vstack([[0.0, 0.0], np.cumsum(np.stack([-np.sin(turn), np.cos(turn)], axis=1), axis=0)])
 
 
-with style():
-    figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
+figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
 for k in range(0, 121, 15):
     share = k / 120
     color = BLUE if k == 0 else VERMILION if k == 120 else str(0.8 - 0.5 * share)

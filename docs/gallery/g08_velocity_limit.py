@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import BLUE, VERMILION, style
+from cnclik.show.style import BLUE, VERMILION
 
 jax.config.update("jax_enable_x64", True)
 arm, path = ck.planar_arm([1.0, 0.8]), ck.circle([0.9, 0.7], 0.35, period=4.0)
@@ -20,8 +20,7 @@ q0 = np.asarray(ck.solve(law, ck.hold([1.25, 0.7]), np.array([0.0, 0.9]), 0.05, 
 cut = ck.solve(law, path, q0, 0.01, 900, "EE", drive=ck.Drive(drive_velocity=0.6))
 paced = ck.solve(law, path, q0, 0.01, 900, "EE", pace=ck.Pace(velocity=0.6))
 
-with style():
-    figure, panels = plt.subplots(1, 2, figsize=(7, 3))
+figure, panels = plt.subplots(1, 2, figsize=(7, 3))
 turn = np.linspace(0, 2 * np.pi, 200)
 panels[0].plot(0.9 + 0.35 * np.cos(turn), 0.7 + 0.35 * np.sin(turn), color="0.8", lw=4)
 for run, color, name in ((cut, VERMILION, "cut off, joint by joint"), (paced, BLUE, "paced")):

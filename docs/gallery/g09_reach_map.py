@@ -8,9 +8,7 @@ Panda, over 20 × 20 places.
 
 import cnclik as ck
 from cnclik.show.reach import reachability
-from cnclik.show.style import style
 
 found = ck.reachability(ck.panda(), "xz", cells=20, orientations=10)
-with style():
-    reachability(found, title="Panda")
+reachability(found, title="Panda")
 print(found.reached)

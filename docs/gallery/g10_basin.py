@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
 import cnclik as ck
-from cnclik.show.style import style
 
 arm, target, N = ck.planar_arm([1.0, 1.0]), ck.hold([0.5, 1.2]), 60
 
@@ -24,8 +23,7 @@ def steps(q1, q2, method, z):
 
 
 q1, q2 = jnp.meshgrid(jnp.linspace(-3.14, 3.14, 200), jnp.linspace(-3.14, 3.14, 200))
-with style():
-    figure, panels = plt.subplots(1, 3, figsize=(7.16, 2.9), sharey=True)
+figure, panels = plt.subplots(1, 3, figsize=(7.16, 2.9), sharey=True)
 for panel, (method, z) in zip(panels, (("EE", 0.5), ("EE", 1.5), ("EXP-MIDPOINT", 1.5)), strict=True):
     found = ck.lanes(lambda a, b, m=method, z=z: steps(a, b, m, z))(q1.ravel(), q2.ravel()).reshape(q1.shape)
     mesh = panel.pcolormesh(q1, q2, found, vmin=0, vmax=N, cmap="viridis_r", rasterized=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 import cnclik as ck
 from cnclik import stability
-from cnclik.show.style import COLORS, DASHES, style
+from cnclik.show.style import COLORS, DASHES
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.01
@@ -23,8 +23,7 @@ drives = {
     "lag of 50 ms": ck.Drive(lag=0.05),
     "servo, 25 rad/s": ck.Drive(natural_frequency=25.0, damping_ratio=0.7, command="position"),
 }
-with style():
-    figure, panel = plt.subplots(figsize=(6, 2.9))
+figure, panel = plt.subplots(figsize=(6, 2.9))
 for (name, drive), color, dash in zip(drives.items(), COLORS, DASHES, strict=False):
     law = ck.Law(arm, ck.position("xy"), alpha=5.0)
     alpha = stability.practice(law, None, q0, Ts=Ts, method="EE", drive=drive).recommended_alpha

@@ -11,11 +11,10 @@ import numpy as np
 
 import cnclik as ck
 from cnclik import stability
-from cnclik.show.style import COLORS, DASHES, GUIDE, style
+from cnclik.show.style import COLORS, DASHES, GUIDE, legend
 
 z = np.linspace(0.0, 4.0, 400)
-with style():
-    figure, panels = plt.subplots(1, 2, figsize=(7, 2.9), sharey=True)
+figure, panels = plt.subplots(1, 2, figsize=(7, 2.9), sharey=True)
 for panel, name in zip(panels, ("IE", "CN"), strict=True):
     stages = {
         "picard(2)": ck.picard(2),
@@ -29,4 +28,4 @@ for panel, name in zip(panels, ("IE", "CN"), strict=True):
     panel.axhline(1, **GUIDE)
     panel.set(title=name, xlabel="z = alpha·Ts", ylim=(0, 2))
 panels[0].set_ylabel("|R(z)|: what a step keeps")
-panels[1].legend()
+legend(panels[0].figure, panels[0])

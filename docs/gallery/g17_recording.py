@@ -10,7 +10,6 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.show.diagnosis import oscillation
-from cnclik.show.style import style
 
 rng = np.random.default_rng(1)
 e = [1.0] * 5
@@ -20,5 +19,4 @@ q = np.outer(e, [0.10, -0.04]) + [0.5, -1.2] + 0.0005 * rng.standard_normal((150
 
 found = ck.diagnose(q, 0.002, alpha=150.0)
 print(found)
-with style():
-    oscillation(q, found, ["q1", "q2"])
+oscillation(q, found, ["q1", "q2"])
