@@ -1,6 +1,7 @@
 """The site: `python -m sphinx -W --keep-going -b html docs site`.
 
-`CNCLIK_DOCS_RUN=0` builds pages, API and links without running an example.
+All examples are run. `CNCLIK_DOCS_RUN=0` runs none: pages, API and links alone, in a minute; `CNCLIK_DOCS_RUN=site` those of
+tutorials and gallery, where the tests have run the pages' own.
 """
 
 import os
@@ -17,7 +18,7 @@ import look  # noqa: E402
 
 from cnclik.version import __version__  # noqa: E402
 
-RUN = os.environ.get("CNCLIK_DOCS_RUN", "1") != "0"
+RUN = os.environ.get("CNCLIK_DOCS_RUN", "all") != "0"
 
 project = "cnclik"
 author = "The cnclik developers"
