@@ -1,7 +1,7 @@
 """The site: `python -m sphinx -W --keep-going -b html docs site`.
 
-All examples are run. `CNCLIK_DOCS_RUN=0` runs none: pages, API and links alone, in a minute; `CNCLIK_DOCS_RUN=site` those of
-tutorials and gallery, where the tests have run the pages' own.
+All examples are run. `CNCLIK_DOCS_RUN=0` runs none: pages, API and links alone, in a minute; `CNCLIK_DOCS_RUN=site` runs
+those of tutorials and gallery, where the tests have run the pages' own.
 """
 
 import os

@@ -6,6 +6,7 @@ import tempfile
 HELD = []  # contexts end when they are forgotten
 ON_START = ("%matplotlib inline", "from cnclik.show.style import style; _look = style(); _look.__enter__()")
 KERNEL = f"""c = get_config()
+c.IPKernelApp.log_level = "ERROR"
 c.InlineBackend.figure_formats = {{"svg"}}
 c.IPKernelApp.exec_lines = {list(ON_START)!r}
 """
