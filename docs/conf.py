@@ -1,7 +1,7 @@
 """The site: `python -m sphinx -W --keep-going -b html docs site`.
 
-All examples are run. `CNCLIK_DOCS_RUN=0` runs none: pages, API and links alone, in a minute; `CNCLIK_DOCS_RUN=site` runs
-those of tutorials and gallery, where the tests have run the pages' own.
+All examples are run. `CNCLIK_DOCS_RUN=0` runs none: pages, API and links alone, in a minute; `CNCLIK_DOCS_RUN=site`
+runs those of tutorials and gallery, where the tests have run the pages' own.
 """
 
 import os
@@ -11,8 +11,10 @@ import warnings
 
 HERE = pathlib.Path(__file__).parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
-# Kernels of the tutorials import what is documented, not what may be installed.
-os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+# Kernels of the tutorials import what is documented, not what may be installed, and `look`.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(HERE.parent), str(HERE / "_ext"), os.environ.get("PYTHONPATH", "")]
+).rstrip(os.pathsep)
 
 import look  # noqa: E402
 

@@ -3,8 +3,7 @@
 import pathlib
 import tempfile
 
-HELD = []  # contexts end when they are forgotten
-ON_START = ("%matplotlib inline", "from cnclik.show.style import style; _look = style(); _look.__enter__()")
+ON_START = ("%matplotlib inline", "import look; look.wear(); del look")
 KERNEL = f"""c = get_config()
 c.IPKernelApp.log_level = "ERROR"
 c.InlineBackend.figure_formats = {{"svg"}}
@@ -12,12 +11,21 @@ c.IPKernelApp.exec_lines = {list(ON_START)!r}
 """
 
 
-def of_project(gallery, name):
-    """What sphinx-gallery calls before each script, once matplotlib is as it was."""
+def wear() -> None:
+    """The project's settings, until others are made."""
+    import matplotlib
+
     from cnclik.show.style import style
 
-    HELD.append(style())
-    HELD[-1].__enter__()
+    before = matplotlib.rcParams.copy()
+    with style():
+        own = {key: value for key, value in matplotlib.rcParams.items() if value != before[key]}
+    matplotlib.rcParams.update(own)
+
+
+def of_project(gallery, name):
+    """What sphinx-gallery calls before each script, once matplotlib is as it was."""
+    wear()
 
 
 def kernels() -> str:
