@@ -1,0 +1,72 @@
+"""Docstrings of this project are plain text with "Args:", "Returns:" and "Raises:"; here they become what Sphinx reads.
+
+Marks that mean something to reStructuredText alone (|x|, *, names that end in _) are escaped, "Returns: text" becomes a
+field, and a record whose fields are explained by comments beside them gets these as a list.
+"""
+
+import ast
+import inspect
+import re
+import textwrap
+
+HEAD = re.compile(r"^(\w+(?: and raises|\.csv)?): (\S.*)$")
+FIELDS = ("Args", "Returns", "Raises", "Attributes")
+COMMENTED = re.compile(r"^ +(?P<names>\w+)(?:: [^#=]+?)?(?: = [^#]+?)?  # (?P<said>.+)$")
+
+
+def escaped(line: str) -> str:
+    """A line whose marks are only letters, apart from what stands in `backticks`; `Name`s is no mark for Sphinx."""
+    line = re.sub(r"(`[^`]+`)(?=\w)", r"\1\\ ", line) if line.count("`") % 2 == 0 else line
+    parts = re.split(r"(``.+?``|`[^`]*`)", line)
+    return "".join(
+        part if i % 2 else re.sub(r"([|*])", r"\\\1", re.sub(r"(\w)_(?!\w)", r"\1\\_", part))
+        for i, part in enumerate(parts)
+    )
+
+
+def fields(cls) -> list:
+    """(name, comment) of the fields of a class that a comment on their line explains."""
+    try:
+        source = textwrap.dedent(inspect.getsource(cls))
+    except (OSError, TypeError):
+        return []
+    rows, lines = ast.parse(source).body[0].body, source.splitlines()
+    found = []
+    for row in rows:
+        if isinstance(row, ast.AnnAssign | ast.Assign):
+            made = COMMENTED.match(lines[row.lineno - 1])
+            if made:
+                found.append((made["names"], made["said"]))
+    return found
+
+
+def plain(app, what, name, obj, options, lines):
+    """Text to reStructuredText, in place."""
+    made, field = [], False
+    for line, after in zip(lines, [*lines[1:], ""], strict=False):
+        head = HEAD.match(line)
+        if head and (head[1] in FIELDS or field or after.startswith("  ")):
+            if made and made[-1] and not field:
+                made.append("")
+            made.append(f":{head[1]}: {escaped(head[2])}")
+            field = True
+            continue
+        if field and line and not line.startswith(" "):
+            made.append("")
+        field = field and line.startswith(" ")
+        made.append(escaped(line))
+    if inspect.isclass(obj) and not any(re.match(r":?(Args|Attributes):", line) for line in made):
+        said = [f"  {key}: {escaped(about)}" for key, about in fields(obj)]
+        made += ["", "Attributes:", *said, ""] if said else []
+    lines[:] = made
+
+
+def known(app, what, name, obj, skip, options):
+    """The fields of a named tuple stand in its description already."""
+    return True if type(obj).__name__ == "_tuplegetter" else None
+
+
+def setup(app):
+    app.connect("autodoc-skip-member", known)
+    app.connect("autodoc-process-docstring", plain, priority=100)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,26 @@
+"""
+How far does dead time lower it?
+================================
+
+Two closed forms: a loop d samples late is stable below 2 sin(π/(2(2d + 1))), and does not overshoot up to dᵈ/(d +
+1)ᵈ⁺¹. An exponential step has no limit until the error is two samples late.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from cnclik import stability
+from cnclik.show.style import BLUE, SKY, VERMILION
+
+d = np.arange(13)
+stable = [stability.delay_limit(int(k)) for k in d]
+exponential = [stability.delay_limit(int(k), "EXP-EE") for k in d]
+quiet = d**d / (d + 1.0) ** (d + 1)
+
+figure, panel = plt.subplots(figsize=(6, 2.9))
+panel.plot(d, stable, "s-", color=VERMILION, label="EE, largest stable")
+panel.plot(d, exponential, "P-", color=SKY, label="EXP-EE, largest stable")
+panel.plot(d, quiet, "o-", color=BLUE, label="EE, no overshoot")
+panel.plot(d[:-1], quiet[1:], "o", color=BLUE, mfc="white", label="recommended: one sample to spare")
+panel.set(xlabel="dead time [samples]", ylabel="z = alpha·Ts", yscale="log")
+panel.legend()

@@ -1,0 +1,34 @@
+"""
+From where does a loop arrive?
+==============================
+
+Theory speaks of small errors. Forty thousand starts of a two-joint arm, side by side in the lanes of the processor,
+say how far it carries: each point is a start, its colour the steps until the tip is within 1 mm of the cross.
+"""
+
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+
+import cnclik as ck
+
+arm, target, N = ck.planar_arm([1.0, 1.0]), ck.hold([0.5, 1.2]), 60
+
+
+def steps(q1, q2, method, z):
+    """Steps until the tip stays within 1 mm, NaN if it never does."""
+    law = ck.Law(arm, ck.position("xy"), alpha=z / 0.1)
+    run = ck.solve(law, target, jnp.stack([q1, q2]), 0.1, N, method)
+    near = jnp.linalg.norm(run.e, axis=1) < 1e-3
+    return jnp.where(near[-1], N + 1 - jnp.sum(near), jnp.nan)
+
+
+q1, q2 = jnp.meshgrid(jnp.linspace(-3.14, 3.14, 200), jnp.linspace(-3.14, 3.14, 200))
+figure, panels = plt.subplots(1, 3, figsize=(7.16, 2.9), sharey=True)
+for panel, (method, z) in zip(panels, (("EE", 0.5), ("EE", 1.5), ("EXP-MIDPOINT", 1.5)), strict=True):
+    found = ck.lanes(lambda a, b, m=method, z=z: steps(a, b, m, z))(q1.ravel(), q2.ravel()).reshape(q1.shape)
+    mesh = panel.pcolormesh(q1, q2, found, vmin=0, vmax=N, cmap="viridis_r", rasterized=True)
+    panel.set(title=f"{method}, z = {z:g}", xlabel="q1 [rad]", aspect="equal")
+    panel.set_facecolor("0.3")
+    panel.grid(False)
+panels[0].set_ylabel("q2 [rad]")
+figure.colorbar(mesh, ax=panels, label="steps to 1 mm; grey: never", location="bottom", shrink=0.6, aspect=40)

@@ -1,0 +1,33 @@
+"""
+What do a drive and its dead time do to a step?
+===============================================
+
+The recommended gain of each robot, and the answer to a target that jumps by 1 cm: a robot that follows at once, one
+that is late, one with a lag, and a position servo.
+"""
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import cnclik as ck
+from cnclik import stability
+from cnclik.show.style import COLORS, DASHES
+
+jax.config.update("jax_enable_x64", True)
+arm, q0, Ts = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.01
+target = ck.hold(np.asarray(ck.pose(arm, q0).position)[:2] + np.array([0.01, 0.0]))
+drives = {
+    "at once": ck.Drive(),
+    "5 samples late": ck.Drive(delay=5),
+    "lag of 50 ms": ck.Drive(lag=0.05),
+    "servo, 25 rad/s": ck.Drive(natural_frequency=25.0, damping_ratio=0.7, command="position"),
+}
+figure, panel = plt.subplots(figsize=(6, 2.9))
+for (name, drive), color, dash in zip(drives.items(), COLORS, DASHES, strict=False):
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0)
+    alpha = stability.practice(law, None, q0, Ts=Ts, method="EE", drive=drive).recommended_alpha
+    run = ck.solve(ck.replace(law, alpha=alpha), target, q0, Ts, 100, "EE", drive=drive)
+    panel.plot(run.t, 1000 * run.e[:, 0], color=color, ls=dash, label=f"{name}: alpha = {alpha:.3g} 1/s")
+panel.set(xlabel="time [s]", ylabel="error in x [mm]")
+panel.legend()

@@ -1,0 +1,31 @@
+"""
+Do implicit steps allow any gain?
+=================================
+
+In theory yes; as the paper solves them, no. Each fixed-point pass multiplies an error of the slope by −z, and five of
+them leave less than explicit Euler has. `chord` solves the stage at any z. Stable is what stays below the line.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import cnclik as ck
+from cnclik import stability
+from cnclik.show.style import COLORS, DASHES, GUIDE, legend
+
+z = np.linspace(0.0, 4.0, 400)
+figure, panels = plt.subplots(1, 2, figsize=(7, 2.9), sharey=True)
+for panel, name in zip(panels, ("IE", "CN"), strict=True):
+    stages = {
+        "picard(2)": ck.picard(2),
+        "picard(5)": ck.picard(5),
+        "picard(10)": ck.picard(10),
+        "chord(2)": ck.chord(2),
+    }
+    for (label, stage), color, dash in zip(stages.items(), COLORS, DASHES, strict=False):
+        panel.plot(z, np.abs(stability.amplification(name, stage, z)), color=color, ls=dash, label=label)
+    panel.plot(z, np.abs(1 - z), color="0.6", lw=0.8, label="explicit Euler")
+    panel.axhline(1, **GUIDE)
+    panel.set(title=name, xlabel="z = alpha·Ts", ylim=(0, 2))
+panels[0].set_ylabel("|R(z)|: what a step keeps")
+legend(panels[0].figure, panels[0])

@@ -1,0 +1,165 @@
+"""The site's sources: every public name has a place, every page is found, no link is dead, a script asks a question.
+
+`-m slow` builds the structure of the site with Sphinx, warnings being errors; the examples are run by a full build.
+"""
+
+import ast
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+import cnclik as ck
+
+ROOT = pathlib.Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+MADE = ("results", "gallery-pages")  # by a build
+PAGES = sorted(p for p in DOCS.rglob("*.md") if p.relative_to(DOCS).parts[0] not in MADE)
+LINKED = [
+    *PAGES,
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted(ROOT.glob("results/**/*.md")),
+]
+SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
+ROOMS = (
+    "reaching",
+    "problem",
+    "measure",
+    "stability",
+    "diagnosis",
+    "sweeps",
+    "tuning",
+    "export",
+    "show",
+    "paper",
+    "bench",
+)
+
+
+def named(page) -> list:
+    """Public names that a page of the API describes, whole."""
+    found, module = [], ""
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if said := re.match(r"\.\. currentmodule:: (\S+)", line):
+            module = said[1]
+        elif said := re.match(r"\.\. (?:auto\w+|py:data):: (\S+)", line):
+            found.append(f"{module}.{said[1]}")
+    return found
+
+
+NAMED = [name for page in sorted((DOCS / "api").glob("*.md")) for name in named(page)]
+
+
+def test_the_api_has_every_public_name():
+    rooms = {name for name in ck.__all__ if type(getattr(ck, name)).__name__ == "module"}
+    assert not {f"cnclik.{name}" for name in ck.__all__ if name not in rooms} - set(NAMED)
+    assert set(ROOMS) == rooms
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_api_has_every_name_of_a_room(room):
+    """In the room's own name, or in the package's where it is the same thing."""
+    missing = []
+    for name in getattr(ck, room).__all__:
+        short = name in ck.__all__ and f"cnclik.{name}" in NAMED
+        if not short and f"cnclik.{room}.{name}" not in NAMED and f"cnclik.{room}.{name}.{name}" not in NAMED:
+            missing.append(name)
+    assert not missing
+
+
+def test_the_api_names_nothing_twice():
+    assert len(set(NAMED)) == len(NAMED)
+
+
+def entries(page) -> list:
+    """(entry, whether it is a pattern) of a page's toctrees."""
+    found = []
+    for block in re.findall(r"^```\{toctree\}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S):
+        lines = [line.strip() for line in block.splitlines() if line.strip()]
+        found += [(line, ":glob:" in lines) for line in lines if not line.startswith(":")]
+    return found
+
+
+def test_every_page_is_in_a_toctree():
+    listed = {DOCS / "index.md"}
+    for page in PAGES:
+        for entry, pattern in entries(page):
+            if pattern and not entry.startswith(MADE):
+                listed |= set(page.parent.glob(f"{entry}.md"))
+            else:
+                made = entry.startswith(MADE)
+                assert made or (page.parent / f"{entry}.md").exists(), f"{page.name} lists {entry}"
+                listed.add(page.parent / f"{entry}.md")
+    assert not set(PAGES) - listed
+
+
+def prose(path) -> str:
+    """A page without what is fenced or in backticks."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+    return re.sub(r"`[^`\n]*`", lambda found: "x" * len(found[0]), text)
+
+
+def anchors(path) -> set:
+    """The names that GitHub gives to a page's headings."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+    found, seen = set(), {}
+    for title in re.findall(r"^#{1,6} (.+)$", text, re.M):
+        name = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title).lower()).strip().replace(" ", "-")
+        seen[name] = seen.get(name, -1) + 1
+        found.add(f"{name}-{seen[name]}" if seen[name] else name)
+    return found
+
+
+@pytest.mark.parametrize("page", LINKED, ids=lambda p: str(p.relative_to(ROOT)))
+def test_no_link_is_dead(page):
+    wrong = []
+    for address in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if re.match(r"[a-z]+:", address):
+            continue
+        where, _, place = address.partition("#")
+        to = (page.parent / where).resolve() if where else page
+        if not to.exists() or (place and to.suffix == ".md" and place not in anchors(to)):
+            wrong.append(address)
+    assert not wrong
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.stem)
+def test_a_script_of_the_gallery_asks_a_question(script):
+    title, rule, *_ = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))).splitlines()
+    assert title.endswith("?") and set(rule) == {"="} and len(rule) >= len(title)
+
+
+def test_there_is_a_gallery():
+    assert 12 <= len(SCRIPTS) <= 20
+
+
+def test_tutorials_are_notebooks_with_cells():
+    pages = [p for p in (DOCS / "tutorials").glob("*.md") if p.stem != "index"]
+    assert len(pages) == 7
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "file_format: mystnb" in text
+        cells = re.findall(r"^```\{code-cell\}\n(.*?)^```", text, re.M | re.S)
+        assert cells
+        for cell in cells:
+            ast.parse(cell)
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path):
+    pytest.importorskip("sphinx", reason="the site needs `pip install 'cnclik[docs]'`")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(tmp_path / "site")]
+    done = subprocess.run(
+        [*command[:-2], "-d", str(tmp_path / "read"), *command[-2:]],
+        cwd=ROOT,
+        env=os.environ | {"CNCLIK_DOCS_RUN": "0"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert (tmp_path / "site" / "index.html").exists()
