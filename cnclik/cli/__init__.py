@@ -25,6 +25,7 @@ VERBS = {
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
+    "view": "a robot and its loop in a browser, with sliders; or a finished run, played; or one page that moves",
     "export": "the step as C for a controller: header, source, test vectors, README",
     "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
