@@ -32,17 +32,17 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.show.viewer import need, view
+    from cnclik.show.viewer import front, need
 
     need.require_viser()
     errors.integer("port", args.port, at_least=1, at_most=65_000)
     if args.html is not None:
-        view.checked_page("html", args.html)
+        front.checked_page("html", args.html)
     motions, live = _shown(args)
     if args.html is not None:
-        print(f"Wrote {view.write_page(live.motions() if live else motions, args.html)}.")
+        print(f"Wrote {front.write_page(live.motions() if live else motions, args.html)}.")
         return
-    viewer = view.Viewer(motions, live, host=args.host, port=args.port)
+    viewer = front.Viewer(motions, live, host=args.host, port=args.port)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)
     try:
         with contextlib.suppress(KeyboardInterrupt):
@@ -53,12 +53,12 @@ def run(args: Args) -> None:
 
 def _shown(args):
     """(motions, live)."""
-    from cnclik.show.viewer import files, view
+    from cnclik.show.viewer import files, front
     from cnclik.show.viewer.live import Live
 
     if files.is_result(args.robot):
         named = [args.robot] if args.file is None else [args.robot, args.file]
-        return [motion for one in named for motion in _played(one)][: view.MOST], None
+        return [motion for one in named for motion in _played(one)][: front.MOST], None
     robot = (args.robot, args.tip, args.base, args.lengths)
     if args.file is not None:
         return _played(args.file, files.robot_of(*robot)), None

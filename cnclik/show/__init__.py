@@ -12,6 +12,6 @@ __getattr__, __all__ = on_use(
         "output": "FigureError draw",
         "run": "plot",
         "style": "save",
-        "viewer.view": "view",
+        "viewer.front": "view",
     },
 )

@@ -147,7 +147,7 @@ def factors_page(seen) -> str:
         at = value if size <= 1.5 else 1.5 * value / size
         parts.append(f"<circle cx='{at.real:.3f}' cy='{-at.imag:.3f}' r='0.08' fill='{color}' fill-opacity='0.75'/>")
     parts.append("</svg>")
-    text = f"<b style='color:{color}'>{said}</b><br>z = α·Ts = {loop.alpha * loop.Ts:.4g}<br>largest |λ| = {seen.radius:.5g}"
+    text = f"<b style='color:{color}'>{said}</b><br>z = α·Ts = {loop.alpha * loop.Ts:.4g}"
     return (
         "<div style='display:flex;align-items:center;gap:0.8em;padding:0.3em 1em;font-size:0.85em'>"
         f"{''.join(parts)}<div>{text}</div></div>"

@@ -132,7 +132,7 @@ def _found(file, name):
 
 
 def _thinned(shape, most):
-    """The mesh with vertices nearer to each other than a grid's cells made one, in cells that grow until it is small."""
+    """The mesh with vertices in one cell of a grid made one, in cells that grow until it is small."""
     vertices, faces = shape
     span = np.ptp(vertices, axis=0).max()
     for cells in (128, 96, 64, 48, 32, 24, 16):

@@ -1,4 +1,4 @@
-"""View: the front door: what to show, live or played, in a browser or as a page."""
+"""Front: the door: what to show, live or played, in a browser or as a page."""
 
 import pathlib
 
