@@ -58,6 +58,7 @@ def _run(verb, *options) -> None:
         with _nothing_collected():
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
+        _check_report(args, ["cnclik", verb, *options])
         with _watched(args) as spans:
             if isinstance(args, common.ComputeOptions):
                 with _nothing_collected():
@@ -78,6 +79,17 @@ def _run(verb, *options) -> None:
             raise
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
         _leave(2, errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}"))
+
+
+def _check_report(args, argv) -> None:
+    """Look whether a report can be written, before anything is computed; and tell it of the command."""
+    if getattr(args, "report", None) is not None:
+        import shlex
+
+        from cnclik.show.report import checked_page
+
+        checked_page("report", args.report)
+        args.command = shlex.join(argv)
 
 
 def _has_platform() -> bool:

@@ -17,6 +17,7 @@ from cnclik.show.viewer.motion import BAD, GOOD, WARNING, Motion, from_arrays
 
 ENDINGS = (".nc", ".csv", ".npz")
 RUN, STORE = "trajectory.nc", "data.zarr"
+MOST_TARGETS = 40  # of a report's moving robot
 _UNITS = {"x": "m", "y": "m", "z": "m"}
 
 
@@ -49,7 +50,7 @@ def read_motions(path, robot=None) -> list:
     if np.shape(found["q"])[-1] != chain.n:
         raise errors.fail("FILE", f"hold joint values of {name}'s {chain.n} joints", f"has {np.shape(found['q'])[-1]}")
     about = dict(name=path.stem if name in ("", None) else name, links=links)
-    return [_answers(chain, found, **about) if "targets" in found else _run(chain, found, **about)]
+    return [answers_motion(chain, found, **about) if "targets" in found else _run(chain, found, **about)]
 
 
 def robot_of(robot, tip=None, base=None, lengths=None) -> tuple:
@@ -71,7 +72,7 @@ def _run(chain, found, **about):
     return from_arrays(chain, t, q, *values, status, axes=axes, units=units, **about)
 
 
-def _answers(chain, found, **about):
+def answers_motion(chain, found, **about):
     """Answers of reach: an instant for each target; where there is none the robot stays as it was."""
     q, status = np.array(found["q"], float), np.asarray(found["status"], int)
     q, status = (
@@ -138,7 +139,7 @@ def _table(path) -> dict:
         with with_words as file:
             header = next(csv.reader([file.readline()]), [])
             if header[:1] == ["target"]:
-                return _table_of_answers(path, header, list(csv.reader(file)))
+                return _table_ofanswers_motion(path, header, list(csv.reader(file)))
     names, rows = read_columns("FILE", path, gaps=True)
     columns = {kind: [i for i, n in enumerate(names) if n.startswith(f"{kind}_")] for kind in ("q", "x", "e")}
     if not columns["q"] or not len(rows):
@@ -151,7 +152,7 @@ def _table(path) -> dict:
     return found
 
 
-def _table_of_answers(path, header, rows):
+def _table_ofanswers_motion(path, header, rows):
     try:
         first, last = header.index("status") + 1, header.index("position_error")
         entry = header.index("t00")

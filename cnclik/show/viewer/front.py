@@ -5,6 +5,7 @@ import pathlib
 from cnclik import errors
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.problem.build import Problem, problem_from
+from cnclik.show.report import checked_page
 from cnclik.show.viewer import need, play
 from cnclik.show.viewer.files import is_result, read_motions, robot_of
 from cnclik.show.viewer.live import Live
@@ -75,22 +76,6 @@ def write_page(motions, file) -> pathlib.Path:
     file = checked_page("html", file)
     with output_folder(file.parent, name="html") as folder:
         folder.write_text(file.name, as_page(motions))
-    return file
-
-
-def checked_page(name, file) -> pathlib.Path:
-    """The path of a page to write. Raises: ArgumentError unless it is an .html in a folder that is there."""
-    file = pathlib.Path(file)
-    if file.suffix.lower() != ".html":
-        raise errors.fail(name, "end with .html", f"is {str(file)!r}")
-    if len(file.name.encode(errors="replace")) > 250:
-        raise errors.fail(name, "have a name of at most 250 bytes", f"has {len(file.name)}")
-    try:
-        fits = file.parent.is_dir() and not file.is_dir()
-    except (OSError, ValueError):
-        fits = False
-    if not fits:
-        raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
     return file
 
 

@@ -12,7 +12,7 @@ from cnclik.show import style
 from cnclik.show.viewer.body import GREY, Part
 
 MOST_BYTES = 40 << 20  # of a mesh's file
-MOST_FACES = 2500  # of a link: what a page of a megabyte bears
+MOST_FACES = 4000  # of a link: what a page of a megabyte bears
 
 
 def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) -> list:

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from cnclik.markup import escaped
 from cnclik.show.viewer.motion import LEVELS
 from cnclik.show.viewer.page import SECONDS_EACH
 
@@ -75,13 +76,6 @@ def told(motions, share) -> str:
             f"{escaped(motion.words[k].replace('_', ' ').replace('|', ', '))}<br>{errors}</div>"
         )
     return "".join(rows)
-
-
-def escaped(text) -> str:
-    """A text in a page."""
-    import html
-
-    return html.escape(str(text))
 
 
 def add_error_chart(gui, motions):

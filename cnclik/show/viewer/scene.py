@@ -62,11 +62,11 @@ class Scene:
     def _lay(self, motions):
         for drawn in self._drawn:
             drawn.root.remove()
-        sizes = [arm_length(m.chain) for m in motions]
+        size = max(arm_length(m.chain) for m in motions)
         flat = all(is_planar(m.chain) for m in motions)
-        apart, size = 1.7 * max(sizes), max(sizes)
         # Side by side as the camera sees it: it looks along −z at planar arms, and else along a corner.
         aside = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 1.0, 0]) / np.hypot(1, 0.5)
+        apart = 0.35 * size + max(np.ptp(_places(m) @ aside) for m in motions)
         shifts = [aside * apart * (k - (len(motions) - 1) / 2) for k in range(len(motions))]
         looks = [{}, dict(color=BESIDE[0], dark=BESIDE[1])]
         self._drawn = [
@@ -81,14 +81,14 @@ class Scene:
 
     def _look(self, motions, shifts, size, flat):
         """From above a planar arm, from a corner else; as near as all that moves allows."""
-        points = np.concatenate(
-            [m.poses[::7, :, :3, 3].reshape(-1, 3) + s for m, s in zip(motions, shifts, strict=True)]
-        )
+        points = np.concatenate([_places(m) + s for m, s in zip(motions, shifts, strict=True)])
         low, high = points.min(0), points.max(0)
-        middle, span = (low + high) / 2, max(np.linalg.norm(high - low), 0.6 * size)
+        middle, (wide, deep, tall) = (low + high) / 2, high - low
+        span = max(wide / 1.4, deep) if flat else max(np.hypot(wide, deep) / 1.2, 1.1 * tall)
+        span = 1.35 * max(span, 0.6 * size)
         camera = self.server.initial_camera
         away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.95, 0.55, 0.42])
-        camera.position = tuple(middle + 1.05 * span * away / np.linalg.norm(away))
+        camera.position = tuple(middle + span * away / np.linalg.norm(away))
         camera.look_at = tuple(middle)
         camera.up = (0, 1, 0) if flat else (0, 0, 1)
         camera.fov = np.radians(50)
@@ -113,8 +113,10 @@ class _Drawn:
         self.frames = [scene.add_frame(f"{name}/frame{i}", show_axes=False) for i in range(count)]
         for k, part in enumerate(self.parts):
             at = f"{name}/frame{part.frame}/part{k}"
-            scene.add_mesh_simple(at, part.vertices, part.faces, color=rgb(part.color), flat_shading=bool(parts))
-        self.tip = scene.add_icosphere(f"{name}/frame{count - 1}/tip", 1.2 * self.thick, rgb(LEVELS[GOOD]))
+            scene.add_mesh_simple(at, part.vertices, part.faces, color=rgb(part.color))
+        self.tip = scene.add_icosphere(
+            f"{name}/frame{count - 1}/tip", (0.6 if parts else 1.2) * self.thick, rgb(LEVELS[GOOD])
+        )
         self.goal = self.line = None
 
     def put(self, motion):
@@ -141,6 +143,11 @@ class _Drawn:
         if self.line is not None and self.motion.target is not None:
             self.goal.position = self.motion.target[k]
             self.line.points = np.stack([self.where[k, -1], self.motion.target[k]])[None].astype(np.float32)
+
+
+def _places(motion):
+    """Places that a motion takes up (k, 3) [m]: of its joints and tip at some instants."""
+    return motion.poses[:: max(len(motion.t) // 50, 1), :, :3, 3].reshape(-1, 3)
 
 
 def _polyline(scene, name, points, colors, thickness):
