@@ -7,7 +7,7 @@ import html
 
 import numpy as np
 
-_CELL = "padding:0.15em 0.8em;border-bottom:1px solid rgba(128,128,128,0.3);text-align:"
+_CELL = "padding:0.15em 0.6em;border-bottom:1px solid rgba(128,128,128,0.3);text-align:"
 WIDTH, HEIGHT = 420, 170  # of a plot [px]
 _LEFT, _RIGHT, _TOP, _BELOW = 52, 8, 8, 34
 _LEAST = 1e-15  # an error below this is none

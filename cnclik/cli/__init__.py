@@ -89,7 +89,7 @@ def _check_report(args, argv) -> None:
         from cnclik.show.report import checked_page
 
         checked_page("report", args.report)
-        args.command = shlex.join(argv)
+        args.typed = shlex.join(argv)
 
 
 def _has_platform() -> bool:

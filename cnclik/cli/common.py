@@ -22,11 +22,11 @@ class ComputeOptions(CacheOption):
 
 @dataclasses.dataclass(kw_only=True)
 class ReportOption:
-    """For verbs whose result can be a page; `command` is the line that was typed."""
+    """For verbs whose result can be a page; `typed` is the line that asked for it."""
 
     report: Path | None = None
     """Also write one page, FILE.html, that opens offline: answer, numbers, figures, the moving robot (extra viewer)."""
-    command = ""
+    typed = ""
 
     def write_report(self, title, answer, **parts) -> None:
         """Write the page where one is asked for, and say so; see `cnclik.show.report.Report`."""
@@ -36,7 +36,7 @@ class ReportOption:
         from cnclik.show.report import Report, write
 
         with progress.bar("report"):
-            write(Report(title=title, answer=answer, command=self.command, **parts), self.report)
+            write(Report(title=title, answer=answer, command=self.typed, **parts), self.report)
         if not getattr(self, "json", False):
             print(f"Wrote {self.report}.")
 

@@ -67,8 +67,7 @@ def run(args: Args) -> None:
     args.write_report(
         title,
         answer,
-        facts=facts,
-        lines=[loop],
+        facts=[("loop", loop), *facts],
         figures=figures,
         captions=_CAPTIONS,
         motions=functools.partial(_motions, args, made, trajectory, answer),

@@ -364,7 +364,7 @@ def _report(args, figures, advised):
         _title(found),
         answer,
         tables=[("Gains", _COLUMNS, _gains(found, said))],
-        lines=_lines(found, said),
+        lines=[line for line in _lines(found, said) if not line.startswith("Recommended")],
         figures=figures,
         captions={"errors": "The error of a step to the target."},
         motions=lambda: motions,

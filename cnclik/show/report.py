@@ -11,7 +11,7 @@ from cnclik import errors
 from cnclik.markup import escaped, table
 from cnclik.writing import output_folder
 
-MOST_ROWS = 60  # of a table
+MOST_ROWS, SHORT = 60, 8  # rows of a table at most, and of one that stands above the figures
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,7 @@ class Report:
 
     Attributes:
       title: what was asked of which robot. answer: in a sentence.
-      facts: ((name, text), …): numbers with their units. lines: further sentences.
+      facts: ((name, text), …): numbers with their units. lines: further sentences, below the figures.
       tables: ((caption, header, rows), …).
       figures: {file name: (function of no arguments that returns a Figure, what it says of itself)}, as
         `show.output.draw` takes them; captions: {name without ending: caption}.
@@ -78,12 +78,15 @@ def page(report: Report, failed=None) -> str:
     parts = [f"<h1>{escaped(report.title)}</h1>", f'<p class="answer">{escaped(report.answer)}</p>']
     if report.facts:
         parts.append(_wide(table((), report.facts, left=2)))
-    parts += [f"<p>{escaped(line)}</p>" for line in report.lines]
+    short, long = ([t for t in report.tables if (len(t[2]) <= SHORT) == kind] for kind in (True, False))
+    parts += [_table(*one) for one in short]
     parts.append(_moving(report, failed))
-    parts += [_table(*one) for one in report.tables]
     drawn = [_figure(i, file, *made, report.captions, failed) for i, (file, made) in enumerate(report.figures.items())]
     if drawn:
         parts.append(f'<h2>Figures</h2><div class="figures">{"".join(drawn)}</div>')
+    parts += [_table(*one) for one in long]
+    if report.lines:
+        parts.append(f"<h2>In words</h2><ul>{''.join(f'<li>{escaped(line)}</li>' for line in report.lines)}</ul>")
     parts.append(_again(report))
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">{_SHEET}'
     title = f"<title>{escaped(report.title)}</title>"
@@ -174,10 +177,14 @@ h2{font-size:1.1rem;margin:2rem 0 .5rem}
 .answer{font-size:1.15rem;border-left:.3rem solid #0072B2;padding:.3rem 0 .3rem .8rem;margin:1rem 0}
 .wide{overflow-x:auto;font-size:.92rem;font-variant-numeric:tabular-nums}
 .note,figcaption{color:var(--soft);font-size:.85rem}
-pre{overflow-x:auto;border:1px solid var(--edge);border-radius:.3rem;padding:.6rem;font-size:.85rem}
+pre{white-space:pre-wrap;overflow-wrap:anywhere;font-size:.85rem;
+border:1px solid var(--edge);border-radius:.3rem;padding:.6rem}
 iframe{width:100%;height:30rem;border:1px solid var(--edge);border-radius:.3rem;background:#fff}
 .figures{display:flex;flex-wrap:wrap;gap:1rem;align-items:flex-start}
 figure{margin:0;max-width:100%}
+figcaption{max-width:24rem}
+ul{padding-left:1.2rem}
+li{margin:.3rem 0}
 figure svg,figure img{display:block;max-width:100%;height:auto;background:#fff;
 border:1px solid var(--edge);border-radius:.3rem}
 figure img{width:43rem}

@@ -33,7 +33,7 @@ def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) 
     except ElementTree.ParseError:  # such as prefixes that are nowhere declared
         return []
     found = []
-    for name, (frame, at) in _placed(read_urdf(file), tip, base).items():
+    for name, (frame, at) in placed(read_urdf(file), tip, base).items():
         for kind in ("visual", "collision"):
             shapes = [_shape(file, one) for one in links[name].findall(kind)] if name in links else []
             if shapes and all(shape is not None for shape in shapes):
@@ -43,7 +43,7 @@ def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) 
     return found
 
 
-def _placed(tree, tip, base) -> dict:
+def placed(tree, tip, base) -> dict:
     """{link: (frame, 4×4 in that frame)} of all links that hang together with the base."""
     base = base or tree.root
     tip = tip or tree.tips(base)[0]

@@ -10,6 +10,7 @@ from cnclik.show.viewer.motion import LEVELS
 from cnclik.show.viewer.page import SECONDS_EACH
 
 RATE = 30.0  # frames a second
+LEAST = 1e-12  # error that a chart shows
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)
 
 
@@ -79,19 +80,19 @@ def told(motions, share) -> str:
 
 
 def add_error_chart(gui, motions):
-    """A chart of the errors' norms on a logarithmic scale; returns its handle."""
+    """A chart of log₁₀ of the errors' norms (its own logarithmic axes have no room for their labels); its handle."""
     data, names = curves(motions)
     return gui.add_uplot(data, series(names), **CHART)
 
 
 def curves(motions):
-    """(time, a curve for each error) on one clock, and their names."""
+    """(time, log₁₀ of each error) on one clock, and their names."""
     first = motions[0]
     t = first.t if len(motions) == 1 else np.linspace(0, max(m.t[-1] for m in motions), 400)
     found, names = [t], []
     for k, motion in enumerate(motions):
         for what, values in motion.error.items():
-            shown = np.maximum(np.nan_to_num(values, posinf=1e12), 1e-12)
+            shown = np.log10(np.maximum(np.nan_to_num(values, posinf=1e12), LEAST))
             shown = shown if motion is first and len(motions) == 1 else np.interp(t, motion.t, shown, right=np.nan)
             found.append(shown)
             names.append((k, what if k == 0 else f"{what.split(' [')[0]}, beside"))
@@ -110,7 +111,10 @@ def series(names) -> tuple:
 
 
 CHART = {
-    "scales": {"x": {"time": False}, "y": {"distr": 3}},
-    "axes": ({"label": "t [s]", "size": 40, "labelSize": 16}, {"size": 60, "label": "error", "labelSize": 16}),
+    "scales": {"x": {"time": False}},
+    "axes": (
+        {"label": "t [s]", "size": 40, "labelSize": 16},
+        {"size": 44, "label": "log₁₀ of the error", "labelSize": 16},
+    ),
     "height": 210,
 }

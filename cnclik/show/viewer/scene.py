@@ -115,7 +115,7 @@ class _Drawn:
             at = f"{name}/frame{part.frame}/part{k}"
             scene.add_mesh_simple(at, part.vertices, part.faces, color=rgb(part.color))
         self.tip = scene.add_icosphere(
-            f"{name}/frame{count - 1}/tip", (0.6 if parts else 1.2) * self.thick, rgb(LEVELS[GOOD])
+            f"{name}/frame{count - 1}/tip", (0.6 if parts else 1.1) * self.thick, rgb(LEVELS[GOOD])
         )
         self.goal = self.line = None
 
