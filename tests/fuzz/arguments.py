@@ -186,7 +186,7 @@ def _furnish(folder, data):
 
 @contextlib.contextmanager
 def _until_traced():
-    """Raise `Reached` where a program is about to be traced, a figure drawn, a port opened, or another process started."""
+    """Raise `Reached` where a program would be traced, a figure drawn, a port opened, or another process started."""
 
     def reached(*args, **kwargs):
         raise Reached

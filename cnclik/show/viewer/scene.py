@@ -73,10 +73,6 @@ class Scene:
             _Drawn(self.server, f"/run{k}", m, shift, looks[min(k, 1)])
             for k, (m, shift) in enumerate(zip(motions, shifts, strict=True))
         ]
-        wide = 2.4 * size + apart * (len(motions) - 1)
-        floor = -2.0 * radius_of(motions[0].chain) if flat else 0.0
-        step = 10.0 ** np.floor(np.log10(size))
-        self.server.scene.add_grid("/floor", wide, wide, cell_size=step / 5, section_size=step, position=(0, 0, floor))
         self._look(motions, shifts, size, flat)
 
     def _look(self, motions, shifts, size, flat):
@@ -86,6 +82,11 @@ class Scene:
         middle, (wide, deep, tall) = (low + high) / 2, high - low
         span = max(wide / 1.4, deep) if flat else max(np.hypot(wide, deep) / 1.2, 1.1 * tall)
         span = 1.35 * max(span, 0.6 * size)
+        step = 10.0 ** np.floor(np.log10(span / 2))
+        look = dict(cell_size=step / 2, section_size=5 * step / 2, cell_thickness=0.7)
+        floor = -2.0 * radius_of(motions[0].chain) if flat else 0.0
+        area = 2 * (np.array([wide, deep]) + span)
+        self.server.scene.add_grid("/floor", *area, position=(*middle[:2], floor), **look)
         camera = self.server.initial_camera
         away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.95, 0.55, 0.42])
         camera.position = tuple(middle + span * away / np.linalg.norm(away))

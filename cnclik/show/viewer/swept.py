@@ -14,7 +14,7 @@ from cnclik.sweeps import store
 from cnclik.sweeps.check import parse
 from cnclik.sweeps.spec import KEYS, TABLES
 
-JUDGED_BY = ("max_error", "mean_error", "rms_error", "final_error", "max_position_error", "final_position_error")
+JUDGED_BY = ("rms_error", "mean_error", "final_error", "max_error", "rms_position_error", "final_position_error")
 
 
 def best_and_worst(folder) -> list:
