@@ -70,7 +70,7 @@ def run(args: Args) -> None:
         facts=[("loop", loop), *facts],
         figures=figures,
         captions=_CAPTIONS,
-        motions=functools.partial(_motions, args, made, trajectory, answer),
+        motions=functools.partial(_motions, args, made, trajectory, answer, told.radius),
         dtype=str(trajectory.q.dtype),
     )
 
@@ -83,12 +83,12 @@ _CAPTIONS = {
 }
 
 
-def _motions(args, made, trajectory, answer):
+def _motions(args, made, trajectory, answer, radius):
     from cnclik.show.viewer.files import robot_of
     from cnclik.show.viewer.motion import motion_of
 
     _, name, links = robot_of(args.robot, args.tip, args.base, args.lengths)
-    return [motion_of(trajectory, made.law, name=name, note=answer, links=links)]
+    return [motion_of(trajectory, made.law, name=name, note=answer, links=links, radius=radius)]
 
 
 def _loop(made) -> str:

@@ -385,6 +385,7 @@ def _runs(args, found, said) -> list:
     N = min(max(math.ceil(2 * settled / found.Ts), 40), 400) if math.isfinite(settled) else 400
     made, motions = dataclasses.replace(found, N=N), []
     for alpha, name in ((said.recommended_alpha, "recommended"), other):
-        run = look(made, now._replace(alpha=min(alpha, 1e3 * now.alpha))).run
-        motions.append(motion_of(run, found.law, name=f"alpha = {alpha:.3g} 1/s ({name})", links=links))
+        seen = look(made, now._replace(alpha=min(alpha, 1e3 * now.alpha)))
+        name = f"alpha = {alpha:.3g} 1/s ({name})"
+        motions.append(motion_of(seen.run, found.law, name=name, links=links, radius=seen.radius))
     return motions

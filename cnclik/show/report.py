@@ -138,7 +138,9 @@ def _moving(report, failed) -> str:
     names = [f"{'in grey' if k else 'in blue'}: {escaped(m.name)}" for k, m in enumerate(motions)]
     who = f"{'; '.join(names)}. " if len(motions) > 1 else ""
     pace = _pace(motions, seconds(motions))
-    said = f"{who}{pace}The way of the tip is green where steps are OK, orange with a warning, red where they are bad."
+    targets = "Targets are green where they are reached, orange with the nearest pose, red without joint values."
+    way = "The way of the tip is green where steps are OK, orange with a warning, red in an unstable loop."
+    said = f"{who}{pace}{targets if motions[0].unit == 'target' else way}"
     frame = f'<iframe title="the moving robot" loading="lazy" srcdoc="{inner}"></iframe>'
     note = f'<p class="note">{said} Drag to turn, scroll to zoom.</p>'
     return f'<section class="moving"><h2>The robot</h2>{frame}{note}</section>'

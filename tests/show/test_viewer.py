@@ -212,7 +212,8 @@ def test_the_factors_of_a_late_loop_are_the_theorys(problem):
 def test_a_loop_that_went_astray_has_factors_too(problem):
     seen = look.look(problem, look.loop_of(problem)._replace(alpha=500.0))
     assert seen.radius == pytest.approx(24, rel=1e-6) and "not stable" in live.factors_page(seen)
-    assert np.isfinite(motion.motion_of(seen.run, problem.law).q).all()
+    made = motion.motion_of(seen.run, problem.law, radius=seen.radius)
+    assert np.isfinite(made.q).all() and set(made.level) == {motion.BAD} and "UNSTABLE" in made.words[0]
 
 
 def test_a_page_leaves_out_an_even_number_of_instants(problem, run):

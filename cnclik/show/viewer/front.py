@@ -23,7 +23,7 @@ class Viewer:
     def __init__(self, motions=(), live=None, *, host="localhost", port=8080):
         self.server = need.server(host, port)
         self.live, self.url = live, f"http://{host}:{self.server.get_port()}"
-        scene = Scene(self.server)
+        scene = Scene(self.server, panel=True)
         motions = live.motions() if live else list(motions)
         scene.put(motions)
         self.player = play.Player(self.server, scene)

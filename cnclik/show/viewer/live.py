@@ -1,6 +1,5 @@
 """Live: sliders that run a loop anew, its error and factors beside the robot, and a run kept to compare with."""
 
-import dataclasses
 import threading
 import time
 
@@ -50,7 +49,7 @@ class Live:
         """The run that is shown."""
         loop, law = self.seen.loop, self.problem.law
         name = f"{self.problem.name}: α = {loop.alpha:.3g} 1/s, Ts = {1e3 * loop.Ts:.3g} ms, {words(loop)}"
-        return motion_of(self.seen.run, law, name=name, links=self.links)
+        return motion_of(self.seen.run, law, name=name, links=self.links, radius=self.seen.radius)
 
     def motions(self):
         return [self.motion(), *([self.kept] if self.kept else [])]
@@ -68,15 +67,15 @@ class Live:
         whole = 1 if float(first.delay).is_integer() else 0.25
         delay_most = max(MOST_DELAY, int(4 * first.delay))
         self.delay = gui.add_slider("delay [samples]", 0, delay_most, whole, first.delay, hint="Dead time")
-        keep, drop, judge = (gui.add_button(name) for name in ("Keep this run beside", "Drop it", "Verdict"))
+        keep, drop, judge = "Keep beside", "Drop", "Verdict"
+        pressed = gui.add_button_group("this run", (keep, drop, judge))
         self.status = gui.add_markdown("")
         self.told = gui.add_html("")
         self.chart = play.add_error_chart(gui, self.motions())
         for control in (self.alpha, self.Ts, self.method, self.delay):
             control.on_update(lambda _: self.ask())
-        keep.on_click(lambda _: self._keep(dataclasses.replace(self.motion())))
-        drop.on_click(lambda _: self._keep(None))
-        judge.on_click(as_here(lambda _: self._judge()))
+        does = {keep: lambda: self._keep(self.motion()), drop: lambda: self._keep(None), judge: self._judge}
+        pressed.on_click(as_here(lambda _: does[pressed.value]()))
         threading.Thread(target=as_here(self._serve), daemon=True).start()
         self.show()
 

@@ -9,6 +9,7 @@ from cnclik.integrate.status import Status, names
 from cnclik.measure.metrics import one_lane
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
+from cnclik.stability.verdict import UNSTABLE
 
 GOOD, WARNING, BAD = 0, 1, 2
 LEVELS = (style.GREEN, style.ORANGE, style.VERMILION)  # colours of the three
@@ -58,11 +59,24 @@ class Motion:
         return LEVELS[int(self.level.max(initial=0))]
 
 
-def motion_of(run, law, *, name="", note="", links=None) -> Motion:
-    """A run as it is shown. Args: run: `Trajectory` of solve(law, …), one lane. Raises: ArgumentError for a batch."""
+def motion_of(run, law, *, name="", note="", links=None, radius=0.0) -> Motion:
+    """A run as it is shown.
+
+    Args:
+      run: `Trajectory` of solve(law, …), one lane.
+      radius: spectral radius of its loop, where it is known: beyond UNSTABLE all of the run is marked BAD, which a
+        run through drives doesn't tell by itself.
+
+    Raises: ArgumentError for a batch.
+    """
     one_lane(run)
     known = [np.asarray(v) for v in (run.t, run.q, run.x, run.e, run.status)]
-    return from_arrays(law.chain, *known, axes=law.task.names, units=law.task.units, name=name, note=note, links=links)
+    about = dict(axes=law.task.names, units=law.task.units, name=name, note=note, links=links)
+    made = from_arrays(law.chain, *known, **about)
+    if not radius > UNSTABLE:
+        return made
+    words = tuple("UNSTABLE" if w == "OK" else f"UNSTABLE|{w}" for w in made.words)
+    return dataclasses.replace(made, level=np.full_like(made.level, BAD), words=words)
 
 
 def from_arrays(chain, t, q, x, e, status, *, axes, units, **about) -> Motion:

@@ -38,7 +38,9 @@ def quaternions(rotations) -> np.ndarray:
 class Scene:
     """Motions beside each other on a floor; `show` moves them."""
 
-    def __init__(self, server):
+    def __init__(self, server, *, panel=False):
+        """Args: panel: whether a panel covers the right of the page, beside which the camera then looks."""
+        self.panel = panel
         self.server, self.motions, self._drawn, self._laid = server, (), [], None
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(cast_shadow=False)
@@ -89,7 +91,11 @@ class Scene:
         self.server.scene.add_grid("/floor", *area, position=(*middle[:2], floor), **look)
         camera = self.server.initial_camera
         away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.95, 0.55, 0.42])
-        camera.position = tuple(middle + span * away / np.linalg.norm(away))
+        away = away / np.linalg.norm(away)
+        if self.panel:
+            right = np.array([1.0, 0, 0]) if flat else np.cross([0, 0, 1.0], away)
+            middle, span = middle + 0.2 * span * right / np.linalg.norm(right), 1.1 * span
+        camera.position = tuple(middle + span * away)
         camera.look_at = tuple(middle)
         camera.up = (0, 1, 0) if flat else (0, 0, 1)
         camera.fov = np.radians(50)
@@ -123,7 +129,12 @@ class _Drawn:
     def put(self, motion):
         self.motion, scene = motion, self.server.scene
         self.where, self.turned = motion.poses[:, :, :3, 3], quaternions(motion.poses[:, :, :3, :3])
-        _polyline(scene, f"{self.name}/way", motion.way, [rgb(LEVELS[i]) for i in motion.level], 0.3 * self.thick)
+        colors = [rgb(LEVELS[i]) for i in motion.level]
+        if motion.unit == "target":
+            look = dict(point_size=1.2 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
+            scene.add_point_cloud(f"{self.name}/targets", motion.target, np.array(colors, np.uint8), **look)
+        else:
+            _polyline(scene, f"{self.name}/way", motion.way, colors, 0.3 * self.thick)
         if motion.target is None:
             return
         if np.ptp(motion.target, axis=0).max() > 0 and motion.unit == "s":
