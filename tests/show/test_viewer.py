@@ -254,6 +254,24 @@ def test_a_page_is_whole_and_about_a_megabyte(problem, run, capfd):
 
 
 @with_viser
+def test_a_scene_shows_the_worst_of_what_it_leaves_out(problem, run):
+    made = motion.motion_of(run, problem.law)
+    level = np.zeros(5001, int)
+    level[3] = motion.BAD
+    long = dataclasses.replace(made, t=np.arange(5001.0), q=np.zeros((5001, 2)), level=level, words=("OK",) * 5001)
+    server = need.server(port=8400)
+    try:
+        shown = scene.Scene(server)
+        shown.put([dataclasses.replace(long, target=None, error={})])
+        (good, bad) = shown._drawn[0].marks
+        assert len(good.points) + len(bad.points) == scene.MOST_POINTS - 1 and len(bad.points) == 1
+        shown.put([made, made])  # another one beside it: both robots are laid out anew
+        assert len(shown._drawn) == 2 and shown._drawn[0].root.position[0] < shown._drawn[1].root.position[0]
+    finally:
+        need.stop(server)
+
+
+@with_viser
 def test_sliders_run_the_loop(problem, capfd):
     said = []
     viewer = ck.show.viewer.front.Viewer((), live.Live(problem, say=said.append), port=8300)

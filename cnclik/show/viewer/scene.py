@@ -35,41 +35,41 @@ def quaternions(rotations) -> np.ndarray:
     return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
+# Side by side as the camera sees it: it looks along −z at planar arms, and else along a corner.
+_ASIDE = {True: np.array([1.0, 0, 0]), False: np.array([-0.5, 1.0, 0]) / np.hypot(1, 0.5)}
+
+
 class Scene:
     """Motions beside each other on a floor; `show` moves them."""
 
     def __init__(self, server, *, panel=False):
         """Args: panel: whether a panel covers the right of the page, beside which the camera then looks."""
         self.panel = panel
-        self.server, self.motions, self._drawn, self._laid = server, (), [], None
+        self.server, self.motions, self._drawn, self._chains, self._apart = server, (), [], [], 0.0
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(cast_shadow=False)
 
     def put(self, motions) -> None:
         """Draw these motions, and no others; a robot that is there already only moves."""
         motions = tuple(motions)
-        kinds = [(m.chain, m.links) for m in motions]
-        if (
-            self._laid is None
-            or len(kinds) != len(self._laid)
-            or any(a[0] is not b[0] for a, b in zip(kinds, self._laid, strict=True))
-        ):
-            self._lay(motions)
-        self._laid, self.motions = kinds, motions
+        chains, before = [m.chain for m in motions], self._chains
+        flat, apart = _laid_out(motions)
+        new = len(chains) != len(before) or any(a is not b for a, b in zip(chains, before, strict=True))
+        new |= len(motions) > 1 and not 0.5 * self._apart < apart < 1.5 * self._apart
+        if new:
+            self._lay(motions, flat, apart)
+        self._chains, self.motions = chains, motions
         with self.server.atomic():
             for drawn, motion in zip(self._drawn, motions, strict=True):
                 drawn.put(motion)
-        self.show(0.0)
+        if new:
+            self.show(0.0)
 
-    def _lay(self, motions):
+    def _lay(self, motions, flat, apart):
         for drawn in self._drawn:
             drawn.root.remove()
-        size = max(arm_length(m.chain) for m in motions)
-        flat = all(is_planar(m.chain) for m in motions)
-        # Side by side as the camera sees it: it looks along −z at planar arms, and else along a corner.
-        aside = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 1.0, 0]) / np.hypot(1, 0.5)
-        apart = 0.35 * size + max(np.ptp(_places(m) @ aside) for m in motions)
-        shifts = [aside * apart * (k - (len(motions) - 1) / 2) for k in range(len(motions))]
+        size, self._apart = max(arm_length(m.chain) for m in motions), apart
+        shifts = [_ASIDE[flat] * apart * (k - (len(motions) - 1) / 2) for k in range(len(motions))]
         looks = [{}, dict(color=BESIDE[0], dark=BESIDE[1])]
         self._drawn = [
             _Drawn(self.server, f"/run{k}", m, shift, looks[min(k, 1)])
@@ -124,27 +124,44 @@ class _Drawn:
         self.tip = scene.add_icosphere(
             f"{name}/frame{count - 1}/tip", (0.6 if parts else 1.1) * self.thick, rgb(LEVELS[GOOD])
         )
-        self.goal = self.line = None
+        self.goal, self.line, self.marks = None, None, []
 
     def put(self, motion):
         self.motion, scene = motion, self.server.scene
         self.where, self.turned = motion.poses[:, :, :3, 3], quaternions(motion.poses[:, :, :3, :3])
-        colors = [rgb(LEVELS[i]) for i in motion.level]
-        if motion.unit == "target":
-            look = dict(point_size=1.2 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
-            scene.add_point_cloud(f"{self.name}/targets", motion.target, np.array(colors, np.uint8), **look)
-        else:
-            _polyline(scene, f"{self.name}/way", motion.way, colors, 0.3 * self.thick)
+        for old in self.marks:
+            old.remove()
+        self.marks = self._targets(motion) if motion.unit == "target" else self._ways(motion)
         if motion.target is None:
             return
-        if np.ptp(motion.target, axis=0).max() > 0 and motion.unit == "s":
-            _polyline(scene, f"{self.name}/wanted", motion.target, None, 0.12 * self.thick)
         if self.goal is None:
             self.goal = scene.add_icosphere(f"{self.name}/goal", 0.8 * self.thick, rgb(style.BLACK))
         line = np.zeros((1, 2, 3))
         self.line = scene.add_line_segments(
             f"{self.name}/error", line, rgb(style.VERMILION), thickness=0.3 * self.thick
         )
+
+    def _targets(self, motion):
+        """A dot for each target, in the colour of what became of it."""
+        look = dict(point_size=1.2 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
+        cloud, at = self.server.scene.add_point_cloud, f"{self.name}/targets"
+        some = [(i, motion.target[motion.level == i]) for i in np.unique(motion.level)]
+        return [cloud(f"{at}{i}", points, rgb(LEVELS[i]), **look) for i, points in some]
+
+    def _ways(self, motion):
+        """The tip's way, a line for each colour: lines of several colours would be lighter than these; and the path."""
+        scene, level, found = self.server.scene, *_few(motion.level)
+        way, segments = motion.way[found], scene.add_line_segments
+        lines = np.stack([way[:-1], way[1:]], 1)
+        made = []
+        for i in np.unique(level[:-1]):
+            look = dict(thickness=0.3 * self.thick)
+            made.append(segments(f"{self.name}/way{i}", lines[level[:-1] == i], rgb(LEVELS[i]), **look))
+        if motion.target is not None and np.ptp(motion.target, axis=0).max() > 0:
+            wanted = motion.target[found]
+            lines = np.stack([wanted[:-1], wanted[1:]], 1)
+            made.append(segments(f"{self.name}/wanted", lines, rgb(GREY), thickness=0.12 * self.thick))
+        return made
 
     def show(self, k):
         for i, frame in enumerate(self.frames):
@@ -157,16 +174,18 @@ class _Drawn:
             self.line.points = np.stack([self.where[k, -1], self.motion.target[k]])[None].astype(np.float32)
 
 
+def _laid_out(motions):
+    """Whether all robots are planar, and how far from each other they stand [m]."""
+    flat, size = all(is_planar(m.chain) for m in motions), max(arm_length(m.chain) for m in motions)
+    return flat, 0.35 * size + max(np.ptp(_places(m) @ _ASIDE[flat]) for m in motions)
+
+
 def _places(motion):
     """Places that a motion takes up (k, 3) [m]: of its joints and tip at some instants."""
     return motion.poses[:: max(len(motion.t) // 50, 1), :, :3, 3].reshape(-1, 3)
 
 
-def _polyline(scene, name, points, colors, thickness):
-    """A line through points (K, 3), in one colour or in one for each; every few of many are drawn."""
-    some = np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).round().astype(int))
-    if len(some) < 2:
-        return
-    points = points[some]
-    color = rgb(GREY) if colors is None else np.repeat(np.array(colors, np.uint8)[some][1:, None], 2, axis=1)
-    scene.add_line_segments(name, np.stack([points[:-1], points[1:]], 1), color, thickness=thickness)
+def _few(level):
+    """Levels at few of many instants, each the worst up to the next one, and which instants these are."""
+    some = np.unique(np.linspace(0, len(level) - 1, min(len(level), MOST_POINTS)).round().astype(int))
+    return np.maximum.reduceat(level, some), some
