@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+import types
 
 import jax
 import numpy as np
@@ -299,6 +300,19 @@ def test_view_writes_a_page(problem, run, tmp_path, solved, capsys):
     for name in ("b.txt", "none/b.html"):
         with pytest.raises(SystemExit):
             main(["view", str(solved), "--html", str(tmp_path / name)])
+
+
+@with_viser
+def test_a_live_view_says_where_it_is_and_ends_with_ctrl_c(monkeypatch, capsys):
+    class Waits:
+        def wait(self):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("cnclik.cli.view.threading", types.SimpleNamespace(Event=Waits))
+    main(["view", ARM, "--N", "5", "--method", "EE", "--port", "8500"])
+    shown = capsys.readouterr()
+    assert re.fullmatch(r"http://localhost:85\d\d \(Ctrl-C ends\)\n", shown.out)
+    assert shown.err.splitlines()[0] == "Compiling EE …" and shown.err.count("\n") == 2
 
 
 # --- in a browser ---------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """Live: sliders that run a loop anew, its error and factors beside the robot, and a run kept to compare with."""
 
+import sys
 import threading
 import time
 
@@ -18,10 +19,15 @@ MOST_DELAY = 20  # samples that the slider offers
 MOST_Z = 3.0  # alpha·Ts that it offers at the sampling time it begins with
 
 
+def tell(text) -> None:
+    """A line for the terminal; beside what a command prints."""
+    print(text, file=sys.stderr, flush=True)
+
+
 class Live:
     """A problem with sliders. The first run is made before anything is shown; later ones in a thread of their own."""
 
-    def __init__(self, problem, *, links=None, say=print):
+    def __init__(self, problem, *, links=None, say=tell):
         self.problem, self.links, self.say = problem, links, say
         self.begun, self.known, self.kept = loop_of(problem), set(), None
         self.seen = self._look(self.begun)

@@ -143,7 +143,7 @@ class _Drawn:
 
     def _targets(self, motion):
         """A dot for each target, in the colour of what became of it."""
-        look = dict(point_size=1.2 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
+        look = dict(point_size=0.8 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
         cloud, at = self.server.scene.add_point_cloud, f"{self.name}/targets"
         some = [(i, motion.target[motion.level == i]) for i in np.unique(motion.level)]
         return [cloud(f"{at}{i}", points, rgb(LEVELS[i]), **look) for i, points in some]
