@@ -69,6 +69,7 @@ _INNER = (
     "hints",
     "integrate",
     "law",
+    "markup",
     "precision",
     "reading",
     "record",

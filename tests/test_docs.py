@@ -13,6 +13,7 @@ import jax
 import pytest
 
 from cnclik.cli import main
+from cnclik.show.viewer.need import has_viser
 from tests.oracles import robot_file
 
 ROOT = pathlib.Path(__file__).parents[1]
@@ -35,6 +36,7 @@ FEWER = {
         "0.01",
         "--no-figures",
     ],  # one set of programs
+    "view": ["--N", "5"],
     "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
 }
 SMALLER_REACH = {"--random": ["--random", "12"], "--map": ["--cells", "3", "--orientations", "2"]}
@@ -91,7 +93,11 @@ def fewer(argv):
     verb, *rest = argv
     if verb == "bench":
         return [verb, *FEWER[verb], *(["--json"] if "--json" in rest else [])]
-    if verb in ("solve", "stability", "tune") and not set(rest) & {"--q0", "--target", "--limits"}:
+    if (verb in ("solve", "stability", "tune") or (verb == "view" and "--reference" in rest)) and not set(rest) & {
+        "--q0",
+        "--target",
+        "--limits",
+    }:
         rest = [SMALL if word in ("panda", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
@@ -114,6 +120,12 @@ def prepare(folder, less):
     (folder / "targets.csv").write_text("0.5,0.1,0.4,0,1,0,0\n0.3,-0.4,0.5,0,1,0,0\n", encoding="utf-8")
 
 
+def needs_viser(page):
+    """Skip the page that shows the viewer where viser is not installed."""
+    if page.name == "viewer.md" and not has_viser():
+        pytest.skip("needs viser, the extra `viewer`")
+
+
 def read_aloud(page, folder, less):
     """Run a page from its top to its end, as a reader would who types all of it into one shell and one Python."""
     prepare(folder, less)
@@ -129,6 +141,8 @@ def read_aloud(page, folder, less):
         if text in before and argv[0] in NO_FILES and "--out" not in argv:
             continue
         argv = fewer(argv) if less else argv
+        if argv[0] == "view" and "--html" not in argv:  # it would wait for Ctrl-C
+            argv += ["--html", "view.html"]
         if argv[0] in ELSEWHERE or any(word.isupper() and word.isalpha() for word in argv[:2]) or argv in done:
             continue
         if less and set(argv) & set(HEAVY):
@@ -142,6 +156,7 @@ def read_aloud(page, folder, less):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
+    needs_viser(page)
     monkeypatch.chdir(tmp_path)
     read_aloud(page, tmp_path, less=True)
 
@@ -149,6 +164,7 @@ def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, capsys):
+    needs_viser(page)
     monkeypatch.chdir(tmp_path)
     read_aloud(page, tmp_path, less=False)
 

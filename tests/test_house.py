@@ -12,7 +12,10 @@ import pytest
 import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
-GROUND = ("errors", "record", "programs", "hints", "precision", "compilation", "lazy", "reading", "writing", "version")
+GROUND = (
+    *("errors", "markup", "record", "programs", "hints", "precision", "compilation", "lazy", "reading", "writing"),
+    "version",
+)
 BASE = ("robot", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (
     *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),

@@ -26,6 +26,7 @@ VERBS = {
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
+    "view": "a robot and its loop in a browser, with sliders; or a finished run, played; or one page that moves",
     "export": "the step as C for a controller: header, source, test vectors, README",
     "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
@@ -58,6 +59,7 @@ def _run(verb, *options) -> None:
         with _nothing_collected():
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
+        _check_report(args, ["cnclik", verb, *options])
         with _watched(args) as spans:
             if isinstance(args, common.ComputeOptions):
                 with _nothing_collected():
@@ -85,6 +87,17 @@ def _run(verb, *options) -> None:
 def _stopped(sent) -> None:
     word = "Interrupted" if sent == signal.SIGINT else "Terminated"
     _leave(128 + sent, f"{word}; what was complete is kept.")
+
+
+def _check_report(args, argv) -> None:
+    """Look whether a report can be written, before anything is computed; and tell it of the command."""
+    if getattr(args, "report", None) is not None:
+        import shlex
+
+        from cnclik.show.report import checked_page
+
+        checked_page("report", args.report)
+        args.typed = shlex.join(argv)
 
 
 def _has_platform() -> bool:

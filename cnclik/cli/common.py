@@ -1,6 +1,7 @@
 """Options that verbs share besides those of a problem."""
 
 import dataclasses
+from pathlib import Path
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -17,6 +18,27 @@ class ComputeOptions(CacheOption):
 
     timings: bool = False
     """Tell at the end how long importing, tracing, compiling, running and drawing took."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class ReportOption:
+    """For verbs whose result can be a page; `typed` is the line that asked for it."""
+
+    report: Path | None = None
+    """Also write one page, FILE.html, that opens offline: answer, numbers, figures, the moving robot (extra viewer)."""
+    typed = ""
+
+    def write_report(self, title, answer, **parts) -> None:
+        """Write the page where one is asked for, and say so; see `cnclik.show.report.Report`."""
+        if self.report is None:
+            return
+        from cnclik.cli import progress
+        from cnclik.show.report import Report, write
+
+        with progress.bar("report"):
+            write(Report(title=title, answer=answer, command=self.typed, **parts), self.report)
+        if not getattr(self, "json", False):
+            print(f"Wrote {self.report}.")
 
 
 _OPTIONS = {  # what the library's remedies speak of, as it is written on the command line
@@ -36,4 +58,4 @@ def as_options(sentence: str) -> str:
     return sentence
 
 
-NAMES = tuple(field.name for field in dataclasses.fields(ComputeOptions))
+NAMES = tuple(field.name for kind in (ComputeOptions, ReportOption) for field in dataclasses.fields(kind))

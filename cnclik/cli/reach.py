@@ -13,12 +13,12 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, TaskOptions, RobotOptions):
+class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     targets: Annotated[
         tyro.conf.Positional[pathlib.Path | None], tyro.conf.arg(metavar="TARGETS", help_behavior_hint="")
     ] = None
@@ -126,10 +126,48 @@ def _answers(args, chain, task):
     summary = _summary(made, first, again)
     if args.json:
         print(json.dumps(summary))
-        return
-    _tell(made, summary, first)
-    if args.out is not None:
-        print(f"Wrote {args.out}.")
+    else:
+        _tell(made, summary, first)
+        if args.out is not None:
+            print(f"Wrote {args.out}.")
+    if args.report is not None:
+        _report(args, made, transforms(pose), summary, first)
+
+
+def _report(args, made, targets, summary, seconds):
+    """The page: how many of each status, and the robot at the first targets."""
+    from cnclik.problem.names import robot_name
+
+    solved = round(summary["solve_rate"] * summary["targets"])
+    facts = [
+        ("time", f"{seconds:.2f} s, compilation included"),
+        ("evaluations per target", f"{summary['evaluations_per_target']:.0f}"),
+        ("largest error of those reached", _largest(made)),
+    ]
+    rows = [(name, f"{number:,}", _MEANING[name]) for name, number in summary["status"].items()]
+    args.write_report(
+        f"{robot_name(args.robot, args.tip)}: joint values for {summary['targets']:,} targets",
+        f"{solved:,} of {summary['targets']:,} targets are reached ({100 * summary['solve_rate']:.4g} %).",
+        facts=facts,
+        tables=[("What became of them", ("status", "targets", "meaning"), rows)],
+        motions=functools.partial(_motions, args, made, targets),
+    )
+
+
+def _largest(made) -> str:
+    parts = ((made.position_error, "m"), (made.orientation_error, "rad"))
+    if not made.solved.any():
+        return "none is"
+    return ", ".join(f"{values[made.solved].max():.3g} {unit}" for values, unit in parts)
+
+
+def _motions(args, made, targets):
+    from cnclik.show.viewer.files import MOST_TARGETS, answers_motion, robot_of
+
+    _, name, links = robot_of(args.robot, args.tip, args.base, args.lengths)
+    some = slice(0, MOST_TARGETS)
+    found = {key: getattr(made, key)[some] for key in ("q", "status", "position_error")} | {"targets": targets[some]}
+    return [answers_motion(made.chain, found, name=name, links=links)]
 
 
 def _random(chain, args):
@@ -232,11 +270,18 @@ def _map(args, chain, task):
     seconds = time.perf_counter() - begun
     title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
-    draw({"map.png": (lambda: figure(found, title=title), about)}, out)
+    figures = {"map.png": (lambda: figure(found, title=title), about)}
+    draw(figures, out)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
+    answer = (
+        f"{100 * np.mean(found.share > 0):.1f} % of the places can be reached, "
+        f"{100 * np.mean(found.share == 1):.1f} % in every orientation tried"
+    )
     if args.json:
         print(json.dumps(summary))
-        return
-    print(f"{count:,} targets in {seconds:.2f} s: {100 * np.mean(found.share > 0):.1f} % of the places can be reached, "
-          f"{100 * np.mean(found.share == 1):.1f} % in every orientation tried")  # fmt: skip
-    print(f"Wrote map.png and map.npz to {out}/.")
+    else:
+        print(f"{count:,} targets in {seconds:.2f} s: {answer}")
+        print(f"Wrote map.png and map.npz to {out}/.")
+    args.write_report(
+        title, f"{answer}.", facts=[("targets", f"{count:,}"), ("time", f"{seconds:.2f} s")], figures=figures
+    )

@@ -7,14 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, as_options
+from cnclik.cli.common import ComputeOptions, ReportOption, as_options
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
+class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
     """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
 
     out: Path = Path("solved")
@@ -52,15 +52,44 @@ def run(args: Args) -> None:
     with progress.bar("verdict"):
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
-    print(f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s")
-    print("; ".join(filter(None, (f"{_loop(made)}, along {args.reference}", drive_words(made)))))
-    Console().print(_summary(made, trajectory, seconds))
-    print(as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}"))
+    title = f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s"
+    loop = "; ".join(filter(None, (f"{_loop(made)}, along {args.reference}", drive_words(made))))
+    facts = _summary(made, trajectory, seconds)
+    answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
+    print(f"{title}\n{loop}")
+    Console().print(_shown(facts))
+    print(answer)
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
+    figures = _figures(data, made) if args.figures or args.report else {}
     if args.figures:
         with progress.bar("figures") as report:
-            written += draw(_figures(data, made), args.out, progress=report)
+            written += draw(figures, args.out, progress=report)
     print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
+    args.write_report(
+        title,
+        answer,
+        facts=[("loop", loop), *facts],
+        figures=figures,
+        captions=_CAPTIONS,
+        motions=functools.partial(_motions, args, made, trajectory, answer, told.radius),
+        dtype=str(trajectory.q.dtype),
+    )
+
+
+_CAPTIONS = {
+    "joints": "Joint values over time; dashed: a limit that is near.",
+    "error": "Norm of the error over time.",
+    "velocities": "Joint velocities, held during each step; dashed: a limit that is near.",
+    "status": "What was wrong in each step; an empty line is good.",
+}
+
+
+def _motions(args, made, trajectory, answer, radius):
+    from cnclik.show.viewer.files import robot_of
+    from cnclik.show.viewer.motion import motion_of
+
+    _, name, links = robot_of(args.robot, args.tip, args.base, args.lengths)
+    return [motion_of(trajectory, made.law, name=name, note=answer, links=links, radius=radius)]
 
 
 def _loop(made) -> str:
@@ -148,9 +177,19 @@ def _figures(data, made) -> dict:
     }
 
 
-def _summary(made, trajectory, seconds):
-    import numpy as np
+def _shown(rows):
+    """Rows of names and texts, for a terminal."""
     from rich.table import Table
+
+    shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for row in rows:
+        shown.add_row(*row)
+    return shown
+
+
+def _summary(made, trajectory, seconds):
+    """((name, text), …): numbers of the run, with their units."""
+    import numpy as np
 
     from cnclik.integrate.status import count
     from cnclik.measure.metrics import measure_run
@@ -159,18 +198,18 @@ def _summary(made, trajectory, seconds):
     parts = [("position", "m")] * bool(law.task.position) + [("rotation", "rad")] * bool(law.task.orientation)
     names = [f"{kind}_{part}_error" for part, _ in parts for kind in ("rms", "max", "final")]
     found = measure_run(trajectory, law, made.reference, [*names, "max_qdot", "velocity_ratio", "chatter"])
-    shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rows = []
     for part, unit in parts:
         rms, largest, last = (_number(found[f"{kind}_{part}_error"]) for kind in ("rms", "max", "final"))
-        shown.add_row(f"{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}")
-    shown.add_row("steps", ", ".join(f"{k} {v}" for k, v in count(trajectory.status).items() if v))
+        rows.append((f"{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"))
+    rows.append(("steps", ", ".join(f"{k} {v}" for k, v in count(trajectory.status).items() if v)))
     unit, share = found.units["max_qdot"], float(found.velocity_ratio)
     of = f", {100 * share:.3g} % of a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
-    shown.add_row("joint velocity", f"up to {_number(found.max_qdot)} {unit}{of}")
+    rows.append(("joint velocity", f"up to {_number(found.max_qdot)} {unit}{of}"))
     late = "RMS joint speed taken back in the next step, second half of the run"
-    shown.add_row("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})")
-    shown.add_row("time per step", f"{1e6 * seconds:.0f} µs")
-    return shown
+    rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))
+    rows.append(("time per step", f"{1e6 * seconds:.0f} µs"))
+    return rows
 
 
 def _number(value) -> str:

@@ -13,7 +13,7 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.problem import (
     DriveOptions,
     LoopOptions,
@@ -28,7 +28,7 @@ from cnclik.problem.options import DRIVE
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
+class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
     target: Numbers = None
@@ -66,17 +66,21 @@ def run(args: Args) -> None:
 
     _check(args)
     if not (args.plane or args.map):
-        _tell(args, _advice(args, *_loop(args)))
+        advised = _advice(args, *_loop(args))
+        _tell(args, advised)
+        _report(args, {}, advised)
         return
     load_ahead("cnclik.show.style")
-    figures = {}
+    figures, advised = {}, None
     with output_folder(args.out) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:
-            figures |= _map(args, out)
+            drawn, advised = _map(args, out)
+            figures |= drawn
     draw(figures, args.out)
     print(f"Results in {args.out}")
+    _report(args, figures, advised)
 
 
 def _check(args):
@@ -128,24 +132,45 @@ def _tell(args, advised):
     from rich.console import Console
     from rich.table import Table
 
-    from cnclik.record import in_words
-
     found, said = advised
-    console, now, eigen = Console(), said.advice.margin, said.advice.spectrum
-    shown = Table(title=f"{_name(found)}, task {' '.join(found.law.task.names)}", title_justify="left")
-    for column in ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler"):
+    console = Console()
+    shown = Table(title=_title(found), title_justify="left")
+    for column in _COLUMNS:
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
-    dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
-    at_once = "*" if said.assumed_dead_time else ""
-    rows = (f"largest stable{at_once}", f"fastest without overshoot{at_once}", f"recommended{dead}")
-    for row, name in zip(rows, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
-        value, euler = getattr(said, name), said.explicit_euler[name]
-        shown.add_row(row, *map(_or_any, (value, value * found.Ts, euler)))
-    shown.add_row("now", in_words(found.law.alpha), f"{now.z:.4g}", "")
+    for row in _gains(found, said):
+        shown.add_row(*row)
     for note in said.notes:  # what the numbers can't say comes before them
         console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
-    lines = ["* of drives that follow at once"] * bool(at_once)
+    for line in _lines(found, said):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+_COLUMNS = ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")
+
+
+def _title(found) -> str:
+    return f"{_name(found)}, task {' '.join(found.law.task.names)}"
+
+
+def _gains(found, said) -> list:
+    """Rows of _COLUMNS."""
+    from cnclik.record import in_words
+
+    dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
+    at_once = "*" if said.assumed_dead_time else ""
+    names = (f"largest stable{at_once}", f"fastest without overshoot{at_once}", f"recommended{dead}")
+    rows = []
+    for row, name in zip(names, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
+        value, euler = getattr(said, name), said.explicit_euler[name]
+        rows.append((row, *map(_or_any, (value, value * found.Ts, euler))))
+    return [*rows, ("now", in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
+
+
+def _lines(found, said) -> list:
+    """What the numbers mean, in sentences."""
+    now, eigen = said.advice.margin, said.advice.spectrum
+    lines = ["* of drives that follow at once"] * bool(said.assumed_dead_time)
     lines += [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines.append(f"At alpha now: {_margin(now, said)}")
     if said.advice.times is not None:
@@ -155,9 +180,7 @@ def _tell(args, advised):
     lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {len(eigen.null)} directions, "
                  f"|λ| = {eigen.null_radius:.4g}.")  # fmt: skip
     lines.append("The same loop elsewhere, by explicit Euler:")
-    lines += [f"  {where}: {what}" for where, what in said.settings.items()]
-    for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
 
 
 def escaped(text):
@@ -325,9 +348,58 @@ def _map(args, out):
     inside = agreement(endings, data.alpha.values, data.limit.values[:, None])
     seconds = time.perf_counter() - begun
     print(f"{endings.size:,} loops in {seconds:.1f} s; agreement with the linear boundary: {inside:.2%}")
-    return figures
+    return figures, advised
 
 
 def _range(given, now, half):
     """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
     return given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
+
+
+# --- the report ---------------------------------------------------------------------------------------
+
+
+def _report(args, figures, advised):
+    """The page: the advice, and the recommended gain beside one that is too large, on the robot."""
+    if args.report is None:
+        return
+    if advised is None:
+        args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
+        return
+    found, said = advised
+    answer = f"Recommended: alpha = {_or_any(said.recommended_alpha)} 1/s: {said.reason}."
+    with progress.bar("runs"):
+        motions = _runs(args, found, said)
+    if not figures:
+        from cnclik.show.report_figures import errors_beside
+
+        figures = {"errors.svg": (lambda: errors_beside(motions), {"Title": "errors"})}
+    args.write_report(
+        _title(found),
+        answer,
+        tables=[("Gains", _COLUMNS, _gains(found, said))],
+        lines=[*said.notes, *(line for line in _lines(found, said) if not line.startswith("Recommended"))],
+        figures=figures,
+        captions={"errors": "The error of a step to the target."},
+        motions=lambda: motions,
+    )
+
+
+def _runs(args, found, said) -> list:
+    """A step to the target with the recommended gain, and with one that is too large, or if there is none that now."""
+    from cnclik.show.viewer.files import robot_of
+    from cnclik.show.viewer.look import look, loop_of
+    from cnclik.show.viewer.motion import motion_of
+
+    links = robot_of(args.robot, args.tip, args.base, args.lengths)[2]
+    now = loop_of(found)
+    most = said.largest_stable_alpha
+    other = (now.alpha, "now") if math.isinf(most) else (1.1 * most, "a tenth beyond the largest stable")
+    settled = said.recommended.settling_time
+    N = min(max(math.ceil(2 * settled / found.Ts), 40), 400) if math.isfinite(settled) else 400
+    made, motions = dataclasses.replace(found, N=N), []
+    for alpha, name in ((said.recommended_alpha, "recommended"), other):
+        seen = look(made, now._replace(alpha=min(alpha, 1e3 * now.alpha)))
+        name = f"alpha = {alpha:.3g} 1/s ({name})"
+        motions.append(motion_of(seen.run, found.law, name=name, links=links, radius=seen.radius))
+    return motions

@@ -9,11 +9,11 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import ComputeOptions, ReportOption
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions):
+class Args(ReportOption, ComputeOptions):
     spec: Annotated[pathlib.Path, tyro.conf.Positional]
     """The spec, a TOML file (see docs/sweeps.md and sweeps/)."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = dataclasses.field(default_factory=list)
@@ -57,8 +57,31 @@ def run(args: Args) -> None:
     if not whole:
         print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
         return
-    print(f"Done in {time.perf_counter() - begun:.1f} s: {out / store.DATA}")
+    seconds = time.perf_counter() - begun
+    print(f"Done in {seconds:.1f} s: {out / store.DATA}")
     finish(out, spec.figures if args.figures else None, export=args.export)
+    if args.report is not None:
+        _report(args, spec, store.read(out), grid, seconds)
+
+
+def _report(args, spec, data, grid, seconds) -> None:
+    """The page: the question, its numbers and figures, and the best and the worst loop on their robots."""
+    from cnclik.show.sweeps import drawings
+    from cnclik.show.viewer.swept import loops_of
+    from cnclik.sweeps.summary import table
+
+    rows = table(data)
+    header = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[f"{v:.4g}" if isinstance(v, float) else v for v in (row.get(n, "") for n in header)] for row in rows]
+    figures = {f"{name}.png": (make, {"Title": name}) for name, make in drawings(data, spec.figures).items()}
+    args.write_report(
+        f"{spec.name}: {spec.question}",
+        f"{grid.size:,} loops in {seconds:.1f} s. Expected: {spec.expectation}",
+        facts=[("grid", str(grid)), ("metrics", ", ".join(spec.metrics))],
+        figures=figures,
+        tables=[("Metrics over the numeric axes", header, cells)],
+        motions=lambda: loops_of(data, spec),
+    )
 
 
 def finish(out: pathlib.Path, figures, *, export=None) -> None:

@@ -1,6 +1,7 @@
 """`cnclik tune`: gains by gradient under a stability margin, with what a controller needs of them."""
 
 import dataclasses
+import functools
 import json
 import time
 from pathlib import Path
@@ -10,14 +11,14 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import common
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
+class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """Tune the loop that these options describe: tuned.json, figures, summary.md."""
 
     N: int = 200
@@ -77,18 +78,38 @@ def run(args: Args) -> None:
         data = tuning.to_json(found, config=_config(args))
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
         drawn = {}
-        if args.figures:
+        if args.figures or args.report:
             from cnclik.show.tuning import drawings
 
             drawn = drawings(found)
-        text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn))
+        text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn) if args.figures else ())
         folder.write_text("summary.md", text)
     print(text.split("\n## Figures")[0])
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
     with progress.bar("figures") as report:
-        written = ["tuned.json", "summary.md", *draw(figures, args.out, progress=report)]
+        written = ["tuned.json", "summary.md", *draw(figures if args.figures else {}, args.out, progress=report)]
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
+    from cnclik.tuning.page import CAPTIONS, page_rows
+
+    args.write_report(
+        f"Tuned: {made.name}",
+        found.why,
+        facts=page_rows(found, seconds),
+        figures=figures,
+        captions=CAPTIONS,
+        motions=functools.partial(_motions, args, found),
+    )
+
+
+def _motions(args, found):
+    """The loop as tuned and as it was."""
+    from cnclik.show.viewer.files import robot_of
+    from cnclik.show.viewer.motion import motion_of
+
+    links = robot_of(args.robot, args.tip, args.base, args.lengths)[2]
+    runs = (("as tuned", found.after.run), ("before", found.before.run))
+    return [motion_of(run, found.law, name=name, links=links) for name, run in runs]
 
 
 def _asked(args, made) -> dict:

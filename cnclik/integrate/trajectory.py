@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik import errors
+from cnclik import errors, markup
 from cnclik.integrate.status import count
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -69,6 +69,15 @@ class Trajectory:
             lines.append(f"  q̇       at most {np.abs(qdot).max():.4g} [rad/s, m/s]")
         lines.append("  status  " + ", ".join(f"{k} {v}" for k, v in count(self.status).items() if v))
         return "\n".join(lines)
+
+    def _repr_html_(self):
+        """In a notebook: what it says of itself, and of one lane the error over time, bad steps marked below."""
+        text = f"<pre>{markup.escaped(repr(self))}</pre>"
+        known = all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self))
+        if not known or np.ndim(self.status) != 1 or len(self.status) == 0:
+            return text
+        size = np.linalg.norm(np.asarray(self.e), axis=-1)
+        return text + markup.error_plot(self.t, size, np.append(np.asarray(self.status) != 0, False))
 
 
 def instants(one, start, k, q, m: int, *, early: int = 0):

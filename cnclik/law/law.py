@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors
+from cnclik import errors, markup
 from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
@@ -92,6 +92,13 @@ class Law:
             if getattr(self, name) is not None:
                 lines.append(f"  {name} {brief(getattr(self, name))}")
         return "\n".join(lines)
+
+    def _repr_html_(self):
+        """In a notebook: its sentence, and what it is made of."""
+        sentence, *lines = repr(self).splitlines()
+        rows = [line.strip().partition(" ")[::2] for line in lines[2:]]
+        parts = [("task", brief(self.task)), ("chain", brief(self.chain)), *rows]
+        return f"<p>{markup.escaped(sentence)}</p>{markup.table((), parts, left=2)}"
 
 
 def _not_negative(alpha):

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cnclik import errors
+from cnclik import errors, markup
 from cnclik.record import record
 from cnclik.robot import spatial as sp
 from cnclik.robot.tree import MOST
@@ -87,6 +87,15 @@ class Chain:
             fast = f", up to {speed:.5g} {unit}/s" if math.isfinite(speed) else ""
             lines.append(f"  {name}: {kind}, {room}{fast}")
         return "\n".join(lines)
+
+    def _repr_html_(self):
+        """In a notebook: a table of the joints."""
+        rows = []
+        for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
+            kind = REVOLUTE if unit == "rad" else PRISMATIC
+            bounds = (self.lower[i], unit), (self.upper[i], unit), (self.velocity_limit[i], f"{unit}/s")
+            rows.append((name, kind, *(f"{v:.5g} {u}" if math.isfinite(v) else "—" for v, u in bounds)))
+        return markup.table(("joint", "type", "lower", "upper", "velocity"), rows, left=2)
 
 
 def _is_whole(number) -> bool:

@@ -25,6 +25,22 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
 
     Args: name: of the loop. seconds: what it took, or None. figures: names of figures beside the page, of CAPTIONS.
     """
+    method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
+    loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {tuned.Ts:g} s."
+    text = [f"# Tuned: {name}", "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
+    lines = controller_lines(tuned)
+    text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
+    if lines["pink_mink"].startswith("task"):
+        text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
+    else:
+        text += [f"pink and mink: {lines['pink_mink']}."]
+    if figures:
+        text += ["", "## Figures", "", *(f"![{CAPTIONS[f]}]({f}.png)\n\n{CAPTIONS[f]}\n" for f in figures)]
+    return "\n".join(text).rstrip() + "\n"
+
+
+def page_rows(tuned, seconds=None) -> list:
+    """[(name, text)]: what was found, in numbers with their units. Args: as for `page`."""
     before, after = tuned.before, tuned.after
     rows = [
         (p.name, f"{in_words(tuned.values[p.name])}{with_unit(p)} (from {in_words(p.start)})") for p in tuned.parameters
@@ -56,18 +72,7 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     ]
     if seconds is not None:
         rows.append(("time", f"{seconds:.1f} s, compilation included"))
-    method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
-    loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {tuned.Ts:g} s."
-    text = [f"# Tuned: {name}", "", tuned.why, "", loop, "", markdown(("", ""), rows, left=2)]
-    lines = controller_lines(tuned)
-    text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
-    if lines["pink_mink"].startswith("task"):
-        text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
-    else:
-        text += [f"pink and mink: {lines['pink_mink']}."]
-    if figures:
-        text += ["", "## Figures", "", *(f"![{CAPTIONS[f]}]({f}.png)\n\n{CAPTIONS[f]}\n" for f in figures)]
-    return "\n".join(text).rstrip() + "\n"
+    return rows
 
 
 def _finite(value):

@@ -72,6 +72,8 @@ CHOICES = {
         "set": ("alpha=5", "axes.M=[1,2]", "N=3", "alpha=9**9**9", "method=CN"),
         "shape": ("scalar", "per-axis", "matrix"),
     },
+    "html": ("one.html", "none/one.html"),
+    "report": ("one.html", "none/one.html"),
     "reading": ("on-path/once/consistent", "printed/twice/printed"),
 }
 
@@ -184,7 +186,7 @@ def _furnish(folder, data):
 
 @contextlib.contextmanager
 def _until_traced():
-    """Raise `Reached` where a program is about to be traced, a figure drawn, or another process started."""
+    """Raise `Reached` where a program would be traced, a figure drawn, a port opened, or another process started."""
 
     def reached(*args, **kwargs):
         raise Reached
@@ -197,6 +199,7 @@ def _until_traced():
     try:
         with (
             mock.patch("cnclik.show.output.draw", reached),
+            mock.patch("cnclik.show.viewer.need.server", reached),
             mock.patch("cnclik.sweeps.program.fit", reached),
             mock.patch("cnclik.bench.timing.measure_apart", reached),
             mock.patch("cnclik.bench.cold.measure", reached),

@@ -1,0 +1,77 @@
+"""`cnclik view`: a robot with its loop in a browser, with sliders; or a run that was written, played."""
+
+import contextlib
+import dataclasses
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cnclik import errors
+from cnclik.cli.common import ComputeOptions
+from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
+
+
+@dataclasses.dataclass(kw_only=True)
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
+    """Show a robot live with sliders, or play runs of `solve`, answers of `reach`, a loop of a sweep."""
+
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT|FILE")]
+    """A robot, as for solve; or what is to be played: trajectory.nc, .csv, .npz, a folder of solve or of a sweep."""
+    file: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """After a ROBOT a file to play that doesn't name it; after a FILE another one, shown beside it."""
+    N: int = 500
+    """Steps."""
+    host: str = "localhost"
+    """Name or address to listen on; others than this machine can look where it is 0.0.0.0."""
+    port: int = 8080
+    """Port to listen on; the next one that is free."""
+    html: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write the moving scene as one page, FILE.html, and end."""
+
+
+def run(args: Args) -> None:
+    from cnclik.show.report import checked_page
+    from cnclik.show.viewer import front, need
+
+    need.require_viser()
+    errors.integer("port", args.port, at_least=1, at_most=65_000)
+    if args.html is not None:
+        checked_page("html", args.html)
+    motions, live = _shown(args)
+    if args.html is not None:
+        print(f"Wrote {front.write_page(live.motions() if live else motions, args.html)}.")
+        return
+    viewer = front.Viewer(motions, live, host=args.host, port=args.port)
+    print(f"{viewer.url} (Ctrl-C ends)", flush=True)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            threading.Event().wait()
+    finally:
+        viewer.stop()
+
+
+def _shown(args):
+    """(motions, live)."""
+    from cnclik.show.viewer import files, front
+    from cnclik.show.viewer.live import Live
+
+    if files.is_result(args.robot):
+        named = [args.robot] if args.file is None else [args.robot, args.file]
+        return [motion for one in named for motion in _played(one)][: front.MOST], None
+    robot = (args.robot, args.tip, args.base, args.lengths)
+    if args.file is not None:
+        return _played(args.file, files.robot_of(*robot)), None
+    made = problem(args)
+    return [], Live(made, links=files.robot_of(*robot)[2])
+
+
+def _played(path, robot=None):
+    from cnclik.show.viewer import files
+
+    if (Path(path) / files.STORE).exists():
+        from cnclik.show.viewer.swept import best_and_worst
+
+        return best_and_worst(Path(path))
+    return files.read_motions(path, robot)

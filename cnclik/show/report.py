@@ -1,0 +1,196 @@
+"""Report: one result as one page that opens offline: the answer, its numbers, figures, the moving robot.
+
+What is drawn is what the verb draws; the page is written last, so that it costs nothing that was computed.
+"""
+
+import dataclasses
+import pathlib
+import platform
+
+from cnclik import errors
+from cnclik.markup import escaped, table
+from cnclik.writing import output_folder
+
+MOST_ROWS, SHORT = 60, 8  # rows of a table at most, and of one that stands above the figures
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a page says.
+
+    Attributes:
+      title: what was asked of which robot. answer: in a sentence.
+      facts: ((name, text), …): numbers with their units. lines: further sentences, below the figures.
+      tables: ((caption, header, rows), …).
+      figures: {file name: (function of no arguments that returns a Figure, what it says of itself)}, as
+        `show.output.draw` takes them; captions: {name without ending: caption}.
+      motions: function of no arguments that returns one or two `Motion`s, or None where nothing moves.
+      command: the line that makes it again. dtype: of the numbers.
+    """
+
+    title: str
+    answer: str
+    facts: tuple = ()
+    lines: tuple = ()
+    tables: tuple = ()
+    figures: dict = dataclasses.field(default_factory=dict)
+    captions: dict = dataclasses.field(default_factory=dict)
+    motions: object = None
+    command: str = ""
+    dtype: str = "float64"
+
+
+def checked_page(name, file) -> pathlib.Path:
+    """The path of a page to write. Raises: ArgumentError unless it is an .html in a folder that is there."""
+    file = pathlib.Path(file)
+    if file.suffix.lower() != ".html":
+        raise errors.fail(name, "end with .html", f"is {str(file)!r}")
+    if len(file.name.encode(errors="replace")) > 250:
+        raise errors.fail(name, "have a name of at most 250 bytes", f"has {len(file.name)}")
+    try:
+        fits = file.parent.is_dir() and not file.is_dir()
+    except (OSError, ValueError):
+        fits = False
+    if not fits:
+        raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
+    return file
+
+
+def write(report: Report, file) -> None:
+    """Write the page. A part that can't be drawn is left out, with a line in its place.
+
+    Raises: FigureError at the end, naming those parts; ArgumentError where the page could not be written.
+    """
+    from cnclik.show.output import FigureError
+
+    file, failed = pathlib.Path(file), {}
+    text = page(report, failed)
+    with output_folder(file.parent, name="report") as folder:
+        folder.write_text(file.name, text)
+    if failed:
+        what = ", ".join(f"{part} ({reason})" for part, reason in failed.items())
+        raise FigureError(f"Not in {file.name}: {what}; all else is.")
+
+
+def page(report: Report, failed=None) -> str:
+    """The page as a text. Args: failed: a dict, to which parts that could not be drawn are added: {part: why}."""
+    failed = {} if failed is None else failed
+    parts = [f"<h1>{escaped(report.title)}</h1>", f'<p class="answer">{escaped(report.answer)}</p>']
+    if report.facts:
+        parts.append(_wide(table((), report.facts, left=2)))
+    short, long = ([t for t in report.tables if (len(t[2]) <= SHORT) == kind] for kind in (True, False))
+    parts += [_table(*one) for one in short]
+    parts.append(_moving(report, failed))
+    drawn = [_figure(i, file, *made, report.captions, failed) for i, (file, made) in enumerate(report.figures.items())]
+    if drawn:
+        parts.append(f'<h2>Figures</h2><div class="figures">{"".join(drawn)}</div>')
+    parts += [_table(*one) for one in long]
+    if report.lines:
+        parts.append(f"<h2>In words</h2><ul>{''.join(f'<li>{escaped(line)}</li>' for line in report.lines)}</ul>")
+    parts.append(_again(report))
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">{_SHEET}'
+    title = f"<title>{escaped(report.title)}</title>"
+    body = f"<body><main>{''.join(parts)}</main></body>"
+    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}{title}</head>{body}</html>\n'
+
+
+def _wide(text) -> str:
+    return f'<div class="wide">{text}</div>'
+
+
+def _table(caption, header, rows) -> str:
+    rows = list(rows)
+    more = f"<p>{len(rows) - MOST_ROWS:,} more rows are in the data.</p>" if len(rows) > MOST_ROWS else ""
+    return f"<h2>{escaped(caption)}</h2>{_wide(table(header, rows[:MOST_ROWS]))}{more}"
+
+
+def _figure(number, file, make, about, captions, failed) -> str:
+    from cnclik.show.report_figures import picture
+
+    name = pathlib.Path(file).stem
+    caption = escaped(captions.get(name, name.replace("_", " ")))
+    try:
+        drawn = picture(make, escaped(name), about, number)
+    except Exception as error:  # whatever a figure may meet: it costs itself alone
+        failed[name] = _reason(error)
+        drawn = f"<p>Not drawn: {escaped(failed[name])}</p>"
+    return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"
+
+
+def _moving(report, failed) -> str:
+    """The moving robot in a frame of its own, and what its colours mean."""
+    if report.motions is None:
+        return ""
+    from cnclik.show.viewer import need
+
+    if not need.has_viser():
+        return (
+            f'<p class="note">The moving robot is left out, as it takes the extra viewer: {escaped(need.INSTALL)}</p>'
+        )
+    from cnclik.show.viewer.page import as_page, seconds
+
+    try:
+        motions = list(report.motions())
+        inner = as_page(motions).replace("&", "&amp;").replace('"', "&quot;")
+    except Exception as error:
+        failed["the moving robot"] = _reason(error)
+        return f'<p class="note">The moving robot could not be drawn: {escaped(failed["the moving robot"])}</p>'
+    names = [f"{'in grey' if k else 'in blue'}: {escaped(m.name)}" for k, m in enumerate(motions)]
+    who = f"{'; '.join(names)}. " if len(motions) > 1 else ""
+    pace = _pace(motions, seconds(motions))
+    targets = "Targets are green where they are reached, orange with the nearest pose, red without joint values."
+    way = "The way of the tip is green where steps are OK, orange with a warning, red in an unstable loop."
+    said = f"{who}{pace}{targets if motions[0].unit == 'target' else way}"
+    frame = f'<iframe title="the moving robot" loading="lazy" srcdoc="{inner}"></iframe>'
+    note = f'<p class="note">{said} Drag to turn, scroll to zoom.</p>'
+    return f'<section class="moving"><h2>The robot</h2>{frame}{note}</section>'
+
+
+def _pace(motions, shown) -> str:
+    """How fast it plays, where that is not as it was."""
+    if motions[0].unit == "target":
+        return "One target after the other. "
+    factor = max(m.t[-1] - m.t[0] for m in motions) / shown
+    if 0.95 < factor < 1.05 or factor == 0:
+        return ""
+    return f"Played {factor:.2g} times as fast as it was. " if factor > 1 else f"Slowed down {1 / factor:.2g} times. "
+
+
+def _again(report) -> str:
+    from cnclik.measure.dataset import provenance
+
+    about = provenance(report.dtype) | {"python": platform.python_version(), "system": platform.platform()}
+    command = f"<pre>{escaped(report.command)}</pre>" if report.command else ""
+    return f"<h2>To repeat it</h2>{command}{_wide(table((), about.items(), left=2))}"
+
+
+def _reason(error) -> str:
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return text if len(text) <= 200 else text[:199] + "…"
+
+
+_SHEET = """<style>
+:root{color-scheme:light dark;--ink:#1b1f23;--paper:#fff;--soft:#6a737d;--edge:#d8dde2}
+@media(prefers-color-scheme:dark){:root{--ink:#e3e6e9;--paper:#16191c;--soft:#9aa4ad;--edge:#3a4148}}
+body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,-apple-system,"Segoe UI",sans-serif}
+main{max-width:62rem;margin:0 auto;padding:1rem 1rem 3rem}
+h1{font-size:1.5rem;line-height:1.25;margin:.6rem 0;overflow-wrap:anywhere}
+h2{font-size:1.1rem;margin:2rem 0 .5rem}
+.answer{font-size:1.15rem;border-left:.3rem solid #0072B2;padding:.3rem 0 .3rem .8rem;margin:1rem 0}
+.wide{overflow-x:auto;font-size:.92rem;font-variant-numeric:tabular-nums}
+.note,figcaption{color:var(--soft);font-size:.85rem}
+pre{white-space:pre-wrap;overflow-wrap:anywhere;font-size:.85rem;
+border:1px solid var(--edge);border-radius:.3rem;padding:.6rem}
+iframe{width:100%;height:30rem;border:1px solid var(--edge);border-radius:.3rem;background:#fff}
+.figures{display:flex;flex-wrap:wrap;gap:1rem;align-items:flex-start}
+figure{margin:0;max-width:100%}
+figcaption{max-width:24rem}
+ul{padding-left:1.2rem}
+li{margin:.3rem 0}
+figure svg,figure img{display:block;max-width:100%;height:auto;background:#fff;
+border:1px solid var(--edge);border-radius:.3rem}
+figure img{width:43rem}
+@media(max-width:40rem){iframe{height:22rem}body{font-size:15px}}
+@media print{.moving{display:none}main{max-width:none;padding:0}figure,tr{break-inside:avoid}.wide{overflow:visible}
+:root{--ink:#000;--paper:#fff;--soft:#444;--edge:#bbb}}
+</style>"""

@@ -1,0 +1,114 @@
+"""Body: a robot's shapes from its chain alone, and where they are.
+
+Frame 0 is the base, frame i is fixed to what joint i moves. A link is a capsule from its joint to the next, a revolute
+joint a cylinder about its axis, a prismatic one a square bar along its way.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.posture import arm_length
+from cnclik.robot.rolled import roll
+from cnclik.show import style
+
+THICK = 0.028  # radius of a link, of the arm's length
+AROUND = 20  # corners of a round shape
+GREY = "#8A8F94"  # of what doesn't move, and of a run beside another
+
+
+class Part(NamedTuple):
+    """A mesh that moves with a frame."""
+
+    frame: int
+    vertices: np.ndarray  # (v, 3) [m]
+    faces: np.ndarray  # (f, 3)
+    color: str
+
+
+def link_poses(chain, q):
+    """Frames 0 … j and the tip, j joints, at q (K, n): (K, j + 2, 4, 4), in NumPy."""
+    rolled = roll(chain)
+    q = np.asarray(q, float)
+    values = q if rolled.mimic is None else q @ rolled.mimic[0].T + rolled.mimic[1]
+    factors = (np.ones_like(values), np.sin(values), np.cos(values), values)
+    own = sum(f[..., None, None] * part for f, part in zip(factors, rolled.transforms, strict=True) if part is not None)
+    found = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
+    for i in range(own.shape[1]):
+        found.append(found[-1] @ own[:, i])
+    return np.stack([*found, found[-1] @ rolled.tip], 1)
+
+
+def radius_of(chain) -> float:
+    """Radius of a link [m]."""
+    lengths = [np.linalg.norm(_numbers(o.position)) for o in (*(j.origin for j in chain.joints[1:]), chain.tip)]
+    longest = max(lengths)
+    return float(min(THICK * arm_length(chain), 0.2 * longest) if longest > 0 else THICK)
+
+
+def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
+    """Shapes of a chain: links in one colour, joints in another."""
+    thick, found = radius_of(chain), []
+    ends = [*(_numbers(j.origin.position) for j in chain.joints), _numbers(chain.tip.position)]
+    for frame, end in enumerate(ends):
+        if np.linalg.norm(end) > 0.2 * thick:
+            shape = capsule(np.zeros(3), end, thick * (1.15 if frame == 0 else 1.0))
+            found.append(Part(frame, *shape, GREY if frame == 0 else color))
+    for i, joint in enumerate(chain.joints, 1):
+        axis = _numbers(joint.axis)
+        if joint.kind == REVOLUTE:
+            shape = rod(-1.2 * thick * axis, 1.2 * thick * axis, 1.3 * thick)
+            found.append(Part(i, *shape, dark))
+            continue
+        low, high = (bound[joint.coordinate] for bound in (chain.lower, chain.upper))
+        reach = arm_length(chain)
+        low, high = (v if np.isfinite(v) else side * reach for v, side in ((float(low), -1), (float(high), 1)))
+        turn, start = _numbers(joint.origin.rotation), ends[i - 1]
+        ways = (start + turn @ axis * v for v in (min(low, 0.0), max(high, 0.0)))
+        found.append(Part(i - 1, *rod(*ways, 0.5 * thick, around=4), GREY))
+        found.append(Part(i, *rod(-2 * thick * axis, 2 * thick * axis, 1.4 * thick, around=4), dark))
+    return found
+
+
+# --- shapes -------------------------------------------------------------------------------------------
+
+
+def capsule(start, end, radius):
+    """(vertices, faces) of a rod with round ends."""
+    angle = np.linspace(0, np.pi / 2, 6)
+    length = np.linalg.norm(np.subtract(end, start))
+    below = np.c_[np.sin(angle), -np.cos(angle)] * radius
+    above = np.c_[np.cos(angle), np.sin(angle)] * radius + [0.0, length]
+    return _turned(np.concatenate([below, above]), start, end, AROUND)
+
+
+def rod(start, end, radius, around=AROUND):
+    """(vertices, faces) of a cylinder, or of a prism with fewer corners."""
+    length = np.linalg.norm(np.subtract(end, start))
+    profile = [(0, 0), (radius, 0), (radius, 0), (radius, length), (radius, length), (0, length)]  # edges stay sharp
+    return _turned(np.array(profile, float), start, end, around)
+
+
+def _turned(profile, start, end, around):
+    """A profile (k, 2) of radii and heights turned about the way from start to end."""
+    angle = 2 * np.pi * np.arange(around) / around
+    x, y = np.cos(angle), np.sin(angle)
+    own = [[r * a, r * b, h] for r, h in profile for a, b in zip(x, y, strict=True)]
+    k, i = np.meshgrid(np.arange(len(profile) - 1), np.arange(around), indexing="ij")
+    a, b = k * around + i, k * around + (i + 1) % around
+    faces = np.stack([np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)], 2).reshape(-1, 3)
+    return np.array(own) @ _frame_along(np.subtract(end, start)).T + start, faces
+
+
+def _frame_along(direction):
+    """A rotation whose third column points along a direction."""
+    z = np.asarray(direction, float) / np.linalg.norm(direction)
+    side = np.eye(3)[np.argmin(np.abs(z))]
+    x = np.cross(side, z)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], 1)
+
+
+def _numbers(values):
+    return np.array([[float(v) for v in row] if isinstance(row, tuple) else float(row) for row in values])

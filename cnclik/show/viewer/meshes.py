@@ -1,0 +1,146 @@
+"""Meshes that a URDF file names, fixed to the frames of a chain; what isn't found, or can't be read, is left out."""
+
+import os
+import pathlib
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cnclik.reading import read_bytes
+from cnclik.robot.tree import MOVING, read_urdf
+from cnclik.show import style
+from cnclik.show.viewer.body import GREY, Part
+
+MOST_BYTES = 40 << 20  # of a mesh's file
+MOST_FACES = 4000  # of a link: what a page of a megabyte bears
+
+
+def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) -> list:
+    """The robot's meshes and simple shapes as parts; [] where there are none.
+
+    Of a link its visual shapes, or where one of them can't be read (Collada needs pycollada) those for collisions.
+    Links beside the way from base to tip, such as fingers, are drawn with their joints at 0.
+
+    Args:
+      file, tip, base: as for `load_urdf`. faces: of a link, at most; larger meshes are made coarser.
+    """
+    file = pathlib.Path(file).resolve()
+    try:
+        links = {
+            one.get("name"): one
+            for one in ElementTree.fromstring(read_bytes("path", file, "a URDF file")).findall("link")
+        }
+    except ElementTree.ParseError:  # such as prefixes that are nowhere declared
+        return []
+    found = []
+    for name, (frame, at) in placed(read_urdf(file), tip, base).items():
+        for kind in ("visual", "collision"):
+            shapes = [_shape(file, one) for one in links[name].findall(kind)] if name in links else []
+            if shapes and all(shape is not None for shape in shapes):
+                look = GREY if frame == 0 else color
+                found += [Part(frame, *_thinned(_moved(*shape, at), faces), look) for shape in shapes]
+                break
+    return found
+
+
+def placed(tree, tip, base) -> dict:
+    """{link: (frame, 4×4 in that frame)} of all links that hang together with the base."""
+    base = base or tree.root
+    tip = tip or tree.tips(base)[0]
+    up, down = tree.way(tip, base)
+    order = [edge for edge in (*up, *down) if edge.type in MOVING]
+    frame_of = {id(edge): i for i, edge in enumerate(order, 1)}
+    found, waiting = {base: (0, np.eye(4))}, [base]
+    while waiting:
+        link = waiting.pop()
+        frame, at = found[link]
+        above = tree.above.get(link)
+        for edge, other, turned in (
+            *((e, e.child, False) for e in tree.below[link]),
+            *(((above, above.parent, True),) if above is not None else ()),
+        ):
+            if other in found:
+                continue
+            own = _matrix(edge.origin)
+            after = at @ (np.linalg.inv(own) if turned else own)
+            if id(edge) in frame_of:  # the chain's frame stands where the joint is
+                found[other] = frame_of[id(edge)], np.linalg.inv(own) if turned else np.eye(4)
+            else:
+                found[other] = frame, after
+            waiting.append(other)
+    return found
+
+
+def _matrix(origin):
+    made = np.eye(4)
+    made[:3, 3], made[:3, :3] = origin
+    return made
+
+
+def _shape(file, element):
+    """(vertices, faces) of a <visual> or <collision> in its link's frame, or None."""
+    import trimesh
+
+    try:
+        geometry, origin = element.find("geometry"), element.find("origin")
+        at = np.eye(4)
+        if origin is not None:
+            at = trimesh.transformations.euler_matrix(*_three(origin, "rpy", "0 0 0"))
+            at[:3, 3] = _three(origin, "xyz", "0 0 0")
+        (kind,) = geometry
+        if kind.tag == "box":
+            made = trimesh.creation.box(_three(kind, "size"))
+        elif kind.tag == "cylinder":
+            made = trimesh.creation.cylinder(float(kind.get("radius")), float(kind.get("length")), sections=24)
+        elif kind.tag == "sphere":
+            made = trimesh.creation.icosphere(2, float(kind.get("radius")))
+        else:
+            path = _found(file, kind.get("filename"))
+            if path is None or path.stat().st_size > MOST_BYTES:
+                return None
+            made = trimesh.load(path, force="mesh")
+            made.apply_scale(_three(kind, "scale", "1 1 1"))
+        return _moved(np.asarray(made.vertices, float), np.asarray(made.faces), at) if len(made.faces) else None
+    except Exception:  # whatever the readers of a dozen formats make of damage
+        return None
+
+
+def _three(element, name, default=None):
+    return np.array([float(v) for v in element.get(name, default).split()])
+
+
+def _moved(vertices, faces, at):
+    return vertices @ at[:3, :3].T + at[:3, 3], faces
+
+
+def _found(file, name):
+    """The file that a URDF file means by package://PACKAGE/…, model://…, file://… or a path; None where it isn't."""
+    scheme, mark, rest = name.partition("://")
+    places = []
+    if not mark:
+        places = [file.parent / name]
+    elif scheme == "file":
+        places = [pathlib.Path(rest)]
+    else:
+        roots = [
+            p for text in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if text for p in [pathlib.Path(text)]
+        ]
+        package, _, inner = rest.partition("/")
+        for folder in (*file.parents, *roots):
+            places += [folder / rest] + [folder / inner] * (folder.name == package)
+    return next((place for place in places if place.is_file()), None)
+
+
+def _thinned(shape, most):
+    """The mesh with vertices in one cell of a grid made one, in cells that grow until it is small."""
+    vertices, faces = shape
+    span = np.ptp(vertices, axis=0).max()
+    for cells in (128, 96, 64, 48, 32, 24, 16):
+        if len(faces) <= most or span == 0:
+            break
+        _, first, to = np.unique(np.round(vertices * (cells / span)), axis=0, return_index=True, return_inverse=True)
+        faces = to.reshape(-1)[faces]
+        vertices = vertices[first]
+        alike = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 0] == faces[:, 2])
+        faces = np.unique(faces[~alike], axis=0)
+    return vertices, faces

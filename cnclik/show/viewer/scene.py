@@ -1,0 +1,191 @@
+"""Scene: one or two motions in a viser scene, moved from instant to instant."""
+
+import numpy as np
+
+from cnclik.robot.posture import arm_length, is_planar
+from cnclik.show import style
+from cnclik.show.viewer.body import GREY, parts_of, radius_of
+from cnclik.show.viewer.meshes import mesh_parts
+from cnclik.show.viewer.motion import GOOD, LEVELS
+
+MOST_POINTS = 600  # of a path
+BESIDE = (GREY, "#5A6066")  # links and joints of the second motion
+
+
+def rgb(color: str) -> tuple:
+    """A colour of `style`, such as "#0072B2", as three bytes."""
+    return tuple(bytes.fromhex(color.lstrip("#")))
+
+
+def quaternions(rotations) -> np.ndarray:
+    """(…, 4) w x y z of rotations (…, 3, 3), in NumPy: of the four products qᵢqⱼ the row of the largest."""
+    r = np.asarray(rotations, float)
+    (a, b, c), (d, e, f), (g, h, i) = (tuple(r[..., k, j] for j in range(3)) for k in range(3))
+    rows = np.stack(
+        [
+            np.stack([1 + a + e + i, h - f, c - g, d - b], -1),
+            np.stack([h - f, 1 + a - e - i, b + d, c + g], -1),
+            np.stack([c - g, b + d, 1 - a + e - i, f + h], -1),
+            np.stack([d - b, c + g, f + h, 1 - a - e + i], -1),
+        ],
+        -2,
+    )
+    largest = np.argmax(np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i], -1), -1)
+    found = np.take_along_axis(rows, largest[..., None, None], -2)[..., 0, :]
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)
+
+
+# Side by side as the camera sees it: it looks along −z at planar arms, and else along a corner.
+_ASIDE = {True: np.array([1.0, 0, 0]), False: np.array([-0.5, 1.0, 0]) / np.hypot(1, 0.5)}
+
+
+class Scene:
+    """Motions beside each other on a floor; `show` moves them."""
+
+    def __init__(self, server, *, panel=False):
+        """Args: panel: whether a panel covers the right of the page, beside which the camera then looks."""
+        self.panel = panel
+        self.server, self.motions, self._drawn, self._chains, self._apart = server, (), [], [], 0.0
+        server.scene.set_up_direction("+z")
+        server.scene.configure_default_lights(cast_shadow=False)
+
+    def put(self, motions) -> None:
+        """Draw these motions, and no others; a robot that is there already only moves."""
+        motions = tuple(motions)
+        chains, before = [m.chain for m in motions], self._chains
+        flat, apart = _laid_out(motions)
+        new = len(chains) != len(before) or any(a is not b for a, b in zip(chains, before, strict=True))
+        new |= len(motions) > 1 and not 0.5 * self._apart < apart < 1.5 * self._apart
+        if new:
+            self._lay(motions, flat, apart)
+        self._chains, self.motions = chains, motions
+        with self.server.atomic():
+            for drawn, motion in zip(self._drawn, motions, strict=True):
+                drawn.put(motion)
+        if new:
+            self.show(0.0)
+
+    def _lay(self, motions, flat, apart):
+        for drawn in self._drawn:
+            drawn.root.remove()
+        size, self._apart = max(arm_length(m.chain) for m in motions), apart
+        shifts = [_ASIDE[flat] * apart * (k - (len(motions) - 1) / 2) for k in range(len(motions))]
+        looks = [{}, dict(color=BESIDE[0], dark=BESIDE[1])]
+        self._drawn = [
+            _Drawn(self.server, f"/run{k}", m, shift, looks[min(k, 1)])
+            for k, (m, shift) in enumerate(zip(motions, shifts, strict=True))
+        ]
+        self._look(motions, shifts, size, flat)
+
+    def _look(self, motions, shifts, size, flat):
+        """From above a planar arm, from a corner else; as near as all that moves allows."""
+        points = np.concatenate([_places(m) + s for m, s in zip(motions, shifts, strict=True)])
+        low, high = points.min(0), points.max(0)
+        middle, (wide, deep, tall) = (low + high) / 2, high - low
+        span = max(wide / 1.4, deep) if flat else max(np.hypot(wide, deep) / 1.2, 1.1 * tall)
+        span = 1.35 * max(span, 0.6 * size)
+        step = 10.0 ** np.floor(np.log10(span / 2))
+        look = dict(cell_size=step / 2, section_size=5 * step / 2, cell_thickness=0.7)
+        floor = -2.0 * radius_of(motions[0].chain) if flat else 0.0
+        area = 2 * (np.array([wide, deep]) + span)
+        self.server.scene.add_grid("/floor", *area, position=(*middle[:2], floor), **look)
+        camera = self.server.initial_camera
+        away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.95, 0.55, 0.42])
+        away = away / np.linalg.norm(away)
+        if self.panel:
+            right = np.array([1.0, 0, 0]) if flat else np.cross([0, 0, 1.0], away)
+            middle, span = middle + 0.2 * span * right / np.linalg.norm(right), 1.1 * span
+        camera.position = tuple(middle + span * away)
+        camera.look_at = tuple(middle)
+        camera.up = (0, 1, 0) if flat else (0, 0, 1)
+        camera.fov = np.radians(50)
+
+    def show(self, share) -> None:
+        """Every motion at the instant that is this share of its length, 0 to 1."""
+        with self.server.atomic():
+            for drawn, motion in zip(self._drawn, self.motions, strict=True):
+                drawn.show(round(share * (len(motion.t) - 1)))
+
+
+class _Drawn:
+    """What stands for one motion in a scene."""
+
+    def __init__(self, server, name, motion, shift, look):
+        scene, self.name, self.thick = server.scene, name, radius_of(motion.chain)
+        self.server, self.level = server, None
+        self.root = scene.add_frame(name, show_axes=False, position=shift)
+        parts = mesh_parts(*motion.links, **{k: v for k, v in look.items() if k == "color"}) if motion.links else []
+        self.parts = parts or parts_of(motion.chain, **look)
+        count = motion.poses.shape[1]
+        self.frames = [scene.add_frame(f"{name}/frame{i}", show_axes=False) for i in range(count)]
+        for k, part in enumerate(self.parts):
+            at = f"{name}/frame{part.frame}/part{k}"
+            scene.add_mesh_simple(at, part.vertices, part.faces, color=rgb(part.color))
+        self.tip = scene.add_icosphere(
+            f"{name}/frame{count - 1}/tip", (0.6 if parts else 1.1) * self.thick, rgb(LEVELS[GOOD])
+        )
+        self.goal, self.line, self.marks = None, None, []
+
+    def put(self, motion):
+        self.motion, scene = motion, self.server.scene
+        self.where, self.turned = motion.poses[:, :, :3, 3], quaternions(motion.poses[:, :, :3, :3])
+        for old in self.marks:
+            old.remove()
+        self.marks = self._targets(motion) if motion.unit == "target" else self._ways(motion)
+        if motion.target is None:
+            return
+        if self.goal is None:
+            self.goal = scene.add_icosphere(f"{self.name}/goal", 0.8 * self.thick, rgb(style.BLACK))
+        line = np.zeros((1, 2, 3))
+        self.line = scene.add_line_segments(
+            f"{self.name}/error", line, rgb(style.VERMILION), thickness=0.3 * self.thick
+        )
+
+    def _targets(self, motion):
+        """A dot for each target, in the colour of what became of it."""
+        look = dict(point_size=0.8 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
+        cloud, at = self.server.scene.add_point_cloud, f"{self.name}/targets"
+        some = [(i, motion.target[motion.level == i]) for i in np.unique(motion.level)]
+        return [cloud(f"{at}{i}", points, rgb(LEVELS[i]), **look) for i, points in some]
+
+    def _ways(self, motion):
+        """The tip's way, a line for each colour: lines of several colours would be lighter than these; and the path."""
+        scene, level, found = self.server.scene, *_few(motion.level)
+        way, segments = motion.way[found], scene.add_line_segments
+        lines = np.stack([way[:-1], way[1:]], 1)
+        made = []
+        for i in np.unique(level[:-1]):
+            look = dict(thickness=0.3 * self.thick)
+            made.append(segments(f"{self.name}/way{i}", lines[level[:-1] == i], rgb(LEVELS[i]), **look))
+        if motion.target is not None and np.ptp(motion.target, axis=0).max() > 0:
+            wanted = motion.target[found]
+            lines = np.stack([wanted[:-1], wanted[1:]], 1)
+            made.append(segments(f"{self.name}/wanted", lines, rgb(GREY), thickness=0.12 * self.thick))
+        return made
+
+    def show(self, k):
+        for i, frame in enumerate(self.frames):
+            frame.position, frame.wxyz = self.where[k, i], self.turned[k, i]
+        if self.motion.level[k] != self.level:
+            self.level = self.motion.level[k]
+            self.tip.color = rgb(LEVELS[self.level])
+        if self.line is not None and self.motion.target is not None:
+            self.goal.position = self.motion.target[k]
+            self.line.points = np.stack([self.where[k, -1], self.motion.target[k]])[None].astype(np.float32)
+
+
+def _laid_out(motions):
+    """Whether all robots are planar, and how far from each other they stand [m]."""
+    flat, size = all(is_planar(m.chain) for m in motions), max(arm_length(m.chain) for m in motions)
+    return flat, 0.35 * size + max(np.ptp(_places(m) @ _ASIDE[flat]) for m in motions)
+
+
+def _places(motion):
+    """Places that a motion takes up (k, 3) [m]: of its joints and tip at some instants."""
+    return motion.poses[:: max(len(motion.t) // 50, 1), :, :3, 3].reshape(-1, 3)
+
+
+def _few(level):
+    """Levels at few of many instants, each the worst up to the next one, and which instants these are."""
+    some = np.unique(np.linspace(0, len(level) - 1, min(len(level), MOST_POINTS)).round().astype(int))
+    return np.maximum.reduceat(level, some), some

@@ -1,0 +1,53 @@
+"""Swept: the best and the worst loop of a sweep, run anew as motions; a sweep itself keeps no joint paths."""
+
+import json
+import pathlib
+
+import jax
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.measured import solve_driven
+from cnclik.integrate.solve import solve
+from cnclik.show.viewer.motion import motion_of
+from cnclik.sweeps import store
+from cnclik.sweeps.check import parse
+from cnclik.sweeps.spec import KEYS, TABLES
+
+JUDGED_BY = ("rms_error", "mean_error", "final_error", "max_error", "rms_position_error", "final_position_error")
+
+
+def best_and_worst(folder) -> list:
+    """Motions of the loops with the least and the largest error in a folder of `sweep`; what diverged is the largest.
+
+    Robots that are files are looked for from the folder that the command is called in.
+    Raises: ArgumentError where no store is there, or none of JUDGED_BY is in it.
+    """
+    return loops_of(store.read(pathlib.Path(folder)))
+
+
+def loops_of(data, spec=None) -> list:
+    """The same of a sweep's dataset, and of its spec, which the dataset tells where it is None."""
+    if spec is None:
+        written = json.loads(data.attrs["spec"])
+        spec = parse({key: written[key] for key in (*KEYS, *TABLES) if key in written}, written["name"])
+    name = next((one for one in JUDGED_BY if one in data), None)
+    if name is None:
+        raise errors.fail("FILE", f"hold one of {', '.join(JUDGED_BY)}", f"holds {', '.join(data.data_vars)}")
+    values = data[name].values.astype(float)
+    ranked = np.where(np.isnan(values), -np.inf, values).ravel(), np.where(np.isnan(values), np.inf, values).ravel()
+    some = dict.fromkeys((int(np.argmin(ranked[1])), int(np.argmax(ranked[0]))))
+    return [_motion(spec, data[name], np.unravel_index(i, values.shape)) for i in some]
+
+
+def _motion(spec, values, place):
+    at = dict(zip(values.dims, place, strict=True))
+    chosen = {d: list(spec.bundles[d])[i] if d in spec.bundles else spec.axes[d].values[i] for d, i in at.items()}
+    made = spec.build(**chosen)
+    loop = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
+    run = jax.tree.map(np.asarray, solve_driven(*loop, **made.measured) if made.measured else solve(*loop))
+    shown = {d: values[d].values[i] for d, i in at.items()}
+    words = ", ".join(f"{d} = {v:.4g}" if isinstance(v, (float, np.floating)) else f"{d} {v}" for d, v in shown.items())
+    size = float(values.values[place])
+    unit = values.attrs.get("units", "")
+    return motion_of(run, made.law, name=words, note=f"{values.attrs.get('long_name', values.name)} {size:.4g} {unit}")
