@@ -13,6 +13,7 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.advice import COLUMNS, escaped, gains_of, lines_of, name_of, or_any, title_of
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.problem import (
     DriveOptions,
@@ -134,122 +135,16 @@ def _tell(args, advised):
 
     found, said = advised
     console = Console()
-    shown = Table(title=_title(found), title_justify="left")
-    for column in _COLUMNS:
+    shown = Table(title=title_of(found), title_justify="left")
+    for column in COLUMNS:
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
-    for row in _gains(found, said):
+    for row in gains_of(found, said):
         shown.add_row(*row)
     for note in said.notes:  # what the numbers can't say comes before them
         console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
-    for line in _lines(found, said):
+    for line in lines_of(found, said):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-_COLUMNS = ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")
-
-
-def _title(found) -> str:
-    return f"{_name(found)}, task {' '.join(found.law.task.names)}"
-
-
-def _gains(found, said) -> list:
-    """Rows of _COLUMNS."""
-    from cnclik.record import in_words
-
-    dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
-    at_once = "*" if said.assumed_dead_time else ""
-    names = (f"largest stable{at_once}", f"fastest without overshoot{at_once}", f"recommended{dead}")
-    rows = []
-    for row, name in zip(names, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
-        value, euler = getattr(said, name), said.explicit_euler[name]
-        rows.append((row, *map(_or_any, (value, value * found.Ts, euler))))
-    return [*rows, ("now", in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
-
-
-def _lines(found, said) -> list:
-    """What the numbers mean, in sentences."""
-    now, eigen = said.advice.margin, said.advice.spectrum
-    lines = ["* of drives that follow at once"] * bool(said.assumed_dead_time)
-    lines += [f"Recommended: {said.reason}.", *_costs(said, found)]
-    lines.append(f"At alpha now: {_margin(now, said)}")
-    if said.advice.times is not None:
-        times = said.advice.times
-        edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
-        lines.append(f"Sampling time at alpha now: {edge}.")
-    lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {len(eigen.null)} directions, "
-                 f"|λ| = {eigen.null_radius:.4g}.")  # fmt: skip
-    lines.append("The same loop elsewhere, by explicit Euler:")
-    return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
-
-
-def escaped(text):
-    """Rich takes [s] for strikethrough."""
-    from rich.markup import escape
-
-    return escape(text)
-
-
-def _or_any(value) -> str:
-    return f"{value:.4g}" if value < math.inf else "any"
-
-
-def _margin(now, said) -> str:
-    if now.margin <= 1:
-        return f"UNSTABLE: {now.margin:.4g} of it would be stable; {now.limit}."
-    beyond = "any gain is stable" if now.margin == math.inf else f"gain margin {now.margin:.4g}"
-    own = said.now
-    late = "" if own.delay_margin == math.inf else f", {own.delay_margin:.3g} samples of dead time more"
-    over = (
-        f"a step overshoots by {100 * own.overshoot:.2g} % (ζ = {own.damping_ratio:.2g})"
-        if own.overshoot > 1e-3
-        else "no overshoot"
-    )
-    return f"stable: {beyond}{late}; error × {now.radius:.4g} per step, {over}; {now.limit}."
-
-
-def _costs(said, found) -> list:
-    """What the recommended gain does."""
-    import numpy as np
-
-    from cnclik.stability.practice import OWN_COMMANDS
-
-    gain, Ts = said.recommended, found.Ts
-    bears = "any dead time" if gain.delay_margin == math.inf else (
-        f"{gain.delay_margin:.3g} samples ({1e3 * gain.delay_margin * Ts:.3g} ms) of dead time more"
-    )  # fmt: skip
-    more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times the gain"
-    lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}, or {more}."]
-    drive = found.drive
-    own = drive is not None and drive.feedback == "commanded"
-    noise = (
-        f"Noise: joints move by {gain.noise_gain:.3g} of what their measurement is off (RMS), commanded velocities by "
-        f"{gain.velocity_noise_gain:.3g} 1/s times it."
-    )
-    lines += [] if own else [noise]
-    if found.law.task.position:
-        v = said.speed
-        lines.append(
-            f"At {v:g} m/s the tip is {_length(gain.lag * v)} behind without feed-forward, "
-            f"{_length(gain.lag_fed_forward * v)} with it, and {_length(gain.start_error * v)} for a moment after a "
-            "sudden start."
-        )
-        if said.joint_speed == said.joint_speed:
-            lines.append(f"{v:g} m/s takes up to {100 * said.joint_speed:.3g} % of a joint's velocity limit here.")
-    if drive is not None and not own and not drive.ideal:
-        late = float(np.max(drive.late_by(Ts)))
-        lines.append(
-            "With --feedback commanded the loop knows nothing of its drives: commands have no overshoot up to alpha = "
-            f"{OWN_COMMANDS / Ts:.4g} 1/s, the motion comes {1e3 * late:.3g} ms after its "
-            "command, and what is off stays off."
-        )
-    return lines
-
-
-def _length(metres) -> str:
-    for unit, scale in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
-        if abs(metres) * scale >= 1 or unit == "µm":
-            return f"{metres * scale:.3g} {unit}"
 
 
 def _as_table(found, said) -> dict:
@@ -261,10 +156,6 @@ def _as_table(found, said) -> dict:
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
     return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}
-
-
-def _name(found):
-    return f"{found.name}, {found.method}" + (f", {found.stage}" if found.method.implicit else "")
 
 
 # --- the plane ----------------------------------------------------------------------------------------
@@ -329,7 +220,7 @@ def _map(args, out):
     out.write("map.nc", functools.partial(save_netcdf, data))
     from cnclik.show import stability as show
 
-    title = "\n".join(filter(None, (f"{_name(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
+    title = "\n".join(filter(None, (f"{name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)
     figures = {"map.png": (lambda: show.stability_map(data, title=title, operating=point), about)}
@@ -367,7 +258,7 @@ def _report(args, figures, advised):
         args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
         return
     found, said = advised
-    answer = f"Recommended: alpha = {_or_any(said.recommended_alpha)} 1/s: {said.reason}."
+    answer = f"Recommended: alpha = {or_any(said.recommended_alpha)} 1/s: {said.reason}."
     with progress.bar("runs"):
         motions = _runs(args, found, said)
     if not figures:
@@ -375,10 +266,10 @@ def _report(args, figures, advised):
 
         figures = {"errors.svg": (lambda: errors_beside(motions), {"Title": "errors"})}
     args.write_report(
-        _title(found),
+        title_of(found),
         answer,
-        tables=[("Gains", _COLUMNS, _gains(found, said))],
-        lines=[*said.notes, *(line for line in _lines(found, said) if not line.startswith("Recommended"))],
+        tables=[("Gains", COLUMNS, gains_of(found, said))],
+        lines=[*said.notes, *(line for line in lines_of(found, said) if not line.startswith("Recommended"))],
         figures=figures,
         captions={"errors": "The error of a step to the target."},
         motions=lambda: motions,
