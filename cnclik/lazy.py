@@ -2,6 +2,15 @@
 
 import importlib
 import sys
+import types
+
+
+class _Room(types.ModuleType):
+    """A package of which a name stays what it offers, where a module of its own is called alike."""
+
+    def __setattr__(self, name, value):
+        if not (isinstance(value, types.ModuleType) and name in self.__dict__["_alike"]):
+            super().__setattr__(name, value)
 
 
 def on_use(package: str, names: dict):
@@ -20,4 +29,7 @@ def on_use(package: str, names: dict):
         setattr(sys.modules[package], name, found)
         return found
 
+    room = sys.modules[package]
+    room._alike = {name for name, (module, _) in places.items() if module == name}
+    room.__class__ = _Room
     return load, sorted(places)

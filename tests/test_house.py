@@ -129,3 +129,14 @@ def test_rooms_are_reached_in_a_process_of_their_own():
     same = "getattr(cnclik, n) is importlib.import_module('cnclik.' + n)"
     code = f"import cnclik, importlib; assert all({same} for n in {names})"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGE.parent)
+
+
+def test_a_name_is_what_a_room_offers_where_a_module_is_called_alike():
+    code = (
+        "import cnclik.export.load, cnclik.reaching.reach, cnclik.tuning.tune, cnclik.stability.verdict\n"
+        "import cnclik as ck\n"
+        "offered = [ck.export.load, ck.reaching.reach, ck.tuning.tune, ck.stability.verdict, ck.reach, ck.tune]\n"
+        "print([type(one).__name__ for one in offered])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent)
+    assert done.stdout.split() == ["['function',", *["'function',"] * 4, "'function']"], done.stderr

@@ -45,6 +45,7 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     "damped(...)": "--damping",
     "error_clamp": "--error-clamp",
     "limits saturation()": "--limits saturation",
+    "limits velocity_scaling()": "--limits velocity-scaling",
     "the stage with chord(2)": "the stage with --stage chord --M 2",
     "method EXP-MIDPOINT": "--method EXP-MIDPOINT",
     "(feedforward=1)": "(--feedforward 1)",

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cnclik.integrate.status import Status
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.robot.posture import arm_length
 
@@ -27,6 +28,8 @@ class Observed(NamedTuple):
     fades: bool  # whether they are much smaller than those of the quarter before
     swings: int  # how often the error changed its sense before it was small
     status: np.ndarray  # of the late steps
+    too_fast: int  # steps, of the whole run, in which a joint is faster than its limit
+    excess: float  # largest joint velocity over its limit
     bad: object  # first instant that is not finite, or None
 
     @property
@@ -50,6 +53,15 @@ class Observed(NamedTuple):
     def shrinks(self):
         least = min(self.before.min(), self.size.max())
         return bool(self.largest < STALL_RATIO * self.before.max() and self.largest <= least)
+
+    @property
+    def haste(self):
+        """That joints are too fast, in words; empty where they are not."""
+        if not self.too_fast:
+            return ""
+        steps = "a step asks" if self.too_fast == 1 else f"{self.too_fast} steps ask"
+        most = f", {self.excess:.3g} times it at most" if self.excess > 1 else ""  # a drive may not have moved so fast
+        return f"{steps} for more than a joint's velocity limit{most}"
 
     def often(self, bit):
         return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)
@@ -83,6 +95,8 @@ def observe(law, run, Ts) -> Observed:
         fades=bool(fades),
         swings=int(np.sum(along[1:] * along[:-1] < 0)),
         status=np.asarray(run.status)[:bad][-quarter:],
+        too_fast=int(np.sum(np.asarray(run.status)[:bad] & Status.OVER_VELOCITY != 0)),
+        excess=float(np.max(np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12), initial=0.0)),
         bad=bad,
     )
 

@@ -98,6 +98,8 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
     case = _case(law, reference, run, float(Ts), method, stage, check_drive(drive, law.chain.n))
     kind, what, remedy = _judged(case)
+    if case.seen.haste and kind not in _OUT_OF_HAND:
+        what, remedy = f"{what}; {case.seen.haste}", remedy or _SLOWER
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""),
@@ -204,6 +206,9 @@ def _judged(case):
         return Behaviour.DIVERGING, what, _lower(case)
     if not np.any(np.asarray(law.alpha)):
         return Behaviour.STALLED, f"the gain is 0, so errors stay; {error}", "raise alpha"
+    drive = case.loop[-1]
+    if not drive.prompt and len(case.t) - 2 <= drive.delay + drive.measurement_delay:
+        return Behaviour.STALLED, f"the run is over before its dead time is; {error}", "run for more steps"
     moving = case.behind > seen.floor
     restless = not (moving or seen.arrived or seen.shrinks) and case.radius > UNSTABLE
     lasting = not seen.fades if seen.arrived else not (seen.soars or seen.shrinks)
@@ -277,6 +282,8 @@ def _moving(case, error, radius):
 
 # --- its parts in words -------------------------------------------------------------------------------
 
+_OUT_OF_HAND = (Behaviour.SHAKING, Behaviour.DIVERGING)  # speed is the least of their ills
+_SLOWER = "follow a slower path, use limits velocity_scaling(), or, near a singularity, damped(...)"
 _LESS_NULL = "reduce the gain of the null-space velocity"
 
 

@@ -209,3 +209,24 @@ def test_a_gain_far_too_large_is_told_the_one_that_is_stable(alpha):
     """It was called unstable at every gain: nobody looked below a thousandth of what it was."""
     found = judge(law(alpha), NEAR, 20)
     assert float(re.search(r"below ([\d.]+) 1/s", found.remedy)[1]) == pytest.approx(2 / Ts, rel=0.02)
+
+
+def test_joints_that_are_too_fast_are_told_of():
+    arm = ck.planar_arm([1.0, 0.8])
+    arm = ck.replace(arm, velocity_limit=(2.0, 2.0))
+    law = ck.Law(arm, ck.position("xy"), alpha=8.0)
+    goal, q0 = ck.hold([0.2, 0.9]), [0.3, 1.1]
+    told = ck.verdict(law, goal, ck.solve(law, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
+    assert told.kind == "settled" and "times it at most" in told.sentence and "velocity_scaling()" in told.remedy
+    slow = ck.replace(law, limits=ck.velocity_scaling())
+    told = ck.verdict(slow, goal, ck.solve(slow, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
+    assert told.kind == "settled" and "velocity limit" not in told.sentence and not told.remedy
+
+
+def test_a_run_that_is_over_before_its_dead_time_says_nothing():
+    arm = ck.planar_arm([1.0, 0.8])
+    law, goal = ck.Law(arm, ck.position("xy"), alpha=3.0), ck.hold([0.9, 0.9])
+    loop = dict(Ts=0.01, method="EE", drive=ck.Drive(delay=17))
+    short, longer = (ck.solve(law, goal, [0.3, 1.1], 0.01, N, "EE", drive=loop["drive"]) for N in (5, 400))
+    assert "over before its dead time" in ck.verdict(law, goal, short, **loop).sentence
+    assert "dead time is" not in ck.verdict(law, goal, longer, **loop).sentence
