@@ -92,10 +92,12 @@ def run(args: Args) -> None:
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
     from cnclik.tuning.page import CAPTIONS, page_rows
 
+    facts = page_rows(found, seconds)
+    values = "; ".join(f"{name} = {text}" for name, text in facts[: len(found.parameters)])
     args.write_report(
         f"Tuned: {made.name}",
-        found.why,
-        facts=page_rows(found, seconds),
+        f"{found.why} {values}.",
+        facts=facts,
         figures=figures,
         captions=CAPTIONS,
         motions=functools.partial(_motions, args, found),

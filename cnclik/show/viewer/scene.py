@@ -82,7 +82,7 @@ class Scene:
         points = np.concatenate([_places(m) + s for m, s in zip(motions, shifts, strict=True)])
         low, high = points.min(0), points.max(0)
         middle, (wide, deep, tall) = (low + high) / 2, high - low
-        span = max(wide / 1.4, deep) if flat else max(np.hypot(wide, deep) / 1.2, 1.1 * tall)
+        span = max(wide / 1.15, deep) if flat else max(np.hypot(wide, deep) / 1.1, 1.1 * tall)
         span = 1.35 * max(span, 0.6 * size)
         step = 10.0 ** np.floor(np.log10(span / 2))
         look = dict(cell_size=step / 2, section_size=5 * step / 2, cell_thickness=0.7)
