@@ -140,3 +140,16 @@ def test_a_name_is_what_a_room_offers_where_a_module_is_called_alike():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent)
     assert done.stdout.split() == ["['function',", *["'function',"] * 4, "'function']"], done.stderr
+
+
+def test_the_version_is_one():
+    root = PACKAGE.parent
+    said = {
+        re.search(pattern, (root / file).read_text(encoding="utf-8"), re.M)[1]
+        for file, pattern in (
+            ("pyproject.toml", r'^version = "(.*)"'),
+            ("CITATION.cff", r"^version: (.*)$"),
+            ("CHANGELOG.md", r"^## \[(\d.*)\]"),
+        )
+    }
+    assert said == {cnclik.__version__}
