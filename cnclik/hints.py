@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
+from cnclik.programs import keeping
 from cnclik.programs import kept as kept_whole
 from cnclik.record import combine, partition
 
@@ -212,12 +213,14 @@ def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
         return made[key]
 
     plain, static = bounded_jit(fn, **options), options.get("static_argnames", ())
+    static = (static,) if isinstance(static, str) else static
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
-        found = kept_whole(fn, _around(), known_options(compiler), static, args, kwargs)
-        if found is not None:
-            return found
+        if keeping():
+            found = kept_whole(fn, _around(), known_options(compiler), static, args, kwargs)
+            if found is not None:
+                return found
         try:
             return now()(*args, **kwargs)
         except ValueError as error:

@@ -67,6 +67,11 @@ def keep(folder) -> None:
     _place = None if folder is None else pathlib.Path(folder)
 
 
+def keeping() -> bool:
+    """Whether programs are kept at all."""
+    return _place is not None
+
+
 def kept(fn, context, options, static, args, named):
     """What fn gives for arguments, by a program that was kept, or is now; None where it can't be.
 
@@ -76,7 +81,7 @@ def kept(fn, context, options, static, args, named):
       options: the compiler's.
       args, named: fn's.
     """
-    if _place is None or jax.default_backend() != "cpu" or jax.config.jax_disable_jit:
+    if jax.default_backend() != "cpu" or jax.config.jax_disable_jit:
         return None
     asked = _asked(fn, context, options, static, args, named)
     if asked is None:
