@@ -36,6 +36,9 @@ def error_plot(t, size, bad) -> str:
     """An SVG of an error (K,) over time (K,) [s] on a logarithmic scale; times of bad steps (K,) are marked below."""
     t, size, bad = (np.asarray(v) for v in (t, size, bad))
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST_POINTS)).round().astype(int))
+    # What is left out counts by its worst.
+    size, bad = np.where(np.isfinite(size), size, 0.0), bad.astype(bool)
+    size[some], bad[some] = np.maximum.reduceat(size, some), np.logical_or.reduceat(bad, some)
     known = size[np.isfinite(size) & (size > _LEAST)]
     low, high = (np.floor(np.log10(known.min())), np.ceil(np.log10(known.max()))) if known.size else (-1, 0)
     high = max(high, low + 1)

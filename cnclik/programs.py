@@ -6,6 +6,7 @@ package; literals, shapes and types of its arguments; JAX's settings and its ver
 A program of what can't be told so, as of a function of the user's, is left to JAX's own cache.
 """
 
+import collections
 import contextlib
 import dataclasses
 import functools
@@ -16,13 +17,16 @@ import os
 import pathlib
 import pickle
 import sys
+import threading
 import time
 import types
 
 import jax
 import numpy as np
-from jax._src.config import persistent_cache_min_compile_time_secs as _kept_by_jax_from
 
+from cnclik.compilation import machine
+
+_BEGUN = time.time()  # sources that are younger are not what this process runs
 _NUMBERS = (bool, int, float, complex)
 _ARRAYS = (np.ndarray, np.generic, jax.Array)
 # Packages whose names say what they mean.
@@ -31,7 +35,8 @@ _SWITCHES = ("CNCLIK_", "JAX_", "XLA_")  # beginnings of variables of the enviro
 _MOST = 128  # programs held by this process
 ENDING = "-cache"  # of files' names, as JAX's own
 _place = None  # where programs are kept; None: nowhere
-_held = {}
+_held = collections.OrderedDict()
+_one = threading.Lock()
 
 
 class _UnknownError(Exception):
@@ -52,13 +57,21 @@ class _Pickler(pickle.Pickler):
         if (callable(value) or isinstance(value, type)) and package not in _KNOWN:
             raise _UnknownError
         if dataclasses.is_dataclass(value) and not isinstance(value, type):  # and not what else it remembers
-            fields = [getattr(value, f.name) for f in dataclasses.fields(value)]
-            return _Place, (0, type(value).__module__, type(value).__qualname__, fields)
+            return _Place, (0, type(value), [getattr(value, f.name) for f in dataclasses.fields(value)])
         if package != "cnclik" or not isinstance(value, types.FunctionType):
             return NotImplemented
+        if value.__globals__["__name__"] != value.__module__:  # a wrapper with our function's name
+            raise _UnknownError
         # Our own, also one that is made anew by each call: by its code and what it has got hold of.
         held = [cell.cell_contents for cell in value.__closure__ or ()]
-        return _Place, (0, value.__module__, marshal.dumps(value.__code__, 0), value.__defaults__, held)
+        return _Place, (
+            0,
+            value.__module__,
+            marshal.dumps(value.__code__, 0),
+            value.__defaults__,
+            value.__kwdefaults__,
+            held,
+        )
 
 
 def keep(folder) -> None:
@@ -87,10 +100,13 @@ def kept(fn, context, options, static, args, named):
     if asked is None:
         return None
     key, leaves, make = asked
-    found = _held.get(key) or _read(key) or _made(key, leaves, make, options)
-    while len(_held) >= _MOST:
-        _held.pop(next(iter(_held)))
-    _held[key] = found
+    with _one:
+        found = _held.pop(key, None)
+    found = found or _read(key) or _made(key, leaves, make, options)
+    with _one:
+        _held[key] = found  # the newest
+        while len(_held) > _MOST:
+            _held.popitem(last=False)
     program, results = found
     return jax.tree.unflatten(jax.tree.structure(results), program(*leaves))
 
@@ -110,6 +126,7 @@ def _asked(fn, context, options, static, args, named):
         pickler = _Pickler(text, protocol=5)
         pickler.fast = True  # by what things are, and not by which of them are the same
         pickler.dump(known)
+        key = hashlib.sha256(text.getvalue() + surroundings()).hexdigest()
     except (_UnknownError, pickle.PicklingError, TypeError, ValueError, AttributeError, RecursionError):
         return None
 
@@ -117,7 +134,7 @@ def _asked(fn, context, options, static, args, named):
         args, others = jax.tree.unflatten(tree, leaves)
         return fn(*args, **others, **compiled_in)
 
-    return hashlib.sha256(text.getvalue() + surroundings()).hexdigest(), leaves, make
+    return key, leaves, make
 
 
 @functools.cache
@@ -125,11 +142,13 @@ def surroundings() -> bytes:
     """A digest of what all programs of a process share: versions, this package's source, the environment."""
     from importlib.metadata import version
 
-    here, digest = pathlib.Path(__file__).parent, hashlib.sha256()
+    here, digest = pathlib.Path(__file__).parent, hashlib.sha256(machine().encode())
     switches = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SWITCHES))
     versions = sys.version, *(version(name) for name in ("jax", "jaxlib", "numpy", "optax"))
     digest.update(repr((versions, switches, len(jax.devices()))).encode())
     for file in sorted(here.rglob("*.py")):
+        if file.stat().st_mtime >= _BEGUN:
+            raise _UnknownError
         digest.update(file.relative_to(here).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.digest()
 
@@ -145,14 +164,16 @@ def _made(key, leaves, make, options):
 
     flat.__name__ = f"kept_{key}"  # a name that JAX's own cache doesn't know: what comes from there can't be kept again
     lowered = jax.jit(flat, compiler_options=options or None).lower(*leaves)
-    with _kept_by_jax_from(float("inf")):
+    from jax._src.config import persistent_cache_min_compile_time_secs as kept_by_jax_from
+
+    with kept_by_jax_from(float("inf")):
         program = lowered.compile()
     results = outcome["results"]
     with contextlib.suppress(Exception):  # callbacks, a full disk: what isn't kept is made again
         from jax.experimental import serialize_executable
 
         whole = pickle.dumps((serialize_executable.serialize(program), results), protocol=5)
-        beside = _place / f".{key}-{os.getpid()}"
+        beside = _place / f".{key}-{os.getpid()}{ENDING}"
         try:
             beside.write_bytes(hashlib.sha256(whole).digest() + whole)
             beside.replace(_place / f"{key}{ENDING}")
@@ -181,6 +202,7 @@ def _read(key):
         program = serialize_executable.deserialize_and_load(*serialized)
     except Exception:  # whatever is wrong with it, there is another way
         return None
+    # As JAX tells of a program from its own cache; `--timings` counts both.
     jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
     return program, results

@@ -1,5 +1,8 @@
 """Programs kept whole: the same question finds its program again, any other one does not, and results are the same."""
 
+import functools
+import types
+
 import jax
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ import cnclik as ck
 from cnclik import programs
 from cnclik.hints import quick_jit
 from cnclik.integrate.solve import _run
-from cnclik.record import replace
+from cnclik.record import record, replace
 
 ARM = ck.planar_arm([1.0, 0.8])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
@@ -106,11 +109,42 @@ def test_a_closure_is_known_by_what_it_holds(folder):
         def scaled(x):
             return gain * x
 
-        scaled.__module__ = "cnclik.test"
-        return quick_jit(scaled)
+        own = {"__name__": "cnclik.test"}  # as a module of the package has it
+        return quick_jit(types.FunctionType(scaled.__code__, own, "scaled", None, scaled.__closure__))
 
     assert [float(times(gain)(1.5)) for gain in (2.0, 3.0, 2.0)] == [3.0, 4.5, 3.0]
     assert len(files(folder)) == 2
+
+
+def test_what_only_looks_like_ours_is_never_kept(folder):
+    gain = 2.0
+
+    @functools.wraps(ck.solve)
+    def user(x):
+        return gain * x
+
+    assert quick_jit(user)(1.5) == 3.0 and not files(folder)
+
+    @record
+    class Mine:
+        size: object
+
+        def go(self):
+            return 3 * self.size
+
+    Mine.__module__, Mine.__qualname__ = __name__, "Mine"
+    own = {"__name__": "cnclik.test"}
+    go = types.FunctionType((lambda one: one.go()).__code__, own)
+    assert quick_jit(go)(Mine(size=np.arange(2.0))).tolist() == [0.0, 3.0] and not files(folder)
+
+
+def test_sources_that_are_younger_than_the_process_keep_nothing(folder, monkeypatch):
+    monkeypatch.setattr(programs, "_BEGUN", 0.0)
+    programs.surroundings.cache_clear()
+    try:
+        assert asked().q.shape == (5, 2) and not files(folder)
+    finally:
+        programs.surroundings.cache_clear()
 
 
 def test_what_is_damaged_is_made_again(folder):

@@ -140,9 +140,11 @@ def _prepare(cache: bool) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    from cnclik.programs import keep
+
+    keep(None)
     if cache:
         from cnclik.compilation import use_cache
-        from cnclik.programs import keep
 
         place = use_cache()
         named = "JAX_COMPILATION_CACHE_DIR" in os.environ  # others may write there

@@ -202,6 +202,9 @@ def _summary(made, trajectory, seconds):
     for part, unit in parts:
         rms, largest, last = (_number(found[f"{kind}_{part}_error"]) for kind in ("rms", "max", "final"))
         rows.append((f"{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"))
+    if trajectory.path_time is not None:
+        done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
+        rows.append(("path", f"{done:.4g} s of it in {whole:.4g} s: it waits for the robot"))
     rows.append(("steps", ", ".join(f"{k} {v}" for k, v in count(trajectory.status).items() if v)))
     unit, share = found.units["max_qdot"], float(found.velocity_ratio)
     of = f", {100 * share:.3g} % of a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"

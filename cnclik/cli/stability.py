@@ -135,7 +135,7 @@ def _tell(args, advised):
 
     found, said = advised
     console = Console()
-    shown = Table(title=title_of(found), title_justify="left")
+    shown = Table(title=escaped(title_of(found)), title_justify="left")
     for column in COLUMNS:
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
     for row in gains_of(found, said):

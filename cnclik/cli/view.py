@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from cnclik import errors
+from cnclik.cli import terminal
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
 
@@ -49,6 +50,7 @@ def run(args: Args) -> None:
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()
     finally:
+        terminal.heard_now.clear()  # what is wrong from here on is no signal's
         viewer.stop()
 
 

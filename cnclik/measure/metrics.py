@@ -142,7 +142,7 @@ def _settling_time(loop):
     outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
     k = count - _first(outside[::-1])  # the instant after the last one outside
-    t = loop.run.t
+    t = loop.run.target_time
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 

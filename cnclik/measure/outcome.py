@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.hints import one_function
-from cnclik.integrate.drive import Drive
+from cnclik.integrate.drive import Drive, moving
 from cnclik.integrate.measured import at_rest, through
 from cnclik.integrate.method import DEFAULT, Method, named
 from cnclik.integrate.solve import cast
@@ -112,6 +112,7 @@ def outcome(
     """
     method = named(method)
     law, start = in_form(law, q0)
+    model = moving(drive, Ts) if model is None else model
     law, reference, Ts, tolerance, drive, model = cast((law, reference, Ts, tolerance, drive, model), q0.dtype)
     Ts = jnp.asarray(Ts, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)

@@ -46,7 +46,7 @@ def checked_page(name, file) -> pathlib.Path:
     if file.suffix.lower() != ".html":
         raise errors.fail(name, "end with .html", f"is {str(file)!r}")
     if len(file.name.encode(errors="replace")) > 250:
-        raise errors.fail(name, "have a name of at most 250 bytes", f"has {len(file.name)}")
+        raise errors.fail(name, "have a name of at most 250 bytes", f"has {len(file.name.encode(errors='replace'))}")
     try:
         fits = file.parent.is_dir() and not file.is_dir()
     except (OSError, ValueError):

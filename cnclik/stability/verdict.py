@@ -139,7 +139,7 @@ class _Case(NamedTuple):
 
 def _case(law, reference, run, Ts, method, stage, drive) -> _Case:
     seen = observe(law, run, Ts)
-    t, q, e = (np.asarray(v, float) for v in (run.t, run.q, run.e))
+    t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
     last = 0 if wild else len(run.residual)
     some = np.linspace(max(last - len(seen.late) + 1, 0), last, LOOKED_AT).round().astype(int)

@@ -47,10 +47,16 @@ def read_motions(path, robot=None) -> list:
     if robot is None:
         raise errors.fail("ROBOT", f"be given before {path.name}, which doesn't name it", "is not")
     chain, name, links = robot
-    if np.shape(found["q"])[-1] != chain.n:
-        raise errors.fail("FILE", f"hold joint values of {name}'s {chain.n} joints", f"has {np.shape(found['q'])[-1]}")
+    shape = np.shape(found["q"])
+    if len(shape) < 2 or shape[-1] != chain.n or not shape[0]:
+        raise errors.fail("FILE", f"hold joint values (N, {chain.n}) of {name}'s joints", f"holds {shape}")
     about = dict(name=path.stem if name in ("", None) else name, links=links)
-    return [answers_motion(chain, found, **about) if "targets" in found else _run(chain, found, **about)]
+    try:
+        return [answers_motion(chain, found, **about) if "targets" in found else _run(chain, found, **about)]
+    except errors.ArgumentError:
+        raise
+    except (ValueError, TypeError, KeyError, IndexError) as error:  # arrays that don't go with each other
+        raise _unfit(path, error) from None
 
 
 def robot_of(robot, tip=None, base=None, lengths=None) -> tuple:
@@ -68,6 +74,8 @@ def _run(chain, found, **about):
     status = np.nan_to_num(np.asarray(found.get("status", np.zeros(len(q) - 1)), float))[: len(q) - 1]
     values = (np.asarray(found.get(name, none), float) for name in ("x", "e"))
     t = np.asarray(found.get("t", np.arange(len(q))), float)
+    if len(t) != len(q):
+        raise errors.fail("FILE", f"hold as many times as joint values, {len(q)}", f"holds {len(t)}")
     units = [_UNITS.get(axis, "rad") for axis in axes]
     return from_arrays(chain, t, q, *values, status, axes=axes, units=units, **about)
 
@@ -134,12 +142,10 @@ def _arrays(path) -> dict:
 
 def _table(path) -> dict:
     """trajectory.csv: q_…, x_…, e_…, status; or answers of reach, whose status is a word."""
-    with_words = path.open(encoding="utf-8-sig", newline="") if path.is_file() else None
-    if with_words is not None:
-        with with_words as file:
-            header = next(csv.reader([file.readline()]), [])
-            if header[:1] == ["target"]:
-                return _table_ofanswers_motion(path, header, list(csv.reader(file)))
+    text = read_bytes("FILE", path, "a table").decode("utf-8-sig", errors="replace")
+    header, *rest = csv.reader(io.StringIO(text, newline="")) if text.startswith("target,") else ([],)
+    if header:
+        return _table_of_answers(path, header, rest)
     names, rows = read_columns("FILE", path, gaps=True)
     columns = {kind: [i for i, n in enumerate(names) if n.startswith(f"{kind}_")] for kind in ("q", "x", "e")}
     if not columns["q"] or not len(rows):
@@ -152,7 +158,7 @@ def _table(path) -> dict:
     return found
 
 
-def _table_ofanswers_motion(path, header, rows):
+def _table_of_answers(path, header, rows):
     try:
         first, last = header.index("status") + 1, header.index("position_error")
         entry = header.index("t00")

@@ -4,6 +4,7 @@ import pathlib
 
 from cnclik import errors
 from cnclik.integrate.trajectory import Trajectory
+from cnclik.markup import escaped
 from cnclik.problem.build import Problem, problem_from
 from cnclik.show.report import checked_page
 from cnclik.show.viewer import need, play
@@ -30,9 +31,9 @@ class Viewer:
         if live:
             live.put_on(self.server, self.player)
         else:
-            notes = [f"**{m.name}**: {m.note}" for m in motions if m.note]
+            notes = [f"<p><b>{escaped(m.name)}</b>: {escaped(m.note)}</p>" for m in motions if m.note]
             if notes:
-                self.server.gui.add_markdown("\n\n".join(notes))
+                self.server.gui.add_html(f"<div style='padding:0 1em'>{''.join(notes)}</div>")
             if any(m.error and len(m.t) > 1 for m in motions):
                 play.add_error_chart(self.server.gui, motions)
             self.player.put(motions)

@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from cnclik import errors
 from cnclik.hints import as_here
 from cnclik.integrate.method import METHODS
+from cnclik.markup import escaped
 from cnclik.show import style
 from cnclik.show.viewer import play
 from cnclik.show.viewer.look import Loop, look, loop_of, with_loop
@@ -29,7 +29,7 @@ class Live:
 
     def __init__(self, problem, *, links=None, say=tell):
         self.problem, self.links, self.say = problem, links, say
-        self.begun, self.known, self.kept = loop_of(problem), set(), None
+        self.begun, self.known, self.kept, self.status = loop_of(problem), set(), None, None
         self.seen = self._look(self.begun)
         self.waiting, self.wake, self.ended = None, threading.Condition(), False
 
@@ -48,8 +48,8 @@ class Live:
 
     def _tell(self, text):
         self.say(text)
-        if hasattr(self, "status"):
-            self.status.content = f"*{text}*"
+        if self.status is not None:
+            self.status.content = f"<div style='padding:0 1em'>{escaped(text)}</div>"
 
     def motion(self):
         """The run that is shown."""
@@ -75,7 +75,7 @@ class Live:
         self.delay = gui.add_slider("delay [samples]", 0, delay_most, whole, first.delay, hint="Dead time")
         keep, drop, judge = "Keep beside", "Drop", "Verdict"
         pressed = gui.add_button_group("this run", (keep, drop, judge))
-        self.status = gui.add_markdown("")
+        self.status = gui.add_html("")
         self.told = gui.add_html("")
         self.chart = play.add_error_chart(gui, self.motions())
         for control in (self.alpha, self.Ts, self.method, self.delay):
@@ -101,7 +101,7 @@ class Live:
             try:
                 self.seen = self._look(loop._replace(alpha=max(loop.alpha, 1e-9)))
                 self.show()
-            except errors.ArgumentError as error:  # such as a method that needs another stage
+            except Exception as error:  # such as a method that needs another stage; the sliders go on
                 self._tell(str(error))
 
     def show(self) -> None:
@@ -117,7 +117,8 @@ class Live:
         self.show()
 
     def _judge(self):
-        made, run = with_loop(self.problem, self.seen.loop), self.seen.run
+        seen = self.seen
+        made, run = with_loop(self.problem, seen.loop), seen.run
         self._tell("Judging …")
         more = {} if made.drive is None else {"drive": made.drive}
         loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, **more)

@@ -67,7 +67,7 @@ def look(problem, loop: Loop) -> Seen:
     """Run the loop with these numbers."""
     made = with_loop(problem, loop)
     asked = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
-    run = solve_driven(*asked, **made.measured) if made.measured else solve(*asked)
+    run = solve_driven(*asked, **made.measured) if made.measured else solve(*asked, pace=made.pace)
     run = jax.tree.map(np.asarray, run)
     return Seen(loop, run, *_factors(made, run.q))
 

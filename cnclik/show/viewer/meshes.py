@@ -11,6 +11,7 @@ from cnclik.robot.tree import MOVING, read_urdf
 from cnclik.show import style
 from cnclik.show.viewer.body import GREY, Part
 
+ENDINGS = (".stl", ".dae", ".obj", ".ply", ".glb")
 MOST_BYTES = 40 << 20  # of a mesh's file
 MOST_FACES = 4000  # of a link: what a page of a megabyte bears
 
@@ -114,21 +115,24 @@ def _moved(vertices, faces, at):
 
 
 def _found(file, name):
-    """The file that a URDF file means by package://PACKAGE/…, model://…, file://… or a path; None where it isn't."""
+    """The mesh that a URDF file means by package://PACKAGE/…, model://…, file://… or a path; None where it isn't.
+
+    A page is sent to others, and a URDF file may come from others: it names meshes of the folder around its own, of
+    the package that it is in, of those beside it that say they are one (package.xml), or of ROS_PACKAGE_PATH.
+    """
     scheme, mark, rest = name.partition("://")
-    places = []
-    if not mark:
-        places = [file.parent / name]
-    elif scheme == "file":
-        places = [pathlib.Path(rest)]
+    file = file.resolve()
+    if not mark or scheme == "file":
+        places = [(file.parent.parent, file.parent / (rest if mark else name))]
     else:
-        roots = [
-            p for text in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if text for p in [pathlib.Path(text)]
-        ]
         package, _, inner = rest.partition("/")
-        for folder in (*file.parents, *roots):
-            places += [folder / rest] + [folder / inner] * (folder.name == package)
-    return next((place for place in places if place.is_file()), None)
+        roots = [pathlib.Path(text) for text in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if text]
+        near = [folder / package for folder in file.parents]
+        near = [p for p in near if p in file.parents or (p / "package.xml").is_file()]
+        near += [p for folder in roots for p in (folder / package, *[folder] * (folder.name == package))]
+        places = [(p.resolve(), p / inner) for p in near]
+    found = (place.resolve() for root, place in places if place.resolve().is_relative_to(root))
+    return next((place for place in found if place.suffix.lower() in ENDINGS and place.is_file()), None)
 
 
 def _thinned(shape, most):

@@ -28,7 +28,7 @@ class Motion:
       target: (K, 3) where the tip is to be [m], or None.
       error: {what: (K,)}, such as {"position error [m]": …}.
       level: (K,) GOOD, WARNING or BAD. words: (K,) of what is wrong, or how it went.
-      note: the answer in a sentence, or nothing. file: a URDF file with its meshes, or None; tip, base: its links.
+      note: the answer in a sentence, or nothing. unit: of t. links: (URDF file, tip, base), where there is one.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Motion:
     words: tuple
     note: str = ""
     unit: str = "s"
-    links: tuple | None = None  # (URDF file, tip, base), where there is one
+    links: tuple | None = None
 
     @functools.cached_property
     def poses(self) -> np.ndarray:

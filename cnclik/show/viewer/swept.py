@@ -45,7 +45,8 @@ def _motion(spec, values, place):
     chosen = {d: list(spec.bundles[d])[i] if d in spec.bundles else spec.axes[d].values[i] for d, i in at.items()}
     made = spec.build(**chosen)
     loop = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
-    run = jax.tree.map(np.asarray, solve_driven(*loop, **made.measured) if made.measured else solve(*loop))
+    run = solve_driven(*loop, **made.measured) if made.measured else solve(*loop, pace=made.pace)
+    run = jax.tree.map(np.asarray, run)
     shown = {d: values[d].values[i] for d, i in at.items()}
     words = ", ".join(f"{d} = {v:.4g}" if isinstance(v, (float, np.floating)) else f"{d} {v}" for d, v in shown.items())
     size = float(values.values[place])
