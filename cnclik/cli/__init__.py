@@ -142,15 +142,14 @@ def _prepare(cache: bool) -> None:
     jax.config.update("jax_enable_x64", True)
     from cnclik.programs import keep
 
-    keep(None)
+    place = None
     if cache:
         from cnclik.compilation import use_cache
 
         place = use_cache()
-        named = "JAX_COMPILATION_CACHE_DIR" in os.environ  # others may write there
-        keep(None if named else place)
     else:
         jax.config.update("jax_enable_compilation_cache", False)
+    keep(None if "JAX_COMPILATION_CACHE_DIR" in os.environ else place)  # others may write where that is
 
 
 def _overview() -> str:

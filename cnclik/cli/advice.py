@@ -66,7 +66,6 @@ def _margin(now, said) -> str:
 
 def _costs(said, found) -> list:
     """What the recommended gain does."""
-
     from cnclik.stability.practice import OWN_COMMANDS
 
     gain, Ts = said.recommended, found.Ts

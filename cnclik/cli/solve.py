@@ -138,15 +138,10 @@ def _whole(made, report):
     import jax
     import numpy as np
 
-    from cnclik.integrate.measured import solve_driven
-    from cnclik.integrate.paced import solve_paced
-
-    loop, paced = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage), made.pace is not None
-    run, also = (solve_paced, {"pace": made.pace}) if paced else (solve_driven, made.measured)
     report(0, made.N)
     for again in range(2):  # the first compiles
         begun = time.perf_counter()
-        found = jax.block_until_ready(run(*loop, **also))
+        found = jax.block_until_ready(made.run())
         seconds = time.perf_counter() - begun
         report((again + 1) * made.N // 2, made.N)
     return jax.tree.map(np.asarray, found), seconds / made.N

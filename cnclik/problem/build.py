@@ -6,9 +6,11 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import white_noise
+from cnclik.integrate.measured import solve_driven, white_noise
 from cnclik.integrate.method import Method, named
 from cnclik.integrate.pace import Pace
+from cnclik.integrate.solve import solve
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, causal
@@ -34,7 +36,7 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they a
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What `solve` needs, `solve(p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage, drive=p.drive)`, and its name.
+    """What `solve` needs, `solve(*p.loop)`, what a robot adds to it, and its name; `run()` has all of it.
 
     `drive` and `pace` are None where nothing was said of them. `noise` (m,) or a number is the standard deviation of
     the measured error, or None, `seed` that of what is drawn.
@@ -52,6 +54,16 @@ class Problem:
     pace: Pace | None = None
     noise: object = None
     seed: int = 0
+
+    @property
+    def loop(self) -> tuple:
+        """(law, reference, q0, Ts, N, method, stage), as `solve` takes them."""
+        return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
+
+    def run(self) -> Trajectory:
+        """The loop's run, as its robot has it: through its drives, or at its pace."""
+        measured = self.measured
+        return solve_driven(*self.loop, **measured) if measured else solve(*self.loop, pace=self.pace)
 
     @property
     def measured(self) -> dict:

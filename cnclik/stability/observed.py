@@ -55,7 +55,7 @@ class Observed(NamedTuple):
         return bool(self.largest < STALL_RATIO * self.before.max() and self.largest <= least)
 
     @property
-    def haste(self):
+    def over_velocity(self):
         """That joints are too fast, in words; empty where they are not."""
         if not self.too_fast:
             return ""

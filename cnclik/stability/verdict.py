@@ -98,8 +98,8 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
     case = _case(law, reference, run, float(Ts), method, stage, check_drive(drive, law.chain.n))
     kind, what, remedy = _judged(case)
-    if case.seen.haste and kind not in _OUT_OF_HAND:
-        what, remedy = f"{what}; {case.seen.haste}", remedy or _SLOWER
+    if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
+        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or _SLOWER
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""),
@@ -282,7 +282,7 @@ def _moving(case, error, radius):
 
 # --- its parts in words -------------------------------------------------------------------------------
 
-_OUT_OF_HAND = (Behaviour.SHAKING, Behaviour.DIVERGING)  # speed is the least of their ills
+_UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
 _SLOWER = "follow a slower path, use limits velocity_scaling(), or, near a singularity, damped(...)"
 _LESS_NULL = "reduce the gain of the null-space velocity"
 

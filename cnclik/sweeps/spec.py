@@ -181,9 +181,9 @@ def _evaluations(p) -> float:
 
 
 def _run(p):
-    """A loop's run, as its robot has it."""
-    loop, measured = (p.law, p.reference, p.q0, p.Ts, p.N, p.method, p.stage), p.measured
-    return solve_measured(*loop, **measured) if measured else solve(*loop, pace=p.pace)
+    """`Problem.run`, pure: part of the program of many lanes."""
+    measured = p.measured
+    return solve_measured(*p.loop, **measured) if measured else solve(*p.loop, pace=p.pace)
 
 
 def joints_of(known, look) -> int:

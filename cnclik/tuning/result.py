@@ -21,7 +21,7 @@ _WHY = {
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
 
-_HARDLY_ANY = (
+_NEARLY_NO_GAIN = (
     "The gain is hardly any: within the whole path it would not take back an error. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
 )
@@ -118,7 +118,7 @@ class Tuned:
     def why(self) -> str:
         """The status in a sentence, and a second one where what was found is hardly a loop."""
         if self.status != "infeasible":
-            return _WHY[self.status] + (f" {_HARDLY_ANY}" if self.N * self.after.correction < 1 else "")
+            return _WHY[self.status] + (f" {_NEARLY_NO_GAIN}" if self.N * self.after.correction < 1 else "")
         worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"
         return f"{_WHY[self.status]} Worst, the bound on {worst}."
 

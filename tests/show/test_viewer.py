@@ -353,3 +353,8 @@ def test_the_arm_is_in_the_middle_of_the_page(kind, tmp_path):
     red, green, blue = (middle[..., i] for i in range(3))
     arm = (blue > red + 40) & (blue > green + 10) & (green > red)  # sky and blue, in any light
     assert arm.mean() > 0.005
+
+
+def test_a_paced_problem_is_shown_as_it_runs():
+    made = ck.problem.problem_from("planar:1,1", reference="circle", N=20, max_velocity=(0.05,))
+    assert np.abs(look.look(made, look.loop_of(made)).run.qdot).max() <= 0.05 * (1 + 1e-9)

@@ -11,17 +11,14 @@ import jax
 import numpy as np
 
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import solve_driven
 from cnclik.integrate.method import named
-from cnclik.integrate.solve import solve
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.stability.driven import driven_factors, looked_at_drive, modes_of, own_drives, radius
 from cnclik.stability.local import Instant, maps
 from cnclik.stability.spectrum import at_rest, directions, largest_rate, spectrum_of
-
-WILD = 1e3  # joint values [rad, m] from which on a run says nothing of where it rests
+from cnclik.stability.verdict import WILD
 
 
 class Loop(NamedTuple):
@@ -66,17 +63,15 @@ def with_loop(problem, loop: Loop):
 def look(problem, loop: Loop) -> Seen:
     """Run the loop with these numbers."""
     made = with_loop(problem, loop)
-    asked = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
-    run = solve_driven(*asked, **made.measured) if made.measured else solve(*asked, pace=made.pace)
-    run = jax.tree.map(np.asarray, run)
+    run = jax.tree.map(np.asarray, made.run())
     return Seen(loop, run, *_factors(made, run.q))
 
 
 @in_float64
 def _factors(made, q):
     """The loop's factors over the task's directions at rest where a run ended; where it began if it went astray."""
-    sane = np.isfinite(q[-1]).all() and np.abs(q[-1]).max() < WILD
-    q = np.asarray(q[-1] if sane else made.q0, float)
+    rests = np.isfinite(q[-1]).all() and np.abs(q[-1]).max() <= WILD
+    q = np.asarray(q[-1] if rests else made.q0, float)
     drive = made.drive or Drive()
     moved, rows = maps(made.law, Instant(q, at_rest(made.law, None, q)), np.ones(1), made.Ts, made.method, made.stage)
     if not np.isfinite(moved).all():

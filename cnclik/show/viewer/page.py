@@ -44,5 +44,9 @@ def frames_of(motions):
 
 def seconds(motions) -> float:
     """How long a page plays the motions: their time, if that is neither short nor long [s]."""
-    lasts = max(SECONDS_EACH * len(m.t) if m.unit == "target" else m.t[-1] - m.t[0] for m in motions)
-    return float(np.clip(lasts, SHORTEST, LONGEST))
+    return float(np.clip(lasting(motions), SHORTEST, LONGEST))
+
+
+def lasting(motions) -> float:
+    """How long the motions last at speed 1 [s]."""
+    return max(SECONDS_EACH * len(m.t) if m.unit == "target" else m.t[-1] - m.t[0] for m in motions)

@@ -7,7 +7,7 @@ import numpy as np
 
 from cnclik.markup import escaped
 from cnclik.show.viewer.motion import LEVELS
-from cnclik.show.viewer.page import SECONDS_EACH
+from cnclik.show.viewer.page import lasting
 
 RATE = 30.0  # frames a second
 LEAST = 1e-12  # error that a chart shows
@@ -50,16 +50,11 @@ class Player:
             now, motions = time.perf_counter(), self.scene.motions
             if motions and self.playing.value and self.server.get_clients():
                 speed = float(self.speed.value.split()[0])
-                share = self.slider.value + speed * (now - last) / _seconds(motions)
+                share = self.slider.value + speed * (now - last) / max(lasting(motions), 0.05)
                 share = share if share <= 1 else 0.0 if self.slider.value >= 1 else 1.0
                 self.slider.value = share
                 self._show(share)
             last = now
-
-
-def _seconds(motions) -> float:
-    """How long the motions last at speed 1 [s]."""
-    return max(max(SECONDS_EACH * len(m.t) if m.unit == "target" else m.t[-1] - m.t[0], 0.05) for m in motions)
 
 
 def told(motions, share) -> str:

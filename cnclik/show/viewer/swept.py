@@ -7,8 +7,6 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.measured import solve_driven
-from cnclik.integrate.solve import solve
 from cnclik.show.viewer.motion import motion_of
 from cnclik.sweeps import store
 from cnclik.sweeps.check import parse
@@ -44,9 +42,7 @@ def _motion(spec, values, place):
     at = dict(zip(values.dims, place, strict=True))
     chosen = {d: list(spec.bundles[d])[i] if d in spec.bundles else spec.axes[d].values[i] for d, i in at.items()}
     made = spec.build(**chosen)
-    loop = (made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
-    run = solve_driven(*loop, **made.measured) if made.measured else solve(*loop, pace=made.pace)
-    run = jax.tree.map(np.asarray, run)
+    run = jax.tree.map(np.asarray, made.run())
     shown = {d: values[d].values[i] for d, i in at.items()}
     words = ", ".join(f"{d} = {v:.4g}" if isinstance(v, (float, np.floating)) else f"{d} {v}" for d, v in shown.items())
     size = float(values.values[place])
