@@ -25,7 +25,7 @@ class Args:
 def run(args):
     from cnclik.writing import output_folder
     with output_folder(args.out) as folder:
-        for _ in range(2000):
+        for _ in range(4000):  # more than a pipe holds
             print("µ² → ∞ √2 α·Ts ☃ " + chr(0xDC80), flush=True)
         print("begun", file=sys.stderr, flush=True)
         time.sleep(SLEEP)
