@@ -130,11 +130,11 @@ def _once(command, folder, *, expected=0):
 
 
 def environment(cache) -> dict:
-    """Variables for a process that keeps its programs in a folder, and runs the package that measures."""
+    """Variables for a process that keeps its programs in a folder, as a user's do, and runs the package that measures."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
     package = str(pathlib.Path(__file__).parents[2])
     path = os.pathsep.join(filter(None, (package, kept.get("PYTHONPATH"))))
-    return kept | {"JAX_COMPILATION_CACHE_DIR": cache, "PYTHONPATH": path}
+    return kept | {"XDG_CACHE_HOME": cache, "PYTHONPATH": path}
 
 
 def _wait(process, until):

@@ -1,5 +1,6 @@
 """Options that verbs share besides those of a problem."""
 
+import contextlib
 import dataclasses
 from pathlib import Path
 
@@ -27,18 +28,37 @@ class ReportOption:
     report: Path | None = None
     """Also write one page, FILE.html, that opens offline: answer, numbers, figures, the moving robot (extra viewer)."""
     typed = ""
+    undrawn = None
+
+    @contextlib.contextmanager
+    def figures_first(self):
+        """Around the drawing of a verb's own figures: what goes wrong there is raised, by the report if one follows."""
+        from cnclik.show.output import FigureError
+
+        try:
+            yield
+        except FigureError as error:
+            if self.report is None:
+                raise
+            self.undrawn = error
 
     def write_report(self, title, answer, **parts) -> None:
         """Write the page where one is asked for, and say so; see `cnclik.show.report.Report`."""
         if self.report is None:
             return
         from cnclik.cli import progress
+        from cnclik.show.output import FigureError
         from cnclik.show.report import Report, write
 
-        with progress.bar("report"):
-            write(Report(title=title, answer=answer, command=self.typed, **parts), self.report)
+        try:
+            with progress.bar("report"):
+                write(Report(title=title, answer=answer, command=self.typed, **parts), self.report)
+        except FigureError as error:
+            raise FigureError(f"{self.undrawn} {error}") if self.undrawn else error
         if not getattr(self, "json", False):
             print(f"Wrote {self.report}.")
+        if self.undrawn:
+            raise self.undrawn
 
 
 _OPTIONS = {  # what the library's remedies speak of, as it is written on the command line

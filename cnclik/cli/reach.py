@@ -271,7 +271,8 @@ def _map(args, chain, task):
     title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
     figures = {"map.png": (lambda: figure(found, title=title), about)}
-    draw(figures, out)
+    with args.figures_first():
+        draw(figures, out)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
     answer = (
         f"{100 * np.mean(found.share > 0):.1f} % of the places can be reached, "

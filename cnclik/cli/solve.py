@@ -62,7 +62,7 @@ def run(args: Args) -> None:
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
     figures = _figures(data, made) if args.figures or args.report else {}
     if args.figures:
-        with progress.bar("figures") as report:
+        with args.figures_first(), progress.bar("figures") as report:
             written += draw(figures, args.out, progress=report)
     print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
     args.write_report(

@@ -79,7 +79,8 @@ def run(args: Args) -> None:
         if args.map:
             drawn, advised = _map(args, out)
             figures |= drawn
-    draw(figures, args.out)
+    with args.figures_first():
+        draw(figures, args.out)
     print(f"Results in {args.out}")
     _report(args, figures, advised)
 

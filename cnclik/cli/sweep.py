@@ -59,7 +59,8 @@ def run(args: Args) -> None:
         return
     seconds = time.perf_counter() - begun
     print(f"Done in {seconds:.1f} s: {out / store.DATA}")
-    finish(out, spec.figures if args.figures else None, export=args.export)
+    with args.figures_first():
+        finish(out, spec.figures if args.figures else None, export=args.export)
     if args.report is not None:
         _report(args, spec, store.read(out), grid, seconds)
 

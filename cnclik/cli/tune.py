@@ -87,8 +87,9 @@ def run(args: Args) -> None:
     print(text.split("\n## Figures")[0])
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
-    with progress.bar("figures") as report:
-        written = ["tuned.json", "summary.md", *draw(figures if args.figures else {}, args.out, progress=report)]
+    written = ["tuned.json", "summary.md"]
+    with args.figures_first(), progress.bar("figures") as report:
+        written += draw(figures if args.figures else {}, args.out, progress=report)
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
     from cnclik.tuning.page import CAPTIONS, page_rows
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from cnclik.cli import main
-from cnclik.show import report_figures
+from cnclik.show import report_figures, style
 from cnclik.show.viewer import need
 from tests.specs import reaching
 
@@ -42,6 +42,19 @@ def test_a_report_that_fails_costs_no_data(tmp_path, monkeypatch, capsys):
         main(["solve", *LOOP, "--N", "3", "--out", "out", "--report", "one.html"])
     assert left.value.code == 1 and "Not in one.html: joints" in capsys.readouterr().err
     assert len(list((tmp_path / "out").iterdir())) == 5 and (tmp_path / "one.html").exists()
+
+
+def test_figures_that_fail_cost_no_report(tmp_path, monkeypatch, capsys):
+    save = style.save
+    monkeypatch.setattr(
+        style, "save", lambda made, path, about: 1 / 0 if path.suffix == ".png" else save(made, path, about)
+    )
+    with pytest.raises(SystemExit) as left:
+        main(["solve", *LOOP, "--N", "3", "--out", "out", "--report", "one.html"])
+    told = capsys.readouterr()
+    assert left.value.code == 1 and "Not drawn: joints.png" in told.err and "Wrote one.html." in told.out
+    assert (tmp_path / "one.html").read_text().count("<svg") == 4
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["trajectory.nc"]
 
 
 def test_stability(tmp_path, capsys):
