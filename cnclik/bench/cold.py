@@ -130,7 +130,7 @@ def _once(command, folder, *, expected=0):
 
 
 def environment(cache) -> dict:
-    """Variables for a process that keeps its programs in a folder, as a user's do, and runs the package that measures."""
+    """Variables for a process that runs the package that measures, and keeps its programs below a folder."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
     package = str(pathlib.Path(__file__).parents[2])
     path = os.pathsep.join(filter(None, (package, kept.get("PYTHONPATH"))))

@@ -54,7 +54,7 @@ class ReportOption:
             with progress.bar("report"):
                 write(Report(title=title, answer=answer, command=self.typed, **parts), self.report)
         except FigureError as error:
-            raise FigureError(f"{self.undrawn} {error}") if self.undrawn else error
+            raise FigureError(f"{self.undrawn or ''} {error}") from error
         if not getattr(self, "json", False):
             print(f"Wrote {self.report}.")
         if self.undrawn:
