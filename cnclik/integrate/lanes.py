@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import Recent, as_here, few_lanes, form, is_wide, known_options, switched_on
+from cnclik.hints import QUICK_COMPILE, Recent, as_here, few_lanes, form, is_wide, known_options, quick_jit, switched_on
 from cnclik.hints import cores as available
 from cnclik.integrate import kernel
 
@@ -27,7 +27,7 @@ DEVICE_BLOCK = 1 << 20  # the same where a device has thousands of lanes in flig
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
-def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int | None = None):
+def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int | None = None, quick: bool = False):
     """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but fast.
 
     Every argument is a tree of arrays with one leading batch axis of any size from 1 to tens of millions; what
@@ -40,6 +40,8 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
       tile: lanes per tile, by default 64, on a GPU 128 (there a power of 2).
       block: lanes per call, a multiple of `tile`; by default 32768, on a GPU 2**20.
       cores: how many cores of a CPU may work at once, by default all this process may use.
+      quick: for a batch that is run once: compiled in a third to a tenth of the time, for a CPU, and runs ten times
+        slower.
 
     Under jit, vmap or grad it is one traced program on one core; called with arrays it uses all cores, or devices.
     """
@@ -48,8 +50,11 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = available() if cores is None else errors.integer("cores", cores, at_least=1)
-    traced = functools.partial(tiled, fn, tile)
-    compiled = _hinted(traced) if on_cpu else _kernel_or(traced, fn, tile)
+
+    def traced(*args):
+        return tiled(fn, tile, *args)
+
+    compiled = _kernel_or(traced, fn, tile) if not on_cpu else quick_jit(traced) if quick else _hinted(traced)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
@@ -68,9 +73,11 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     return call
 
 
-def options(traced) -> dict:
-    """How to compile a traced program (`jax.jit(fn).trace(...)`): with OPTIONS, for a CPU and while hints are on."""
-    return known_options(OPTIONS) if jax.default_backend() == "cpu" and is_wide(traced.jaxpr) else {}
+def options(traced, quick=False) -> dict:
+    """How to compile a traced program (`jax.jit(fn).trace(...)`), for a CPU and while hints are on."""
+    if jax.default_backend() != "cpu":
+        return {}
+    return known_options(QUICK_COMPILE if quick else OPTIONS if is_wide(traced.jaxpr) else {})
 
 
 def _hinted(fn):

@@ -1,9 +1,10 @@
 """The rolled form: the joints are an axis of arrays, and geometry is a parameter.
 
 The unrolled form writes a robot out, number by number: its programs are as quick as can be, and take seconds to
-compile. Rolled, a robot is a handful of arrays that a short loop over the joints reads: ten times slower to run, ten
-times sooner ready, and one program serves all robots with as many joints. Joint i's transform is affine in the sine
-and cosine of its value and in the value itself,
+compile. Rolled, a robot is a handful of arrays that a short loop over the joints reads: a hundred times slower to run
+side by side, ten to a hundred times sooner ready, and one program serves all robots with as many joints. Between the
+two stands the unrolled form, compiled `quickly`. Joint i's transform is affine in the sine and cosine of its value and
+in the value itself,
 
   Tᵢ(v) = Aᵢ + sin(v) Bᵢ + cos(v) Cᵢ + v Dᵢ  (4×4),
 
@@ -24,10 +25,10 @@ from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import Frames, frames, jacobian_rows, link
 
-# Evaluations of f up to which the rolled form is the sooner one, compiling included, for each joint and each task
-# coordinate: so many by lanes side by side, and one of a lane that is alone counts for as many as it takes longer.
-ROLLED = 1 << 17
-ALONE = 8
+# Evaluations of f, for each joint and each task coordinate, up to which the rolled form is the sooner one, compiling
+# included; and up to which a program of many lanes is, that is compiled with fewest passes.
+ROLLED = 1 << 14
+QUICK = 1 << 20
 
 
 @record
@@ -49,7 +50,7 @@ class RolledChain:
         return self.lower.shape[-1]
 
 
-def pays(evaluations, law=None, *, alone=True) -> bool:
+def pays(evaluations, law=None) -> bool:
     """Whether a call of so many evaluations of a law's f, None for unknown, should run in the rolled form.
 
     `cnclik.use_form` overrides it. A GPU's kernel is always unrolled, as it has no arrays to index, and so is what runs
@@ -61,8 +62,19 @@ def pays(evaluations, law=None, *, alone=True) -> bool:
         return form() == "rolled"
     if evaluations is None or jax.default_backend() != "cpu":
         return False
-    size = law.chain.n * law.task.m if hasattr(law, "task") else 1
-    return evaluations * (ALONE if alone else 1) <= ROLLED * size
+    return evaluations <= ROLLED * _size(law)
+
+
+def quickly(evaluations, law) -> bool:
+    """Whether a program for so many evaluations of a law's f, in the unrolled form, should be compiled `quick`.
+
+    See `cnclik.lanes`. Not where `cnclik.use_form` asks for the quicker form to run.
+    """
+    return form() != "unrolled" and jax.default_backend() == "cpu" and evaluations <= QUICK * _size(law)
+
+
+def _size(law) -> int:
+    return law.chain.n * law.task.m if hasattr(law, "task") else 1
 
 
 def in_form(law, q, evaluations=None):

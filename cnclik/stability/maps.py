@@ -16,13 +16,13 @@ from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.rolled import one_off, pays
+from cnclik.robot.rolled import one_off, pays, quickly
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.recommend import largest_stable, loop_at_rest
 from cnclik.stability.spectrum import check_loop, largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-BLOCK = 1 << 12  # loops that one core runs at a time: small, as those that diverge may take longer
+BLOCK = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
 @in_float64
@@ -100,7 +100,10 @@ def outcomes(
         return outcome(gained, reference, q0, Ts, N, method, own, **through, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    run = one_off(jax.vmap(one)) if pays(evaluations, law, alone=False) else lanes(one, block=BLOCK)
+    if pays(evaluations, law):
+        run = one_off(jax.vmap(one))
+    else:
+        run = lanes(one, block=BLOCK, quick=quickly(evaluations, law))
     done = []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023

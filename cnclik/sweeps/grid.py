@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -126,10 +126,15 @@ class Block(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """The axes, in the order given, and how they are cut: at most `lanes` points in a block."""
+    """The axes, in the order given, and how they are cut: at most `lanes` points in a block.
+
+    `quick` says of a program, by its values of the outer axes, whether it is run so little that it is compiled `quick`,
+    see `cnclik.lanes`.
+    """
 
     axes: tuple
     lanes: int
+    quick: Callable = dataclasses.field(default=lambda program: False, compare=False, repr=False)
 
     def __post_init__(self):
         programs = math.prod(len(a) for a in self.outer)

@@ -71,7 +71,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         count = math.prod(of.block)
         shapes = {a.name: jax.ShapeDtypeStruct((count, *a.values.shape[1:]), a.values.dtype) for a in of.inner}
         traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
-        compiled = traced.lower().compile(options(traced))
+        compiled = traced.lower().compile(options(traced, of.quick(fixed)))
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
 

@@ -32,7 +32,7 @@ from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.names import robot_from, stage_from
 from cnclik.reading import read_bytes
-from cnclik.robot.rolled import pays
+from cnclik.robot.rolled import pays, quickly
 from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
@@ -80,7 +80,7 @@ class Spec:
         # Blocks of a power of two that long loops make smaller.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
         lanes = self.lanes or 2 ** int(np.clip(np.log2(2**21 / max(steps, 1)), 6, 16))
-        return dataclasses.replace(found, lanes=min(lanes, size))
+        return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick)
 
     def tables(self) -> list:
         """[fixed], and the tables of all bundles."""
@@ -141,10 +141,18 @@ class Spec:
     def study(self, /, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
         made = self.build(**values)
-        work = _evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner)
-        with use_form(form() or ("rolled" if pays(work, made.law, alone=False) else None)):
+        with use_form(form() or ("rolled" if pays(self._work(made), made.law) else None)):
             run = _run(made)
             return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
+
+    def quick(self, program: dict) -> bool:
+        """Whether a program is compiled with few passes, see `cnclik.lanes`; small ones are rolled, besides."""
+        made = self.build(**program, **self.first())
+        return quickly(self._work(made), made.law)
+
+    def _work(self, made) -> float:
+        """Evaluations of f of all lanes of a program."""
+        return _evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.robot.rolled import ALONE, ROLLED, RolledChain, in_form, pays
+from cnclik.robot import rolled
+from cnclik.robot.rolled import ROLLED, RolledChain, in_form, pays, quickly
 from tests.oracles import close
 
 LIMITS = {"lower": (-3.0, -2.0, -3.0, -2.0), "upper": (3.0, 0.9, 3.0, 2.0), "velocity_limit": (2.0, 2.0, np.inf, 1.0)}
@@ -132,9 +133,11 @@ def test_a_whole_pose_of_a_real_arm(limits):
 
 @pytest.mark.form(None)
 def test_the_form_follows_from_the_work():
-    assert pays(1) and pays(ROLLED // ALONE) and not pays(ROLLED // ALONE + 1) and not pays(None)
-    assert pays(ROLLED, alone=False) and not pays(ROLLED + 1, alone=False)
-    assert pays(ROLLED, ck.Law(ARM, TASKS["position"], alpha=1.0))  # 4 joints, 2 coordinates
+    law = ck.Law(ARM, TASKS["position"], alpha=1.0)
+    size = law.chain.n * law.task.m
+    assert pays(1) and pays(ROLLED) and not pays(ROLLED + 1) and not pays(None)
+    assert pays(size * ROLLED, law) and not pays(size * ROLLED + 1, law)
+    assert quickly(size * ROLLED, law) and not quickly(size * rolled.QUICK + 1, law)
     with ck.use_form("unrolled"):
         assert not pays(1)
     with ck.use_form("rolled"):
