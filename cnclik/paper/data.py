@@ -1,12 +1,14 @@
 """The runs of `cnclik.paper.readings` as labelled data: what the figures, the claims and the tables are read from."""
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
 import numpy as np
 import xarray as xr
 
+from cnclik.hints import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.paper import readings as paper
@@ -38,13 +40,15 @@ class Results(NamedTuple):
 @in_float64
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    runs, residuals = {}, {}
-    for done, (arm, size) in enumerate(ARMS.items()):
-        if progress is not None:
-            progress(done, len(ARMS), f"the {size} arm: compiling and running")
-        one = paper.run_arm(arm)
-        runs |= one.runs
-        residuals |= one.residuals
+    with ThreadPoolExecutor(len(ARMS)) as pool:  # most of it is compiling, on one core each
+        each = pool.map(as_here(paper.run_arm), ARMS)
+        runs, residuals = {}, {}
+        for done, size in enumerate(ARMS.values()):
+            if progress is not None:
+                progress(done, len(ARMS), f"the {size} arm: compiling and running")
+            one = next(each)
+            runs |= one.runs
+            residuals |= one.residuals
     found = Found(runs, residuals)
     return Results(trajectories(found), methods(found), passes(found))
 

@@ -5,7 +5,6 @@ iteration once or twice, and the feed-forward of Case II. A `Reading` settles ea
 eight on both arms and both cases, and beside the paper's methods the textbook ones.
 """
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -13,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import few_lanes, form, quick_jit, use_form
 from cnclik.integrate.method import CN, METHODS, Method, named
 from cnclik.integrate.solve import evaluations_of, solve
 from cnclik.integrate.stage import picard
@@ -26,7 +26,7 @@ from cnclik.paper.choices import reading as reading
 from cnclik.record import replace, stack
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import planar_arm
-from cnclik.robot.rolled import in_form, sooner
+from cnclik.robot.rolled import in_form
 
 # Settings of Section V.
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
@@ -145,7 +145,7 @@ METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"),
 _FOLLOWED = tuple((Ts, name) for Ts, name in METHOD_RUNS if name in ("IE", "CN"))
 
 
-@functools.partial(jax.jit, static_argnames=("N_max",))
+@quick_jit(static_argnames=("N_max",))
 def _program(laws, references, q0, Ts, M, *, N_max):
     """Every method over all lanes, and the passes of the Picard iteration from the states of the first ones.
 
@@ -201,7 +201,7 @@ def run_arm(arm: str) -> Found:
     """All runs of one arm, by one compiled program."""
     nudges = np.zeros((NUDGES + 1, ARMS[arm].n))
     nudges[1:] = NUDGE * np.random.default_rng(0).standard_normal((NUDGES, ARMS[arm].n))
-    with sooner():
+    with use_form(form() or "unrolled"), few_lanes(len(LANES)):
         runs, residuals = _program(
             stack([law(arm, lane.rotation) for lane in LANES]),
             stack([path(arm, lane.case, lane.feedforward) for lane in LANES]),
