@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import patheffects, ticker
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.transforms import Affine2D
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
@@ -121,7 +122,9 @@ def series(i: int, **changes) -> dict:
 
 def sparse(i: int, points: int):
     """`markevery` of the i-th line: every point, or of many only some, staggered so that lines that coincide show."""
-    return None if points < 40 else (0.03 * (i % 5), 0.15)
+    if points < 16:
+        return None
+    return (i % 3, 3) if points < 40 else (0.03 * (i % 5), 0.15)
 
 
 def log_scale(axis, values, decades=2.0) -> None:
@@ -159,15 +162,18 @@ def log_errors(panel, norms) -> None:
 def label_contours(panel, drawn, fmt) -> None:
     """Name each level of a contour set once, away from the panel's edges, other names and other lines, if it can be."""
     panel.get_xlim(), panel.get_ylim()  # what is not yet scaled to its data is
-    to_panel = panel.transData + panel.transAxes.inverted()
+    size = panel.bbox.size / panel.figure.dpi  # [in], as below
+    inches = panel.transAxes.inverted() + Affine2D().scale(*size)
+    to_panel = panel.transData + inches
+    drawn_before = [(line.get_transform() + inches).transform(line.get_xydata()) for line in panel.lines]
     lines = [np.concatenate([np.empty((0, 2)), *parts]) for parts in drawn.allsegs]
     lines = [points[:: max(1, len(points) // 200)] for points in lines]
     seen = [to_panel.transform(points) for points in lines]
     names, levels = [], []
     for i, (points, at) in enumerate(zip(lines, seen, strict=True)):
         near = [seen[j] for j in range(len(seen)) if j != i and len(seen[j])]
-        room = np.minimum(at, 1 - at).min(axis=1, initial=1.0) / 0.1
-        for others, least in ((near, 0.05), ([to_panel.transform(names)] if names else [], 0.2)):
+        room = np.minimum(at, size - at).min(axis=1, initial=size.max()) / 0.15
+        for others, least in ((near + drawn_before, 0.08), ([to_panel.transform(names)] if names else [], 0.3)):
             for other in others:
                 room = np.minimum(room, np.hypot(*(at[:, None] - other).T).min(axis=0) / least)
         if len(room) and room.max() > 1:

@@ -25,7 +25,8 @@ class Panels:
         if not layout.rows and many > MOST_IN_A_ROW:
             many, down = math.ceil(many / 2), 2
         width = style.COLUMN if many == 1 else style.PAGE
-        height = 0.8 + down * min(2.4, max(1.25, (width - 1.0) / many * 0.95))
+        self.high = min(2.4, max(1.25, (width - 1.0) / many * 0.95))  # of a panel [in]
+        height = 0.8 + down * self.high
         self.below = many == 1  # where the legend of lines goes: beside a single panel it would take its width
         if self.below and layout.lines:
             labels = [text(v) for v in view[layout.lines].values]
@@ -61,8 +62,7 @@ class Panels:
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
         setp(self.axes[-1], xlabel=x)
-        room = (self.figure.get_figheight() - 0.8) / len(self.axes)
-        setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(room / LETTER))))
+        setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(self.high / LETTER))))
         lines = self.layout.lines
         handles, labels = self.axes[0, 0].get_legend_handles_labels()
         if lines and len(labels) > 1:

@@ -4,12 +4,19 @@ import math
 
 import numpy as np
 from matplotlib import colors, patches, ticker
+from matplotlib.patheffects import withStroke
 
 from cnclik.show import style
 from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, legend_columns, lines, norm, text
 
 BOUNDARY = style.OUTLINED
 ISOLINES = (0.1, 0.5, 1.0, 2.0)  # of z = alpha·Ts
+ISOLINE = {
+    "color": "black",
+    "linewidth": 0.5,
+    "zorder": 2,
+    "path_effects": [withStroke(linewidth=1.1, foreground="0.8")],
+}
 ROUGH = 0.15  # decades by which log10 of a value may bend from cell to cell before it counts as chance
 _LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 
@@ -29,10 +36,10 @@ def heat(view, layout):
             shown = np.ma.clip(shown, scale.vmin, None)  # an error of exactly 0 is the smallest, not missing
         mesh = _mesh(ax, x, y, shown, norm=scale)
         grid.scales(ax, x, y)
-        if levels is not False:
-            _contours(ax, x, y, shown, scale, levels)
         drawn = boundary(ax, part, layout) if layout.boundary else []
         bounded = bounded or drawn
+        if levels is not False:
+            _contours(ax, x, y, shown, scale, levels)
     if bounded:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend(bounded, [words], loc="outside lower center")
@@ -181,7 +188,7 @@ def _isolines(ax) -> list:
     """Lines of constant z = alpha·Ts, labelled where there is room. Returns: the places of the labels."""
     taken = []
     for z in ISOLINES:
-        (line,) = _hyperbola(ax, z, **style.OUTLINED | {"linewidth": 0.5, "alpha": 0.6})
+        (line,) = _hyperbola(ax, z, **ISOLINE)
         (bottom, top), points = ax.get_ylim(), line.get_xydata()
         inside = points[(points[:, 1] > bottom) & (points[:, 1] < top)]
         if len(inside) > 20:
