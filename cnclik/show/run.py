@@ -111,7 +111,7 @@ def overview(data, chain):
     _draw_status(flags, data)
     for panel in (speed, flags):
         panel.set_xlabel(_TIME)
-    style.legend(figure, joints, columns=min(data.sizes["joint"], 7))
+    style.legend(figure, joints)
     return figure
 
 

@@ -192,10 +192,21 @@ def plain(value, decimal=True) -> str:
     return f"$10^{{{power}}}$" if factor == "1" else f"${factor}\\times10^{{{power}}}$"
 
 
+def legend_columns(labels, width) -> int:
+    """The most columns of a legend that fit into a width [in]."""
+    for rows in range(1, len(labels)):
+        columns = [labels[i : i + rows] for i in range(0, len(labels), rows)]
+        if sum(0.46 + 0.05 * max(map(len, column)) for column in columns) < width:
+            return len(columns)
+    return 1
+
+
 def legend(figure, panel, columns=None) -> None:
     """One legend above all panels, with what one of them shows."""
     handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=columns or max(len(labels), 1))
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=columns or legend_columns(labels, figure.get_figwidth())
+    )
 
 
 def fixed_grid(width, height, rows, columns) -> dict:

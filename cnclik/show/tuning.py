@@ -62,7 +62,8 @@ def operating(field, tuned):
     axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades, hatches=hatches)
     style.log_scale(axis.xaxis, field.alpha)
     style.log_scale(axis.yaxis, field.Ts)
-    lines = axis.contour(*plane, levels=[0.2, 0.4, 0.6, 0.8], colors="black", linewidths=0.4)
+    named = [level for level in (0.2, 0.4, 0.6, 0.8) if level != tuned.margin]
+    lines = axis.contour(*plane, levels=named, colors="black", linewidths=0.4)
     style.label_contours(axis, lines, "%.1f")
     axis.contour(*plane, levels=[1.0], colors="black", linewidths=1.4)
     if tuned.margin < 1:
@@ -104,7 +105,7 @@ def front(tuned):
         style.log_scale(panel.xaxis, x, decades=4)
         style.log_scale(panel.yaxis, y)
     figure.supylabel(f"loss: {tuned.loss}")
-    panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
+    style.legend(figure, panels[0])
     return figure
 
 

@@ -147,3 +147,15 @@ def test_ways_to_end_differ_from_every_rate_in_greyscale():
     assert (np.diff(rates) > 0).all()
     for color, hatch, _ in _FLAT.values():
         assert hatch or not min(rates) - 0.1 < lightness(color) < max(rates) + 0.05
+
+
+def test_a_legend_of_many_joints_fits_the_page():
+    with style.style():
+        figure, panel = plt.subplots(figsize=(style.PAGE, 2.0))
+        for i in range(7):
+            panel.plot([0, 1], [0, i], label=f"panda_joint{i}", **style.series(i))
+        style.legend(figure, panel)
+        figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width
+    plt.close(figure)

@@ -30,7 +30,7 @@ class Panels:
         self.below = many == 1  # where the legend of lines goes: beside a single panel it would take its width
         if self.below and layout.lines:
             labels = [text(v) for v in view[layout.lines].values]
-            height += 0.15 * (1 + math.ceil(len(labels) / legend_columns(labels, width)))
+            height += 0.15 * (1 + math.ceil(len(labels) / style.legend_columns(labels, width)))
         self.figure = figure.Figure(figsize=(width, height))
         self.axes = self.figure.subplots(down, many, squeeze=False, sharex=True, sharey=True)
 
@@ -55,7 +55,7 @@ class Panels:
 
     def scales(self, ax, x, y=()):
         """Logarithmic axes for values in geometric progression, or spread over decades by hand."""
-        for values, axis, few in ((x, ax.xaxis, 2 if self.room() > 1.9 else 1), (y, ax.yaxis, 2)):
+        for values, axis, few in ((x, ax.xaxis, 2 if self.room() > 1.75 else 1), (y, ax.yaxis, 2)):
             if geometric(values):
                 style.log_scale(axis, values, few)
 
@@ -68,7 +68,10 @@ class Panels:
         if lines and len(labels) > 1:
             place = {"loc": "outside right upper"}
             if self.below:
-                place = {"loc": "outside lower center", "ncols": legend_columns(labels, self.figure.get_figwidth())}
+                place = {
+                    "loc": "outside lower center",
+                    "ncols": style.legend_columns(labels, self.figure.get_figwidth()),
+                }
             self.figure.legend(handles, labels, title=axis_label(self.view[lines]), **place)
         fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
         title = self.layout.title or ", ".join(map(described, fixed))
@@ -95,15 +98,6 @@ def lines(part, dim):
             own = {"color": colors_left[k % len(colors_left)], "marker": marks_left[k % len(marks_left)]}
             look = style.series(k, label=name, **own)
         yield {"linewidth": 1.2} | look, part.isel({dim: i})
-
-
-def legend_columns(labels, width) -> int:
-    """The most columns of a legend that fit into a width [in]."""
-    for rows in range(1, len(labels)):
-        columns = [labels[i : i + rows] for i in range(0, len(labels), rows)]
-        if sum(0.5 + LETTER * max(map(len, column)) for column in columns) < width:
-            return len(columns)
-    return 1
 
 
 # --- words --------------------------------------------------------------------------------------------
@@ -176,7 +170,7 @@ def value_scale(ax, values, layout):
         bottom = limits[0] if limits and limits[0] > 0 else 0.7 * max(positive.min(), positive.max() * 1e-16)
         style.log_scale(ax.yaxis, limits or np.maximum(positive, bottom))
         ax.set_ylim(bottom=bottom)
-        for line in ax.lines:  # what is less, as an error of exactly 0, lies on the axis: not missing
-            line.set_ydata(np.maximum(line.get_ydata(), bottom))
+        for line in ax.lines:  # an error of exactly 0 lies on the axis: it is not missing
+            line.set_ydata(np.where(line.get_ydata() <= 0, bottom, line.get_ydata()))
     if limits:
         ax.set_ylim(*limits)

@@ -7,7 +7,7 @@ from matplotlib import colors, patches, ticker
 from matplotlib.patheffects import withStroke
 
 from cnclik.show import style
-from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, legend_columns, lines, norm, text
+from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, lines, norm, text
 
 BOUNDARY = style.OUTLINED
 ISOLINES = (0.1, 0.5, 1.0, 2.0)  # of z = alpha·Ts
@@ -66,7 +66,7 @@ def best(view, layout):
         _named(ax, x, y, winner, names, _isolines(ax) if isolines else [], grid.room())
     handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
     title = f"least {axis_label(value)}"
-    columns = legend_columns(names, grid.figure.get_figwidth())
+    columns = style.legend_columns(names, grid.figure.get_figwidth())
     grid.figure.legend(handles=handles, loc="outside lower center", ncols=columns, title=title)
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
 
