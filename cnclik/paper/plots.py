@@ -92,11 +92,11 @@ def passes(residual, *, chosen, settled):
         panel.axvline(chosen, **style.GUIDE)
         panel.axhline(settled, **style.GUIDE)
         for reading, look in zip(residual.reading.values, looks, strict=True):
-            for case, color in zip(residual.case.values, style.COLORS, strict=False):
+            for case, color, face in zip(residual.case.values, style.COLORS, ("white", style.VERMILION), strict=False):
                 worst = residual.sel({"arm": arm, "case": case, "reading": reading}).max(("step", "method"))
                 look |= {"color": color, "label": f"{case}, Ts {reading.split('/')[1]}"}
                 worst = worst.where(worst > _ROUNDING)
-                panel.semilogy(worst["pass"], worst, markerfacecolor="white", lw=1, markevery=2, **look)
+                panel.semilogy(worst["pass"], worst, markerfacecolor=face, lw=1, markevery=2, **look)
         panel.set_title(f"{ARMS[str(arm)]} arm")
         panel.set_xlabel("passes")
         panel.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -63,9 +63,8 @@ def joint_velocities(data, chain=None):
         if rounding:
             panel.set_ylim(-0.1 * fastest, 0.1 * fastest)
         for look, one in _methods(data, linewidth=1.0):
-            step = {name: look[name] for name in look if not name.startswith("mark")}
             v = np.nan_to_num(one.qdot.values[:, i]) if rounding else one.qdot.values[:, i]
-            panel.stairs(v, data.time.values, baseline=None, **step)
+            panel.stairs(v, data.time.values, baseline=None, **_unmarked(look))
         limit = np.inf if chain is None else chain.velocity_limit[i]
         for side in (-1, 1):
             if np.max(side * every, initial=0.0) > 0.5 * limit:
@@ -97,10 +96,11 @@ def overview(data, chain):
     limits = np.asarray(chain.velocity_limit)
     limited = bool(np.all(np.isfinite(limits)))
     for i, name in enumerate(data.joint.values):
-        look = {"color": style.COLORS[i % 8], "linestyle": style.DASHES[i // 8 % 6], "linewidth": 1.0}
-        joints.plot(data.time, data.q.values[:, i], label=str(name), **look)
+        look = style.series(i, linewidth=1.0)
+        every = style.sparse(i, data.sizes["time"])
+        joints.plot(data.time, data.q.values[:, i], label=str(name), markevery=every, **look)
         v = data.qdot.values[:, i] / (limits[i] if limited else 1.0)
-        speed.stairs(v, data.time.values, baseline=None, **look)
+        speed.stairs(v, data.time.values, baseline=None, **_unmarked(look))
     joints.set_ylabel(f"joint value [{data.q.units}]")
     speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
     for side in (-1, 1) if limited else ():
@@ -111,7 +111,7 @@ def overview(data, chain):
     _draw_status(flags, data)
     for panel in (speed, flags):
         panel.set_xlabel(_TIME)
-    style.legend(figure, joints, columns=min(data.sizes["joint"], 7))
+    style.legend(figure, joints)
     return figure
 
 
@@ -135,6 +135,11 @@ def _methods(data, **changes):
         (style.line(name, **{"markevery": some} | changes), data.sel({"method": name}))
         for name, some in zip(names, every, strict=True)
     ]
+
+
+def _unmarked(look):
+    """Of the keywords of a line those that stairs have, too."""
+    return {name: look[name] for name in look if not name.startswith("mark")}
 
 
 def _per_joint(data, draw, per=""):
@@ -168,17 +173,14 @@ def _per_joint(data, draw, per=""):
 
 
 def _draw_error(panel, data):
-    usual = []
+    norms = []
     for unit, look in _PARTS.items():
         part = data.e.values[:, data.axis_unit.values == unit]
         if part.size:
             norm = np.linalg.norm(part, axis=1)
             panel.plot(data.time, np.where(norm > 0, norm, np.nan), **look)
-            positive = norm[norm > 0]
-            usual += [np.quantile(positive, 0.01)] if positive.size else []
-    panel.set_yscale("log")
-    if usual:  # a start exactly on the path would stretch the axis down to rounding
-        panel.set_ylim(bottom=0.3 * min(usual))
+            norms.append(norm)
+    style.log_errors(panel, norms)
     panel.set_ylabel("error norm")
 
 

@@ -4,18 +4,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cnclik.measure.outcome import Ending
 from cnclik.show import style
 from cnclik.show.sweeps.panels import geometric
 
-RATES = "viridis"
+RATES = ListedColormap(plt.get_cmap("viridis")(np.linspace(0.25, 1.0, 256)), "rates")
+# Lighter and darker than every rate, or hatched: told apart in greyscale.
 _FLAT = {
-    Ending.SLOW: ("#fbf5c8", "converging, not there in N steps"),
-    Ending.STALLED: ("#bdbdbd", "bounded and wrong"),
-    Ending.DIVERGED: ("#7f2704", "diverged"),
-    Ending.NEAR_SINGULAR: ("#f4a582", "failed near a singularity"),
+    Ending.SLOW: ("#fbf5c8", "", "converging, not there in N steps"),
+    Ending.STALLED: ("#bdbdbd", "//////", "bounded and wrong"),
+    Ending.DIVERGED: ("#5e1a03", "", "diverged"),
+    Ending.NEAR_SINGULAR: ("#f4a582", "......", "failed near a singularity"),
 }
 
 
@@ -35,9 +35,9 @@ def plane(data):
     figure, axes = plt.subplots(rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False)
     named = {}
     for axis, (title, group) in zip(axes.flat, groups.items(), strict=False):
-        shades = plt.get_cmap(RATES)(np.linspace(0.0, 0.9, max(len(group), 2)))
-        for shade, (name, region) in zip(shades, group.items(), strict=False):
-            color, dashes = style.METHODS[name][:2] if name in style.METHODS else (shade, "-")
+        shades = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, max(len(group), 2)))
+        for i, (shade, (name, region)) in enumerate(zip(shades, group.items(), strict=False)):
+            color, dashes = style.METHODS[name][:2] if name in style.METHODS else (shade, style.DASHES[i % 6])
             if name == "exact":
                 color, dashes = style.BLACK, (0, (4, 1.5))
                 axis.contourf(data.re, data.im, region, levels=[0, 1], colors=["0.93"], zorder=0)
@@ -68,15 +68,11 @@ def stability_map(data, *, title="", operating=None):
     figure.colorbar(mesh, ax=axis, label="error × per step (measured)", fraction=0.05)
     _legend(figure, [data], columns=3)
     axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
-    for values, scale, ticks in ((data.alpha, axis.set_xscale, axis.xaxis), (data.Ts, axis.set_yscale, axis.yaxis)):
+    for values, ticks in ((data.alpha, axis.xaxis), (data.Ts, axis.yaxis)):
         if geometric(values.values):
-            scale("log")
-            # 1, 2, 5, 10 … in place of powers, which overlap where an axis spans one or two decades.
-            ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            ticks.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-            ticks.set_minor_formatter(NullFormatter())
+            style.log_scale(ticks, values)
     finite = np.isfinite(data.limit.values)
-    _outlined(axis, data.limit.values[finite], data.Ts.values[finite])
+    axis.plot(data.limit.values[finite], data.Ts.values[finite], **style.OUTLINED)
     if operating is not None:
         alpha, Ts, margin = operating
         axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
@@ -100,7 +96,7 @@ def passes(panels):
         mesh = _cells(axis, data.z, rows, data)
         for row, limit in zip(rows, data.limit.values, strict=True):
             if np.isfinite(limit):
-                _outlined(axis, [limit, limit], [row - 0.5, row + 0.5])
+                axis.plot([limit, limit], [row - 0.5, row + 0.5], **style.OUTLINED)
         axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values, xlim=data.z.values[[0, -1]])
     axes[0, 0].set_ylabel("passes M")
     figure.colorbar(mesh, ax=axes[0, -1], label="error × per step (measured)", fraction=0.05)
@@ -113,23 +109,20 @@ def _cells(axis, x, y, data):
     axis.grid(False)
     rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
     mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
-    for ending, (color, _) in _FLAT.items():
+    for ending, (color, hatch, _) in _FLAT.items():
         where = data.ending.values == ending
         if where.any():
             flat = np.ma.masked_where(~where, np.ones(where.shape))
             axis.pcolormesh(x, y, flat, cmap=ListedColormap([color]), shading="nearest", rasterized=True)
+            if hatch:
+                axis.contourf(x, y, where, levels=[0.5, 1.5], colors="none", hatches=[hatch])
     return mesh
 
 
 def _legend(figure, several, *, columns=4):
     seen = set(np.concatenate([np.unique(data.ending.values) for data in several]))
-    handles = [Patch(facecolor=color, label=label) for ending, (color, label) in _FLAT.items() if ending in seen]
+    shown = (look for ending, look in _FLAT.items() if ending in seen)
+    handles = [Patch(facecolor=color, hatch=hatch, label=label) for color, hatch, label in shown]
     if any(np.isfinite(data.limit.values).any() for data in several):
-        handles.append(plt.Line2D([], [], color="black", linewidth=1.1, label="linear boundary"))
+        handles.append(plt.Line2D([], [], label="linear boundary", **style.OUTLINED))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=6, columnspacing=1.0)
-
-
-def _outlined(axis, x, y):
-    """A black line with a white edge: seen on any colour."""
-    for color, width in (("white", 2.4), ("black", 1.1)):
-        axis.plot(x, y, color=color, linewidth=width, zorder=4)

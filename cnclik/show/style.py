@@ -5,7 +5,10 @@ from typing import NamedTuple
 
 import matplotlib
 import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import patheffects, ticker
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.transforms import Affine2D
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
@@ -13,12 +16,14 @@ LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of 
 
 # Okabe & Ito (2008): distinguishable with any colour vision.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
 
-# Lines of one panel, in this order.
-COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, YELLOW)
+# Lines of one panel, in this order; dashes and markers tell them apart in greyscale.
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK, WINE)
 DASHES = ("-", DASH, DOT, DASHDOT, (0, (3, 1)), (0, (8, 2)))
+MARKERS = "osD^vPX<"
 
 
 class Line(NamedTuple):
@@ -51,6 +56,12 @@ METHODS = {
 OTHER = Line(BLACK, DASH, "o", 3.0)  # of a method without one of its own
 
 GUIDE = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
+OUTLINED = {  # a boundary over colours: black with a white edge, seen on any of them
+    "color": BLACK,
+    "linewidth": 1.1,
+    "zorder": 4,
+    "path_effects": [patheffects.withStroke(linewidth=2.4, foreground="white")],
+}
 LIMIT = {"color": VERMILION, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
 NOTE = {"fontsize": 6.5, "color": "0.35"}
 
@@ -61,6 +72,8 @@ _RC = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
     "font.size": 7.5,
     "axes.labelsize": 7.5,
+    "figure.labelsize": 7.5,
+    "figure.titlesize": 8,
     "axes.titlesize": 7.5,
     "legend.fontsize": 7,
     "xtick.labelsize": 7,
@@ -85,6 +98,7 @@ _RC = {
     "legend.handlelength": 2.6,
     "legend.columnspacing": 1.4,
     "axes.unicode_minus": True,
+    "hatch.linewidth": 0.5,
 }
 
 
@@ -100,10 +114,99 @@ def line(method: str, **changes) -> dict:
     return {"label": method, "markerfacecolor": face} | look._asdict() | changes
 
 
+def series(i: int, **changes) -> dict:
+    """Keyword arguments of `plot` for the i-th of several lines that are not methods: as `line` gives for these."""
+    color, dashes, marker = (some[i % len(some)] for some in (COLORS, DASHES, MARKERS))
+    return {"color": color, "linestyle": dashes, "marker": marker, "markerfacecolor": "white"} | changes
+
+
+def sparse(i: int, points: int):
+    """`markevery` of the i-th line: every point, or of many only some, staggered so that lines that coincide show."""
+    if points < 16:
+        return None
+    return (i % 3, 3) if points < 40 else (0.03 * (i % 5), 0.15)
+
+
+def log_scale(axis, values, decades=2.0) -> None:
+    """A logarithmic axis with ticks that its span gives: of few decades 1, 2, 5, 10 … in plain numbers, not powers.
+
+    Values that differ by less than a factor of three, between which there may be no such tick, get a linear one.
+
+    Args:
+      axis: `panel.xaxis` or `panel.yaxis`. values: what it shows, any shape. decades: fewer than these are few.
+    """
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known) & (known > 0)]
+    low, high = (known.min(), known.max()) if known.size else (1.0, 1.0)
+    set_scale = getattr(axis.axes, f"set_{axis.axis_name}scale")
+    if known.size and high < 3 * low:
+        set_scale("linear")
+        axis.axes.ticklabel_format(axis=axis.axis_name, scilimits=(-2, 4), useMathText=True)
+        return
+    set_scale("log")
+    if high < low * 10**decades:
+        axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: plain(value)))
+        axis.set_minor_formatter(ticker.NullFormatter())
+
+
+def log_errors(panel, norms) -> None:
+    """A logarithmic y axis for norms of errors; a start exactly on the path does not stretch it down to rounding."""
+    shown = [norm[np.isfinite(norm) & (norm > 0)] for norm in map(np.asarray, norms)]
+    bottom = 0.3 * min((np.quantile(norm, 0.01) for norm in shown if norm.size), default=0.0)
+    log_scale(panel.yaxis, np.concatenate([norm[norm > bottom] for norm in shown] or [[]]))
+    if bottom and panel.get_yscale() == "log":
+        panel.set_ylim(bottom=bottom)
+
+
+def label_contours(panel, drawn, fmt) -> None:
+    """Name each level of a contour set once, away from the panel's edges, other names and other lines, if it can be."""
+    panel.get_xlim(), panel.get_ylim()  # what is not yet scaled to its data is
+    size = panel.bbox.size / panel.figure.dpi  # [in], as below
+    inches = panel.transAxes.inverted() + Affine2D().scale(*size)
+    to_panel = panel.transData + inches
+    drawn_before = [(line.get_transform() + inches).transform(line.get_xydata()) for line in panel.lines]
+    lines = [np.concatenate([np.empty((0, 2)), *parts]) for parts in drawn.allsegs]
+    lines = [points[:: max(1, len(points) // 200)] for points in lines]
+    seen = [to_panel.transform(points) for points in lines]
+    names, levels = [], []
+    for i, (points, at) in enumerate(zip(lines, seen, strict=True)):
+        near = [seen[j] for j in range(len(seen)) if j != i and len(seen[j])]
+        room = np.minimum(at, size - at).min(axis=1, initial=size.max()) / 0.15
+        for others, least in ((near + drawn_before, 0.08), ([to_panel.transform(names)] if names else [], 0.3)):
+            for other in others:
+                room = np.minimum(room, np.hypot(*(at[:, None] - other).T).min(axis=0) / least)
+        if len(room) and room.max() > 1:
+            names.append(tuple(points[room.argmax()]))
+            levels.append(drawn.levels[i])
+    if names:
+        panel.clabel(drawn, levels, fmt=fmt, fontsize=7, manual=names)
+
+
+def plain(value, decimal=True) -> str:
+    """A number on an axis: 0.05, or 5 × 10⁻⁵ where that would be long (all powers of ten unless `decimal`)."""
+    power = int(np.floor(np.log10(abs(value) or 1.0) + 1e-9))
+    factor = f"{value / 10.0**power:.3g}"
+    if (decimal and -5 < power < 5) or (not decimal and factor != "1"):
+        return f"{value:.6g}"
+    return f"$10^{{{power}}}$" if factor == "1" else f"${factor}\\times10^{{{power}}}$"
+
+
+def legend_columns(labels, width) -> int:
+    """The most columns of a legend that fit into a width [in]."""
+    for rows in range(1, len(labels)):
+        columns = [labels[i : i + rows] for i in range(0, len(labels), rows)]
+        if sum(0.46 + 0.05 * max(map(len, column)) for column in columns) < width:
+            return len(columns)
+    return 1
+
+
 def legend(figure, panel, columns=None) -> None:
     """One legend above all panels, with what one of them shows."""
     handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=columns or max(len(labels), 1))
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=columns or legend_columns(labels, figure.get_figwidth())
+    )
 
 
 def fixed_grid(width, height, rows, columns) -> dict:

@@ -2,12 +2,12 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import ticker
 
 from cnclik.show import style
 
 _LEAST = 1e-16
-_BEFORE = {"color": "0.55", "linewidth": 1.2, "label": "before"}
+_APART = 1e-3  # of the step: what is less is within the width of a line
+_BEFORE = {"color": "0.7", "linewidth": 2.6, "label": "before"}  # seen behind one that coincides
 _AFTER = {"color": style.BLUE, "linewidth": 1.2, "label": "after"}
 
 
@@ -16,7 +16,8 @@ def history(tuned):
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(style.COLUMN, 3.2), sharex=True)
     loss, violation = np.asarray(tuned.history["loss"]), np.asarray(tuned.history["violation"])
     count = np.arange(1, len(loss) + 1)
-    upper.semilogy(count, np.where(loss > _LEAST, loss, np.nan), color=style.BLUE)
+    upper.plot(count, np.where(loss > _LEAST, loss, np.nan), color=style.BLUE)
+    style.log_scale(upper.yaxis, loss)
     upper.set_ylabel("loss")
     upper.set_title(tuned.loss, loc="left")
     lower.plot(count, 100 * np.clip(violation, -1, 1), color=style.VERMILION)
@@ -37,10 +38,10 @@ def error(tuned):
     size = (style.COLUMN, 0.6 + 1.5 * len(parts))
     figure, axes = plt.subplots(len(parts), 1, figsize=size, sharex=True, squeeze=False)
     for axis, (name, part) in zip(axes[:, 0], parts.items(), strict=True):
-        for run, look in ((tuned.before.run, _BEFORE), (tuned.after.run, _AFTER)):
-            norm = np.linalg.norm(np.asarray(run.e)[:, part], axis=1)
-            shown = np.where(np.isfinite(norm) & (norm > _LEAST), norm, np.nan)
-            axis.semilogy(np.asarray(run.t), shown, **look)
+        norms = [np.linalg.norm(np.asarray(made.run.e)[:, part], axis=1) for made in (tuned.before, tuned.after)]
+        for made, norm, look in zip((tuned.before, tuned.after), norms, (_BEFORE, _AFTER), strict=True):
+            axis.plot(np.asarray(made.run.t), np.where(np.isfinite(norm) & (norm > _LEAST), norm, np.nan), **look)
+        style.log_errors(axis, norms)
         axis.set_ylabel(name)
     axes[0, 0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
     axes[-1, 0].set_xlabel("time [s]")
@@ -55,30 +56,34 @@ def operating(field, tuned):
     """
     figure, axis = plt.subplots(figsize=(style.COLUMN, 2.8))
     levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
-    shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.82"]
+    shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.95"]
     plane = field.alpha, field.Ts, field.radius
-    axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades)
-    lines = axis.contour(*plane, levels=[0.2, 0.4, 0.6, 0.8], colors="0.35", linewidths=0.4)
-    axis.clabel(lines, fontsize=6, fmt="%.1f")
-    axis.contour(*plane, levels=[1.0], colors="black", linewidths=1.0)
+    hatches = [None] * 5 + ["////"]
+    axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades, hatches=hatches)
+    style.log_scale(axis.xaxis, field.alpha)
+    style.log_scale(axis.yaxis, field.Ts)
+    named = [level for level in (0.2, 0.4, 0.6, 0.8) if level != tuned.margin]
+    lines = axis.contour(*plane, levels=named, colors="black", linewidths=0.4)
+    style.label_contours(axis, lines, "%.1f")
+    axis.contour(*plane, levels=[1.0], colors="black", linewidths=1.4)
     if tuned.margin < 1:
-        axis.contour(*plane, levels=[tuned.margin], colors=style.VERMILION, linewidths=1.0, linestyles="--")
-    axis.set(xscale="log", yscale="log", xlabel=f"{field.attrs['gain']} [1/s]", ylabel="sampling time [s]")
+        axis.contour(*plane, levels=[tuned.margin], colors="black", linewidths=1.0, linestyles=[style.DASH])
+    axis.set(xlabel=f"{field.attrs['gain']} [1/s]", ylabel="sampling time [s]")
     axis.grid(False)
     low, high = float(field.alpha[0]), float(field.alpha[-1])
-    point = {"linestyle": "none", "markersize": 6, "markeredgecolor": "white", "zorder": 5, "clip_on": False}
-    for x, y, marker, color, label in (
-        (tuned.before.z / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", "0.35", "before"),
-        (tuned.after.z / tuned.Ts, tuned.Ts, "D", style.VERMILION, "after"),
+    point = {"linestyle": "none", "markeredgecolor": "white", "zorder": 5, "clip_on": False}
+    for x, y, marker, size, color, label in (
+        (tuned.before.z / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", 9, "0.35", "before"),
+        (tuned.after.z / tuned.Ts, tuned.Ts, "D", 5, style.VERMILION, "after"),
     ):
         if low <= x <= high:
-            axis.plot(x, y, marker=marker, color=color, label=label, **point)
-    edges = [(1.0, {"color": "black"}, "stable to here")]
+            axis.plot(x, y, marker=marker, markersize=size, color=color, label=label, **point)
+    edges = [(1.0, {"linewidth": 1.4}, "stable to here")]
     if tuned.margin < 1:
-        edges.append((tuned.margin, {"color": style.VERMILION, "linestyle": "--"}, f"margin {tuned.margin:g}"))
+        edges.append((tuned.margin, {"linewidth": 1.0, "linestyle": style.DASH}, f"margin {tuned.margin:g}"))
     for level, look, label in edges:
         if float(field.radius.min()) < level < float(field.radius.max()):
-            axis.plot([], [], linewidth=1.0, label=label, **look)
+            axis.plot([], [], color="black", label=label, **look)
     axis.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
     return figure
 
@@ -96,25 +101,25 @@ def front(tuned):
             panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.COLORS[0], markersize=4, label=word)
         after, word = getattr(tuned.after, name), "recommended" if tuned.satisfied else "exceeds least"
         panel.plot([after], [tuned.after.loss], "D", color=style.VERMILION, markersize=6, label=word, zorder=5)
-        panel.set(xscale="log", yscale="log", xlabel=label, ylabel=f"loss: {tuned.loss}")
-        for axis in (panel.xaxis, panel.yaxis):
-            axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-            axis.set_major_formatter(ticker.FormatStrFormatter("%.3g"))
-            axis.set_minor_formatter(ticker.NullFormatter())
-    panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
+        panel.set_xlabel(label)
+        style.log_scale(panel.xaxis, x, decades=4)
+        style.log_scale(panel.yaxis, y)
+    figure.supylabel(f"loss: {tuned.loss}")
+    style.legend(figure, panels[0])
     return figure
 
 
 def responses(data):
     """Step and sine test around the resting place, per task axis, and what the sine leaves as an error."""
     figure, panels = plt.subplots(3, 1, figsize=(style.COLUMN, 4.2))
+    together = _together(data)
     for panel, test in zip(panels[:2], ("step", "sine"), strict=True):
         one = data.sel(test=test).isel(time=slice(0, data.attrs["shown"] if test == "step" else None))
         panel.plot(one.time, one.wanted[0], color="0.55", linewidth=2.4, label="wanted", zorder=1)
-        _lines(panel, one, one.response, "." if test == "step" else "")
+        _lines(panel, one, one.response, "." if test == "step" else "", together)
         panel.set_ylabel(f"{test} response")
     sine = data.sel(test="sine")
-    _lines(panels[2], sine, sine.wanted - sine.response, "")
+    _lines(panels[2], sine, sine.wanted - sine.response, "", together)
     panels[2].set_ylabel("sine error")
     panels[2].ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
     panels[2].set_xlabel("time [s]")
@@ -122,10 +127,24 @@ def responses(data):
     return figure
 
 
-def _lines(panel, one, values, marker):
-    for i, name in enumerate(one.axis.values):
-        look = {"color": style.COLORS[i % 6], "linestyle": style.DASHES[i % 6], "marker": marker, "zorder": 2}
-        panel.plot(one.time, values.sel(axis=name), label=name, **look)
+def _lines(panel, one, values, marker, together):
+    for i, names in enumerate(together):
+        look = style.series(i, marker=marker, markerfacecolor=None, zorder=2)
+        panel.plot(one.time, values.sel(axis=names[0]), label=", ".join(names), **look)
+
+
+def _together(data):
+    """Names of the axes, those whose responses can't be told apart in one group."""
+    groups = []
+    for name in data.axis.values:
+        own = data.response.sel(axis=name)
+        for group in groups:
+            if float(np.abs(own - data.response.sel(axis=group[0])).max()) < _APART:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
 
 
 def drawings(tuned) -> dict:

@@ -16,7 +16,7 @@ UNITS = {
     **{"alpha": "1/s", "Ts": "s", "t": "s", "horizon": "s", "duration": "s", "period": "s"},
     **{"z": "1", "M": "1", "N": "1", "step": "1", "seed": "1", "method": "1", "stage": "1", "robot": "1", "case": "1"},
 }
-SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ"}
+SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ", "M": "passes M"}
 
 
 def coordinates(of: Grid, units) -> dict:

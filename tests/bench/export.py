@@ -22,6 +22,7 @@ import cnclik as ck
 from cnclik.bench import export, loops
 from cnclik.measure.files import markdown
 from cnclik.show import style
+from cnclik.show.output import draw
 from tests.bench import document, peers
 from tests.bench.pinocchio_cpp import PinocchioCpp
 
@@ -46,7 +47,7 @@ def pinocchio(dtype):
     return step, batch
 
 
-def histogram(calls, path):
+def histogram(calls):
     """Time of each of many calls on one core."""
     calls = np.asarray(calls)
     fig, axes = plt.subplots(figsize=(style.PAGE, 2.4))
@@ -62,10 +63,9 @@ def histogram(calls, path):
         xscale="log",
         yscale="log",
         xlabel="time of a call, the clock's own in it [µs]",
-        ylabel=f"of {len(calls):,} calls",
+        ylabel=f"calls of {len(calls):,}",
     )
-    fig.savefig(path, dpi=200, bbox_inches="tight")
-    plt.close(fig)
+    return fig
 
 
 def on_arm(folder) -> dict:
@@ -147,7 +147,7 @@ def main() -> None:
         found["arm"] = on_arm(pathlib.Path(folder))
     calls = found["steps"].pop("calls")
     args.out.mkdir(parents=True, exist_ok=True)
-    histogram(calls, args.out / "calls.png")
+    draw({"calls.png": (lambda: histogram(calls), {"Title": "time of each of many calls"})}, args.out)
     found |= {"machine": document.machine(), "measured": time.strftime("%Y-%m-%d"), "load": os.getloadavg()[0]}
     found["calls"] = [int(v) for v in np.percentile(calls, [*np.linspace(0, 100, 201), 99.9, 99.99])]
     (args.out / "export.json").write_text(json.dumps(found, indent=1) + "\n")

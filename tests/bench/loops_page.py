@@ -207,8 +207,8 @@ def figure(cells, path):
                 values = [(i, v) for i, v in values if np.isfinite(v)]
                 if values:
                     at, of = np.array(values).T
-                    look = {"color": style.COLORS[k], "marker": "osD^vP"[k], "linestyle": "none", "markersize": 3}
-                    panel.plot(at + 0.11 * (k - 2.5), of, label=model, markerfacecolor="none", **look)
+                    look = style.series(k, linestyle="none", markersize=3, markerfacecolor="none")
+                    panel.plot(at + 0.11 * (k - 2.5), of, label=model, **look)
             panel.set(
                 xticks=range(len(delays)), xticklabels=delays, xlabel="delay [samples]", yscale="log", title=servo
             )

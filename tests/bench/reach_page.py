@@ -176,7 +176,7 @@ def solve_figure(rows, path):
         for k, row in enumerate(rows):
             spent, done = np.array(row["curve"]).T
             left = np.where(done < 1, 1 - done, np.nan)
-            look = {"color": style.COLORS[k], "linestyle": style.DASHES[k % 4], "linewidth": 1.2}
+            look = style.series(k, linewidth=1.2, markevery=style.sparse(k, 40))
             panel.plot(spent, left, label=row["robot"], **look)
             last = np.flatnonzero(done >= 1)
             if len(last):  # the last one found
@@ -193,13 +193,7 @@ def batch_figure(found, path):
         figure, panel = plt.subplots(figsize=(style.COLUMN, 2.5))
         for k, (cores, rows) in enumerate(sorted(found.items())):
             size, us = np.array(rows).T
-            look = {
-                "color": style.COLORS[k],
-                "linestyle": style.DASHES[k],
-                "marker": "os"[k % 2],
-                "markerfacecolor": "white",
-            }
-            panel.plot(size, us, label=f"{cores} core{'s' * (cores != '1')}", linewidth=1.2, **look)
+            panel.plot(size, us, label=f"{cores} core{'s' * (cores != '1')}", **style.series(k, linewidth=1.2))
         panel.set(xscale="log", yscale="log", xlabel="targets in a call (Panda)", ylabel="time per target [µs]")
         panel.legend()
         style.save(figure, path, {"Title": "Time per target against batch size"})

@@ -70,7 +70,7 @@ def figure(steps):
     for i, (name, (time, response)) in enumerate(steps.items()):
         panel.semilogx(time[1:], response[1:], color=style.COLORS[i], linestyle=style.DASHES[i], label=name)
     panel.axhline(1.0, color="0.6", linewidth=0.6)
-    panel.set(xlabel="time after a step of the target [ms]", ylabel="motion", ylim=(-0.05, 1.2))
+    panel.set(xlabel="time after a step of the target [ms]", ylabel="motion, of the step", ylim=(-0.05, 1.2))
     panel.legend(fontsize=6, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
     return drawn
 

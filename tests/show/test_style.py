@@ -80,3 +80,82 @@ def test_a_figure_is_drawn_once_and_is_that_of_savefig(tmp_path):
         plt.close(second)
     assert len(drawn) == 1
     assert (tmp_path / "once.png").read_bytes() == (tmp_path / "twice.png").read_bytes()
+
+
+def lightness(color):
+    """0 (black) to 1, as a greyscale print has it."""
+    return float(np.dot(to_rgb(color), (0.299, 0.587, 0.114)))
+
+
+def test_lines_differ_in_greyscale_and_are_seen_on_white():
+    looks = [style.series(i) for i in range(len(style.COLORS))]
+    assert len({(look["marker"]) for look in looks}) == len(looks)
+    assert all(lightness(look["color"]) < 0.75 for look in looks)
+    assert len({str((look["color"], look["linestyle"])) for look in map(style.series, range(20))}) == 20
+
+
+@pytest.mark.parametrize(
+    ("values", "labels"),
+    [
+        ([0, 0.9, np.nan, 60], ["1", "2", "5", "10", "20", "50"]),
+        ([4e-5, 7e-4], ["$5\\times10^{-5}$", "0.0001", "0.0002", "0.0005"]),
+        ([1e-4, 1], ["$\\mathdefault{10^{-4}}$", "$\\mathdefault{10^{-2}}$", "$\\mathdefault{10^{0}}$"]),
+        ([1.0602e-3, 1.0609e-3], None),
+    ],
+)
+def test_a_logarithmic_axis_of_few_decades_has_plain_numbers(values, labels):
+    figure, panel = plt.subplots()
+    panel.plot(values, values)
+    style.log_scale(panel.xaxis, values)
+    low, high = panel.get_xlim()
+    shown = [
+        t.get_text() for t, at in zip(panel.get_xticklabels(), panel.get_xticks(), strict=True) if low <= at <= high
+    ]
+    assert panel.get_xscale() == ("log" if labels else "linear")
+    assert labels is None or set(labels) <= set(shown), shown
+    plt.close(figure)
+
+
+def test_a_start_on_the_path_does_not_stretch_the_errors():
+    figure, panel = plt.subplots()
+    norm = np.append(1e-16, np.linspace(1e-4, 1e-3, 50))
+    panel.plot(norm)
+    style.log_errors(panel, [norm, np.zeros(3)])
+    assert 1e-6 < panel.get_ylim()[0] < 1e-4 and panel.get_yscale() == "log"
+    style.log_errors(panel, [np.zeros(3), np.full(3, np.nan)])  # nothing that a logarithm could show
+    plt.close(figure)
+
+
+def test_names_of_contours_are_apart_and_within_the_panel():
+    x, y = np.meshgrid(np.geomspace(0.01, 1, 60), np.geomspace(1, 100, 50))
+    with style.style():
+        figure, panel = plt.subplots()
+        panel.loglog()
+        z = x * y
+        drawn = panel.contour(x, y, z, levels=[0.011, 0.1, 1, 1.05, 10], colors="black")
+        style.label_contours(panel, drawn, lambda v: style.plain(v, decimal=False))
+    at = (panel.transData + panel.transAxes.inverted()).transform([t.get_position() for t in drawn.labelTexts])
+    assert [t.get_text() for t in drawn.labelTexts] == ["$10^{-1}$", "$10^{1}$"]  # not in a corner, not on another line
+    assert ((at > 0.1) & (at < 0.9)).all() and np.hypot(*(at[0] - at[1])) > 0.2
+    plt.close(figure)
+
+
+def test_ways_to_end_differ_from_every_rate_in_greyscale():
+    from cnclik.show.stability import _FLAT, RATES
+
+    rates = [lightness(color[:3]) for color in RATES(np.linspace(0, 1, 50))]
+    assert (np.diff(rates) > 0).all()
+    for color, hatch, _ in _FLAT.values():
+        assert hatch or not min(rates) - 0.1 < lightness(color) < max(rates) + 0.05
+
+
+def test_a_legend_of_many_joints_fits_the_page():
+    with style.style():
+        figure, panel = plt.subplots(figsize=(style.PAGE, 2.0))
+        for i in range(7):
+            panel.plot([0, 1], [0, i], label=f"panda_joint{i}", **style.series(i))
+        style.legend(figure, panel)
+        figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width
+    plt.close(figure)

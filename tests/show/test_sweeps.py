@@ -180,20 +180,23 @@ def test_rough_is_chaos_and_not_a_steep_flank():
 # --- the theory's boundary ----------------------------------------------------------------------------
 
 
-def dashed(figure):
+def boundaries(figure):
     """The boundary's points in every panel of a figure."""
-    return [[line.get_xydata() for line in ax.lines if line.get_color() == style.VERMILION] for ax in figure.axes[:-1]]
+    return [
+        [line.get_xydata() for line in ax.lines if line.get_color() == style.OUTLINED["color"]]
+        for ax in figure.axes[:-1]
+    ]
 
 
 def test_the_boundary_is_each_panels_own_limit():
     (figure,) = drawn(data(**PLANE), {"kind": "heat", "x": "alpha", "y": "Ts", "panels": "method"}).values()
-    for lines, limit in zip(dashed(figure), LIMITS, strict=True):
+    for lines, limit in zip(boundaries(figure), LIMITS, strict=True):
         (points,) = lines
         np.testing.assert_allclose(points[:, 0] * points[:, 1], limit, rtol=1e-12)
         assert points[:, 0].max() < 47
     assert "limit" in figure.legends[0].get_texts()[0].get_text()
     (figure,) = drawn(data(**PLANE), {"kind": "heat", "boundary": False, "panels": "method"}).values()
-    assert dashed(figure) == [[], [], []] and not figure.legends
+    assert boundaries(figure) == [[], [], []] and not figure.legends
 
 
 @pytest.mark.parametrize(("x", "at"), [("z", 0), ("Ts", 1)])
@@ -201,7 +204,7 @@ def test_on_a_plane_of_z_it_is_a_straight_line(x, at):
     found = data(method=METHODS, z=np.linspace(0.1, 3, 8), Ts=np.linspace(0.1, 1, 6))
     y = {"z": "Ts", "Ts": "z"}[x]
     (figure,) = drawn(found, {"kind": "heat", "x": x, "y": y, "panels": "method"}).values()
-    for lines, limit in zip(dashed(figure), LIMITS, strict=True):
+    for lines, limit in zip(boundaries(figure), LIMITS, strict=True):
         assert set(lines[0][:, at]) == {limit}
 
 
@@ -210,7 +213,7 @@ def test_over_passes_it_is_a_step_for_each(x, at):
     found = data(M=np.array([0, 1, 2, 5]), z=np.linspace(0.1, 3, 8))
     found = found.assign_coords(limit=("M", [2.0, 1.0, 1.35, np.inf]))
     (figure,) = drawn(found, {"kind": "heat", "x": x, "y": {"z": "M", "M": "z"}[x]}).values()
-    (line,) = (line for line in figure.axes[0].lines if line.get_color() == style.VERMILION)
+    (line,) = (line for line in figure.axes[0].lines if line.get_color() == style.OUTLINED["color"])
     corners = STEP_LOOKUP_MAP[line.get_drawstyle()](*line.get_xydata().T)
     z, M = corners[at], corners[1 - at]
     for m, cell, limit in ((0, (-0.5, 0.5), 2.0), (1, (0.5, 1.5), 1.0), (2, (1.5, 3.5), 1.35)):
@@ -223,10 +226,10 @@ def test_no_boundary_where_the_data_carry_none_or_one_that_is_not_of_this_plane(
     plane = {"kind": "heat", "x": "alpha", "y": "Ts"}
     for found in (data(**PLANE, limit=False), data(**PLANE).assign_coords(limit=("method", [np.nan] * 3))):
         (figure,) = drawn(found, plane).values()
-        assert dashed(figure) == [[], [], []]
+        assert boundaries(figure) == [[], [], []]
     found = data(method=METHODS, damping=np.geomspace(1e-3, 1, 6), distance=np.geomspace(1e-3, 1, 5))
     (figure,) = drawn(found, {"kind": "heat", "x": "damping", "y": "distance"}).values()
-    assert dashed(figure) == [[], [], []]
+    assert boundaries(figure) == [[], [], []]
 
 
 def test_who_is_best_beyond_every_limit_is_not_said():
@@ -313,3 +316,49 @@ def test_values_spread_over_decades_have_a_logarithmic_axis():
 
     assert geometric([0.1, 0.2, 0.5, 1, 2, 5, 50]) and geometric([1, 2, 4])
     assert not geometric([0, 1, 100]) and not geometric(range(1, 101)) and not geometric([1.0, 2.0, 3.0])
+
+
+def test_lines_that_are_not_methods_have_looks_of_their_own():
+    found = data(stepper=["EE", "IE picard", "CN chord", "CN"], z=np.linspace(0.1, 3, 60), Ts=[0.1, 0.2])
+    (figure,) = drawn(found, {"kind": "slices", "x": "z", "lines": "stepper"}).values()
+    lines = figure.axes[0].lines
+    assert len({(line.get_marker()) for line in lines}) == len({line.get_color() for line in lines}) == 4
+    assert lines[0].get_color() == style.METHODS["EE"].color and lines[3].get_color() == style.METHODS["CN"].color
+    assert len({str(line.get_markevery()) for line in lines}) == 4  # staggered: those that coincide show
+
+
+def test_a_single_panel_keeps_its_width_beside_long_names():
+    names = [f"a law with a long name, number {i}" for i in range(8)]
+    found = data(law=names, z=np.linspace(0.1, 3, 8))
+    (figure,) = drawn(found, {"kind": "slices", "x": "z", "lines": "law"}).values()
+    FigureCanvasAgg(figure).draw()
+    (panel,), (legend,) = figure.axes, figure.legends
+    assert panel.get_window_extent().width > 0.7 * figure.bbox.width
+    box = legend.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width and box.y1 < panel.xaxis.label.get_window_extent().y0
+
+
+def test_no_error_at_all_lies_on_a_logarithmic_axis():
+    found = data(method=METHODS, z=np.linspace(0.1, 3, 8))
+    found.max_error[0] = 0.0
+    (figure,) = drawn(found, {"kind": "slices", "x": "z", "log": True}).values()
+    panel = figure.axes[0]
+    assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
+
+
+def test_areas_of_the_best_are_named_where_they_are_large():
+    found = data(method=METHODS, alpha=np.geomspace(1, 40, 60), Ts=np.geomspace(0.01, 0.5, 60), limit=False)
+    found.max_error[:] = xarray.DataArray([2.0, 3.0, 1.0], dims="method")
+    found.max_error[0, -1:] = 0.5  # a strip too narrow for words
+    (figure,) = drawn(found, {"kind": "best", "x": "alpha", "y": "Ts"}).values()
+    assert [t.get_text() for t in figure.axes[0].texts if "z =" not in t.get_text()] == ["CN"]
+
+
+def test_a_mean_of_verdicts_is_called_a_share():
+    found = data(z=np.linspace(0.1, 3, 8), q0=np.arange(9))
+    found["converged"] = (
+        (found.max_error < 0.5).astype(float).assign_attrs(long_name="1 if ‖e[N]‖ ≤ tolerance", units="1")
+    )
+    (figure,) = drawn(found, {"kind": "slices", "value": "converged", "x": "z", "reduce": "mean"}).values()
+    assert figure.axes[0].get_ylabel() == "share with ‖e[N]‖ ≤ tolerance"
+    assert found.converged.attrs["long_name"].startswith("1 if")

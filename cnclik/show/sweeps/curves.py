@@ -3,8 +3,9 @@
 import numpy as np
 import xarray
 
+from cnclik.show import style
 from cnclik.show.sweeps.layout import HISTORY
-from cnclik.show.sweeps.panels import Panels, axis_label, axis_scales, lines, value_scale
+from cnclik.show.sweeps.panels import Panels, axis_label, lines, value_scale
 
 BAND = 8  # histories of more loops than this show their spread
 
@@ -15,10 +16,9 @@ def slices(view, layout):
     grid = Panels(view, layout)
     for ax, part in grid.each(value):
         x = part[layout.x].values
-        for look, line in lines(part, layout.lines):
-            marker = look.get("marker", ".") if len(x) < 40 else None
-            ax.plot(x, _drawn(line.values), **look | {"marker": marker})
-        axis_scales(ax, x)
+        for i, (look, line) in enumerate(lines(part, layout.lines)):
+            ax.plot(x, _drawn(line.values), **{"marker": "."} | look, markevery=style.sparse(i, len(x)))
+        grid.scales(ax, x)
         value_scale(ax, value.values, layout)
     return grid.finish(axis_label(view[layout.x]), axis_label(value))
 
@@ -29,9 +29,9 @@ def convergence(view, layout):
     grid = Panels(view, layout)
     history = next(d for d in value.dims if d in HISTORY)
     for ax, part in grid.each(value):
-        for look, line in lines(part, layout.lines):
+        for i, (look, line) in enumerate(lines(part, layout.lines)):
             rows = _drawn(line.transpose(..., history).values.reshape(-1, line.sizes[history]))
-            ax.plot(_quantiles(rows, 0.5), **look | {"marker": None})
+            ax.plot(_quantiles(rows, 0.5), **look, markevery=style.sparse(i, rows.shape[1]))
             if len(rows) > BAND:
                 low, high = _quantiles(rows, [0.1, 0.9])
                 ax.fill_between(np.arange(rows.shape[1]), low, high, color=look["color"], alpha=0.15, linewidth=0)
@@ -46,14 +46,14 @@ def distribution(view, layout):
     known = value.values[np.isfinite(value.values)]
     log = bool(known.size and known.min() > 0 and known.max() > 100 * np.median(known))
     for ax, part in grid.each(value):
-        for look, line in lines(part, layout.lines):
+        for i, (look, line) in enumerate(lines(part, layout.lines)):
             sample = np.sort(line.values.ravel())
             sample = sample[~np.isnan(sample)]
             share = np.arange(1, len(sample) + 1) / max(len(sample), 1)
             shown = np.isfinite(sample)
-            ax.step(sample[shown], share[shown], where="post", **look | {"marker": None})
+            ax.step(sample[shown], share[shown], where="post", **look, markevery=style.sparse(i, 40))
         if log if layout.log is None else layout.log:
-            ax.set_xscale("log")
+            style.log_scale(ax.xaxis, known)
         ax.set(ylim=(0, 1), xlim=layout.limits)
     return grid.finish(axis_label(value), "share of loops at or below")
 

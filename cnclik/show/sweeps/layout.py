@@ -155,6 +155,9 @@ def views(data, layout: Layout) -> list:
         view = _selected(view, dim, wanted)
     if layout.reduced:
         view = getattr(view, layout.reduce)(layout.reduced, keep_attrs=True)
+        words = view[layout.value].attrs.get("long_name", "")
+        if layout.reduce == "mean" and words.startswith("1 if "):  # a verdict
+            view[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
     view = view.isel({d: view.sizes[d] // 2 for d in layout.middle})
     out = []
     for place in itertools.product(*(range(view.sizes[d]) for d in layout.apart)):

@@ -12,7 +12,7 @@ from cnclik.show import style
 
 MOST_IN_A_ROW = 5
 LETTER = 0.06  # [in] mean width
-LEGEND = 1.3  # [in] what a legend beside the panels takes
+LEGEND, BAR = 1.3, 0.7  # [in] what a legend, or a bar of colours, beside the panels takes
 
 
 class Panels:
@@ -24,8 +24,13 @@ class Panels:
         down = view.sizes[layout.rows] if layout.rows else 1
         if not layout.rows and many > MOST_IN_A_ROW:
             many, down = math.ceil(many / 2), 2
-        width = min(style.PAGE, 1.0 + 2.6 * many)
-        height = 0.8 + down * min(2.4, max(1.25, (width - 1.0) / many * 0.95))
+        width = style.COLUMN if many == 1 else style.PAGE
+        self.high = min(2.4, max(1.25, (width - 1.0) / many * 0.95))  # of a panel [in]
+        height = 0.8 + down * self.high
+        self.below = many == 1  # where the legend of lines goes: beside a single panel it would take its width
+        if self.below and layout.lines:
+            labels = [text(v) for v in view[layout.lines].values]
+            height += 0.15 * (1 + math.ceil(len(labels) / style.legend_columns(labels, width)))
         self.figure = figure.Figure(figsize=(width, height))
         self.axes = self.figure.subplots(down, many, squeeze=False, sharex=True, sharey=True)
 
@@ -38,25 +43,40 @@ class Panels:
             ax.set_axis_off()
         chosen = [dict(zip(dims, place, strict=True)) for place in places]
         words = [[described(self.view[d][i]) for d, i in one.items()] for one in chosen]
-        room = (self.figure.get_figwidth() - 1.0 - LEGEND * bool(self.layout.lines)) / self.axes.shape[1]
-        between = ", " if all(len(", ".join(w)) * LETTER < room for w in words) else ",\n"
+        between = ", " if all(len(", ".join(w)) * LETTER < self.room() for w in words) else ",\n"
         for ax, title, one in zip(flat, words, chosen, strict=False):
             ax.set_title(between.join(title))
             yield ax, *(v.isel({d: i for d, i in one.items() if d in v.dims}) for v in values)
 
+    def room(self) -> float:
+        """Width of a panel [in], or nearly so."""
+        beside = LEGEND * bool(self.layout.lines and not self.below) + BAR * (self.layout.kind == "heat")
+        return (self.figure.get_figwidth() - 1.0 - beside) / self.axes.shape[1]
+
+    def scales(self, ax, x, y=()):
+        """Logarithmic axes for values in geometric progression, or spread over decades by hand."""
+        for values, axis, few in ((x, ax.xaxis, 2 if self.room() > 1.75 else 1), (y, ax.yaxis, 2)):
+            if geometric(values):
+                style.log_scale(axis, values, few)
+
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
         setp(self.axes[-1], xlabel=x)
-        room = (self.figure.get_figheight() - 0.8) / len(self.axes)
-        setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(room / LETTER))))
+        setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(self.high / LETTER))))
         lines = self.layout.lines
         handles, labels = self.axes[0, 0].get_legend_handles_labels()
         if lines and len(labels) > 1:
-            self.figure.legend(handles, labels, loc="outside right upper", title=axis_label(self.view[lines]))
+            place = {"loc": "outside right upper"}
+            if self.below:
+                place = {
+                    "loc": "outside lower center",
+                    "ncols": style.legend_columns(labels, self.figure.get_figwidth()),
+                }
+            self.figure.legend(handles, labels, title=axis_label(self.view[lines]), **place)
         fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
         title = self.layout.title or ", ".join(map(described, fixed))
         if title:
-            self.figure.suptitle(title, fontsize=8)
+            self.figure.suptitle(title)
         return self.figure
 
 
@@ -65,9 +85,18 @@ def lines(part, dim):
     if not dim or dim not in part.dims:
         yield {"color": style.COLORS[0], "label": "", "linewidth": 1.2}, part
         return
-    for i, value in enumerate(part[dim].values):
-        known = dim == "method" and str(value) in style.METHODS
-        look = style.line(str(value)) if known else {"color": style.COLORS[i % 8], "label": text(value)}
+    names = [text(value) for value in part[dim].values]
+    known = [style.METHODS[name] for name in names if name in style.METHODS]
+    colors_left = [c for c in style.COLORS if c not in {method.color for method in known}] or style.COLORS
+    marks_left = [m for m in style.MARKERS if m not in {method.marker for method in known}] or style.MARKERS
+    free = itertools.count()
+    for i, name in enumerate(names):
+        if name in style.METHODS:
+            look = style.line(name)
+        else:
+            k = next(free)
+            own = {"color": colors_left[k % len(colors_left)], "marker": marks_left[k % len(marks_left)]}
+            look = style.series(k, label=name, **own)
         yield {"linewidth": 1.2} | look, part.isel({dim: i})
 
 
@@ -118,13 +147,6 @@ def norm(values, layout):
     return colors.Normalize(*(layout.limits or (known.min(), known.max())))
 
 
-def axis_scales(ax, x, y=()):
-    """Logarithmic axes for values in geometric progression, or spread over decades by hand."""
-    for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
-        if geometric(values):
-            scale("log")
-
-
 def geometric(values) -> bool:
     """Whether three or more positive numbers grow by the same factor, or most of them lie in a tenth of their range."""
     values = np.asarray(values)
@@ -143,8 +165,12 @@ def value_scale(ax, values, layout):
     log = layout.log
     if log is None and positive.size:
         log = known.min() >= 0 and positive.max() > 50 * positive.min()
+    limits = layout.limits
     if log and positive.size:
-        ax.set_yscale("log")
-        ax.set_ylim(bottom=0.7 * max(positive.min(), positive.max() * 1e-16))
-    if layout.limits:
-        ax.set_ylim(*layout.limits)
+        bottom = limits[0] if limits and limits[0] > 0 else 0.7 * max(positive.min(), positive.max() * 1e-16)
+        style.log_scale(ax.yaxis, limits or np.maximum(positive, bottom))
+        ax.set_ylim(bottom=bottom)
+        for line in ax.lines:  # an error of exactly 0 lies on the axis: it is not missing
+            line.set_ydata(np.where(line.get_ydata() <= 0, bottom, line.get_ydata()))
+    if limits:
+        ax.set_ylim(*limits)

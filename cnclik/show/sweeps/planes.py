@@ -4,12 +4,19 @@ import math
 
 import numpy as np
 from matplotlib import colors, patches, ticker
+from matplotlib.patheffects import withStroke
 
 from cnclik.show import style
-from cnclik.show.sweeps.panels import Panels, axis_label, axis_scales, lines, norm, text
+from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, lines, norm, text
 
-BOUNDARY = style.LIMIT | {"linewidth": 1.2}
+BOUNDARY = style.OUTLINED
 ISOLINES = (0.1, 0.5, 1.0, 2.0)  # of z = alpha·Ts
+ISOLINE = {
+    "color": "black",
+    "linewidth": 0.5,
+    "zorder": 2,
+    "path_effects": [withStroke(linewidth=1.1, foreground="0.8")],
+}
 ROUGH = 0.15  # decades by which log10 of a value may bend from cell to cell before it counts as chance
 _LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 
@@ -28,10 +35,11 @@ def heat(view, layout):
         if isinstance(scale, colors.LogNorm):
             shown = np.ma.clip(shown, scale.vmin, None)  # an error of exactly 0 is the smallest, not missing
         mesh = _mesh(ax, x, y, shown, norm=scale)
-        if levels is not False:
-            _contours(ax, x, y, shown, scale, levels)
+        grid.scales(ax, x, y)
         drawn = boundary(ax, part, layout) if layout.boundary else []
         bounded = bounded or drawn
+        if levels is not False:
+            _contours(ax, x, y, shown, scale, levels)
     if bounded:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend(bounded, [words], loc="outside lower center")
@@ -53,11 +61,13 @@ def best(view, layout):
         chance = ~np.isfinite(finite.min(axis=0)) | beyond_every_limit(part, layout)
         winner = np.ma.masked_where(chance, finite.argmin(axis=0))
         _mesh(ax, x, y, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
-        if {layout.x, layout.y} == {"alpha", "Ts"} and layout.boundary:
-            _isolines(ax)
+        grid.scales(ax, x, y)
+        isolines = {layout.x, layout.y} == {"alpha", "Ts"} and layout.boundary
+        _named(ax, x, y, winner, names, _isolines(ax) if isolines else [], grid.room())
     handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
     title = f"least {axis_label(value)}"
-    grid.figure.legend(handles=handles, loc="outside lower center", ncols=len(names), title=title)
+    columns = style.legend_columns(names, grid.figure.get_figwidth())
+    grid.figure.legend(handles=handles, loc="outside lower center", ncols=columns, title=title)
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
 
 
@@ -70,9 +80,7 @@ def _plane(part, layout, *before):
 def _mesh(ax, x, y, z, **how):
     ax.set_facecolor("0.85")  # where nothing is drawn
     ax.grid(False)
-    made = ax.pcolormesh(x, y, z, shading="nearest", rasterized=True, **how)
-    axis_scales(ax, x, y)
-    return made
+    return ax.pcolormesh(x, y, z, shading="nearest", rasterized=True, **how)
 
 
 # --- contours -----------------------------------------------------------------------------------------
@@ -85,8 +93,9 @@ def _contours(ax, x, y, z, scale, levels):
     levels = [v for v in levels if scale.vmin < v < scale.vmax]
     z = np.ma.masked_where(rough(z), z)
     if levels and min(z.shape) > 1 and z.count() > 4:
-        drawn = ax.contour(x, y, z, levels=levels, colors="white", linewidths=0.6, alpha=0.8)
-        ax.clabel(drawn, fmt="%.0e" if log else "%g", fontsize=6)
+        shades = ["white" if scale(v) < 0.65 else "black" for v in levels]
+        drawn = ax.contour(x, y, z, levels=levels, colors=shades, linewidths=0.6, alpha=0.8)
+        style.label_contours(ax, drawn, lambda v: style.plain(v, decimal=not log))
 
 
 def _decades(scale):
@@ -157,12 +166,33 @@ def _hyperbola(ax, z, **look):
     return drawn
 
 
-def _isolines(ax):
-    """Lines of constant z = alpha·Ts, labelled where there is room."""
+def _named(ax, x, y, winner, names, taken, wide):
+    """Names in the middle of their largest areas, where they fit: these tell the areas apart in greyscale.
+
+    Args: taken: places of other words. wide: the panel [in].
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    free = np.ones(winner.shape, bool)
+    for across, up in taken:
+        free[np.abs(np.log(y / up)).argmin(), np.abs(np.log(x / across)).argmin()] = False
+    for i, name in enumerate(names):
+        own = np.pad((np.ma.filled(winner, -1) == i) & free, 1)  # beyond the edges there is nothing
+        inside = distance_transform_edt(own, sampling=(1 / len(y), 1 / len(x)))[1:-1, 1:-1]
+        row, column = np.unravel_index(inside.argmax(), inside.shape)
+        if inside.max() * wide > 0.5 * LETTER * len(name):
+            ax.text(x[column], y[row], name, fontsize=6, ha="center", va="center", bbox=_LABEL)
+
+
+def _isolines(ax) -> list:
+    """Lines of constant z = alpha·Ts, labelled where there is room. Returns: the places of the labels."""
+    taken = []
     for z in ISOLINES:
-        (line,) = _hyperbola(ax, z, color="black", linewidth=0.6, alpha=0.6)
+        (line,) = _hyperbola(ax, z, **ISOLINE)
         (bottom, top), points = ax.get_ylim(), line.get_xydata()
         inside = points[(points[:, 1] > bottom) & (points[:, 1] < top)]
         if len(inside) > 20:
             place = inside[int(len(inside) * 0.7)]
             ax.text(*place, f"z = {z:g}", fontsize=6, ha="center", va="center", bbox=_LABEL)
+            taken.append(place)
+    return taken
