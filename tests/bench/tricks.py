@@ -56,6 +56,15 @@ def without_any():
     without_tiles()
 
 
+def quick():
+    ck.lanes = functools.partial(ck.lanes, quick=True)
+
+
+def quick_and_rolled():
+    quick()
+    hints._form = jax.make_user_context(default_value="rolled")
+
+
 TRICKS = {
     "everything on": all_on,
     "without one native function per tile": without_one_function,
@@ -65,6 +74,8 @@ TRICKS = {
     "without 512-bit vectors": without_wide_vectors,
     "without tiles (one vmap)": without_tiles,
     "without any: jit(vmap), hints off, library sine": without_any,
+    "lanes(quick=True)": quick,
+    "lanes(quick=True), rolled": quick_and_rolled,
 }
 
 

@@ -34,10 +34,10 @@ def reference():
     return jax.jit(jax.vmap(_final))
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["hints", "plain"])
+@pytest.fixture(scope="module", params=["hints", "plain", "quick"])
 def tiled(request):
-    with ck.use_hints(request.param):
-        yield lanes(_final, tile=8, block=32, cores=2)
+    with ck.use_hints(request.param != "plain"):
+        yield lanes(_final, tile=8, block=32, cores=2, quick=request.param == "quick")
 
 
 @pytest.mark.parametrize("size", [1, 9, 33])
