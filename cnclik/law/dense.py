@@ -156,17 +156,33 @@ def orthogonal_rows(rows):
     if m == 1:
         return eye, rows
 
-    def sweep(carry, _):
+    pairs, moved = _round(m)
+
+    def turn(carry, _):
         # Each row of W carries its row of Uᵀ behind it, so that one rotation turns both.
         both = list(carry)
-        for p in range(m):
-            for r in range(p + 1, m):
-                both[p], both[r] = _rotate(both[p], both[r], n)
-        return tuple(both), None
+        for p, r in pairs:
+            both[p], both[r] = _rotate(both[p], both[r], n)
+        return tuple(both[i] for i in moved), None
 
     both = tuple(w + u for w, u in zip(rows, eye, strict=True))
-    both, _ = lax.scan(sweep, both, None, length=_SWEEPS[m])
+    both, _ = lax.scan(turn, both, None, length=_SWEEPS[m] * _rounds(m))
     return sp.transpose(tuple(row[n:] for row in both)), tuple(row[:n] for row in both)
+
+
+def _rounds(m) -> int:
+    """Rounds in which each of m rows meets every other once."""
+    return m - 1 + m % 2
+
+
+def _round(m):
+    """Who meets whom in a round of a tournament of m, and who sits where in the next: a round's code is a sweep's.
+
+    The first m, or m − 1 where m is even, go round the table; who has nobody opposite meets the last, who stays.
+    """
+    table = _rounds(m)
+    pairs = [(i, table - 1 - i) for i in range(table // 2)] + [(table // 2, m - 1)] * (m > table)
+    return pairs, [(i + 1) % table for i in range(table)] + [m - 1] * (m > table)
 
 
 def _filled(rows):
