@@ -170,7 +170,7 @@ def bounded_jit(fn=None, **options):
     """`jax.jit` that forgets its programs when there are more than KEPT_PROGRAMS. Decorator, with jit's arguments.
 
     Numbers of steps, literals and lambdas are parts of a program: a process that meets new ones all day would keep
-    them all, at some 5 MiB each.
+    them all, at some 5 MiB each, and JAX what it traced on the way to them.
     """
     if fn is None:
         return functools.partial(bounded_jit, **options)
@@ -179,6 +179,7 @@ def bounded_jit(fn=None, **options):
     @functools.wraps(fn)
     def counted(*args, **kwargs):
         traced.append(None)
+        _traced.append(None)
         return fn(*args, **kwargs)
 
     jitted = jax.jit(counted, **options)
@@ -189,10 +190,28 @@ def bounded_jit(fn=None, **options):
         if len(traced) > KEPT_PROGRAMS:
             jitted.clear_cache()
             traced.clear()
+        if len(_traced) > KEPT_PROGRAMS:
+            _forget_traces()
         return made
 
     call._cache_size = jitted._cache_size
     return call
+
+
+_traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten
+
+
+def _forget_traces():
+    """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs.
+
+    Where this version of JAX has no way to do it, they stay until there are as many.
+    """
+    with contextlib.suppress(ImportError, AttributeError):
+        from jax._src import core, util
+
+        if core.trace_state_clean():
+            util.clear_all_caches()
+            _traced.clear()
 
 
 def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):

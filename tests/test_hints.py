@@ -1,5 +1,6 @@
 """Compiler hints and options: under one switch, known to the compiler, and in caches of bounded size."""
 
+import functools
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -136,6 +137,32 @@ def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
         recent.get(0)  # in use all the time: it stays
     assert list(recent) == [3, 4, 0] and recent.get(2) is None
     assert recent.get(3) == "3" and list(recent) == [4, 0, 3]
+
+
+def test_what_jax_traced_does_not_pile_up_and_what_is_compiled_stays(monkeypatch):
+    from jax._src import util
+
+    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 3)
+    again = []
+
+    @jax.jit
+    def others(x):
+        again.append(None)
+        return 2 * x
+
+    @functools.partial(hints.bounded_jit, static_argnames="n")
+    def power(x, *, n):
+        return jax.vmap(jax.jit(lambda v: v**n))(x)
+
+    def held(numbers):
+        for n in numbers:
+            power(jnp.ones(2), n=n)
+        return sum(cache.cache_info().currsize for cache in list(util._caches) if hasattr(cache, "cache_info"))
+
+    others(1.0)
+    few, many = held(range(4)), held(range(4, 24))
+    assert many < few + 20
+    assert others(1.0) == 2 and len(again) == 1
 
 
 @pytest.mark.parametrize("jit", [hints.bounded_jit, hints.quick_jit])
