@@ -13,7 +13,7 @@ __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
 
 
 def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
-    """All experiments of Section V under all eight readings of its text, in float64; a minute, mostly to compile.
+    """All experiments of Section V under all eight readings of its text, in float64; half a minute, mostly to compile.
 
     Args:
       out: folder for data, claims.json, claims.md and, after them, figures; None: nothing is written.
