@@ -212,6 +212,17 @@ def _forget_traces():
         if core.trace_state_clean():
             util.clear_all_caches()
             _traced.clear()
+            give_back()
+
+
+def give_back():
+    """Hand memory that is free back to the system: C's library on Linux keeps it, in pieces that nothing else fits."""
+    import ctypes
+    import gc
+
+    gc.collect()
+    with contextlib.suppress(OSError, TypeError, AttributeError):  # another system, another library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):

@@ -4,11 +4,9 @@ Programs are compiled once for all workers, and for the next run: in JAX's persi
 content, compiler and flags.
 """
 
-import ctypes
 import importlib.metadata
 import os
 import pathlib
-import sys
 import tempfile
 
 os.environ.setdefault("MPLBACKEND", "agg")
@@ -30,7 +28,7 @@ import gc
 import jax
 import pytest
 
-from cnclik.hints import use_form
+from cnclik.hints import give_back, use_form
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
@@ -66,9 +64,7 @@ def _forget_programs():
     yield
     if _memory() > MOST_MEMORY:
         jax.clear_caches()
-        gc.collect()
-        if sys.platform == "linux":  # else what is freed stays with the process, and the next module pays for it again
-            ctypes.CDLL(None).malloc_trim(0)
+        give_back()  # else the next module pays for it again
 
 
 def _memory():
