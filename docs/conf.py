@@ -83,6 +83,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "remove_config_comments": True,
     "min_reported_time": 1e9,
+    "capture_repr": (),  # what a script prints, not what its last line happens to return
     "write_computation_times": False,
     "image_srcset": ["2x"],
     "reset_modules": ("matplotlib", "look.of_project"),

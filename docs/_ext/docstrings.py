@@ -62,8 +62,12 @@ def plain(app, what, name, obj, options, lines):
 
 
 def known(app, what, name, obj, skip, options):
-    """The fields of a named tuple stand in its description already."""
-    return True if type(obj).__name__ == "_tuplegetter" else None
+    """The fields of a named tuple stand in its description already; how Python makes errors and flags says nothing."""
+    inherited = type(obj).__name__ in ("wrapper_descriptor", "builtin_function_or_method")
+    flag = name == "__new__" and getattr(obj, "__module__", "") == "enum"
+    if type(obj).__name__ == "_tuplegetter" or (name in ("__init__", "__new__") and inherited) or flag:
+        return True
+    return None
 
 
 def setup(app):

@@ -15,12 +15,12 @@ def wear() -> None:
     """The project's settings, until others are made."""
     import matplotlib
 
-    from cnclik.show.style import style
+    from cnclik.show.style import COLORS, style
 
     before = matplotlib.rcParams.copy()
     with style():
         own = {key: value for key, value in matplotlib.rcParams.items() if value != before[key]}
-    matplotlib.rcParams.update(own)
+    matplotlib.rcParams.update(own | {"axes.prop_cycle": matplotlib.cycler(color=COLORS)})
 
 
 def of_project(gallery, name):

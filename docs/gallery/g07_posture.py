@@ -3,7 +3,8 @@ A redundant arm: what does the posture do?
 ==========================================
 
 Five joints, two coordinates of the tip: three joints' worth of motion is left over. A posture in the null space uses
-it, and the tip stays where it is.
+it, as far as the tip, which stays where it is, lets it. Left the arm on its way from blue to red, right how far its
+joints are from those of the posture.
 """
 
 import jax
@@ -28,12 +29,10 @@ def joints(q):
 
 
 figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
-for k in range(0, 121, 15):
-    share = k / 120
-    color = BLUE if k == 0 else VERMILION if k == 120 else str(0.8 - 0.5 * share)
+for k in (0, 3, 7, 12, 20, 120):
+    color = {0: BLUE, 120: VERMILION}.get(k, "0.7")
     panels[0].plot(*joints(np.asarray(run.q[k])).T, "o-", ms=3, lw=1 + (k in (0, 120)), color=color)
 panels[0].set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-panels[1].plot(run.t, np.linalg.norm(run.q - rest, axis=1), color=VERMILION, label="distance from the posture [rad]")
-panels[1].plot(run.t, np.linalg.norm(run.e, axis=1) + 1e-17, color=BLUE, label="error of the tip [m]")
-panels[1].set(xlabel="time [s]", yscale="log", ylim=(1e-13, 10))
-panels[1].legend()
+panels[1].plot(run.t, np.linalg.norm(run.q - rest, axis=1), color=VERMILION)
+panels[1].set(xlabel="time [s]", ylabel="distance from the posture [rad]")
+print(f"the tip strays by {1e6 * np.linalg.norm(run.e, axis=1).max():.2g} µm at most")

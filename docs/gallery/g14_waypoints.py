@@ -2,8 +2,8 @@
 How does it go through my waypoints?
 ====================================
 
-`ck.waypoints` lays a curve through points in time, smooth in velocity and acceleration. Here a Panda's tip, pointing
-where it points, through five points in eight seconds.
+`ck.waypoints` lays a curve through points in time, smooth in velocity and acceleration. Here a Panda's tip goes through
+five points in eight seconds, from rest to rest, and back to where it began; where it points is left to the arm.
 """
 
 import jax
@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.show.style import BLUE, VERMILION
+from cnclik.show.style import BLUE, VERMILION, series
 
 jax.config.update("jax_enable_x64", True)
 arm = ck.panda()
@@ -27,7 +27,8 @@ figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
 panels[0].plot(*np.asarray(run.x)[:, 1:].T, color=BLUE)
 panels[0].plot(*(start + moves)[:, 1:].T, "o", color=VERMILION, mfc="white")
 panels[0].set(xlabel="y [m]", ylabel="z [m]", aspect="equal")
-panels[1].plot(run.t[1:], run.qdot, label=[f"joint {i}" for i in range(1, 8)])
-panels[1].legend(ncols=2, fontsize=6)
+for i in range(7):
+    panels[1].plot(run.t[1:], run.qdot[:, i], **series(i, markevery=50), label=f"joint {i + 1}")
+figure.legend(loc="outside upper right", ncols=7, fontsize=6)
 panels[1].set(xlabel="time [s]", ylabel="joint velocities [rad/s]")
 print(f"largest error on the way {1e6 * np.linalg.norm(run.e, axis=1).max():.3g} µm")
