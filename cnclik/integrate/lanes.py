@@ -40,7 +40,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
       tile: lanes per tile, by default 64, on a GPU 128 (there a power of 2).
       block: lanes per call, a multiple of `tile`; by default 32768, on a GPU 2**20.
       cores: how many cores of a CPU may work at once, by default all this process may use.
-      quick: for a batch that is run once: compiled in a third to a tenth of the time, for a CPU, and runs ten times
+      quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
         slower.
 
     Under jit, vmap or grad it is one traced program on one core; called with arrays it uses all cores, or devices.
