@@ -204,15 +204,18 @@ _traced = []  # once for each program of all functions, since what JAX keeps of 
 def _forget_traces():
     """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs.
 
-    Where this version of JAX has no way to do it, they stay until there are as many.
+    Not in the midst of tracing; and where this version of JAX has no way to do it, they stay until there are as many.
     """
-    with contextlib.suppress(ImportError, AttributeError):
+    try:
         from jax._src import core, util
 
-        if core.trace_state_clean():
-            util.clear_all_caches()
-            _traced.clear()
-            give_back()
+        if not core.trace_state_clean():
+            return  # the next call tries again
+        util.clear_all_caches()
+    except (ImportError, AttributeError):
+        pass
+    _traced.clear()
+    give_back()
 
 
 def give_back():

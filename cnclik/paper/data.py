@@ -40,15 +40,15 @@ class Results(NamedTuple):
 @in_float64
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    with ThreadPoolExecutor(len(ARMS)) as pool:  # most of it is compiling, on one core each
-        each = pool.map(as_here(paper.run_arm), ARMS)
-        runs, residuals = {}, {}
-        for done, size in enumerate(ARMS.values()):
-            if progress is not None:
-                progress(done, len(ARMS), f"the {size} arm: compiling and running")
-            one = next(each)
-            runs |= one.runs
-            residuals |= one.residuals
+    # Most of it is compiling, on one core each. No `with`: whoever interrupts this does not wait for a compiler.
+    each = ThreadPoolExecutor(len(ARMS)).map(as_here(paper.run_arm), ARMS)
+    runs, residuals = {}, {}
+    for done, size in enumerate(ARMS.values()):
+        if progress is not None:
+            progress(done, len(ARMS), f"the {size} arm: compiling and running")
+        one = next(each)
+        runs |= one.runs
+        residuals |= one.residuals
     found = Found(runs, residuals)
     return Results(trajectories(found), methods(found), passes(found))
 

@@ -1,6 +1,8 @@
 """`cnclik reproduce`, and the committed results: they are what the code produces."""
 
 import json
+import threading
+import time
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -226,3 +228,19 @@ def test_from_python_without_a_folder(monkeypatch, results):
     assert found is results and paper.judge(found.trajectories, found.passes)["rows"]
     with pytest.raises(ArgumentError, match="did you mean 'on-path/once/consistent'"):
         paper.reproduce(reading="on-path/once/consistant")
+
+
+def test_whoever_interrupts_does_not_wait_for_a_compiler(monkeypatch):
+    compiled = threading.Event()
+    monkeypatch.setattr(paper_data.paper, "run_arm", lambda arm: compiled.wait(20))
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    begun = time.perf_counter()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            paper_data.everything(interrupted)
+        assert time.perf_counter() - begun < 10
+    finally:
+        compiled.set()

@@ -9,7 +9,6 @@ from matplotlib.patheffects import withStroke
 from cnclik.show import style
 from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, lines, norm, text
 
-BOUNDARY = style.OUTLINED
 ISOLINES = (0.1, 0.5, 1.0, 2.0)  # of z = alpha·Ts
 ISOLINE = {
     "color": "black",
@@ -131,16 +130,16 @@ def boundary(ax, part, layout) -> list:
     if limit is None or not np.isfinite(limit).any():
         return []
     if limit.ndim == 0 and names == {"alpha", "Ts"}:
-        return _hyperbola(ax, float(limit), **BOUNDARY)
+        return _hyperbola(ax, float(limit), **style.OUTLINED)
     if limit.ndim == 0 and "z" in names:
-        return [(ax.axvline if layout.x == "z" else ax.axhline)(float(limit), **BOUNDARY)]
+        return [(ax.axvline if layout.x == "z" else ax.axhline)(float(limit), **style.OUTLINED)]
     if limit.dims == ("M",) and names == {"z", "M"}:
         counts, steps = part["M"].values, np.where(np.isfinite(limit), limit, np.nan)
         edges = np.concatenate([[counts[0] - 0.5], (counts[1:] + counts[:-1]) / 2, [counts[-1] + 0.5]])
         steps = np.append(steps, steps[-1])
         if layout.x == "M":
-            return ax.step(edges, steps, where="post", **BOUNDARY)
-        return ax.step(steps, edges, where="pre", **BOUNDARY)
+            return ax.step(edges, steps, where="post", **style.OUTLINED)
+        return ax.step(steps, edges, where="pre", **style.OUTLINED)
     return []
 
 
