@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from cnclik.hints import as_here
+from cnclik.hints import as_here, cores
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.paper import readings as paper
@@ -41,15 +41,14 @@ class Results(NamedTuple):
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
     # Most of it is compiling, on one core each. No `with`: whoever interrupts this does not wait for a compiler.
-    each = ThreadPoolExecutor(len(ARMS)).map(as_here(paper.run_arm), ARMS)
-    runs, residuals = {}, {}
-    for done, size in enumerate(ARMS.values()):
+    each = ThreadPoolExecutor(cores()).map(as_here(lambda one: paper.run_method(*one)), paper.METHOD_RUNS)
+    found = Found({}, {})
+    for done, (_, name) in enumerate(paper.METHOD_RUNS):
         if progress is not None:
-            progress(done, len(ARMS), f"the {size} arm: compiling and running")
+            progress(done, len(paper.METHOD_RUNS), f"{name}: compiling and running")
         one = next(each)
-        runs |= one.runs
-        residuals |= one.residuals
-    found = Found(runs, residuals)
+        found.runs.update(one.runs)
+        found.residuals.update(one.residuals)
     return Results(trajectories(found), methods(found), passes(found))
 
 

@@ -54,10 +54,14 @@ CASES = ("reach", "track")  # Case I, Case II
 # --- one experiment -----------------------------------------------------------------------------------
 
 
-def law(arm: str, rotation: str = "on-path") -> Law:
-    """The loop of Section V: planar position with gain 5 1/s and the pseudoinverse."""
-    chain = planar_arm([1.0] * ARMS[arm].n, clockwise=rotation == "on-path")
-    return Law(chain, position("xy"), alpha=ALPHA)
+def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
+    """The loop of Section V: planar position with gain 5 1/s and the pseudoinverse.
+
+    `joints`: how many the arm has at least. Those beyond its own turn links of no length, so that they stand still and
+    the loop is the same.
+    """
+    lengths = [1.0] * ARMS[arm].n + [0.0] * (joints - ARMS[arm].n)
+    return Law(planar_arm(lengths, clockwise=rotation == "on-path"), position("xy"), alpha=ALPHA)
 
 
 def start(arm: str):
@@ -113,11 +117,12 @@ CONVERGED = 25  # passes that solve an implicit stage of a tracking run far beyo
 PASSES = 40  # passes followed one by one for claim (c)
 NUDGES = 6  # runs from starts displaced by about NUDGE: numbers that move with them are not determined
 NUDGE = 1e-12  # [rad]
+JOINTS = max(arm.n for arm in ARMS.values())  # one program for both arms takes as long to compile as one for the larger
 UNDETERMINED = 1e-6  # mean errors that differ by more, relatively, between such runs are decided by rounding
 
 
 class Lane(NamedTuple):
-    """One run among those that a compiled program does side by side."""
+    """One run of an arm among those that a compiled program does side by side."""
 
     rotation: str
     case: str
@@ -142,50 +147,44 @@ LANES = (*_PAPER_LANES, *_NUDGED_LANES, *_WORK_LANES, *_ORDER_LANES)
 METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"), ("twice", "CN"))
 # Where the Picard iteration is followed. IE's stage is CN's second: it is the same iteration, from the states
 # of either run.
-_FOLLOWED = tuple((Ts, name) for Ts, name in METHOD_RUNS if name in ("IE", "CN"))
+FOLLOWED = ("IE", "CN")
 
 
-@quick_jit(static_argnames=("N_max",))
-def _program(laws, references, q0, Ts, M, *, N_max):
-    """Every method over all lanes, and the passes of the Picard iteration from the states of the first ones.
+@quick_jit(static_argnames=("method", "h", "N_max"))
+def _program(laws, references, q0, Ts, M, *, method, h, N_max):
+    """One method over all lanes, and the passes of the Picard iteration from the states of the first ones.
 
-    One compiled program per arm, because the methods share their stages: a ninth costs little beside the first.
+    `h` is where the next slope is taken, θ + h·slope; None where there are no passes to follow. One program for
+    each method: together they take nearly twice as long to compile and three times the memory.
     """
 
-    def run(Ts_reading, name):
-        method = tableau(METHODS[name], Ts_reading)
+    def lane(law, reference, q0, Ts, M):
+        return solve(law, reference, q0, Ts, N_max, method, picard(M, maximum=CONVERGED))
 
-        def lane(law, reference, q0, Ts, M):
-            return solve(law, reference, q0, Ts, N_max, method, picard(M, maximum=CONVERGED))
+    run = jax.vmap(lane)(laws, references, q0, Ts, M)
+    if h is None:
+        return run, None
 
-        return jax.vmap(lane)(laws, references, q0, Ts, M)
+    def passes(law, reference, q, t):
+        law, q = in_form(law, q)
 
-    def follow(Ts_reading, trajectory):
-        h = TS if Ts_reading == "once" else TS * TS  # where the next slope is taken: θ + h·slope
+        def one(slope, _):
+            ahead = sp.vadd(q, sp.scale(h, slope))
+            new = evaluate(law, reference, t + TS, ahead).qdot
+            return new, TS * sp.safe_norm(sp.vsub(new, slope))
 
-        def passes(law, reference, q, t):
-            law, q = in_form(law, q)
+        first = evaluate(law, reference, t, q).qdot
+        _, changes = jax.lax.scan(one, first, length=PASSES)
+        return jnp.append(TS * sp.safe_norm(first), changes)
 
-            def one(slope, _):
-                ahead = sp.vadd(q, sp.scale(h, slope))
-                new = evaluate(law, reference, t + TS, ahead).qdot
-                return new, TS * sp.safe_norm(sp.vsub(new, slope))
-
-            first = evaluate(law, reference, t, q).qdot
-            _, changes = jax.lax.scan(one, first, length=PASSES)
-            return jnp.append(TS * sp.safe_norm(first), changes)
-
-        # Step by step over all lanes, not all at once: lanes of one shape share their compiled stages.
-        states = jnp.swapaxes(trajectory.q[:, :N], 0, 1), jnp.swapaxes(trajectory.t[:, :N], 0, 1)
-        found = jax.lax.map(lambda at: jax.vmap(passes)(laws, references, *at), states)
-        return jnp.moveaxis(found, 0, -1)[: len(_PAPER_LANES)]
-
-    runs = {key: run(*key) for key in METHOD_RUNS}
-    return runs, {key: follow(key[0], runs[key]) for key in _FOLLOWED}
+    # Step by step over all lanes, not all at once: lanes of one shape share their compiled stages.
+    states = jnp.swapaxes(run.q[:, :N], 0, 1), jnp.swapaxes(run.t[:, :N], 0, 1)
+    found = jax.lax.map(lambda at: jax.vmap(passes)(laws, references, *at), states)
+    return run, jnp.moveaxis(found, 0, -1)
 
 
 class Found(NamedTuple):
-    """What the programs gave, by name.
+    """What one program gave, or all of them, by name.
 
     Attributes:
       runs: {(arm, Ts, method, lane): Trajectory}, Ts being "once" or "twice".
@@ -197,35 +196,41 @@ class Found(NamedTuple):
     residuals: dict
 
 
-def run_arm(arm: str) -> Found:
-    """All runs of one arm, by one compiled program."""
-    nudges = np.zeros((NUDGES + 1, ARMS[arm].n))
-    nudges[1:] = NUDGE * np.random.default_rng(0).standard_normal((NUDGES, ARMS[arm].n))
-    with use_form(form() or "unrolled"), few_lanes(len(LANES)):
-        runs, residuals = _program(
-            stack([law(arm, lane.rotation) for lane in LANES]),
-            stack([path(arm, lane.case, lane.feedforward) for lane in LANES]),
-            jnp.stack([start(arm) + nudges[lane.nudge] for lane in LANES]),
-            jnp.array([TS / 2**lane.halving for lane in LANES]),
-            jnp.array([lane.M for lane in LANES]),
+def run_method(Ts: str, name: str) -> Found:
+    """All runs of one method on both arms, by one compiled program; `Ts` is "once" or "twice"."""
+    todo = [(arm, lane) for arm in ARMS for lane in LANES]
+    followed = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
+    with use_form(form() or "unrolled"), few_lanes(len(todo)):
+        run, residuals = _program(
+            stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
+            stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
+            np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
+            np.array([TS / 2**lane.halving for _, lane in todo]),
+            np.array([lane.M for _, lane in todo]),
+            method=tableau(METHODS[name], Ts),
+            h=followed,
             N_max=max(lane.N for lane in LANES),
         )
-    runs, residuals = jax.device_get((runs, residuals))
-    return Found(
-        {
-            (arm, Ts, name, lane): _cut(jax.tree.map(lambda a, i=i: a[i], batch), ARMS[arm].n, name, lane)
-            for (Ts, name), batch in runs.items()
-            for i, lane in enumerate(LANES)
-        },
-        {
-            (arm, Ts, name, lane): batch[i]
-            for (Ts, name), batch in residuals.items()
-            for i, lane in enumerate(_PAPER_LANES)
-        },
-    )
+    run, residuals = jax.device_get((run, residuals))
+    found = Found({}, {})
+    for i, (arm, lane) in enumerate(todo):
+        found.runs[arm, Ts, name, lane] = _cut(jax.tree.map(lambda a, i=i: a[i], run), ARMS[arm].n, name, lane)
+        if followed is not None and lane in _PAPER_LANES:
+            found.residuals[arm, Ts, name, lane] = residuals[i]
+    return found
+
+
+def _start(arm, nudge):
+    """Where a lane starts, (JOINTS,) [rad]."""
+    n, q = ARMS[arm].n, np.zeros(JOINTS)
+    q[:n] = start(arm)
+    if nudge:
+        q[:n] += NUDGE * np.random.default_rng(0).standard_normal((NUDGES, n))[nudge - 1]
+    return q
 
 
 def _cut(run, n, name, lane) -> Trajectory:
-    """The steps of a run that are the lane's own, and what they cost."""
+    """The steps and joints of a run that are the lane's own, and what they cost."""
     cost = evaluations_of(METHODS[name], picard(lane.M), n, lane.N)
-    return replace(truncate(run, lane.N), evaluations=np.asarray(cost))
+    run = truncate(run, lane.N)
+    return replace(run, q=run.q[:, :n], qdot=run.qdot[:, :n], evaluations=np.asarray(cost))

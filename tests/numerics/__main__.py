@@ -24,22 +24,24 @@ def main():
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     args = parser.parse_args()
     seeds, begun = range(args.first, args.first + args.kinds), time.time()
-    kinds, loops, alike, failed = collections.Counter(), collections.Counter(), collections.Counter(), []
+    kinds, loops, alike, failed = (collections.Counter() for _ in range(4))
     context = multiprocessing.get_context("spawn")
-    with context.Pool(args.processes, maxtasksperchild=50) as pool, bar("kinds", args.kinds) as report:
-        for done, (seed, way, wrong, count, compared) in enumerate(pool.imap_unordered(one, seeds), 1):
-            kinds[way] += 1
-            loops[way] += count
-            alike[way] += compared
-            if wrong:
-                failed.append((way, f"seed {seed}, {wrong}"))
-            report(done, args.kinds)
-    bad = collections.Counter(way for way, _ in failed)
-    rows = [[way, kinds[way], loops[way], alike[way], bad[way]] for way in sorted(kinds)]
-    print(markdown(["held against", "kinds", "loops", "compared", "wrong"], rows))
-    print(f"{args.kinds} kinds in {(time.time() - begun) / 60:.0f} min on {args.processes} processes.")
-    print("\n".join(text for _, text in failed))
-    sys.exit(bool(failed))
+    try:
+        with context.Pool(args.processes, maxtasksperchild=50) as pool, bar("kinds", args.kinds) as report:
+            for done, (seed, way, wrong, count, compared) in enumerate(pool.imap_unordered(one, seeds), 1):
+                kinds[way] += 1
+                loops[way] += count
+                alike[way] += compared
+                if wrong:
+                    failed[way] += 1
+                    print(f"seed {seed}, {wrong}", file=sys.stderr, flush=True)
+                report(done, args.kinds)
+    finally:  # what was found stands, also where this is stopped
+        rows = [[way, kinds[way], loops[way], alike[way], failed[way]] for way in sorted(kinds)]
+        print(markdown(["held against", "kinds", "loops", "compared", "wrong"], rows))
+        minutes = (time.time() - begun) / 60
+        print(f"{kinds.total()} kinds in {minutes:.0f} min on {args.processes} processes.", flush=True)
+    sys.exit(failed.total() > 0)
 
 
 if __name__ == "__main__":

@@ -232,7 +232,7 @@ def test_from_python_without_a_folder(monkeypatch, results):
 
 def test_whoever_interrupts_does_not_wait_for_a_compiler(monkeypatch):
     compiled = threading.Event()
-    monkeypatch.setattr(paper_data.paper, "run_arm", lambda arm: compiled.wait(20))
+    monkeypatch.setattr(paper_data.paper, "run_method", lambda Ts, name: compiled.wait(20))
 
     def interrupted(*_):
         raise KeyboardInterrupt
