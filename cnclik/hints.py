@@ -288,14 +288,6 @@ class Recent(collections.OrderedDict):
             self.popitem(last=False)
 
 
-def cores() -> int:
-    """Cores this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1
-
-
 def few_lanes(count: int):
     """Context manager: what is traced inside runs for `count` lanes, so few that a loop may be `one_function`."""
     return _lanes(count)

@@ -13,8 +13,8 @@ import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
-    *("errors", "markup", "record", "programs", "hints", "precision", "compilation", "lazy", "reading", "writing"),
-    "version",
+    *("errors", "markup", "record", "programs", "hints", "precision", "compilation", "threads", "lazy", "reading"),
+    *("writing", "version"),
 )
 BASE = ("robot", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (
@@ -91,7 +91,7 @@ def test_no_file_is_long():
 
 
 ONCE = {  # what may stand in one place only, and where
-    r"cpu_count\(": "hints.py",
+    r"cpu_count\(": "threads.py",
     r"\.to_netcdf\(": "measure/files.py",
     r"\.savefig\(": "show/style.py",
     r"\bProgress\(|rich\.track": "cli/progress.py",

@@ -48,7 +48,7 @@ class Line:
         if self.N is not None:
             errors.integer("N", self.N, at_least=1)
         if self.cores is not None:
-            from cnclik.hints import cores as here
+            from cnclik.threads import cores as here
 
             errors.integer("cores", self.cores, at_least=1)
             if self.cores > here():
@@ -66,7 +66,7 @@ def table() -> list[Line]:
     The whole product would take most of an hour, mostly for compiling.
     """
 
-    from cnclik.hints import cores as here
+    from cnclik.threads import cores as here
 
     def line(robot="panda", method="EE", **rest):
         return Line(robot=robot, method=method, stage=stage_of(method), **rest)

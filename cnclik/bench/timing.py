@@ -21,11 +21,11 @@ import numpy as np
 
 from cnclik.bench.lines import Line
 from cnclik.bench.loops import ALPHA, ROBOTS, inputs, loop, tracking_loss
-from cnclik.hints import cores
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.problem.names import STAGES
+from cnclik.threads import cores
 
 STEPS, STEPS_OF_GRADIENT = 50, 20
 EVALUATIONS = 10_000_000  # per run, about: a large batch takes fewer steps

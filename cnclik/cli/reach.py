@@ -186,8 +186,8 @@ def _random(chain, args):
 
 
 def _summary(made, first, again):
-    from cnclik.hints import cores
     from cnclik.reaching.result import ReachStatus, count
+    from cnclik.threads import cores
 
     first_of_each = made.status[..., 0] if made.status.ndim == 2 else made.status
     total = len(first_of_each)

@@ -1,13 +1,13 @@
 """Batch: exported loops for many lanes, called with NumPy arrays on all cores."""
 
 import ctypes
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.export.compiler import build, opened
-from cnclik.hints import cores as available
+from cnclik.threads import cores as available
+from cnclik.threads import side_by_side
 
 PART = 2048  # lanes that a core takes at a time
 
@@ -52,7 +52,7 @@ class Batch:
         if cores == 1 or len(starts) == 1:
             self.function(0, lanes, N, columns, into, status)
         else:
-            with ThreadPoolExecutor(cores) as pool:
+            with side_by_side(cores) as pool:
                 list(pool.map(part, starts))
         return found
 

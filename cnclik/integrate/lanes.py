@@ -9,7 +9,6 @@ size, side by side on all cores, or on all devices. Under `use_hints(False)` the
 import functools
 import itertools
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +17,9 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.hints import QUICK_COMPILE, Recent, as_here, few_lanes, form, is_wide, known_options, quick_jit, switched_on
-from cnclik.hints import cores as available
 from cnclik.integrate import kernel
+from cnclik.threads import cores as available
+from cnclik.threads import side_by_side
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 BLOCK = 1 << 15  # lanes that one call of a compiled program carries: bounds memory, feeds the cores
@@ -206,7 +206,7 @@ def _blocks(compiled, ready, leaves, treedef, size, block, workers):
 
     starts = list(range(0, size, block))
     whole = None
-    with ThreadPoolExecutor(len(workers)) as pool:
+    with side_by_side(len(workers)) as pool:
         if not ready.get(key):  # compile once, not once per thread
             done = [run(starts.pop(0))]
             ready[key] = True

@@ -1,19 +1,19 @@
 """The runs of `cnclik.paper.readings` as labelled data: what the figures, the claims and the tables are read from."""
 
 import itertools
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
 import numpy as np
 import xarray as xr
 
-from cnclik.hints import as_here, cores
+from cnclik.hints import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.paper import readings as paper
 from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, READINGS, Found, Lane
 from cnclik.precision import in_float64
+from cnclik.threads import side_by_side
 
 CONFIG = {
     "paper": "D. A. Drexler, Solution of the Closed-Loop Inverse Kinematics Algorithm Using the Crank-Nicolson Method, "
@@ -40,15 +40,15 @@ class Results(NamedTuple):
 @in_float64
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    # Most of it is compiling, on one core each. No `with`: whoever interrupts this does not wait for a compiler.
-    each = ThreadPoolExecutor(cores()).map(as_here(lambda one: paper.run_method(*one)), paper.METHOD_RUNS)
     found = Found({}, {})
-    for done, (_, name) in enumerate(paper.METHOD_RUNS):
-        if progress is not None:
-            progress(done, len(paper.METHOD_RUNS), f"{name}: compiling and running")
-        one = next(each)
-        found.runs.update(one.runs)
-        found.residuals.update(one.residuals)
+    with side_by_side() as pool:  # most of it is compiling, on one core each
+        each = pool.map(as_here(lambda one: paper.run_method(*one)), paper.METHOD_RUNS)
+        for done, (_, name) in enumerate(paper.METHOD_RUNS):
+            if progress is not None:
+                progress(done, len(paper.METHOD_RUNS), f"{name}: compiling and running")
+            one = next(each)
+            found.runs.update(one.runs)
+            found.residuals.update(one.residuals)
     return Results(trajectories(found), methods(found), passes(found))
 
 

@@ -1,12 +1,11 @@
 """Many targets: blocks of them on all cores, each searched for in rounds; and several answers for each."""
 
 import functools
-from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
 
-from cnclik.hints import as_here, cores, form, use_form
+from cnclik.hints import as_here, form, use_form
 from cnclik.reaching import search
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
@@ -14,6 +13,7 @@ from cnclik.reaching.search import Answers, Setup, Targets
 from cnclik.reaching.seeds import SETS, compared, seeds
 from cnclik.reaching.single import each
 from cnclik.record import kept, replace
+from cnclik.threads import cores, side_by_side
 
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 POOL = 1 << 18  # targets whose leftovers are searched for together
@@ -59,7 +59,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         found = search.first_tries(mine, wider)
         beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
 
-    with jax.enable_x64(True), ThreadPoolExecutor(cores()) as pool:
+    with jax.enable_x64(True), side_by_side() as pool:
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
@@ -117,7 +117,7 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
         return _several(asked, mine, pose[cut], None if near is None else near[cut], solutions, copies)
 
     chosen = use_form(form() or form_for(asked.chain, len(pose) * copies))
-    with chosen, jax.enable_x64(True), ThreadPoolExecutor(cores()) as pool:
+    with chosen, jax.enable_x64(True), side_by_side() as pool:
         made = list(pool.map(as_here(block), range(0, len(pose), size)))
     return replace(first, **{name: np.concatenate([part[name] for part in made]) for name in PER_TARGET})
 

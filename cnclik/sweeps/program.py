@@ -9,7 +9,6 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -17,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import as_here, cores, shares_threads
+from cnclik.hints import as_here, shares_threads
 from cnclik.integrate.lanes import lanes, options
 from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
+from cnclik.threads import cores, side_by_side
 
 MEMORY = 2**30  # bytes that one block may need while it runs
 
@@ -124,7 +124,7 @@ def run_blocks(study, of: Grid, blocks, first: Program | None = None):
         if first is not None and [o[:3] for o in program.outputs] != [o[:3] for o in first.outputs]:
             raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
         at_once = 1 if program.alone else workers
-        with ThreadPoolExecutor(at_once) as pool:
+        with side_by_side(at_once) as pool:
             for block in group:
                 waiting.append(pool.submit(_compute, program, of, block))
                 if len(waiting) > at_once + 1:
@@ -137,7 +137,7 @@ def _compiled(study, of, numbers, first):
     """The programs of these numbers in their order, the next ones compiled while one is in use."""
     todo = iter([number for number in numbers if first is None or number != 0])
     make = as_here(lambda number: compile_program(study, of.programs[number], of))
-    with ThreadPoolExecutor(cores()) as pool:
+    with side_by_side() as pool:
         ahead = collections.deque(pool.submit(make, number) for number in itertools.islice(todo, cores()))
         for number in numbers:
             if first is not None and number == 0:

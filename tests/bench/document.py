@@ -27,7 +27,7 @@ def machine() -> dict:
     import jaxlib
 
     from cnclik.bench import timing as bench
-    from cnclik.hints import cores
+    from cnclik.threads import cores
 
     return {
         "processor": bench.processor(),
