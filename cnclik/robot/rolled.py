@@ -25,8 +25,9 @@ from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import Frames, frames, jacobian_rows, link
 
-# Evaluations of f, for each joint and each task coordinate, up to which the rolled form is the sooner one, compiling
-# included; and up to which a program of many lanes is, that is compiled with fewest passes.
+# Evaluations of f, for each joint and each task coordinate, up to which, compiling included, the sooner one is: of the
+# rolled form compiled with fewest passes, the rolled form, and the unrolled one compiled with fewest passes.
+ROLLED_QUICK = 1 << 10
 ROLLED = 1 << 14
 QUICK = 1 << 20
 
@@ -66,11 +67,12 @@ def pays(evaluations, law=None) -> bool:
 
 
 def quickly(evaluations, law) -> bool:
-    """Whether a program for so many evaluations of a law's f, in the unrolled form, should be compiled `quick`.
+    """Whether a program of many lanes, for so many evaluations of a law's f, should be compiled `quick`.
 
     See `cnclik.lanes`. Not where `cnclik.use_form` asks for the quicker form to run.
     """
-    return form() != "unrolled" and jax.default_backend() == "cpu" and evaluations <= QUICK * _size(law)
+    most = ROLLED_QUICK if pays(evaluations, law) else QUICK
+    return form() != "unrolled" and jax.default_backend() == "cpu" and evaluations <= most * _size(law)
 
 
 def _size(law) -> int:

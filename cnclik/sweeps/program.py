@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import as_here, shares_threads
+from cnclik.hints import as_here, give_back, shares_threads
 from cnclik.integrate.lanes import lanes, options
 from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid
@@ -72,6 +72,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         shapes = {a.name: jax.ShapeDtypeStruct((count, *a.values.shape[1:]), a.values.dtype) for a in of.inner}
         traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
         compiled = traced.lower().compile(options(traced, of.quick(fixed)))
+    give_back()  # compiling takes some hundred megabytes
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
 

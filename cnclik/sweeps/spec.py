@@ -43,6 +43,7 @@ from cnclik.sweeps.labels import UNITS
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 LIMIT = "limit"
+PIECES = 8  # blocks of a program, at least, where there are lanes enough
 OPTIONS = options.SWEPT
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {
     "delay": 0,
@@ -77,9 +78,9 @@ class Spec:
         """The grid, cut into blocks."""
         found = self.shape()
         size = math.prod(len(a) for a in found.inner)
-        # Blocks of a power of two that long loops make smaller.
+        # Blocks of a power of two that long loops make smaller, enough of them to keep the cores busy.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
-        lanes = self.lanes or 2 ** int(np.clip(np.log2(2**21 / max(steps, 1)), 6, 16))
+        lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick)
 
     def tables(self) -> list:
@@ -146,7 +147,7 @@ class Spec:
             return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
     def quick(self, program: dict) -> bool:
-        """Whether a program is compiled with few passes, see `cnclik.lanes`; small ones are rolled, besides."""
+        """Whether a program is compiled with few passes, see `cnclik.lanes`."""
         made = self.build(**program, **self.first())
         return quickly(self._work(made), made.law)
 
