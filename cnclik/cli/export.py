@@ -16,8 +16,9 @@ class Args(ComputeOptions, ProblemOptions):
 
     out: Path
     """Folder for the files."""
-    what: Literal["step", "solve", "fk", "jacobian"] = "step"
-    """What the function does: one step, N steps in one call, forward kinematics, or the Jacobian."""
+    what: Literal["step", "solve", "reach", "fk", "jacobian"] = "step"
+    """What the function does: one step, N steps in one call, joint values for one target, forward kinematics, or the
+    Jacobian."""
     name: str = "clik_step"
     """Name of the function and of the files."""
     dtype: Literal["double", "float"] = "double"
@@ -28,6 +29,8 @@ class Args(ComputeOptions, ProblemOptions):
     """Compile all parameters in."""
     batch: bool = False
     """Also the loop for many lanes by vector instructions, NAME_batch.c (GCC, Clang)."""
+    seeds: int = 64
+    """Postures that a search (`--what reach`) starts from, after the joint values that it is given."""
 
 
 def run(args: Args) -> None:
@@ -55,6 +58,7 @@ def run(args: Args) -> None:
             name=args.name,
             runtime=() if args.compiled_in else args.runtime,
             batch=args.batch,
+            seeds=args.seeds,
         )
     where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
     of = f", {made.method} {where}" if args.what in ("step", "solve") else ""

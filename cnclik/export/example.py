@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from cnclik.export.cost import operations
 from cnclik.export.scalar import number
 from cnclik.export.source import GROUPS
 from cnclik.export.vectors import TOLERANCE, inputs, results
@@ -17,7 +16,7 @@ def example(asked, program, names) -> str:
     given = inputs(asked, program)
     wanted = results(program, given)
     count, name = len(given["input.q"]), names.name
-    outputs = [(f"output.{f.name}", f) for f, _ in program.outputs["output"]]
+    outputs = [(key, f) for f, _ in program.outputs["output"] if (key := f"output.{f.name}") in wanted]
     tables = [_table(names, f"in_{f.name}", f, given[f"input.{f.name}"]) for f in program.inputs["input"]]
     tables += [_table(names, f"out_{f.name}", f, wanted[key]) for key, f in outputs]
     fill = [_copy(f"input.{f.name}", f"in_{f.name}[i]", f) for f in program.inputs["input"]]
@@ -32,6 +31,7 @@ def example(asked, program, names) -> str:
     begin += ["    memset(&history, 0, sizeof history);"] * bool(program.inputs["history"])
     called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
     near = number(TOLERANCE[names.dtype.itemsize], "real", names.dtype)
+    compare = differs(names, near) if any(f.kind == "real" for _, f in outputs) else ""
     return f"""/* Runs test vectors through {name} and returns 0 where all agree. Written by cnclik {__version__}. */
 #include <math.h>
 #include <stdio.h>
@@ -40,17 +40,7 @@ def example(asked, program, names) -> str:
 #include "{name}.h"
 
 {"".join(tables)}
-static int differs(const {names.real} *found, const {names.real} *wanted, int size)
-{{
-  int i, wrong = 0;
-  for (i = 0; i < size; ++i) {{
-    const int both_nan = isnan(found[i]) && isnan(wanted[i]);
-    wrong += !both_nan && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
-  }}
-  return wrong;
-}}
-
-int main(void)
+{compare}int main(void)
 {{
   int i, failed = 0;
   for (i = 0; i < {count}; ++i) {{
@@ -69,6 +59,21 @@ int main(void)
 """
 
 
+def differs(names, near) -> str:
+    """The function that compares numbers."""
+    return f"""static int differs(const {names.real} *found, const {names.real} *wanted, int size)
+{{
+  int i, wrong = 0;
+  for (i = 0; i < size; ++i) {{
+    const int both_nan = isnan(found[i]) && isnan(wanted[i]);
+    wrong += !both_nan && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
+  }}
+  return wrong;
+}}
+
+"""
+
+
 def _table(names, name, field, values) -> str:
     rows = ",\n".join(
         "  {" + ", ".join(number(v, field.kind, names.dtype) for v in row) + "}" for row in np.asarray(values).tolist()
@@ -83,9 +88,8 @@ def _copy(place, table, field) -> str:
     return f"    {place} = {table}[0];"
 
 
-def readme(asked, program, names, told, files) -> str:
-    """What the files are, how to build them, and what each number means."""
-    counted = operations(program)
+def readme(program, names, told, files, counted) -> str:
+    """What the files are, how to build them, and what each number means. `counted`: operations at most."""
     ops = ", ".join(f"{n} {what}" for what, n in counted.items())
     groups = {**program.inputs, "output": [f for f, _ in program.outputs["output"]]}
     rows = [(f"`{g}->{f.name}`", f.about, f.size) for g, fields in groups.items() for f in fields]

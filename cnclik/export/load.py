@@ -8,6 +8,7 @@ import json
 import operator
 import pathlib
 import tempfile
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -18,6 +19,7 @@ from cnclik.export.compiler import build, opened
 from cnclik.export.write import MANIFEST, c
 from cnclik.integrate.advance import Step
 from cnclik.integrate.trajectory import INSTANTS, Trajectory
+from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
 from cnclik.robot.kinematics import Pose
 
@@ -70,7 +72,7 @@ class Compiled:
         self.buffers["output"] = _Buffer(told["outputs"], self.dtype)
         library = opened(self.library, lets_go=told["what"] == "solve")
         function = getattr(library, name)
-        function.restype = ctypes.c_int32 if told["what"] in ("step", "solve") else None
+        function.restype = ctypes.c_int32 if told["what"] in ("step", "solve", "reach") else None
         addresses = [b.address for b in self.buffers.values()]
         of_loop = [ctypes.c_int32, ctypes.c_void_p] * (told["what"] == "solve")
         function.argtypes = [ctypes.c_void_p] * len(addresses) + of_loop
@@ -88,8 +90,8 @@ class Compiled:
             before handed back; None starts anew.
           N: steps, of "solve" alone.
 
-        Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "fk" `cnclik.Pose`, of "jacobian" (6, n);
-          with NumPy arrays in them.
+        Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "reach" an `Answer`, of "fk" `cnclik.Pose`,
+          of "jacobian" (6, n); with NumPy arrays in them.
         """
         return self._call
 
@@ -128,6 +130,16 @@ class Compiled:
         inputs = ", ".join(row["name"] for row in self.told["inputs"]["input"])
         by = f"{self.told['what']} by {self.told['method']}, {self.told['dtype']}"
         return f"Compiled {self.told['name']}({inputs}): {by}"
+
+
+class Answer(NamedTuple):
+    """Joint values for one target, in the words of `cnclik.Reached`."""
+
+    q: np.ndarray  # (n,) the answer; else the nearest pose found, NaN where the target is
+    status: ReachStatus  # SOLVED, OUT_OF_REACH, OUT_OF_BUDGET or NON_FINITE
+    position_error: float  # [m]
+    orientation_error: float  # [rad]
+    evaluations: int  # looks at a posture
 
 
 class _Buffer:
@@ -275,4 +287,16 @@ def _jacobian(made, function, addresses):
     return jacobian
 
 
-_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _solver}
+def _reacher(made, function, addresses):
+    (into, shape, write), views = _input(made.buffers), made.buffers["output"].views
+
+    def reach(q, *given, **named):
+        into[...] = _joints(q, shape)
+        write(given, named)
+        status = ReachStatus(function(*addresses))
+        return Answer(status=status, **{name: views[name].copy()[()] for name in Answer._fields if name != "status"})
+
+    return reach
+
+
+_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _solver, "reach": _reacher}

@@ -7,10 +7,12 @@ import numpy as np
 from cnclik.export.graph import INT, functions
 from cnclik.export.scalar import Writer, number
 from cnclik.integrate.status import Status
+from cnclik.reaching.result import ReachStatus
 from cnclik.robot.trig import RANGE, TABLES
 from cnclik.version import __version__
 
 GROUPS = ("parameters", "input", "history")
+REACHED = tuple(ReachStatus[name] for name in ("SOLVED", "OUT_OF_REACH", "OUT_OF_BUDGET", "NON_FINITE"))
 
 
 class Names:
@@ -21,6 +23,7 @@ class Names:
         self.real = "float" if self.dtype.itemsize == 4 else "double"
         self.suffix = "f" * (self.dtype.itemsize == 4)
         self.entry = f"{name}_step" if what == "solve" else name  # one call
+        self.statuses = {"step": Status, "solve": Status, "reach": REACHED}.get(what, ())
 
     def type(self, group) -> str:
         return f"{self.name}_{group}"
@@ -47,11 +50,11 @@ def header(program, names, told, more="") -> str:
     guard = f"{names.name.upper()}_H"
     groups = {g: fields for g, fields in program.inputs.items() if fields}
     groups["output"] = [field for field, _ in program.outputs["output"]]
-    types = "\n".join(_struct(names, group, fields) for group, fields in groups.items())
+    types = "\n".join(struct(names, group, fields) for group, fields in groups.items())
     bits = ""
-    if names.what in ("step", "solve"):
-        inside = ",\n".join(f"  {names.name.upper()}_{s.name} = {int(s)}" for s in Status)
-        bits = f"/* Bits of the status. */\nenum {{\n{inside}\n}};\n\n"
+    if names.statuses:
+        inside = ",\n".join(f"  {names.name.upper()}_{s.name} = {int(s)}" for s in names.statuses)
+        bits = f"/* {'Bits of the' if names.statuses is Status else 'The'} status. */\nenum {{\n{inside}\n}};\n\n"
     calls = [f"{signature(program, names)};"]
     about = "One call; returns the status." if bits else "One call."
     if program.inputs["history"]:
@@ -69,7 +72,7 @@ def header(program, names, told, more="") -> str:
     )
 
 
-def _struct(names, group, fields) -> str:
+def struct(names, group, fields) -> str:
     lines = []
     for f in fields:
         size = f"[{f.size}]" if f.shape else ""
@@ -90,7 +93,7 @@ def arguments(program, names, ending=("output",)) -> str:
 
 def signature(program, names) -> str:
     """The C function's own line."""
-    returns = "int32_t" if names.what in ("step", "solve") else "void"
+    returns = "int32_t" if names.statuses else "void"
     return f"{returns} {names.entry}({arguments(program, names)})"
 
 
@@ -98,12 +101,12 @@ def defaults_signature(names) -> str:
     return f"void {names.name}_defaults({names.type('parameters')} *parameters)"
 
 
-def source(program, names, more="") -> str:
-    """The whole source file; `more` stands at its end."""
-    function, used = body(program, names)
+def source(program, names, more="", inside=None) -> str:
+    """The whole source file; `more` stands at its end. `inside`: another text for the function, and what it uses."""
+    function, used = inside or body(program, names)
     parts = [
         f"/* Written by cnclik {__version__}; see {names.name}.h. */\n",
-        f'#include "{names.name}.h"\n\n#include <math.h>\n',
+        f'#include "{names.name}.h"\n\n#include <math.h>\n' + "#include <string.h>\n" * bool(inside),
         *helpers(names, used),
     ]
     if program.inputs["parameters"]:
@@ -116,8 +119,8 @@ def places(program, names) -> dict:
     return {f"{g}.{f.name}": names.place(g, f) for g, fields in program.inputs.items() for f in fields}
 
 
-def body(program, names):
-    """The function's text, and the operations in it."""
+def body(program, names, line=""):
+    """The function's text, and the operations in it. `line`: its own line, where it isn't the exported one."""
     called = {f: f"{names.name}_part{i}" for i, f in enumerate(functions(program.graph), 1)}
     used = set()
     parts = [_part(f, called, used) for f in called]
@@ -130,9 +133,9 @@ def body(program, names):
             values = [writer.of(node) for node in nodes]  # all is read before anything is written
             stores += [f"  {place}{f'[{i}]' if array else ''} = {v};" for i, v in enumerate(values)]
     lines += stores
-    if names.what in ("step", "solve"):
+    if names.statuses and "output" in program.outputs:
         lines.append("  return output->status;")
-    text = f"{signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n"
+    text = f"{line or signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n"
     return named_as("\n".join([*parts, text]), names), writer.used | used
 
 

@@ -22,7 +22,7 @@ from cnclik.record import cast
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
 
-WHAT = ("step", "solve", "fk", "jacobian")
+WHAT = ("step", "solve", "reach", "fk", "jacobian")
 
 
 class Program(NamedTuple):

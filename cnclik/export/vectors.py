@@ -3,6 +3,7 @@
 import numpy as np
 
 from cnclik.export.evaluate import evaluate
+from cnclik.reaching.result import ReachStatus
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import start_posture
 
@@ -35,7 +36,10 @@ def inputs(asked, program, count=COUNT) -> dict:
 
 
 def results(program, given) -> dict:
-    """{"group.name": (count, size)} of all results."""
+    """{"group.name": (count, size)} of all results; of a search the status alone."""
+    if program.graph is None:
+        lost = np.isnan(given["input.q"]).any(1, keepdims=True)
+        return {"output.status": np.where(lost, int(ReachStatus.NON_FINITE), int(ReachStatus.SOLVED))}
     found = iter(evaluate(program.graph, program.ends, given))
     return {
         f"{group}.{f.name}": np.stack([next(found) for _ in nodes], -1)

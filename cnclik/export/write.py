@@ -8,9 +8,12 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.export.arrays import UnsupportedError
+from cnclik.export.cost import operations
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
 from cnclik.export.loop import RESULTS, trace_growth, trace_loop
+from cnclik.export.reach_source import most_operations, reach_source
+from cnclik.export.reach_trace import SEEDS, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import WHAT, Asked, trace
@@ -39,6 +42,7 @@ def c(
     name="clik_step",
     runtime=None,
     batch=False,
+    seeds=SEEDS,
 ):
     """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
 
@@ -49,28 +53,30 @@ def c(
       law: the right-hand side; for "fk" and "jacobian" a `Chain` does.
       reference: the path, a function of time then; None: position, rotation and velocity of the target are arguments.
       out: the folder, made where it is not there.
-      what: "step", "solve" (N steps in one call), "fk" or "jacobian".
+      what: "step", "solve" (N steps in one call), "reach" (joint values for one target), "fk" or "jacobian".
       method, stage: as for `solve`.
       dtype: "float64" (double) or "float32" (float).
       name: of the function and of the files.
       runtime: names of the parameters that may be set at run time, the others being compiled in; None: all.
       batch: also the loop for many lanes by vector instructions, `NAME_batch.c`: True, or the names of the results
         wanted of it, such as ("q", "e"); what is not wanted is not computed.
+      seeds: postures written into the source for "reach" to start from, after the joint values that it is given.
 
     Returns: the folder's path.
     Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
     """
     asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
     out = pathlib.Path(out)
-    program = _read(trace, asked)
     names, told = Names(name, asked.dtype, what), configuration(asked)
     declared = loop = ""
+    reaching = _read(trace_reach, asked, seeds) if what == "reach" else None
+    program = reaching.call if reaching else _read(trace, asked)
     if what == "solve":
         declared = solve_header(program, names)
         loop = solve_source(program, _read(trace_growth, asked), names, asked.law.chain.n, asked.law.task.m)
     files = {
         f"{name}.h": header(program, names, told, declared),
-        f"{name}.c": source(program, names, loop),
+        f"{name}.c": source(program, names, loop, reach_source(reaching, names) if reaching else None),
         "example.c": example(asked, program, names),
     }
     looped = _read(trace_loop, asked, RESULTS if batch is True else _wanted(batch)) if batch else None
@@ -79,7 +85,8 @@ def c(
         files[f"{name}_batch.c"] = batch_source(looped, names)
     every = [*files, MANIFEST, "README.md"]
     files[MANIFEST] = json.dumps({"files": every} | manifest(asked, program, names, looped), indent=1) + "\n"
-    files["README.md"] = readme(asked, program, names, told, every)
+    counted = most_operations(reaching) if reaching else operations(program)
+    files["README.md"] = readme(program, names, told, every, counted)
     with output_folder(out) as folder:
         for file, text in files.items():
             folder.write_text(file, text)
@@ -102,7 +109,7 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
     dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
     if batch and what not in ("step", "solve"):
         raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")
-    if isinstance(law, Chain) and what in ("fk", "jacobian"):
+    if isinstance(law, Chain) and what in ("fk", "jacobian", "reach"):
         from cnclik.law.inverse import damped
         from cnclik.law.task import pose
 
@@ -113,6 +120,8 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
         if not isinstance(reference, Reference):
             raise errors.fail("reference", "be a Reference such as hold(...), or None", f"is {reference!r}")
         check(reference, law.task)
+    if what == "reach" and runtime is not None:
+        raise errors.fail("runtime", "be left out for 'reach'", f"is {runtime!r}")
     runtime = None if runtime is None else tuple(runtime)
     stage = picard(5) if stage is None else stage
     return Asked(law, reference, named(method), stage, np.dtype(_DTYPES[dtype]), what, runtime), name
@@ -128,6 +137,8 @@ def configuration(asked: Asked) -> list:
     if asked.what in ("fk", "jacobian"):
         return lines
     lines.append(f"task: {' '.join(law.task.names)} [{' '.join(law.task.units)}]")
+    if asked.what == "reach":
+        return lines
     stage = f" by {asked.stage}" * asked.method.implicit
     lines.append(f"method: {asked.method}{stage} ({asked.method.source})")
     lines.append(f"inverse: {brief(law.inverse)}")

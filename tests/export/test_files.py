@@ -38,6 +38,8 @@ def folders(tmp_path_factory):
         "spline": dict(method="EE", reference=ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])),
         "fk": dict(what="fk"),
         "jacobian": dict(what="jacobian", dtype="float32"),
+        "reach": dict(what="reach", seeds=4),
+        "reach_pose": dict(law=ck.panda(), what="reach", dtype="float32", seeds=4),
         "saturated": dict(law=a_law(limits=ck.saturation()), method="EE", batch=("q", "e")),
     }  # fmt: skip
     for name, options in every.items():

@@ -1,0 +1,101 @@
+"""Reach, traced: a look at a posture with the damped step from it, and the tables that a search needs."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.export.fields import Field
+from cnclik.export.graph import INT
+from cnclik.export.trace import Asked, Program, read
+from cnclik.reaching.seeds import SETS, SIZE, seeds, spans
+from cnclik.reaching.step import Search, iterate
+from cnclik.record import cast, replace
+from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.posture import arm_length
+
+SEEDS = 64  # postures that are written into the source, by default
+TOLERANCE = (1e-6, 1e-6)  # [m], [rad]
+LEAST = 64.0  # roundings, that a tolerance is at least
+
+
+class Reaching(NamedTuple):
+    """What the C is written from."""
+
+    look: Program  # of the state of a search: look, and step on
+    call: Program  # what the exported function takes and gives, without a graph
+    lower: np.ndarray  # (n,)
+    upper: np.ndarray
+    postures: np.ndarray  # (K, n) to start from
+    tips: np.ndarray  # (K, p + 9) where they lead: what targets are compared with
+    scale: float  # of a target's position, in `tips`
+    turns: tuple  # joints that may go round, without a limit
+    center: tuple  # what a target can be too far from: the first joint's place, in the task's coordinates; or none
+    length: float  # of the stretched arm [m]
+
+
+def trace_reach(asked: Asked, count: int = SEEDS) -> Reaching:
+    """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
+    errors.integer("seeds", count, at_least=1)
+    if count > SETS * SIZE:
+        raise errors.fail("seeds", f"be at most {SETS * SIZE}", f"is {count}")
+    chain, task = asked.law.chain, replace(asked.law.task, weights=None)
+    n, p, turned = chain.n, len(task.position), bool(task.orientation)
+    found, rounds = seeds(chain), [joint.kind == REVOLUTE for joint in chain.joints]
+    columns = [*task.linear, *(range(3, 12) if turned else ())]
+    units = ", ".join(dict.fromkeys(chain.units))
+    least = LEAST * np.finfo(asked.dtype).eps
+    parameters = [
+        Field("tolerance", (2,), about="of position [m] and orientation [rad]", value=np.maximum(TOLERANCE, least)),
+        Field("tries", (), INT, about=f"postures to start from, at most, up to {count + 1}", value=count + 1),
+    ]
+    given = [Field("q", (n,), about=f"joint values to search from first, such as where the arm is [{units}]")]
+    given += [Field("position", (p,), about="the target's, in the task's coordinates [m]")] * bool(p)
+    given += [Field("rotation", (3, 3), about="the target's, row by row", value=np.eye(3))] * turned
+    told = [
+        Field("q", (n,), about=f"joint values of the answer, else of the nearest pose found [{units}]"),
+        Field("position_error", (), about="[m]"),
+        Field("orientation_error", (), about="[rad]"),
+        Field("evaluations", (), INT, "looks at a posture that it took"),
+        Field("status", (), INT, "how it went"),
+    ]
+    return Reaching(
+        look=_look(asked, chain, task, parameters[:1], given[1:]),
+        call=Program(
+            None, {"parameters": parameters, "input": given, "history": []}, {"output": [(f, []) for f in told]}
+        ),
+        lower=np.array(chain.lower, float),
+        upper=np.array(chain.upper, float),
+        postures=np.clip(found.postures[:count], *spans(chain)),
+        tips=found.tips[:count, columns],
+        scale=found.scale,
+        center=tuple(float(chain.joints[0].origin.position[i]) for i in task.linear if all(rounds)),
+        length=float(arm_length(chain)),
+        turns=tuple(np.flatnonzero(np.array(chain.periodic) & np.isinf(chain.lower) & np.isinf(chain.upper)).tolist()),
+    )
+
+
+def _look(asked, chain, task, parameters, target) -> Program:
+    n = chain.n
+    bounds = [Field("low", (n,)), Field("high", (n,))]
+    state = [Field("q", (n,)), Field("best", (n,)), Field("squares", (2,))]
+    state += [Field(name, ()) for name in ("cost", "steep", "trust", "looks")] + [Field("arrived", (), INT)]
+    groups = {"parameters": parameters, "input": target, "bounds": bounds, "search": state}
+
+    def one(tolerance, *flat):
+        values = iter(flat)
+        wanted = {f.name: next(values) for f in target}
+        low, high = (tuple(next(values)) for _ in bounds)
+        q, best, squares, cost, steep, trust, looks, arrived = values
+        at = Search(tuple(q), tuple(best), tuple(squares), cost, steep, trust, looks, arrived != 0)
+        zero = jnp.zeros((), asked.dtype)
+        where = dict(zip(task.linear, wanted["position"], strict=True)) if task.position else {}
+        turn = wanted["rotation"] if task.orientation else jnp.eye(3, dtype=asked.dtype)
+        pose = tuple(where.get(i, zero) for i in range(3)), tuple(map(tuple, turn))
+        careful = jnp.ones((), bool)
+        made = iterate(cast(chain, asked.dtype), task, at, pose, (low, high), tuple(tolerance), careful)
+        packed = [jnp.stack(v) for v in (made.q, made.best, made.squares)]
+        return [*packed, made.cost, made.steep, made.trust, made.looks, made.arrived.astype(jnp.int32)]
+
+    return read(asked, one, groups, {"search": state})

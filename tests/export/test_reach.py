@@ -1,0 +1,140 @@
+"""The search for one target as C: every answer is looked at by the library's own kinematics."""
+
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.cli import main
+from tests.export.combinations import arm
+
+pytestmark = [pytest.mark.form(None), pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
+ROBOTS = {"panda": ck.panda, "ur5": ck.ur5}
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request):
+    chain = ROBOTS[request.param]()
+    return chain, ck.export.compiled(chain, what="reach")
+
+
+def drawn(chain, count, seed=0):
+    """Joint values within the limits, and where they lead."""
+    low, high = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
+    q = np.random.default_rng(seed).uniform(low, high, (count, chain.n))
+    return q, *places(chain, q)
+
+
+def places(chain, q):
+    at = jax.vmap(lambda q: ck.pose(chain, q))(np.asarray(q, float))
+    return np.asarray(at.position), np.asarray(at.rotation)
+
+
+def off(a, b):
+    """Angles [rad] between rotations (..., 3, 3)."""
+    return 2 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=(-2, -1)) / 2**1.5, 1))
+
+
+def test_it_solves_what_can_be_reached_within_the_limits(robot):
+    chain, reach = robot
+    position, rotation = drawn(chain, 500)[1:]
+    start = np.zeros(chain.n)
+    made = [reach(start, p, r) for p, r in zip(position, rotation, strict=True)]
+    solved = np.array([m.status == ck.ReachStatus.SOLVED for m in made])
+    assert solved.mean() >= 0.998
+    q = np.stack([m.q for m in made])[solved]
+    there = places(chain, q)
+    assert np.linalg.norm(there[0] - position[solved], axis=1).max() <= 1e-6
+    assert off(there[1], rotation[solved]).max() <= 1e-6
+    assert (q >= np.array(chain.lower)).all() and (q <= np.array(chain.upper)).all()
+    assert np.median([m.evaluations for m in made]) < 40
+
+
+def test_from_next_to_the_target_it_takes_a_few_looks_and_stays_there(robot):
+    chain, reach = robot
+    q, position, rotation = drawn(chain, 100, seed=1)
+    near = np.clip(q + np.random.default_rng(2).uniform(-0.01, 0.01, q.shape), chain.lower, chain.upper)
+    made = [reach(*row) for row in zip(near, position, rotation, strict=True)]
+    assert all(m.status == ck.ReachStatus.SOLVED for m in made)
+    assert np.median([m.evaluations for m in made]) <= 4
+    assert np.median([np.abs(m.q - n).max() for m, n in zip(made, near, strict=True)]) < 0.03
+
+
+def test_too_far_is_said_with_the_nearest_pose(robot):
+    chain, reach = robot
+    target = np.array([2.0, 1.0, 0.5]), np.eye(3)
+    made = reach(np.zeros(chain.n), *target)
+    wanted = ck.reach(chain, np.block([[np.eye(3), target[0][:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]))
+    assert made.status == wanted.status == ck.ReachStatus.OUT_OF_REACH
+    assert made.position_error <= 1.01 * wanted.position_error + 0.1 * wanted.orientation_error
+    at = places(chain, made.q[None])
+    assert np.isclose(np.linalg.norm(at[0][0] - target[0]), made.position_error)
+    assert np.isclose(off(at[1][0], target[1]), made.orientation_error)
+    many = reach.parameters["tries"]
+    reach.set(tries=1)
+    few = reach(np.zeros(chain.n), *target)
+    reach.set(tries=many)
+    assert few.evaluations < made.evaluations and few.position_error >= made.position_error - 1e-3
+
+
+def test_what_is_not_finite_is_told(robot):
+    chain, reach = robot
+    q, (position,), (rotation,) = drawn(chain, 1)
+    right = q[0], position, rotation
+    for place, bad in enumerate((np.nan, np.inf, np.nan)):
+        made = reach(*(v * bad if i == place else v for i, v in enumerate(right)))
+        assert made.status == ck.ReachStatus.NON_FINITE and np.isnan(made.q).all() and made.evaluations == 0
+    assert reach(*right).status == ck.ReachStatus.SOLVED
+
+
+def test_a_joint_without_limits_answers_within_half_a_turn_of_where_it_is():
+    chain = ck.planar_arm([1.0, 0.7])
+    reach = ck.export.compiled(ck.Law(chain, ck.position("xy"), alpha=1.0), what="reach")
+    for start in ([14.0, 1.0], [-8.0, 20.0]):
+        made = reach(start, [0.9, 0.8])
+        assert made.status == ck.ReachStatus.SOLVED and np.abs(made.q - start).max() <= np.pi
+        assert np.allclose(np.asarray(ck.pose(chain, made.q).position)[:2], [0.9, 0.8], atol=1e-6)
+        assert made.orientation_error == 0
+
+
+@pytest.mark.parametrize("task", ["xyz", "orientation", "pose"])
+def test_tasks_in_single_precision(task):
+    chain = ck.panda()
+    law = ck.Law(
+        chain, {"xyz": ck.position(), "orientation": ck.orientation(), "pose": ck.pose_task()}[task], alpha=1.0
+    )
+    reach = ck.export.compiled(law, what="reach", dtype="float32")
+    made = []
+    for p, r in zip(*drawn(chain, 100, seed=3)[1:], strict=True):
+        made.append(reach(np.zeros(7), *([p] if task != "orientation" else []), *([r] if task != "xyz" else [])))
+    assert np.mean([m.status == ck.ReachStatus.SOLVED for m in made]) >= 0.97
+    there = places(chain, np.stack([m.q for m in made]))
+    position, rotation = drawn(chain, 100, seed=3)[1:]
+    solved = np.array([m.status == ck.ReachStatus.SOLVED for m in made])
+    if task != "orientation":
+        assert np.linalg.norm(there[0] - position, axis=1)[solved].max() < 2e-5
+    if task != "xyz":
+        assert off(there[1], rotation)[solved].max() < 2e-5
+
+
+def test_seeds_are_counted_and_options_checked(tmp_path):
+    chain = arm(3)
+    law = ck.Law(chain, ck.position("xy"), alpha=1.0)
+    assert ck.export.compiled(law, what="reach", seeds=3).parameters["tries"] == 4
+    for wrong in (dict(seeds=0), dict(seeds=5000), dict(seeds=2.5), dict(runtime=()), dict(batch=True)):
+        with pytest.raises(ck.ArgumentError, match=next(iter(wrong))):
+            ck.export.c(law, out=tmp_path / "never", what="reach", **wrong)
+    assert not (tmp_path / "never").exists()
+
+
+def test_from_the_command_line(tmp_path, capsys):
+    main(["export", "ur5", "--what", "reach", "--seeds", "8", "--out", str(tmp_path / "made"), "--no-cache"])
+    assert "ur5: reach in double" in capsys.readouterr().out
+    assert json.loads((tmp_path / "made" / "export.json").read_text())["what"] == "reach"
+    chain = ck.ur5()
+    q, (position,), (rotation,) = drawn(chain, 1)
+    made = ck.export.load(tmp_path / "made", tolerance=[1e-9, 1e-9])(q[0] + 0.1, position, rotation)
+    assert made.status == ck.ReachStatus.SOLVED and made.position_error <= 1e-9
