@@ -120,9 +120,9 @@ def record(cls=None, *, kw_only=True):
 
 
 def in_words(value, digits=5) -> str:
-    """A number, vector or matrix as text, on one line."""
-    text = np.array2string(np.asarray(value), precision=digits, separator=", ", max_line_width=10**6)
-    return text.replace("\n", "")
+    """A number, vector or matrix as text, on one line; of floats so many significant digits."""
+    shown = {"float_kind": lambda v: f"{v:.{digits}g}"}
+    return np.array2string(np.asarray(value), separator=", ", max_line_width=10**6, formatter=shown).replace("\n", "")
 
 
 def brief(value) -> str:

@@ -33,8 +33,8 @@ def lines_of(found, said) -> list:
         times = said.advice.times
         edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
         lines.append(f"Sampling time at alpha now: {edge}.")
-    lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {len(eigen.null)} directions, "
-                 f"|λ| = {eigen.null_radius:.4g}.")  # fmt: skip
+    null = f"{len(eigen.null)} direction{'s' * (len(eigen.null) != 1)}, |λ| = {eigen.null_radius:.4g}"
+    lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {null}.")
     lines.append("The same loop elsewhere, by explicit Euler:")
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
 

@@ -71,8 +71,11 @@ class Recommendation:
     evaluations: int
 
     def __str__(self):
+        first = ""
+        if self.recommended is not None:
+            first = f"recommended {in_words(self.recommended)} (z = {self.z_recommended:.4g}), "
         return (
-            f"{self.name}: stable to {in_words(self.largest)} (z = {self.z_largest:.4g}), fastest at "
+            f"{self.name}: {first}stable to {in_words(self.largest)} (z = {self.z_largest:.4g}), fastest at "
             f"{in_words(self.fastest)} (z = {self.z_fastest:.4g}, error × {self.radius:.3g} per step); {self.limit}"
         )
 
