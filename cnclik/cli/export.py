@@ -29,8 +29,8 @@ class Args(ComputeOptions, ProblemOptions):
     """Compile all parameters in."""
     batch: bool = False
     """Also the loop for many lanes by vector instructions, NAME_batch.c (GCC, Clang)."""
-    seeds: int = 64
-    """Postures that a search (`--what reach`) starts from, after the joint values that it is given."""
+    seeds: int | None = None
+    """Postures that a search (`--what reach`) starts from, after the joint values that it is given; 64 by default."""
 
 
 def run(args: Args) -> None:

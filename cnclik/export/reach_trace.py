@@ -35,7 +35,7 @@ class Reaching(NamedTuple):
     length: float  # of the stretched arm [m]
 
 
-def trace_reach(asked: Asked, count: int = SEEDS) -> Reaching:
+def trace_reach(asked: Asked, count: int) -> Reaching:
     """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
     errors.integer("seeds", count, at_least=1)
     if count > SETS * SIZE:

@@ -42,7 +42,7 @@ def c(
     name="clik_step",
     runtime=None,
     batch=False,
-    seeds=SEEDS,
+    seeds=None,
 ):
     """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
 
@@ -60,7 +60,8 @@ def c(
       runtime: names of the parameters that may be set at run time, the others being compiled in; None: all.
       batch: also the loop for many lanes by vector instructions, `NAME_batch.c`: True, or the names of the results
         wanted of it, such as ("q", "e"); what is not wanted is not computed.
-      seeds: postures written into the source for "reach" to start from, after the joint values that it is given.
+      seeds: postures written into the source for "reach" to start from, after the joint values that it is given; 64
+        by default.
 
     Returns: the folder's path.
     Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
@@ -69,7 +70,9 @@ def c(
     out = pathlib.Path(out)
     names, told = Names(name, asked.dtype, what), configuration(asked)
     declared = loop = ""
-    reaching = _read(trace_reach, asked, seeds) if what == "reach" else None
+    if what != "reach" and seeds is not None:
+        raise errors.fail("seeds", f"be left out for {what!r}", f"is {seeds!r}")
+    reaching = _read(trace_reach, asked, SEEDS if seeds is None else seeds) if what == "reach" else None
     program = reaching.call if reaching else _read(trace, asked)
     if what == "solve":
         declared = solve_header(program, names)

@@ -113,6 +113,7 @@ def _halving(q):
         dict(batch=("qq",)),
         dict(reference="circle"),
         dict(what="fk", batch=True),
+        dict(seeds=8),
     ],
 )
 def test_options_are_checked(options, tmp_path):
