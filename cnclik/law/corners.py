@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.law.curves import Path
+from cnclik.law.curves import Path, interval
 from cnclik.law.reference import Reference, sample
 from cnclik.law.task import Task
 from cnclik.record import record
@@ -32,8 +32,7 @@ class Corners:
 
     def after(self, t):
         """(time until the next corner, its sharpness) at t."""
-        last = self.t.shape[0] - 1
-        k = jnp.clip(jnp.searchsorted(self.t, t, side="right") - 1, 0, last - 1)
+        k = interval(self.t, t)
         at = self.next[k]
         at = jnp.where(self.time[at] < t, self.next[k + 1], at)
         return jnp.where(self.time[at] < t, jnp.inf, self.time[at] - t), self.sharpness[at]

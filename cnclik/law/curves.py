@@ -17,6 +17,24 @@ from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
 
 
+def interval(times, t):
+    """Index k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one beyond them.
+
+    By halving, of operations that every program of ours may hold: what `jnp.searchsorted` is made of differs between
+    versions of JAX.
+    """
+    times, last = jnp.asarray(times), times.shape[0] - 1
+
+    def halve(_, ends):
+        low, high = ends
+        middle = (low + high) // 2
+        later = times[middle] <= t
+        return jnp.where(later, middle, low), jnp.where(later, high, middle)
+
+    ends = jnp.zeros((), jnp.int32), jnp.full((), last, jnp.int32)
+    return lax.fori_loop(0, max(last, 1).bit_length(), halve, ends)[0]
+
+
 @record
 class Hold:
     position: object
@@ -89,7 +107,7 @@ class Spline:
     def __call__(self, t, unrolled=True):
         if self.closed:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
-        k = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, self.times.shape[0] - 2)
+        k = interval(self.times, t)
         inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
         # Held at both ends; the jvp of a clip would halve the velocity exactly at an end.
         dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]

@@ -137,7 +137,9 @@ def test_the_form_follows_from_the_work():
     size = law.chain.n * law.task.m
     assert pays(1) and pays(ROLLED) and not pays(ROLLED + 1) and not pays(None)
     assert pays(size * ROLLED, law) and not pays(size * ROLLED + 1, law)
-    assert quickly(size * ROLLED, law) and not quickly(size * rolled.QUICK + 1, law)
+    assert quickly(size * rolled.ROLLED_QUICK, law) and not quickly(size * rolled.ROLLED_QUICK + 1, law)  # rolled
+    assert not quickly(size * ROLLED, law) and quickly(size * ROLLED + 1, law)  # unrolled
+    assert quickly(size * rolled.QUICK, law) and not quickly(size * rolled.QUICK + 1, law)
     with ck.use_form("unrolled"):
         assert not pays(1)
     with ck.use_form("rolled"):

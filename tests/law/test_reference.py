@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
+from cnclik.law.curves import interval
 from cnclik.law.reference import motion, sample
 from tests.oracles import close
 
@@ -332,3 +333,11 @@ def test_bad_input(build, message):
     with pytest.raises(ck.ArgumentError, match=message) as caught:
         build()
     assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
+
+
+@pytest.mark.parametrize("count", [2, 3, 17, 1000])
+def test_an_instant_is_in_the_interval_that_numpy_says(count):
+    times = np.cumsum(np.random.default_rng(count).uniform(0.1, 1.0, count))
+    t = np.concatenate([times, (times[1:] + times[:-1]) / 2, [times[0] - 1, times[-1] + 1]])
+    wanted = np.clip(np.searchsorted(times, t, side="right") - 1, 0, count - 2)
+    assert (jax.jit(jax.vmap(functools.partial(interval, times)))(t) == wanted).all()

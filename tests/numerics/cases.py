@@ -92,8 +92,8 @@ class Loop:
 
 
 def loop(kind: Kind, seed) -> Loop | None:
-    """A loop of a kind; None where a law refuses its chain, such as a pseudoinverse with more rows than joints."""
-    rng = np.random.default_rng([seed, 1])
+    """A loop of a kind, from two numbers; None where a law refuses its chain, as a pseudoinverse does short ones."""
+    rng = np.random.default_rng([*seed, 1])
     scale = 10.0 ** (rng.uniform(-6, 6) if rng.random() < 0.4 else rng.uniform(-1, 0.5))
     start = STARTS[rng.integers(len(STARTS))]
     target = TARGETS[rng.integers(len(TARGETS))]
