@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import os
 import threading
 from pathlib import Path
 from typing import Annotated
@@ -72,7 +73,7 @@ def _shown(args):
 def _played(path, robot=None):
     from cnclik.show.viewer import files
 
-    if (Path(path) / files.STORE).exists():
+    if os.path.exists(Path(path) / files.STORE):  # of a name that is too long, too
         from cnclik.show.viewer.swept import best_and_worst
 
         return best_and_worst(Path(path))

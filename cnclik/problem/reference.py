@@ -164,8 +164,9 @@ def _waypoints(scene, file):
     if len(table) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(table)}")
     points = [_point(f"{name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
-    if np.any(np.diff(table[:, 0]) <= 0):
-        k = int(np.argmax(np.diff(table[:, 0]) <= 0))
+    late = ~(table[1:, 0] > table[:-1, 0])  # also where one is not finite
+    if late.any():
+        k = int(np.argmax(late))
         first, second = table[k : k + 2, 0]
         raise errors.fail("reference", "hold times that increase", f"{name} has {first:g} and then {second:g}")
     positions = np.stack([p for p, _ in points]) if scene.task.position else None

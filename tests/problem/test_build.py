@@ -127,6 +127,7 @@ def test_waypoint_files(tmp_path):
         ("0,1,2,3\n1,1,2,x", "as many in every row"),
         ("0,1\n1,1", "3 or 7 numbers"),
         ("0,1,2,3\n0,1,2,3", "increase"),
+        ("-inf,1,2,3\n-inf,1,2,3", "increase"),
         ("0,1,2,3\n1,1,2,nan", "finite"),
     ],
 )
