@@ -1,8 +1,6 @@
 """Example: a C program that runs the test vectors, and the README that goes with it."""
 
-import numpy as np
-
-from cnclik.export.scalar import number
+from cnclik.export.scalar import number, rows
 from cnclik.export.source import GROUPS
 from cnclik.export.vectors import TOLERANCE, inputs, results
 from cnclik.measure.files import markdown
@@ -31,7 +29,7 @@ def example(asked, program, names) -> str:
     begin += ["    memset(&history, 0, sizeof history);"] * bool(program.inputs["history"])
     called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
     near = number(TOLERANCE[names.dtype.itemsize], "real", names.dtype)
-    compare = differs(names, near) if any(f.kind == "real" for _, f in outputs) else ""
+    compare = _differs(names, near) if any(f.kind == "real" for _, f in outputs) else ""
     return f"""/* Runs test vectors through {name} and returns 0 where all agree. Written by cnclik {__version__}. */
 #include <math.h>
 #include <stdio.h>
@@ -59,7 +57,7 @@ def example(asked, program, names) -> str:
 """
 
 
-def differs(names, near) -> str:
+def _differs(names, near) -> str:
     """The function that compares numbers."""
     return f"""static int differs(const {names.real} *found, const {names.real} *wanted, int size)
 {{
@@ -75,11 +73,9 @@ def differs(names, near) -> str:
 
 
 def _table(names, name, field, values) -> str:
-    rows = ",\n".join(
-        "  {" + ", ".join(number(v, field.kind, names.dtype) for v in row) + "}" for row in np.asarray(values).tolist()
-    )
     kind = "int32_t" if field.kind != "real" else names.real
-    return f"static const {kind} {name}[{len(values)}][{field.size}] = {{\n{rows}\n}};\n"
+    table = rows(values, field.kind, names.dtype)
+    return f"static const {kind} {name}[{len(values)}][{field.size}] = {table};\n"
 
 
 def _copy(place, table, field) -> str:

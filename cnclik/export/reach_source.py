@@ -6,11 +6,9 @@ careful steps, until one arrives. Where none does, the nearest pose found is tol
 
 import math
 
-import numpy as np
-
 from cnclik.export.cost import operations
 from cnclik.export.reach_trace import Reaching
-from cnclik.export.scalar import number
+from cnclik.export.scalar import number, rows
 from cnclik.export.source import Names, body, signature, struct
 from cnclik.reaching.asked import CLEAR
 from cnclik.reaching.seeds import TURN
@@ -42,11 +40,6 @@ def reach_source(reaching: Reaching, names: Names) -> tuple:
     return "\n".join(parts), used
 
 
-def _rows(values, names) -> str:
-    rows = [", ".join(number(v, "real", names.dtype) for v in row) for row in np.asarray(values, float).tolist()]
-    return "{\n" + ",\n".join(f"    {{{row}}}" for row in rows) + "\n  }"
-
-
 def _nearest(reaching, names) -> str:
     """Chooses a posture to start from."""
     count, columns = reaching.tips.shape
@@ -68,7 +61,7 @@ def _nearest(reaching, names) -> str:
     return f"""/* The number of the posture, of those not tried yet, whose tip is nearest to the target. */
 static int {names.name}_nearest(const {names.type("input")} *input, const unsigned char *tried)
 {{
-  static const {names.real} tips[{count}][{columns}] = {_rows(reaching.tips, names)};
+  static const {names.real} tips[{count}][{columns}] = {rows(reaching.tips, "real", names.dtype, "    ")};
   {names.real} least = INFINITY;
   int found = 0, k, i;
   for (k = 0; k < {count}; ++k) {{
@@ -113,19 +106,19 @@ def _search(reaching, names) -> str:
     {{{", ".join(map(c, reaching.lower.tolist()))}}},
     {{{", ".join(map(c, reaching.upper.tolist()))}}}
   }};
-  static const {real} postures[{count}][{n}] = {_rows(reaching.postures, names)};
+  static const {real} postures[{count}][{n}] = {rows(reaching.postures, "real", names.dtype, "    ")};
   unsigned char tried[{count}] = {{0}};
   {names.type("search")} at, best;
   {real} sum = 0, turn;
   int32_t looks = 0, status;
-  int arrived = 0, far = 0, k, i;
+  int far = 0, k, i;
 {finite}{far}
   memset(&best, 0, sizeof best);
   for (i = 0; i < {n}; ++i) {{
     best.best[i] = input->q[i];
   }}
   best.squares[0] = best.squares[1] = best.cost = INFINITY;
-  for (k = 0; k < parameters->tries && k <= {count} && !arrived && sum == 0{few}; ++k) {{
+  for (k = 0; (k == 0 || k < parameters->tries) && k <= {count} && !best.arrived && sum == 0{few}; ++k) {{
     const {real} *start = input->q;
     int step;
     if (k > 0) {{
@@ -147,14 +140,12 @@ def _search(reaching, names) -> str:
     if (at.arrived || at.cost < best.cost) {{
       best = at;
     }}
-    arrived = at.arrived;
   }}
   /* No answer: on towards the nearest pose, to tell whether there is none. */
   for (k = 0; k < {MORE * STEPS} && !best.arrived && sum == 0; ++k) {{
     {names.name}_look(parameters, input, &bounds, &best);
     ++looks;
   }}
-  arrived = best.arrived;
   for (i = 0; i < {n}; ++i) {{
     output->q[i] = best.best[i];
   }}
@@ -164,7 +155,7 @@ def _search(reaching, names) -> str:
   output->orientation_error = 2 * asin{f}(turn < 1 ? turn : 1);
   output->evaluations = looks;
   status = {word}_OUT_OF_BUDGET;
-  if (arrived) {{
+  if (best.arrived) {{
     status = {word}_SOLVED;
   }} else if (sum != 0) {{
     status = {word}_NON_FINITE;

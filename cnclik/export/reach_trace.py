@@ -9,7 +9,7 @@ from cnclik import errors
 from cnclik.export.fields import Field
 from cnclik.export.graph import INT
 from cnclik.export.trace import Asked, Program, read
-from cnclik.reaching.seeds import SETS, SIZE, seeds, spans
+from cnclik.reaching.seeds import SETS, SIZE, seeds
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast, replace
 from cnclik.robot.chain import REVOLUTE
@@ -37,9 +37,7 @@ class Reaching(NamedTuple):
 
 def trace_reach(asked: Asked, count: int) -> Reaching:
     """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
-    errors.integer("seeds", count, at_least=1)
-    if count > SETS * SIZE:
-        raise errors.fail("seeds", f"be at most {SETS * SIZE}", f"is {count}")
+    errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
     chain, task = asked.law.chain, replace(asked.law.task, weights=None)
     n, p, turned = chain.n, len(task.position), bool(task.orientation)
     found, rounds = seeds(chain), [joint.kind == REVOLUTE for joint in chain.joints]
@@ -67,7 +65,7 @@ def trace_reach(asked: Asked, count: int) -> Reaching:
         ),
         lower=np.array(chain.lower, float),
         upper=np.array(chain.upper, float),
-        postures=np.clip(found.postures[:count], *spans(chain)),
+        postures=found.postures[:count],
         tips=found.tips[:count, columns],
         scale=found.scale,
         center=tuple(float(chain.joints[0].origin.position[i]) for i in task.linear if all(rounds)),

@@ -29,6 +29,12 @@ def number(value, kind, dtype) -> str:
     return digits + "f" * single
 
 
+def rows(values, kind, dtype, indent="  ") -> str:
+    """A table's initializer in C, row by row."""
+    lines = (", ".join(number(v, kind, dtype) for v in row) for row in np.asarray(values).tolist())
+    return "{\n" + ",\n".join(f"{indent}{{{line}}}" for line in lines) + f"\n{indent[2:]}}}"
+
+
 class Writer:
     """Writes the statements of a graph.
 
