@@ -80,8 +80,11 @@ def integer(name: str, value, *, at_least: int, at_most: int | None = None) -> i
     return int(value)
 
 
-def array(name: str, value, *shapes, finite=True):
-    """A real array of one of the shapes (None matches any length); returned as an array of floats."""
+def array(name: str, value, *shapes, finite=True, most=None):
+    """A real array of one of the shapes (None matches any length); returned as an array of floats.
+
+    Args: most: what no entry is beyond, of either sign.
+    """
     import jax
     import numpy as np
 
@@ -98,6 +101,8 @@ def array(name: str, value, *shapes, finite=True):
         where = np.argwhere(~np.isfinite(np.asarray(found)))[0]
         place = f" at index {tuple(int(i) for i in where)}" if found.ndim else ""
         raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
+    if most is not None and concrete(found) and (np.abs(found) > most).any():
+        raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(found).max():g}")
     return found if found.dtype.kind == "f" else found.astype(float)
 
 

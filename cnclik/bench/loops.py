@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.integrate.solve import solve
+from cnclik.integrate.solve import end, solve
 from cnclik.law import reference as ref
 from cnclik.law.inverse import damped, pseudoinverse
 from cnclik.law.law import Law
@@ -76,8 +76,8 @@ def loop(case: Case, N: int, method, stage):
     """The end of a loop of N steps, none of it stored, (q (n,), ‖e‖), as a function of one lane's start and target."""
 
     def one(q0, position, rotation=None):
-        run = solve(case.law, ref.hold(position, rotation), q0, TS, N, method, stage)
-        return run.q[-1], jnp.linalg.norm(run.e[-1])
+        q, e = end(case.law, ref.hold(position, rotation), q0, TS, N, method, stage)
+        return q, jnp.linalg.norm(e)
 
     return one
 

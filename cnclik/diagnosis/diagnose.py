@@ -4,6 +4,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.advice import advice
+from cnclik.diagnosis.fit import columns
 from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes
 from cnclik.record import record
@@ -87,14 +88,13 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
       signal: (N,) or (N, k): joint values, errors, or steps commanded.
       Ts: sampling time [s]. alpha: gain of the loop [1/s], if known.
       longest: period [samples] from which on motion is taken for that of a path.
-    Raises: ArgumentError for fewer than 16 rows, or values that are not finite.
+    Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
     errors.number("longest", longest, at_least=2)
     if alpha is not None:
         alpha = float(errors.number("alpha", alpha, positive=True))
-    signal = np.asarray(errors.array("signal", signal, (None,), (None, None)), float)
-    y = signal[:, None] if signal.ndim == 1 else signal
+    y = columns("signal", signal)
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     given = {"Ts": Ts, "alpha": alpha}

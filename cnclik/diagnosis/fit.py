@@ -22,6 +22,7 @@ EXPLAINED = 0.5  # share of a motion below which a command has nothing to do wit
 EXACT = 1e-5  # share of a motion that is rounding
 EVALUATIONS = 200  # of a fit from one start
 LEAST = 16  # rows
+LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
 
 
 @record
@@ -78,7 +79,7 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
     """
     errors.one_of("command_kind", command_kind, COMMANDS)
     orders = range(3) if kind is None else (KINDS.index(errors.one_of("kind", kind, KINDS)),)
-    command, motion = _columns("command", command), _columns("motion", motion)
+    command, motion = columns("command", command), columns("motion", motion)
     if command.shape != motion.shape:
         raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
     if len(motion) < LEAST:
@@ -115,7 +116,7 @@ def sampling_time(t, Ts) -> float:
     """Ts [s] of times (N,), which are one every Ts. Raises: ArgumentError where they aren't, or none is given."""
     if t is None:
         return float(errors.number("Ts", Ts, positive=True))
-    t = np.asarray(errors.array("t", t, (None,)), float)
+    t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
     step = np.diff(t)
     usual = float(np.median(step)) if len(step) else 0.0
     if usual <= 0:
@@ -132,8 +133,9 @@ def sampling_time(t, Ts) -> float:
     return Ts
 
 
-def _columns(name, values):
-    values = np.asarray(errors.array(name, values, (None,), (None, None)), float)
+def columns(name, values):
+    """A recording (N,) or (N, k) as columns (N, k). Raises: ArgumentError for values not finite or beyond LARGEST."""
+    values = np.asarray(errors.array(name, values, (None,), (None, None), most=LARGEST), float)
     return values[:, None] if values.ndim == 1 else values
 
 

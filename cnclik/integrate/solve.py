@@ -205,7 +205,7 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def _run(law, reference, q0, Ts, t0, stage, *, N, method):
+def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
     check(reference, law.task)  # shapes only: once, while tracing
     law, start = in_form(law, q0)
     dtype, unrolled = q0.dtype, sp.unrolled(start)
@@ -221,7 +221,8 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
 
         one = jax.checkpoint(one, prevent_cse=False, static_argnums=0)
         state = start, memory.blank(law, start, method)
-        return instants(one, state, k, start, law.task.m, early=early_steps(method, N))
+        steps, last = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
+        return last if end else (steps, last)
 
     def whole(law, reference, start, Ts, t0, stage):
         law, reference = cast((law, reference), dtype)
@@ -229,6 +230,8 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
         k = jnp.arange(N + 1).astype(dtype)
         run = one_function(loop) if unrolled and N and not short else loop
         steps = run(law, reference, start, Ts, t0, stage, k)
+        if end:
+            return steps
         run = assemble(t0 + k * Ts, steps, evaluations_of(method, stage, law.chain.n, N))
         if not keeps_history():
             return run
@@ -236,6 +239,16 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method):
 
     run = one_function(whole) if short else whole
     return run(law, reference, start, Ts, t0, stage)
+
+
+def end(law, reference, q0, Ts, N, method, stage):
+    """(q (n,), e (m,)) after N steps of which nothing is kept. Pure; the arguments of `solve`, unchecked.
+
+    Where `lanes` hands out `solve(...).e[-1]`, each step's e is stored on the way: a tenth of an explicit step.
+    """
+    zero = np.zeros((), q0.dtype)
+    q, _, e = _run(law, reference, q0, Ts, zero, stage, N=N, method=method, end=True)
+    return sp.packed(q), sp.packed(e)
 
 
 _solve = bounded_jit(_run, static_argnames=("N", "method"))

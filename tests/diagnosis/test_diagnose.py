@@ -170,6 +170,7 @@ def test_a_monotone_decay():
         (np.zeros(5), {}, "Argument `signal` must have at least 16 rows, but has 5."),
         (np.zeros((50, 0)), {}, "Argument `signal` must have at least 16 rows, but has 0."),
         (np.full(50, np.nan), {}, "Argument `signal` must be finite, but is nan at index (0,)."),
+        (-np.geomspace(1, 1e200, 50), {}, "Argument `signal` must be within ±1e+30, but reaches 1e+200."),
         (np.zeros(50), {"Ts": -1.0}, "Argument `Ts` must be positive, but is -1."),
         (np.zeros(50), {"alpha": 0.0}, "Argument `alpha` must be positive, but is 0."),
     ],
