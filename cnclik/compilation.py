@@ -75,7 +75,7 @@ def cut(folder: pathlib.Path, most_bytes: int) -> None:
     found = []
     for path in folder.glob("jaxlib-*/*-cache"):
         with contextlib.suppress(OSError):  # another process may be at it, too
-            if path.is_file():
+            if os.path.isfile(path):
                 about = path.stat()
                 found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
     total = sum(size for _, size, _ in found)

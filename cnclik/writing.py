@@ -43,11 +43,11 @@ class Folder:
     def finish(self) -> None:
         """Move all files to their place. Raises: ArgumentError that tells where they are, if they are not there."""
         if not self.problem:
-            made = {p: self.out / p.relative_to(self.path) for p in sorted(self.path.rglob("*")) if p.is_file()}
+            made = {p: self.out / p.relative_to(self.path) for p in sorted(self.path.rglob("*")) if os.path.isfile(p)}
             try:
                 for target in made.values():
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    if target.is_dir():
+                    if os.path.isdir(target):
                         raise IsADirectoryError(errno.EISDIR, f"{target.name} is a folder there")
                 for file, target in made.items():
                     os.replace(file, target)
@@ -129,7 +129,7 @@ def output_folder(path, *, name="out"):
     path = pathlib.Path(path)
     with contextlib.ExitStack() as stack:
         try:
-            created = [p for p in (path, *path.parents) if not p.exists()]
+            created = [p for p in (path, *path.parents) if not os.path.exists(p)]
             stack.callback(_remove_empty, created)
             path.mkdir(parents=True, exist_ok=True)
             hidden = stack.enter_context(hidden_folder(path))

@@ -108,6 +108,12 @@ def test_each_helper_stands_once(pattern):
     assert found <= {ONCE[pattern]}
 
 
+def test_what_is_there_is_asked_so_that_no_name_is_too_long_for_it():
+    asked = re.compile(r"\.(exists|is_file|is_dir)\(\)")  # pathlib's raise where the system knows no such name
+    found = [(path.name, line) for path in files() for line in asked.findall(path.read_text(encoding="utf-8"))]
+    assert not found, "os.path's answer False"
+
+
 def test_no_rule_of_the_linter_is_switched_off_by_hand():
     assert not [str(p) for p in files() if "noqa: E731" in p.read_text(encoding="utf-8")]
 

@@ -27,7 +27,7 @@ from cnclik.integrate.solve import evaluations_per_step
 from cnclik.problem.names import STAGES
 from cnclik.threads import cores
 
-STEPS, STEPS_OF_GRADIENT = 50, 20
+STEPS, LEAST_STEPS, STEPS_OF_GRADIENT = 50, 10, 20  # the end is looked at too: of few steps a large share
 EVALUATIONS = 10_000_000  # per run, about: a large batch takes fewer steps
 LANES_OF_GRADIENT = 4096  # at most; reverse mode keeps what every step computed
 
@@ -73,7 +73,7 @@ def repeat(call, seconds: float, at_least=3) -> Timing:
 
 def steps_for(line: Line, per_step: int) -> int:
     """50 steps, fewer for batches so large that a run would take long."""
-    return line.N or min(max(EVALUATIONS // (line.batch * per_step), 3), STEPS)
+    return line.N or min(max(EVALUATIONS // (line.batch * per_step), LEAST_STEPS), STEPS)
 
 
 def measure(line: Line, seconds: float = 1.0) -> dict:

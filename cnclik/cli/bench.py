@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -103,7 +104,7 @@ def _cold(args: Args) -> None:
 
     for name in ("urdf", "spec"):
         file = getattr(args, name)
-        if file is not None and not file.is_file():
+        if file is not None and not os.path.isfile(file):
             raise errors.fail(name, "be a file", f"is {str(file)!r}")
     every = cold.table(args.spec)
     chosen = [line for line in every if not args.only or any(part in line.name for part in args.only)]

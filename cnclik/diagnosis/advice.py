@@ -23,7 +23,9 @@ def advice(kind, factor, y, noise, alpha, Ts) -> dict:
       kind: what its oscillation does. y: (N, k) the recording without what of it is path.
     """
     late = loop_of(factor, y, trend(len(y)), noise)
-    factor = slowest_of(late.z, late.delay) if late.whole and kind is not Kind.SUSTAINED else factor
+    if late.whole and kind is not Kind.SUSTAINED:
+        own = slowest_of(late.z, late.delay)
+        factor = own if np.angle(own) else factor  # a loop so calm doesn't swing, and the recording does
     made = {"kind": kind, "period": float(2 * np.pi / np.abs(np.angle(factor))), "growth": float(np.abs(factor))}
     made |= {"delay": late.delay, "phase_delay": late.phase, "confidence": late.confidence, "pure": late.whole}
     if late.delay > LATEST:

@@ -43,7 +43,7 @@ def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
     if not os.access(folder, os.W_OK):
         folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
     library = folder / name
-    if not library.exists():
+    if not os.path.exists(library):
         part = library.with_suffix(f".{os.getpid()}.part")
         asked = [*line, "-o", str(part), *map(str, sources), "-lm"]
         done = subprocess.run(asked, capture_output=True, text=True)

@@ -4,6 +4,7 @@ What is drawn is what the verb draws; the page is written last, so that it costs
 """
 
 import dataclasses
+import os
 import pathlib
 import platform
 
@@ -48,7 +49,7 @@ def checked_page(name, file) -> pathlib.Path:
     if len(file.name.encode(errors="replace")) > 250:
         raise errors.fail(name, "have a name of at most 250 bytes", f"has {len(file.name.encode(errors='replace'))}")
     try:
-        fits = file.parent.is_dir() and not file.is_dir()
+        fits = os.path.isdir(file.parent) and not os.path.isdir(file)
     except (OSError, ValueError):
         fits = False
     if not fits:

@@ -108,7 +108,7 @@ class Store:
         """The first file in the store that is no part of it, or None."""
         array = "|".join(map(re.escape, (*self.names, *self._checked, "progress/checksum")))
         own = re.compile(rf"\{_MARK}|((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?")
-        files = (p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if not p.is_dir())
+        files = (p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if not os.path.isdir(p))
         return next((name for name in files if not own.fullmatch(name)), None)
 
     def repair(self, spec: Spec) -> None:
@@ -129,7 +129,7 @@ def _metadata_checksum(path) -> str:
 
 def _check_metadata(path) -> None:
     """Raise ValueError where the description of a store is not what was written."""
-    if (path / _MARK).is_file() and (path / _MARK).read_text(errors="replace") != _metadata_checksum(path):
+    if os.path.isfile(path / _MARK) and (path / _MARK).read_text(errors="replace") != _metadata_checksum(path):
         raise ValueError("its description is damaged")
 
 
@@ -159,7 +159,7 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
         try:
             (hidden / DATA).rename(folder / DATA)
         except OSError:
-            if not (folder / DATA).exists():
+            if not os.path.exists(folder / DATA):
                 raise
 
 

@@ -38,7 +38,7 @@ def read_motions(path, robot=None) -> list:
     Raises: ArgumentError for what is none of these, or says nothing of its robot.
     """
     path = pathlib.Path(path)
-    path = path / RUN if (path / RUN).exists() else path
+    path = path / RUN if os.path.exists(path / RUN) else path
     ending = errors.one_of("FILE", path.suffix.lower(), ENDINGS)
     found = {".nc": _netcdf, ".npz": _arrays, ".csv": _table}[ending](path)
     config = found.pop("config", None) or _beside(path)
@@ -175,7 +175,7 @@ def _table_of_answers(path, header, rows):
 
 def _beside(path) -> dict:
     """What trajectory.nc in the same folder says of the loop."""
-    if path.name != RUN and path.stem == "trajectory" and (path.parent / RUN).exists():
+    if path.name != RUN and path.stem == "trajectory" and os.path.exists(path.parent / RUN):
         return _netcdf(path.parent / RUN)["config"]
     return {}
 

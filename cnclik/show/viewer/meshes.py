@@ -128,11 +128,11 @@ def _found(file, name):
         package, _, inner = rest.partition("/")
         roots = [pathlib.Path(text) for text in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if text]
         near = [folder / package for folder in file.parents]
-        near = [p for p in near if p in file.parents or (p / "package.xml").is_file()]
+        near = [p for p in near if p in file.parents or os.path.isfile(p / "package.xml")]
         near += [p for folder in roots for p in (folder / package, *[folder] * (folder.name == package))]
         places = [(p.resolve(), p / inner) for p in near]
     found = (place.resolve() for root, place in places if place.resolve().is_relative_to(root))
-    return next((place for place in found if place.suffix.lower() in ENDINGS and place.is_file()), None)
+    return next((place for place in found if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
 
 
 def _thinned(shape, most):
