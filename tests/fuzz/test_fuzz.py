@@ -8,6 +8,15 @@ from tests.fuzz.rooms import ROOMS
 COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "logs": 40, "stores": 12}
 
 
+FOUND = [("logs", 79, 272), ("arguments", 80, 696), ("logs", 80, 335)]  # what did harm: room, seed, number
+
+
+@pytest.mark.parametrize(("name", "seed", "number"), FOUND)
+def test_what_was_found_does_no_harm_again(name, seed, number, tmp_path):
+    verdict = judge(ROOMS[name], number, tmp_path, seed)
+    assert verdict.outcome != "failed", f"{repeat(verdict)}\n{verdict.why}"
+
+
 @pytest.mark.parametrize("name", ROOMS)
 def test_no_input_does_harm(name, tmp_path):
     wrong = []
