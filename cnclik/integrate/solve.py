@@ -229,10 +229,10 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
         Ts, t0 = jnp.asarray(Ts, dtype), jnp.asarray(t0, dtype)
         k = jnp.arange(N + 1).astype(dtype)
         run = one_function(loop) if unrolled and N and not short else loop
-        steps = run(law, reference, start, Ts, t0, stage, k)
+        found = run(law, reference, start, Ts, t0, stage, k)
         if end:
-            return steps
-        run = assemble(t0 + k * Ts, steps, evaluations_of(method, stage, law.chain.n, N))
+            return found
+        run = assemble(t0 + k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
         if not keeps_history():
             return run
         return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))

@@ -153,6 +153,8 @@ def test_scales_follow_the_values():
     wide, narrow = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
     found = panels.norm(np.append(wide, [np.inf, np.nan]), layout)
     assert isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1e-9, 1.0)
+    found = panels.norm(np.append(wide, [2e3, 1e57]), layout)  # two that ran away
+    assert (found.vmin, found.vmax) == (1e-9, 1.0)
     found = panels.norm(narrow, layout)
     assert not isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1, 2)
     assert (panels.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin) == 0.1

@@ -130,8 +130,11 @@ def _name(variable):
 # --- scales -------------------------------------------------------------------------------------------
 
 
+RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work, if others are a thousand times beyond
+
+
 def norm(values, layout):
-    """Colours of a heat map: logarithmic where the values say so, the smallest nine decades at most."""
+    """Colours of a heat map: logarithmic where the values say so, nine decades at most: the largest of loops that stay."""
     known = values[np.isfinite(values)]
     if not known.size:
         return colors.Normalize(0, 1)
@@ -141,9 +144,12 @@ def norm(values, layout):
         low, high = np.quantile(positive, [0.02, 0.98])
         log = high > 50 * low
     if log and positive.size:
-        # Values at rounding would waste the colours on twelve empty decades.
-        low, high = layout.limits or (max(positive.min(), positive.max() * 1e-9), positive.max())
-        return colors.LogNorm(low, high)
+        if layout.limits:
+            return colors.LogNorm(*layout.limits)
+        # One loop that ran away, or values at rounding, would waste the colours on decades that nobody looks at.
+        staying = positive[positive <= RAN_AWAY]
+        high = staying.max() if staying.size and positive.max() > RAN_AWAY * 1e3 else positive.max()
+        return colors.LogNorm(max(positive.min(), high * 1e-9), high)
     return colors.Normalize(*(layout.limits or (known.min(), known.max())))
 
 

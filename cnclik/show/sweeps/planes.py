@@ -42,7 +42,8 @@ def heat(view, layout):
     if bounded:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend(bounded, [words], loc="outside lower center")
-    extend = "both" if layout.limits else "neither"
+    beyond = np.any(np.isfinite(value.values) & (value.values > scale.vmax))
+    extend = "both" if layout.limits else "max" if beyond else "neither"
     bar = grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02)
     bar.set_label(axis_label(value))
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
