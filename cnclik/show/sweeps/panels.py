@@ -134,7 +134,7 @@ RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work, if others 
 
 
 def norm(values, layout):
-    """Colours of a heat map: logarithmic where the values say so, nine decades at most: the largest of loops that stay."""
+    """Colours of a heat map: logarithmic where the values say so, nine decades of those that stay at most."""
     known = values[np.isfinite(values)]
     if not known.size:
         return colors.Normalize(0, 1)
