@@ -27,7 +27,7 @@ from cnclik.integrate.solve import evaluations_per_step
 from cnclik.problem.names import STAGES
 from cnclik.threads import cores
 
-STEPS, LEAST_STEPS, STEPS_OF_GRADIENT = 50, 10, 20  # the end is looked at too: of few steps a large share
+STEPS, LEAST_STEPS, STEPS_OF_GRADIENT = 50, 25, 20  # the end is looked at too: of few steps a large share
 EVALUATIONS = 10_000_000  # per run, about: a large batch takes fewer steps
 LANES_OF_GRADIENT = 4096  # at most; reverse mode keeps what every step computed
 

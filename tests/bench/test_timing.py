@@ -43,8 +43,8 @@ def test_targets_can_be_reached_and_starts_differ(robot):
 def test_steps_shrink_with_the_batch_and_obey_N():
     line = Line(robot="panda", method="EE", stage="picard")
     assert bench.steps_for(line, 1) == 50
-    assert bench.steps_for(ck.replace(line, batch=1_000_000), 1) == 10
-    assert bench.steps_for(ck.replace(line, batch=1_000_000), 6) == 10
+    assert bench.steps_for(ck.replace(line, batch=1_000_000), 1) == 25
+    assert bench.steps_for(ck.replace(line, batch=1_000_000), 6) == 25
     assert bench.steps_for(ck.replace(line, N=7), 6) == 7
 
 
