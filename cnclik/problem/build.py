@@ -31,6 +31,7 @@ from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_val
 from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import FUTURES
 
+LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
 
 
@@ -94,6 +95,8 @@ def problem_from(robot, **options) -> Problem:
         raise errors.fail("M", "be left out where `stage` has it", f"is {given['M']!r}")
     Ts = errors.number("Ts", v["Ts"], positive=True)
     N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
+    if errors.concrete(Ts) and float(Ts) > LONGEST / N:
+        raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
     chain = robot_from(robot, v["tip"], v["base"], v["lengths"])
     task = task_from(v["task"], chain)
     inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])

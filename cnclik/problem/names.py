@@ -144,13 +144,15 @@ def require_free(chain: Chain, task) -> None:
 
     if apart(task) > _APART:
         return
+    such = ""
     for count in range(min(task.m - 1, chain.n), 0, -1):
         found = [task_from("".join(names)) for names in itertools.combinations(task.names, count)]
         most = max(len(one.position) for one in found)
         best = max((one for one in found if len(one.position) == most), key=apart)
         if apart(best) > _APART:
+            such = f", such as {''.join(best.names)}"
             break
-    must = f"have coordinates that {chain.n} joints can move apart, such as {''.join(best.names)}"
+    must = f"have coordinates that {chain.n} joints can move apart{such}"
     raise errors.fail("task", must, f"is {' '.join(task.names)}, always singular")
 
 

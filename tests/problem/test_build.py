@@ -161,6 +161,8 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"robot": "planar"}, "`lengths` must be given for the robot 'planar'"),
         ({"robot": "planar:1,1", "lengths": [1, 1]}, "`lengths` must be left out"),
         ({"reference": "circle", "radius": 0}, "positive"),
+        ({"Ts": 1e308}, "`Ts` must make a run of at most"),
+        ({"robot": "planar:1,1", "task": "z"}, "2 joints can move apart, but is z, always singular"),
         ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
         ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
         ({"reference": "line", "period": 0}, "`period`"),
