@@ -7,6 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik import problem as p
+from cnclik.problem import names
 
 
 def test_the_papers_case_in_words():
@@ -162,7 +163,6 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"robot": "planar:1,1", "lengths": [1, 1]}, "`lengths` must be left out"),
         ({"reference": "circle", "radius": 0}, "positive"),
         ({"Ts": 1e308}, "`Ts` must make a run of at most"),
-        ({"robot": "planar:1,1", "task": "z"}, "2 joints can move apart, but is z, always singular"),
         ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
         ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
         ({"reference": "line", "period": 0}, "`period`"),
@@ -191,3 +191,8 @@ def test_what_does_not_fit_is_named(options, told):
     with pytest.raises(ck.ArgumentError, match=told) as error:
         p.problem_from(**({"robot": "panda"} | options))
     assert "\n" not in str(error.value)
+
+
+def test_a_coordinate_that_no_joint_moves_is_named():
+    with pytest.raises(ck.ArgumentError, match="that 2 joints can move apart, but is z, always singular"):
+        names.require_free(ck.planar_arm([1.0, 1.0]), ck.position("z"))
