@@ -209,8 +209,7 @@ def _check_cycles(known):
 
 def _widest(fixed, axes, bundles) -> int:
     """Joints of the widest robot there may be: samples per joint are drawn for it, each arm takes its share."""
-    robots = axes.get("robot")
-    robots = [{"robot": name} for name in robots] if isinstance(robots, list) else [{}]
+    robots = [{"robot": v} for v in axis_forms.read("robot", axes["robot"], 0).values] if "robot" in axes else [{}]
     most = 0
     for known, robot in itertools.product(_given(fixed, bundles), robots):
         lengths = known.get("lengths", axes.get("lengths"))
