@@ -62,8 +62,8 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
 
     @functools.wraps(fn)
     def call(*args):
-        size = _size(args)
         leaves, treedef = jax.tree.flatten(args)
+        size = _size(leaves)
         if not all(map(errors.concrete, leaves)):
             return traced(*args)
         if size <= tile:
@@ -137,16 +137,15 @@ def _name(fn):
 
 def _signature(leaves, treedef) -> tuple:
     """What one lane of the arguments looks like: calls in which it agrees run the same program."""
-    return treedef, *((np.shape(x)[1:], x.dtype) for x in leaves)
+    return treedef, *[(x.shape[1:], x.dtype) for x in leaves]
 
 
-def _size(args) -> int:
+def _size(leaves) -> int:
     """The batch size all leaves share."""
-    leaves = jax.tree.leaves(args)
-    if any(not hasattr(leaf, "dtype") for leaf in leaves):  # np.shape of a list's numbers is ()
-        found = next(leaf for leaf in leaves if not hasattr(leaf, "dtype"))
-        raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {found!r}")
-    sizes = {np.shape(leaf)[:1] for leaf in leaves}
+    for leaf in leaves:
+        if not hasattr(leaf, "dtype"):  # np.shape of a list's numbers is ()
+            raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {leaf!r}")
+    sizes = {leaf.shape[:1] for leaf in leaves}
     if len(sizes) != 1 or sizes == {()}:
         found = sorted(str(s[0]) if s else "none" for s in sizes) or ["no arrays"]
         raise errors.fail("args", "be arrays with one leading batch axis of the same size", f"have {', '.join(found)}")
@@ -169,7 +168,7 @@ def tiled(fn, tile, *args, count=None):
       count: how many lanes, from the first, are wanted; of the others' results nothing is said. Traced, so that one
         program serves batches of any size up to that of `args`.
     """
-    size = _size(args)
+    size = _size(jax.tree.leaves(args))
     if jax.default_backend() != "cpu":
         return jax.vmap(fn)(*args)
     tile = min(tile, size)
