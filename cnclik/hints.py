@@ -351,8 +351,12 @@ def after(value, other):
     return value + nothing.astype(value.dtype)
 
 
-def _is_native(jaxpr) -> bool:
-    return all(equation.primitive.name in _NATIVE for equation in equations(jaxpr))
+# What may be part of one, too, where the arrays are known to be small: XLA writes it out.
+SMALL_ARRAYS = frozenset(["argmin", "dot_general", "reduce_and", "reduce_max", "reduce_sum", "scatter"])
+
+
+def _is_native(jaxpr, also) -> bool:
+    return all(equation.primitive.name in _NATIVE or equation.primitive.name in also for equation in equations(jaxpr))
 
 
 def is_wide(jaxpr) -> bool:
@@ -360,11 +364,14 @@ def is_wide(jaxpr) -> bool:
     return all(equation.primitive.name in _WIDE for equation in equations(jaxpr))
 
 
-def one_function(loop):
+def one_function(loop, also=frozenset()):
     """Compile a call of `loop` into one native function where only few lanes are around it.
 
     XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. Where a user's own path or
     null-space function does what can't be part of such a function, nothing is changed.
+
+    Args:
+      also: primitives that may be part of it besides those that always may, such as SMALL_ARRAYS.
     """
 
     def plain(*args):  # the hint is for this call, not for those inside it
@@ -375,7 +382,7 @@ def one_function(loop):
 
     @functools.wraps(loop)
     def call(*args):
-        if not (hints_on() and _lanes.value and _is_native(jitted.trace(*args).jaxpr)):
+        if not (hints_on() and _lanes.value and _is_native(jitted.trace(*args).jaxpr, also)):
             return loop(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jitted(*args)

@@ -5,10 +5,12 @@ import math
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import Recent
 from cnclik.law.task import Task
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.step import STATIONARY
-from cnclik.record import leaf, record, replace
+from cnclik.reaching.targets import task_of
+from cnclik.record import kept, leaf, record, replace
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.posture import arm_length
 
@@ -111,8 +113,26 @@ class Asked:
         )
 
 
-def asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
-    """The arguments as a record. Raises ArgumentError for those that can't be asked."""
+def asked_of(chain, *rest) -> Asked:
+    """The arguments as a record, made once for a chain: a control loop asks for the same a thousand times a second.
+
+    Args: as `Asked` has them. Raises: ArgumentError for those that can't be asked.
+    """
+    if not isinstance(chain, Chain):
+        raise errors.fail("chain", "be a Chain", f"is {type(chain).__name__}")
+    key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
+    try:
+        hash(key)
+    except TypeError:  # lists, arrays, traced numbers
+        return _asked(chain, *rest)
+    return kept(chain, "_asked", lambda _: Recent()).made(key, lambda _: _asked(chain, *rest))
+
+
+def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
+    if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
+        raise errors.fail("chain", "have limits that are numbers", "has traced ones")
+    if jump is not None:
+        errors.number("jump", jump, positive=True)
     numbers = {"seeds": (seeds, 1), "budget": (budget, 1), "seed": (seed, 0)}
     for name, (value, least) in numbers.items():
         errors.integer(name, value, at_least=least)
@@ -121,7 +141,7 @@ def asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, 
     tolerance = _pair("tolerance", tolerance)
     return Asked(
         chain=chain,
-        task=task,
+        task=task_of(task),
         tolerance=np.array([tolerance[0], 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # what is looked at is a chord
         accept=None if accept is None else _pair("accept", accept),
         jump=leaf(jump),

@@ -11,7 +11,7 @@ from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import form_for, many, several
 from cnclik.reaching.result import PER_TARGET, Reached
 from cnclik.reaching.single import along, traced
-from cnclik.reaching.targets import read, task_of
+from cnclik.reaching.targets import read
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 
@@ -68,17 +68,11 @@ def reach(
     Returns: `Reached`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    task = task_of(task)
-    if not isinstance(chain, Chain):
-        raise errors.fail("chain", "be a Chain", f"is {type(chain).__name__}")
-    if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
-        raise errors.fail("chain", "have limits that are numbers", "has traced ones")
+    asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
     errors.integer("solutions", solutions, at_least=1)
-    if jump is not None:
-        errors.number("jump", jump, positive=True)
-        if near is None:
-            raise errors.fail("near", "be given with `jump`", "is not")
-    pose, alone = read(targets, task, base)
+    if jump is not None and near is None:
+        raise errors.fail("near", "be given with `jump`", "is not")
+    pose, alone = read(targets, asked.task, base)
     known = all(map(errors.concrete, jax.tree.leaves((chain, pose, near, jump))))
     previous = isinstance(near, str)
     if previous:
@@ -87,7 +81,6 @@ def reach(
         near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
         near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n))
         near = near.astype(pose.dtype)
-    asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")

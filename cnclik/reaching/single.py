@@ -4,6 +4,7 @@ A handful of seeds step side by side, carefully, until one arrives; then others.
 without limits, to tell what is out of reach from what only the limits forbid.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import few_lanes, one_function, quick_jit
+from cnclik.hints import SMALL_ARRAYS, few_lanes, one_function, quick_jit
 from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -20,7 +21,7 @@ from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
 from cnclik.reaching.step import begin, in_parts, iterate, look
-from cnclik.record import cast, kept, replace
+from cnclik.record import cast, kept, placed, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.posture import evenly, start_posture
@@ -28,6 +29,7 @@ from cnclik.robot.rolled import in_form
 
 TOGETHER = 8  # seeds side by side
 STEPS = 40  # of a round, at most
+WAYPOINTS = 32  # of a path that one call answers
 DOWNHILL, CLOSE = 3, 0.02  # rounds from the best place found, and from so far about it, of the way to other seeds
 FREE = 6  # rounds without limits
 ROUNDS_FAR = 3  # where the target is farther off than the arm is long
@@ -37,37 +39,55 @@ AROUND = 0.3  # of the range of seeds, about `near`
 
 def each(asked, pose, near, progress=None):
     """Answers for a few targets (B, 12), one after the other."""
-    rows = []
-    for k in range(len(pose)):
-        rows.append(_alone(asked, pose[k], None if near is None else near[k]))
-        if progress is not None:
-            progress(k + 1, len(pose))
-    return _together_again(asked, rows)
+    rows = np.empty((len(pose), _width(asked.chain.n)))
+    with jax.enable_x64(True):
+        shared = placed(asked), *_placed(asked.chain, asked.task)
+        for k in range(len(pose)):
+            rows[k] = _program(*shared, pose[k], None if near is None else near[k])
+            if progress is not None:
+                progress(k + 1, len(pose))
+    return _reached(asked, rows)
 
 
 def along(asked, pose, progress=None):
     """Answers for the targets of a path, each from the answer before it; where there was none, from the last one."""
-    rows, at = [], start_posture(asked.chain, asked.task)
-    first = asked if asked.jump is None else replace(asked, jump=FAR)
-    for k in range(len(pose)):
-        rows.append(_alone(asked if k else first, pose[k], at))
-        if rows[-1]["status"] <= ReachStatus.ACCEPTED:
-            at = rows[-1]["q"]
-        if progress is not None:
-            progress(k + 1, len(pose))
-    return _together_again(asked, rows)
-
-
-def _together_again(asked, rows):
-    fields = {name: np.stack([row[name] for row in rows]) for name in PER_TARGET}
-    return Reached(**fields, chain=asked.chain, task=asked.task)
-
-
-def _alone(asked, pose, near):
-    """The answer for one target, as numbers by their names."""
+    rows, at = np.empty((len(pose), _width(asked.chain.n))), start_posture(asked.chain, asked.task)
     with jax.enable_x64(True):
-        made = _program(asked, pose, near, *_placed(asked.chain, asked.task))
-    return {name: np.asarray(value) for name, value in made.items()}
+        shared = placed(asked), *_placed(asked.chain, asked.task)
+        for k in range(0, len(pose), WAYPOINTS):
+            part = pose[k : k + WAYPOINTS]
+            count = len(part)
+            part = np.concatenate([part, np.zeros((WAYPOINTS - count, 12))])
+            at, made = _path(*shared, part, at, np.int32(count), np.bool_(k == 0))
+            rows[k : k + count] = made[:count]
+            if progress is not None:
+                progress(k + count, len(pose))
+    return _reached(asked, rows)
+
+
+def _width(n):
+    return 2 * n + 5
+
+
+def _packed(row):
+    """The fields of one target as one vector: a program with one result is sooner called than one with seven."""
+    return jnp.concatenate([jnp.atleast_1d(row[name]).astype(row["q"].dtype) for name in PER_TARGET])
+
+
+def _reached(asked, rows) -> Reached:
+    """The record of targets, from their vectors (B, K)."""
+    n = asked.chain.n
+    return Reached(
+        q=rows[:, :n],
+        status=rows[:, n].astype(int),
+        position_error=rows[:, n + 1],
+        orientation_error=rows[:, n + 2],
+        evaluations=rows[:, n + 3].astype(int),
+        at_limit=rows[:, n + 4 : -1] != 0,
+        distance=rows[:, -1],
+        chain=asked.chain,
+        task=asked.task,
+    )
 
 
 def _placed(chain, task):
@@ -104,7 +124,41 @@ def _answer(asked, pose, near, postures, to, derivative=False):
     return {name: getattr(found, name) for name in PER_TARGET}
 
 
-_program = quick_jit(_answer, compiler=OPTIONS)
+def _target(asked, postures, to, pose, near):
+    return _packed(_answer(asked, pose, near, postures, to))
+
+
+def _waypoints(asked, postures, to, poses, at, count, begins):
+    """The last answer, and what `_target` gives for the first `count` of some waypoints (K, 12), from `at` on.
+
+    Args:
+      begins: whether they begin the path: what is nearest to the first waypoint is not held to `jump`.
+    """
+
+    def one(i, carry):
+        at, rows = carry
+        mine = asked
+        if asked.jump is not None:
+            mine = replace(asked, jump=jnp.where(begins & (i == 0), FAR, asked.jump))
+        row = _answer(mine, poses[i], at, postures, to)
+        at = jnp.where(row["status"] <= int(ReachStatus.ACCEPTED), row["q"], at)
+        return at, rows.at[i].set(_packed(row))
+
+    return lax.fori_loop(0, count, one, (at, jnp.zeros((len(poses), _width(len(at))), at.dtype)))
+
+
+def _alone(fn):
+    """A function of one lane, called with numbers: all of it one native function, or it would wait for threads."""
+
+    @functools.wraps(fn)
+    def call(*args):
+        with few_lanes(1):
+            return one_function(fn, SMALL_ARRAYS)(*args)
+
+    return quick_jit(call, compiler=OPTIONS)
+
+
+_program, _path = _alone(_target), _alone(_waypoints)
 
 
 def _search(asked, pose, near, postures, to):
