@@ -17,7 +17,7 @@ from cnclik.threads import cores, side_by_side
 
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 POOL = 1 << 18  # targets whose leftovers are searched for together
-FEW = 8  # targets that are sooner searched for one by one
+ONE_BY_ONE = {"unrolled": 128, "rolled": 5000}  # targets, at most, that are sooner searched for one by one
 EARLY, HARD = search.PLAIN + 4, 100  # so many targets without an answer after so many tries: it is worth it, too
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
@@ -35,8 +35,9 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             told = progress and (lambda done, total, i=i: progress(i + done, B))
             parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
         return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
-    chosen = use_form(form() or form_for(asked.chain, B))
-    if B <= FEW:
+    kind = form() or form_for(asked.chain, B)
+    chosen, few = use_form(kind), ONE_BY_ONE[kind]
+    if B <= few:
         with chosen:
             return each(asked, pose, near, progress)
     setup = _setup(asked)
@@ -90,8 +91,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
 def form_for(chain, targets) -> str:
     """The form of programs for so many targets: rolled until a chain has been asked of so often that compiling pays.
 
-    One by one a call of the unrolled form is several times quicker, and in batches each target twenty times; compiling
-    takes seconds.
+    One by one a target of the unrolled form is several times quicker, and in batches ten times; compiling takes seconds.
     """
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import SMALL_ARRAYS, few_lanes, one_function, quick_jit
+from cnclik.hints import SMALL_ARRAYS, as_here, few_lanes, one_function, quick_jit
 from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -26,10 +26,11 @@ from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.posture import evenly, start_posture
 from cnclik.robot.rolled import in_form
+from cnclik.threads import side_by_side
 
 TOGETHER = 8  # seeds side by side
 STEPS = 40  # of a round, at most
-WAYPOINTS = 32  # of a path that one call answers
+BLOCK = 32  # targets that one call answers, one after the other
 DOWNHILL, CLOSE = 3, 0.02  # rounds from the best place found, and from so far about it, of the way to other seeds
 FREE = 6  # rounds without limits
 ROUNDS_FAR = 3  # where the target is farther off than the arm is long
@@ -38,15 +39,34 @@ AROUND = 0.3  # of the range of seeds, about `near`
 
 
 def each(asked, pose, near, progress=None):
-    """Answers for a few targets (B, 12), one after the other."""
+    """Answers for some targets (B, 12), one by one: in blocks, on all cores."""
     rows = np.empty((len(pose), _width(asked.chain.n)))
+
+    def block(k):
+        poses, count = _filled(pose[k : k + BLOCK])
+        own = None if near is None else _filled(near[k : k + BLOCK])[0]
+        rows[k : k + count] = _block(*shared, poses, own, np.int32(count))[:count]
+        return count
+
     with jax.enable_x64(True):
         shared = placed(asked), *_placed(asked.chain, asked.task)
-        for k in range(len(pose)):
-            rows[k] = _program(*shared, pose[k], None if near is None else near[k])
-            if progress is not None:
-                progress(k + 1, len(pose))
+        if len(pose) == 1:
+            rows[0] = _program(*shared, pose[0], None if near is None else near[0])
+            return _reached(asked, rows)
+        with side_by_side() as pool:
+            done = 0
+            for count in pool.map(as_here(block), range(0, len(pose), BLOCK)):
+                done += count
+                if progress is not None:
+                    progress(done, len(pose))
     return _reached(asked, rows)
+
+
+def _filled(part):
+    """A block of rows, of which the last are 0 where there are fewer, and how many there are."""
+    out = np.zeros((BLOCK, part.shape[1]))
+    out[: len(part)] = part
+    return out, len(part)
 
 
 def along(asked, pose, progress=None):
@@ -54,11 +74,9 @@ def along(asked, pose, progress=None):
     rows, at = np.empty((len(pose), _width(asked.chain.n))), start_posture(asked.chain, asked.task)
     with jax.enable_x64(True):
         shared = placed(asked), *_placed(asked.chain, asked.task)
-        for k in range(0, len(pose), WAYPOINTS):
-            part = pose[k : k + WAYPOINTS]
-            count = len(part)
-            part = np.concatenate([part, np.zeros((WAYPOINTS - count, 12))])
-            at, made = _path(*shared, part, at, np.int32(count), np.bool_(k == 0))
+        for k in range(0, len(pose), BLOCK):
+            poses, count = _filled(pose[k : k + BLOCK])
+            at, made = _path(*shared, poses, at, np.int32(count), np.bool_(k == 0))
             rows[k : k + count] = made[:count]
             if progress is not None:
                 progress(k + count, len(pose))
@@ -128,6 +146,15 @@ def _target(asked, postures, to, pose, near):
     return _packed(_answer(asked, pose, near, postures, to))
 
 
+def _targets(asked, postures, to, poses, near, count):
+    """What `_target` gives for the first `count` of some targets (K, 12)."""
+
+    def one(i, rows):
+        return rows.at[i].set(_target(asked, postures, to, poses[i], None if near is None else near[i]))
+
+    return lax.fori_loop(0, count, one, jnp.zeros((len(poses), _width(asked.chain.n)), poses.dtype))
+
+
 def _waypoints(asked, postures, to, poses, at, count, begins):
     """The last answer, and what `_target` gives for the first `count` of some waypoints (K, 12), from `at` on.
 
@@ -158,7 +185,7 @@ def _alone(fn):
     return quick_jit(call, compiler=OPTIONS)
 
 
-_program, _path = _alone(_target), _alone(_waypoints)
+_program, _block, _path = _alone(_target), _alone(_targets), _alone(_waypoints)
 
 
 def _search(asked, pose, near, postures, to):

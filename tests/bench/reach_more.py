@@ -138,9 +138,8 @@ def curve(robot, count, jump=0.2):
     targets[:, :3, 3] += 0.12 * np.stack([np.cos(t) - 1, np.sin(2 * t), 0.5 * np.sin(3 * t)], 1)
     turn = 0.3 * np.stack([np.sin(t), np.sin(2 * t), np.cos(t) - 1], 1)
     targets[:, :3, :3] = start[:3, :3] @ scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
-    for _ in range(4):  # compiles, the quicker form at the third call
-        ck.reach(robot.chain, targets[:9], near="previous", jump=jump)
-    seconds, made = seconds_of(lambda: ck.reach(robot.chain, targets, near="previous", jump=jump))
+    for _ in range(2):  # the first compiles
+        seconds, made = seconds_of(lambda: ck.reach(robot.chain, targets, near="previous", jump=jump))
     solved = made.status == 0
     both = solved[1:] & solved[:-1]
     steps = np.abs(np.diff(made.q, axis=0)).max(axis=1)[both]

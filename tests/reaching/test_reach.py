@@ -8,9 +8,10 @@ from scipy.optimize import minimize
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching import programs
+from cnclik.reaching import many, programs
 from cnclik.reaching.map import turns_evenly
 from cnclik.reaching.seeds import spans
+from cnclik.reaching.targets import _are_rotations
 from tests.integrate.test_real_robots import ROBOTS, folder
 from tests.robot.test_urdf import Pinocchio, oracle
 
@@ -61,10 +62,10 @@ def test_every_answer_is_one(name):
 
 def test_few_and_many_and_one_agree_that_there_is_an_answer():
     targets = tips(WRIST, drawn(WRIST, 40))
-    many, few = ck.reach(WRIST, targets), ck.reach(WRIST, targets[:3])
+    lots, few = ck.reach(WRIST, targets), ck.reach(WRIST, targets[:3])
     one = ck.reach(WRIST, targets[0])
-    assert many.solved.all() and few.solved.all() and one.solved and one.q.shape == (6,)
-    for made, wanted in ((many.q, targets), (few.q, targets[:3]), (one.q[None], targets[:1])):
+    assert lots.solved.all() and few.solved.all() and one.solved and one.q.shape == (6,)
+    for made, wanted in ((lots.q, targets), (few.q, targets[:3]), (one.q[None], targets[:1])):
         np.testing.assert_allclose(tips(WRIST, made), wanted, atol=3e-6)
 
 
@@ -87,6 +88,28 @@ def test_another_number_of_targets_compiles_nothing():
     for count in (9, 33, 150, 300):
         ck.reach(WRIST, targets[:count])
     assert programs._soon._cache_size() == before
+
+
+def test_one_by_one_or_in_batches(monkeypatch):
+    """The same statuses, and answers; with `near`, the nearest; of several blocks, one of them not full."""
+    held = ck.replace(WRIST, lower=(-1.0,) * 6, upper=(1.0,) * 6)
+    targets = tips(WRIST, drawn(WRIST, 70))
+    targets[5, 0, 3], targets[6, 2, 3] = np.nan, 5.0
+    within = tips(held, drawn(held, 70, seed=3))
+    targets[10:40] = within[10:40]
+    near = drawn(held, 70, seed=3) + 0.01
+    made, told = {}, []
+    for most in (8, 1000):
+        monkeypatch.setattr(many, "ONE_BY_ONE", {"rolled": most})
+        first = ck.reach(held, targets, progress=lambda *done: told.append(done))
+        made[most] = first, ck.reach(held, within, near=near, jump=0.1)
+    for batch, one_by_one in zip(*made.values(), strict=True):
+        assert (batch.status == one_by_one.status).mean() >= 0.97  # why there is none is a long search
+        both = batch.solved & one_by_one.solved
+        assert both[10:40].all() and (batch.solved == one_by_one.solved).all()
+    np.testing.assert_allclose(made[8][1].q, made[1000][1].q, atol=1e-4)
+    np.testing.assert_allclose(tips(held, made[1000][0].q)[10:40], targets[10:40], atol=3e-6)
+    assert told[-1] == (70, 70) and told[-3:] == [(32, 70), (64, 70), (70, 70)]
 
 
 @pytest.mark.form(None)
@@ -269,6 +292,48 @@ def test_a_path_has_no_jump_that_is_not_reported():
     assert (made.status == ReachStatus.JUMP).any()
     solved = made.q[np.flatnonzero(made.solved)]
     assert np.isnan(made.q[made.status == ReachStatus.JUMP]).all() and len(solved) > 10
+
+
+def test_a_path_gives_what_its_waypoints_give_one_by_one():
+    """Through several programs of the path, and a waypoint that is out of reach."""
+    t = np.linspace(0, 2 * np.pi, 70)
+    path = np.stack([1.2 + 0.5 * np.cos(t), 0.5 * np.sin(t), 0 * t], axis=1)
+    path[40] = 5.0, 0.0, 0.0
+    told = []
+    with ck.use_form("rolled"):
+        made = ck.reach(ARM, path, task=PLANE, near="previous", jump=0.3, progress=lambda *done: told.append(done))
+        at = made.q[0]
+        for k in range(1, len(path)):
+            alone = ck.reach(ARM, path[k], task=PLANE, near=at, jump=0.3)
+            assert made.status[k] == alone.status and made.evaluations[k] == alone.evaluations
+            np.testing.assert_allclose(made.q[k], alone.q, atol=1e-9)
+            np.testing.assert_allclose(made.distance[k], alone.distance, atol=1e-9)
+            at = alone.q if alone.solved else at
+    assert np.flatnonzero(~made.solved).tolist() == [40] and told[-1] == (70, 70)
+
+
+def test_the_same_call_again_is_checked_as_the_first_was():
+    """What is asked is kept: with 1 for 1.0 and True, which are equal."""
+    target = tips(ARM, np.array([[0.3, 1.0]]))[0, :3, 3]
+    assert ck.reach(ARM, target, task=PLANE, seeds=1, near=[0.3, 1.0]).solved
+    for wrong in (1.0, True):
+        with pytest.raises(ck.ArgumentError, match="`seeds` must be an integer"):
+            ck.reach(ARM, target, task=PLANE, seeds=wrong)
+    near = {"near": np.array([0.3, 0.9]), "task": PLANE}
+    assert ck.reach(ARM, target, jump=0.5, **near).solved
+    assert ck.reach(ARM, target, jump=0.01, **near).status == ReachStatus.JUMP
+    assert ck.reach(ARM, target, jump=np.float32(0.5), **near).solved
+
+
+def test_rotations_are_told_from_other_matrices():
+    turns = turns_evenly(50)
+    bent = turns.copy()
+    bent[7, 0, 1] += 1e-4
+    for some, right in ((turns, True), (-turns, False), (2 * turns, False), (np.full((1, 3, 3), 1e200), False)):
+        assert (_are_rotations(some) == right).all() and _are_rotations(some[0]) == right
+    assert np.flatnonzero(~_are_rotations(bent)).tolist() == [7]
+    with pytest.raises(ck.ArgumentError, match="does not at index 7"):
+        ck.reach(WRIST, (np.full((50, 3), 0.2), bent))
 
 
 def test_several_solutions_are_different_and_all_are_answers():
