@@ -37,7 +37,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
     kind = form() or form_for(asked.chain, B)
     chosen, few = use_form(kind), ONE_BY_ONE[kind]
-    if B <= few:
+    if len(pose) <= few:
         with chosen:
             return each(asked, pose, near, progress)
     setup = _setup(asked)
@@ -91,7 +91,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
 def form_for(chain, targets) -> str:
     """The form of programs for so many targets: rolled until a chain has been asked of so often that compiling pays.
 
-    One by one a target of the unrolled form is several times quicker, and in batches ten times; compiling takes seconds.
+    Compiling takes seconds; then a target of the unrolled form is several times quicker one by one, and in batches ten.
     """
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
