@@ -17,9 +17,9 @@ from cnclik.threads import cores, side_by_side
 
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 POOL = 1 << 18  # targets whose leftovers are searched for together
-ONE_BY_ONE = {"unrolled": 128, "rolled": 5000}  # targets, at most, that are sooner searched for one by one
 EARLY, HARD = search.PLAIN + 4, 100  # so many targets without an answer after so many tries: it is worth it, too
-MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
+MANY, ALONE = 5000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
+ONE_BY_ONE = {"unrolled": 128, "rolled": MANY}  # targets, at most, that are sooner searched for one by one
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left

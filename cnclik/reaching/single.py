@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import SMALL_ARRAYS, as_here, few_lanes, one_function, quick_jit
+from cnclik.hints import SMALL_ARRAYS, as_here, few_lanes, form, one_function, quick_jit
 from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -178,11 +178,12 @@ def _alone(fn):
     """A function of one lane, called with numbers: all of it one native function, or it would wait for threads."""
 
     @functools.wraps(fn)
-    def call(*args):
+    def whole(*args):
         with few_lanes(1):
             return one_function(fn, SMALL_ARRAYS)(*args)
 
-    return quick_jit(call, compiler=OPTIONS)
+    quick, soon = quick_jit(whole, compiler=OPTIONS), quick_jit(whole)
+    return lambda *args: (soon if form() == "rolled" else quick)(*args)
 
 
 _program, _block, _path = _alone(_target), _alone(_targets), _alone(_waypoints)
@@ -271,7 +272,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, mos
 
 def _together(chain, task, starts, target, low, high, tolerance, roots):
     """Steps of some seeds side by side, until one has arrived."""
-    law, form = in_form(chain, starts[0])
+    law, like = in_form(chain, starts[0])
 
     def start(q):
         q = in_form(chain, q)[1]
@@ -289,8 +290,8 @@ def _together(chain, task, starts, target, low, high, tolerance, roots):
 
         return lax.while_loop(goes_on, once, (jnp.zeros((), jnp.int32), at))[1]
 
-    bounds = [sp.like(form, bound) for bound in (low, high)]
-    target, roots = in_parts(target, roots, form)
+    bounds = [sp.like(like, bound) for bound in (low, high)]
+    target, roots = in_parts(target, roots, like)
     pair, careful = (tolerance[0], tolerance[1]), jnp.ones((), bool)
     with few_lanes(TOGETHER):
         return one_function(go)(jax.vmap(start)(starts), target, *bounds, pair, careful, roots)
