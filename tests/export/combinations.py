@@ -9,6 +9,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.export.load import compiled
+from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.curves import Tangent
 
 SEVERAL = 6  # steps of a multistep method, one after the other
@@ -137,8 +138,9 @@ def by_jax(combination, given):
 
     q, *others = given
     random, eps = np.random.default_rng(0), np.finfo(q.dtype).eps
+    soon = known_options(QUICK_COMPILE)  # a few inputs: compiling is nearly all of the time
     with ck.use_hints(False), jax.enable_x64(combination.dtype == "float64"):
-        program = jax.jit(jax.vmap(one))
+        program = jax.jit(jax.vmap(one), compiler_options=soon)
         wanted = [np.asarray(v) for v in program(q, *others)]
         spread = [np.zeros(v.shape) for v in wanted[:5]]
         told = np.ones(len(q), bool)
