@@ -216,9 +216,13 @@ def safe_norm(v):
 
 
 def safe_sqrt(x):
-    """√x with derivative 0 (not NaN) at x = 0."""
-    zero = x == 0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, x)))
+    """√x with derivative 0 (not NaN) at x = 0.
+
+    What stands for 0 below the root is a rounding: a compiler may work x out twice, once without rounding a product
+    (fused multiply-add), and find 0 only once; with 1 there, a target that rests would then have moved by 1 m.
+    """
+    zero, least = x == 0, float(jnp.finfo(jnp.result_type(x)).eps) ** 2
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, least, x)))
 
 
 # --- rotations ----------------------------------------------------------------------------------------

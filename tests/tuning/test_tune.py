@@ -167,7 +167,7 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
 
     def one():
         short = Descent(steps=10, rounds=2)
-        return tune(law, target, q0, Ts=0.1, N=3, method="EE", velocity_limit=None, descent=short)
+        return tune(law, target, q0, **LOOP | {"N": 3, "velocity_limit": None}, descent=short)
 
     wide = one()
     with jax.enable_x64(False):
@@ -235,7 +235,7 @@ def test_a_null_direction_that_nothing_acts_on_keeps_its_constraint():
     arm, q = ck.planar_arm([1.0, 0.8, 0.6, 0.5]), np.array([0.4, 0.8, -0.5, 0.3])
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=lambda q: 0.0 * q)
     place = np.asarray(ck.pose(arm, q).position)[:2]
-    objective = loop_objective(law, ck.hold(place), q, Ts=0.1, N=2, method="EE", velocity_limit=None)
+    objective = loop_objective(law, ck.hold(place), q, **LOOP | {"N": 2, "velocity_limit": None})
     _, constraints = quick_jit(lambda objective, values: objective(values))(objective, (law.alpha,))
     assert float(np.max(constraints)) <= 0
     (judged,) = judge(objective, [(law.alpha,)], together=1)
