@@ -21,6 +21,7 @@ from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
+NOISE = 0.05  # relative, of `_beyond_reach`: two to three times the rounding, 1/64 of the shift, of two of them
 
 
 class Limited(NamedTuple):
@@ -194,7 +195,7 @@ class Saturated:
             rest = sp.vsub(at.fixed, apply(sp.matvec(rows, at.fixed)))
             # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
             # inverse holds back next to a singularity is no reason to stand still.
-            lost = _beyond_reach(left, velocity) > reached + 0.01 * asked
+            lost = _beyond_reach(left, velocity) > (1 + NOISE) * reached + 0.01 * asked
             along, rest = (sp.each(lambda x: x + zero, v) for v in (along, rest))
             s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
             s = jnp.where(lost, -1.0, s)
@@ -251,7 +252,8 @@ def _beyond_reach(rows, velocity):
     """Norm of the part of a task velocity that no joint velocity gives.
 
     shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0; twice over, so that single precision, whose
-    shift is large, takes for out of reach only what lies in directions of σ below 0.01 of ‖J‖.
+    shift is large, takes for out of reach only what lies in directions of σ below 0.01 of ‖J‖. The rounding of J Jᵀ
+    is felt in it: to NOISE.
     """
     shift = tiny_shift(rows)
     factor = dense.ldl(dense.gram(rows, shift))
