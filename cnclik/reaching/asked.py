@@ -123,7 +123,9 @@ def asked_of(chain, *rest) -> Asked:
     key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
     try:
         hash(key)
-    except TypeError:  # lists, arrays, traced numbers
+    except TypeError:  # lists, arrays
+        return _asked(chain, *rest)
+    if not all(map(errors.concrete, rest)):
         return _asked(chain, *rest)
     return kept(chain, "_asked", lambda _: Recent()).made(key, lambda _: _asked(chain, *rest))
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from cnclik.hints import as_here, form, use_form
-from cnclik.reaching import search
+from cnclik.reaching import programs, search
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.search import Answers, Setup, Targets
@@ -60,7 +60,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         found = search.first_tries(mine, wider)
         beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
 
-    with jax.enable_x64(True), side_by_side() as pool:
+    with jax.enable_x64(True), side_by_side(programs.workers(kind)) as pool:
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
@@ -116,8 +116,8 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
         mine = {name: getattr(first, name)[cut] for name in PER_TARGET}
         return _several(asked, mine, pose[cut], None if near is None else near[cut], solutions, copies)
 
-    chosen = use_form(form() or form_for(asked.chain, len(pose) * copies))
-    with chosen, jax.enable_x64(True), side_by_side() as pool:
+    kind = form() or form_for(asked.chain, len(pose) * copies)
+    with use_form(kind), jax.enable_x64(True), side_by_side(programs.workers(kind)) as pool:
         made = list(pool.map(as_here(block), range(0, len(pose), size)))
     return replace(first, **{name: np.concatenate([part[name] for part in made]) for name in PER_TARGET})
 

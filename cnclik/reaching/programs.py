@@ -82,6 +82,14 @@ def search(chain, task, bounds, tolerance, q, target, steps, careful=False, root
     return Found(*map(np.concatenate, zip(*parts, strict=True)))
 
 
+def workers(kind) -> int | None:
+    """How many blocks of a form may run side by side: one of the rolled form, which calls LAPACK, else None, all.
+
+    See `cnclik.hints.shares_threads`.
+    """
+    return 1 if kind == "rolled" else None
+
+
 def _filled(rows):
     """The array with CAPACITY rows."""
     if len(rows) == CAPACITY:

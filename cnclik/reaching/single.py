@@ -18,6 +18,7 @@ from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import TOUCHING
+from cnclik.reaching.programs import workers
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
 from cnclik.reaching.step import begin, in_parts, iterate, look
@@ -39,7 +40,7 @@ AROUND = 0.3  # of the range of seeds, about `near`
 
 
 def each(asked, pose, near, progress=None):
-    """Answers for some targets (B, 12), one by one: in blocks, on all cores."""
+    """Answers for some targets (B, 12), one by one: in blocks, of the unrolled form on all cores."""
     rows = np.empty((len(pose), _width(asked.chain.n)))
 
     def block(k):
@@ -53,7 +54,7 @@ def each(asked, pose, near, progress=None):
         if len(pose) == 1:
             rows[0] = _program(*shared, pose[0], None if near is None else near[0])
             return _reached(asked, rows)
-        with side_by_side() as pool:
+        with side_by_side(workers(form())) as pool:
             done = 0
             for count in pool.map(as_here(block), range(0, len(pose), BLOCK)):
                 done += count
