@@ -21,7 +21,7 @@ from cnclik.record import leaf, record
 from cnclik.robot import spatial as sp
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
-NOISE = 0.05  # relative, of `_beyond_reach`: two to three times the rounding, 1/64 of the shift, of two of them
+NOISE = 0.05  # relative, of two of `_beyond_reach`: each feels the rounding of J Jᵀ, some 1/64 of its shift
 
 
 class Limited(NamedTuple):

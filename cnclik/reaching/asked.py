@@ -123,9 +123,10 @@ def asked_of(chain, *rest) -> Asked:
     key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
     try:
         hash(key)
+        lasting = all(map(errors.concrete, rest))
     except TypeError:  # lists, arrays
-        return _asked(chain, *rest)
-    if not all(map(errors.concrete, rest)):
+        lasting = False
+    if not lasting:
         return _asked(chain, *rest)
     return kept(chain, "_asked", lambda _: Recent()).made(key, lambda _: _asked(chain, *rest))
 

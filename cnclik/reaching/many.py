@@ -18,8 +18,10 @@ from cnclik.threads import cores, side_by_side
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 POOL = 1 << 18  # targets whose leftovers are searched for together
 EARLY, HARD = search.PLAIN + 4, 100  # so many targets without an answer after so many tries: it is worth it, too
-MANY, ALONE = 5000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
-ONE_BY_ONE = {"unrolled": 128, "rolled": MANY}  # targets, at most, that are sooner searched for one by one
+MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
+# Targets, at most, that are sooner searched for one by one; rolled, also where none of them has an answer: more of
+# these take longer than to compile what `HARD` asks for.
+ONE_BY_ONE = {"unrolled": 128, "rolled": 512}
 TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
@@ -60,20 +62,23 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         found = search.first_tries(mine, wider)
         beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
 
-    with jax.enable_x64(True), side_by_side(programs.workers(kind)) as pool:
+    with jax.enable_x64(True):
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
             ids = np.flatnonzero(which & known & ~made.found)
             size = max(min(BLOCK, -(-len(ids) // cores())), SMALLEST)
             parts = [ids[i : i + size] for i in range(0, len(ids), size)]
-            for _ in pool.map(as_here(fn), parts):
-                if progress is not None:
-                    progress(int(made.found.sum()), B)
+            with side_by_side(programs.workers(form())) as pool:
+                for _ in pool.map(as_here(fn), parts):
+                    if progress is not None:
+                        progress(int(made.found.sum()), B)
 
         with chosen:
             if form() == "unrolled":  # both programs compile at once
-                list(pool.map(as_here(lambda kind: search.warm(setup, targets.bounds, kind)), ("float32", "float64")))
+                warm = as_here(lambda dtype: search.warm(setup, targets.bounds, dtype))
+                with side_by_side() as pool:
+                    list(pool.map(warm, ("float32", "float64")))
             on_all_cores(first, ~far | downhill)
             on_all_cores(functools.partial(later, tries=EARLY, downhill=False), ~far)
         # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.

@@ -75,8 +75,8 @@ def search(chain, task, bounds, tolerance, q, target, steps, careful=False, root
     for i in range(0, len(q), CAPACITY):
         cut = slice(i, i + CAPACITY)
         size = len(q[cut])
-        own = tuple(_filled(b[cut]) if b.ndim > 1 else b for b in bounds)
-        part = _filled(q[cut]), _filled(target[cut])
+        own = tuple(filled(b[cut]) if b.ndim > 1 else b for b in bounds)
+        part = filled(q[cut]), filled(target[cut])
         found = run(chain, task, own, tolerance, *part, np.int32(steps), np.bool_(careful), roots, np.int32(size))
         parts.append([np.asarray(v)[:size] for v in found])
     return Found(*map(np.concatenate, zip(*parts, strict=True)))
@@ -90,10 +90,10 @@ def workers(kind) -> int | None:
     return 1 if kind == "rolled" else None
 
 
-def _filled(rows):
-    """The array with CAPACITY rows."""
-    if len(rows) == CAPACITY:
+def filled(rows, size=CAPACITY):
+    """The array with so many rows, of which the last are 0."""
+    if len(rows) == size:
         return rows
-    out = np.zeros((CAPACITY, *rows.shape[1:]), rows.dtype)
+    out = np.zeros((size, *rows.shape[1:]), rows.dtype)
     out[: len(rows)] = rows
     return out

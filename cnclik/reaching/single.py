@@ -18,7 +18,7 @@ from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import TOUCHING
-from cnclik.reaching.programs import workers
+from cnclik.reaching.programs import filled, workers
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
 from cnclik.reaching.step import begin, in_parts, iterate, look
@@ -44,13 +44,13 @@ def each(asked, pose, near, progress=None):
     rows = np.empty((len(pose), _width(asked.chain.n)))
 
     def block(k):
-        poses, count = _filled(pose[k : k + BLOCK])
-        own = None if near is None else _filled(near[k : k + BLOCK])[0]
-        rows[k : k + count] = _block(*shared, poses, own, np.int32(count))[:count]
+        count = len(pose[k : k + BLOCK])
+        own = None if near is None else filled(near[k : k + BLOCK], BLOCK)
+        rows[k : k + count] = _block(*shared, filled(pose[k : k + BLOCK], BLOCK), own, np.int32(count))[:count]
         return count
 
     with jax.enable_x64(True):
-        shared = placed(asked), *_placed(asked.chain, asked.task)
+        shared = _shared(asked)
         if len(pose) == 1:
             rows[0] = _program(*shared, pose[0], None if near is None else near[0])
             return _reached(asked, rows)
@@ -63,21 +63,14 @@ def each(asked, pose, near, progress=None):
     return _reached(asked, rows)
 
 
-def _filled(part):
-    """A block of rows, of which the last are 0 where there are fewer, and how many there are."""
-    out = np.zeros((BLOCK, part.shape[1]))
-    out[: len(part)] = part
-    return out, len(part)
-
-
 def along(asked, pose, progress=None):
     """Answers for the targets of a path, each from the answer before it; where there was none, from the last one."""
     rows, at = np.empty((len(pose), _width(asked.chain.n))), start_posture(asked.chain, asked.task)
     with jax.enable_x64(True):
-        shared = placed(asked), *_placed(asked.chain, asked.task)
+        shared = _shared(asked)
         for k in range(0, len(pose), BLOCK):
-            poses, count = _filled(pose[k : k + BLOCK])
-            at, made = _path(*shared, poses, at, np.int32(count), np.bool_(k == 0))
+            count = len(pose[k : k + BLOCK])
+            at, made = _path(*shared, filled(pose[k : k + BLOCK], BLOCK), at, np.int32(count), np.bool_(k == 0))
             rows[k : k + count] = made[:count]
             if progress is not None:
                 progress(k + count, len(pose))
@@ -109,10 +102,12 @@ def _reached(asked, rows) -> Reached:
     )
 
 
-def _placed(chain, task):
-    """Seeds and what they are to a task, on JAX's device; kept for the next call."""
-    name = f"_seeds_of_{task.position}_{bool(task.orientation)}"
-    return kept(chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(seeds(chain), task))))
+def _shared(asked):
+    """What is asked, seeds, and what they are to the task, on JAX's device; kept for the next call."""
+    task, name = asked.task, f"_seeds_of_{asked.task.position}_{bool(asked.task.orientation)}"
+    return placed(asked), *kept(
+        asked.chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(seeds(chain), task)))
+    )
 
 
 def traced(asked, pose, near):

@@ -95,7 +95,7 @@ def exact_end():
 def test_order_of_position_and_joint_path(method, order, N):
     """A redundant arm that starts on its path; EXP-RK4 with steps so fine that they count as exact.
 
-    N: of steps from which on the order shows; with fewer these three converge faster than that.
+    N: of steps from which on the order shows; with fewer these three show another.
     """
     ends = [by_steps(LAW, CIRCLE, START, 1 / n, n, method) for n in (N, 2 * N)]
     paths = [q[-1] - exact_end() for q, _ in ends]
