@@ -2,6 +2,8 @@
 
 import pytest
 
+import cnclik as ck
+from cnclik.export.load import compiled
 from tests.export import matrix
 from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
 
@@ -25,6 +27,15 @@ SPREAD = [
 def test_the_exported_step_is_jaxs(combination):
     off, others = compare(combination, 300)
     assert off <= 1 and others == 0
+
+
+@pytest.mark.parametrize("count", [5, 300])  # of five, repeats nearby are looked at as well
+def test_a_gain_that_is_off_in_its_ninth_digit_is_found(count):
+    combination = Combination("planar3", "pseudoinverse", "saturation")
+    law, method, stage = combination.parts()
+    wrong = compiled(ck.replace(law, alpha=5.0 * (1 + 1e-9)), method=method, stage=stage, dtype=combination.dtype)
+    off, _ = compare(combination, count, step=wrong)
+    assert off > 1
 
 
 def test_the_spread_has_every_name_in_it():
