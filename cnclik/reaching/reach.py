@@ -79,8 +79,8 @@ def reach(
         errors.one_of("near", near, ("previous",))
     elif near is not None:
         near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
-        near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n))
-        near = near.astype(pose.dtype)
+        near = near + (np if known else jnp).zeros((len(pose), chain.n))  # quicker than broadcast_to
+        near = near.astype(pose.dtype, copy=False)
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")

@@ -87,8 +87,8 @@ def _packed(row):
 
 
 def _reached(asked, rows) -> Reached:
-    """The record of targets, from their vectors (B, K)."""
-    n = asked.chain.n
+    """The record of targets, from their vectors (B, K), which become its own."""
+    n, rows.flags.writeable = asked.chain.n, False
     return Reached(
         q=rows[:, :n],
         status=rows[:, n].astype(int),

@@ -330,7 +330,7 @@ def test_rotations_are_told_from_other_matrices():
     bent = turns.copy()
     bent[7, 0, 1] += 1e-4
     for some, right in ((turns, True), (-turns, False), (2 * turns, False), (np.full((1, 3, 3), 1e200), False)):
-        assert (_are_rotations(some) == right).all() and _are_rotations(some[0]) == right
+        assert (_are_rotations(some) == right).all() and _are_rotations(some[0]) is right
     assert np.flatnonzero(~_are_rotations(bent)).tolist() == [7]
     with pytest.raises(ck.ArgumentError, match="does not at index 7"):
         ck.reach(WRIST, (np.full((50, 3), 0.2), bent))
