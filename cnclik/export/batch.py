@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 
 from cnclik import errors
-from cnclik.export.compiler import build, opened
+from cnclik.native.compiler import build, opened
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 

@@ -1,9 +1,9 @@
 """Example: a C program that runs the test vectors, and the README that goes with it."""
 
-from cnclik.export.scalar import number, rows
 from cnclik.export.source import GROUPS
 from cnclik.export.vectors import TOLERANCE, inputs, results
 from cnclik.measure.files import markdown
+from cnclik.native.scalar import number, rows
 from cnclik.version import __version__
 
 BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {sources} -lm -o example"

@@ -2,28 +2,14 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.export.graph import INT, REAL
+from cnclik.native.graph import INT, REAL
+from cnclik.native.program import Field
 from cnclik.record import is_literal
-
-
-class Field(NamedTuple):
-    """An argument or a result."""
-
-    name: str
-    shape: tuple
-    kind: str = REAL
-    about: str = ""
-    value: object = None  # what it is where nothing else is said
-
-    @property
-    def size(self) -> int:
-        return int(np.prod(self.shape))
 
 
 def leaves(tree, path=()):

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from cnclik.export.fields import Field
-from cnclik.export.graph import INT, Graph
-from cnclik.export.reader import Reader, repeats
-from cnclik.export.trace import Asked, Program, Stepping, arguments, read, traced
+from cnclik.export.trace import Asked, Stepping, read_as
 from cnclik.integrate.cells import array_of
+from cnclik.native.graph import INT, Graph
+from cnclik.native.program import Field, Program, arguments, traced
+from cnclik.native.reader import Reader, repeats
 
 RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")
 _OVER_TIME = {"residual": "max", "contraction": "max", "least": "min", "status": "or"}  # of all steps together
@@ -20,9 +20,9 @@ def trace_loop(asked: Asked, wanted=RESULTS) -> Program:
     """
     step = Stepping(asked, timed=True)
     groups = {name: step.groups[name] for name in ("parameters", "input")}
-    one, last = traced(asked, step.one, step.groups), traced(asked, step.end, groups)
+    one, last = traced(step.one, step.groups, asked.dtype), traced(step.end, groups, asked.dtype)
     graph = Graph(asked.dtype)
-    values, kept = arguments(asked, graph, groups)
+    values, kept = arguments(graph, groups, asked.runtime)
     reader = Reader(graph, repeats(one.jaxpr))
     names = [f.name for f in groups["input"]]
     q0, t0, Ts = (values["input"][names.index(name)] for name in ("q", "t", "Ts"))
@@ -66,4 +66,4 @@ def trace_growth(asked: Asked) -> Program:
     step = Stepping(asked, timed=True)
     groups = {name: step.groups[name] for name in ("parameters", "input")}
     ends = [Field("t", (2,)), Field("e", (2, asked.law.task.m))]
-    return read(asked, step.grown, groups | {"ends": ends}, {"output": [Field("status", (1,), INT)]})
+    return read_as(asked, step.grown, groups | {"ends": ends}, {"output": [Field("status", (1,), INT)]})

@@ -6,10 +6,10 @@ careful steps, until one arrives. Where none does, the nearest pose found is tol
 
 import math
 
-from cnclik.export.cost import operations
 from cnclik.export.reach_trace import Reaching
-from cnclik.export.scalar import number, rows
 from cnclik.export.source import Names, body, signature, struct
+from cnclik.native.cost import operations
+from cnclik.native.scalar import number, rows
 from cnclik.reaching.asked import CLEAR
 from cnclik.reaching.seeds import TURN
 from cnclik.reaching.single import ROUNDS_FAR, STEPS, TOGETHER

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.export.fields import Field
-from cnclik.export.graph import INT
-from cnclik.export.trace import Asked, Program, read
+from cnclik.export.trace import Asked, read_as
+from cnclik.native.graph import INT
+from cnclik.native.program import Field, Program
 from cnclik.reaching.seeds import SETS, SIZE, seeds
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast, replace
@@ -96,4 +96,4 @@ def _look(asked, chain, task, parameters, target) -> Program:
         packed = [jnp.stack(v) for v in (made.q, made.best, made.squares)]
         return [*packed, made.cost, made.steep, made.trust, made.looks, made.arrived.astype(jnp.int32)]
 
-    return read(asked, one, groups, {"search": state})
+    return read_as(asked, one, groups, {"search": state})

@@ -1,7 +1,7 @@
 """Solve source: N steps in one call, around the exported step."""
 
-from cnclik.export.scalar import Writer
 from cnclik.export.source import GROUPS, Names, arguments, named_as, places
+from cnclik.native.scalar import Writer
 
 
 def solve_header(program, names: Names) -> str:

@@ -4,9 +4,9 @@ import textwrap
 
 import numpy as np
 
-from cnclik.export.graph import INT, functions
-from cnclik.export.scalar import Writer, number
 from cnclik.integrate.status import Status
+from cnclik.native.graph import INT, functions
+from cnclik.native.scalar import Writer, number
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot.trig import RANGE, TABLES
 from cnclik.version import __version__

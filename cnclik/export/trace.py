@@ -7,35 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik.export import fields
-from cnclik.export.fields import Field
-from cnclik.export.graph import INT, REAL, Graph
-from cnclik.export.reader import Reader, repeats
-from cnclik.hints import few_lanes, use_form, use_hints
-from cnclik.integrate.cells import array_of
 from cnclik.integrate.history import blank, packed
 from cnclik.integrate.solve import step_and_least
 from cnclik.integrate.status import growing
 from cnclik.law.curves import Tangent
 from cnclik.law.law import look
 from cnclik.law.reference import Reference
+from cnclik.native.graph import INT, REAL
+from cnclik.native.program import Field, Program, read, shape
 from cnclik.record import cast
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
 
 WHAT = ("step", "solve", "reach", "fk", "jacobian")
-
-
-class Program(NamedTuple):
-    """A traced function: its arguments and results in groups, and the graph between them."""
-
-    graph: Graph
-    inputs: dict  # {group: [Field]}: parameters, input, history
-    outputs: dict  # {group: [(Field, nodes)]}: output, history
-
-    @property
-    def ends(self) -> list:
-        """All result nodes."""
-        return [node for group in self.outputs.values() for _, nodes in group for node in nodes]
 
 
 class Asked(NamedTuple):
@@ -55,7 +39,12 @@ def trace(asked: Asked) -> Program:
     if asked.what in ("fk", "jacobian"):
         return _of_chain(asked, {"fk": _pose, "jacobian": _jacobian}[asked.what])
     step = Stepping(asked, timed=asked.what == "solve")
-    return read(asked, step.one, step.groups, {"output": step.told, "history": step.groups["history"]})
+    return read_as(asked, step.one, step.groups, {"output": step.told, "history": step.groups["history"]})
+
+
+def read_as(asked: Asked, fn, groups, told) -> Program:
+    """The program of a function in the dtype, and with the parameters at run time, that are asked for."""
+    return read(fn, groups, told, dtype=asked.dtype, runtime=asked.runtime)
 
 
 # --- the step -----------------------------------------------------------------------------------------
@@ -172,47 +161,4 @@ def _of_chain(asked, make) -> Program:
 
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
     groups = {"parameters": parameters, "input": given, "history": []}
-    return read(asked, fn, groups, {"output": told, "history": []})
-
-
-# --- reading ------------------------------------------------------------------------------------------
-
-
-def shape(size, dtype):
-    return jax.ShapeDtypeStruct(size, dtype)
-
-
-def traced(asked, fn, groups):
-    """The jaxpr of a function of flat arguments, field by field."""
-    shapes = [shape(f.shape, asked.dtype if f.kind == REAL else np.int32) for some in groups.values() for f in some]
-    # With hints, so that what is fenced off is a call: what is called several times becomes a function.
-    with use_hints(True), use_form("unrolled"), few_lanes(0), jax.enable_x64(asked.dtype == np.float64):
-        return jax.make_jaxpr(fn)(*shapes)
-
-
-def arguments(asked, graph, groups):
-    """Nodes of all arguments, {group: [array]}, and the fields that are left at run time."""
-    kept, values = {}, {}
-    for group, some in groups.items():
-        kept[group], values[group] = [], []
-        for field in some:
-            if group == "parameters" and asked.runtime is not None and field.name not in asked.runtime:
-                cells = [graph.const(v, field.kind) for v in np.ravel(field.value).tolist()]
-            else:
-                clean = field.name == "velocity"  # what is not finite there makes the joints' velocities so
-                key = f"{group}.{field.name}"
-                cells = [graph.input(key, i, field.kind, clean=clean) for i in range(field.size)]
-                kept[group].append(field)
-            values[group].append(array_of(cells, field.shape))
-    return values, kept
-
-
-def read(asked, fn, groups, told) -> Program:
-    """The program of a function of flat arguments; `told` are its results in groups."""
-    jaxpr = traced(asked, fn, groups)
-    graph = Graph(asked.dtype)
-    values, kept = arguments(asked, graph, groups)
-    reader = Reader(graph, repeats(jaxpr.jaxpr))
-    found = iter(reader.run(jaxpr.jaxpr, jaxpr.consts, [v for some in values.values() for v in some]))
-    outputs = {group: [(field, list(next(found).flat)) for field in some] for group, some in told.items()}
-    return Program(graph, kept, outputs)
+    return read_as(asked, fn, groups, {"output": told, "history": []})

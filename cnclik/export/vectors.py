@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cnclik.export.evaluate import evaluate
+from cnclik.native.evaluate import evaluate
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import start_posture

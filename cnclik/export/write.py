@@ -7,8 +7,6 @@ import re
 import numpy as np
 
 from cnclik import errors
-from cnclik.export.arrays import UnsupportedError
-from cnclik.export.cost import operations
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
 from cnclik.export.loop import RESULTS, trace_growth, trace_loop
@@ -22,6 +20,8 @@ from cnclik.integrate.solve import evaluations_of
 from cnclik.integrate.stage import picard
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, check
+from cnclik.native.arrays import UnsupportedError
+from cnclik.native.cost import operations
 from cnclik.record import brief
 from cnclik.robot.chain import Chain
 from cnclik.version import __version__

@@ -10,9 +10,9 @@ from collections import Counter
 import jax
 import numpy as np
 
-from cnclik.export.arrays import ARRAYS, UnsupportedError, kind_of
-from cnclik.export.graph import BOOL, INT, REAL, Function, Graph
 from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, each, moved, walk
+from cnclik.native.arrays import ARRAYS, UnsupportedError, kind_of
+from cnclik.native.graph import BOOL, INT, REAL, Function, Graph
 
 LARGE = 200  # equations from which on what is called several times becomes a function
 WRITTEN_OUT = 64  # rounds of a loop that may be written out where it can't stay one

@@ -4,9 +4,9 @@ A scalar becomes a vector of lanes, a comparison a mask; branches run where some
 what is its own. Loops have the same length in all lanes.
 """
 
-from cnclik.export.graph import BOOL, INT, REAL, Choice
-from cnclik.export.operations import OPERATIONS
-from cnclik.export.scalar import Writer, number
+from cnclik.native.graph import BOOL, INT, REAL, Choice
+from cnclik.native.operations import OPERATIONS
+from cnclik.native.scalar import Writer, number
 
 _TEXTS = {
     "abs": "vabs({0})",

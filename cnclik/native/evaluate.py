@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cnclik.export.graph import BOOL, Call, Choice, Loop, Node, live
-from cnclik.export.operations import OPERATIONS
+from cnclik.native.graph import BOOL, Call, Choice, Loop, Node, live
+from cnclik.native.operations import OPERATIONS
 
 _MANY = {"select": np.where, "not": np.logical_not, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor}
 

@@ -9,8 +9,8 @@ import itertools
 import jax
 import numpy as np
 
-from cnclik.export.graph import BOOL, INT, REAL
 from cnclik.integrate.cells import array_of
+from cnclik.native.graph import BOOL, INT, REAL
 
 
 class UnsupportedError(Exception):

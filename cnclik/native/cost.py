@@ -2,8 +2,8 @@
 
 from collections import Counter
 
-from cnclik.export.graph import REAL, Call, Loop, Node, live
-from cnclik.export.operations import OPERATIONS
+from cnclik.native.graph import REAL, Call, Loop, Node, live
+from cnclik.native.operations import OPERATIONS
 
 _CALLS = frozenset(name for name, op in OPERATIONS.items() if op.cost >= 5)
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cnclik.export.operations import OPERATIONS, folded
+from cnclik.native.operations import OPERATIONS, folded
 
 REAL, INT, BOOL = "real", "int", "bool"
 

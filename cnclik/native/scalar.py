@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from cnclik.export.graph import BOOL, INT, REAL, Call, Choice, Loop, Node, live
-from cnclik.export.operations import OPERATIONS
+from cnclik.native.graph import BOOL, INT, REAL, Call, Choice, Loop, Node, live
+from cnclik.native.operations import OPERATIONS
 
 _OF_WHOLE = {  # numbers that can't be NaN
     "max": "{0} > {1} ? {0} : {1}",
