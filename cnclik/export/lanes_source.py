@@ -1,9 +1,8 @@
 """Lanes source: the loop in time for many lanes at once, as C with the vector types of GCC and Clang."""
 
 from cnclik.export.source import Names, comment
-from cnclik.native.graph import functions
 from cnclik.native.prelude import prelude
-from cnclik.native.vector import VectorWriter
+from cnclik.native.vector import VectorWriter, inner
 from cnclik.version import __version__
 
 
@@ -62,14 +61,7 @@ def _signature(names) -> str:
 
 def batch_source(program, names: Names) -> str:
     """The source of the function for many lanes."""
-    called = {f: f"{names.name}_part{i}" for i, f in enumerate(functions(program.graph), 1)}
-    writers, parts = [], []
-    for function, name in called.items():
-        writer = VectorWriter(function.graph, function.results, {"a": ("a[{0}]", True)}, called)
-        lines = writer.statements()
-        lines += [f"  r[{i}] = {v};" for i, v in enumerate([writer.of(node) for node in function.results])]
-        parts.append(f"static void {name}(const V *a, V *r)\n{{\n" + "\n".join(lines) + "\n}\n")
-        writers.append(writer)
+    parts, called, writers = inner(program.graph, names.name)
     places = {"steps": ("SPLATI(steps)", False)}
     fields = [(f"{g}.{f.name}", f) for g, some in program.inputs.items() for f in some]
     for i, (key, field) in enumerate(fields):
@@ -93,7 +85,6 @@ def batch_source(program, names: Names) -> str:
         f"static void lanes_at(int64_t at, int64_t last, int32_t steps, const {names.name}_column *given,\n"
         f"  {names.real} *const *found, int32_t *status)\n{{\n" + "\n".join([*lines, *stores]) + "\n}\n"
     )
-    mapped = sorted(set().union(*(w.mapped for w in writers)))
     every = f"""{_signature(names)}
 {{
   int64_t at;
@@ -104,7 +95,7 @@ def batch_source(program, names: Names) -> str:
 """
     head = f"/* Written by cnclik {__version__}; see {names.name}_batch.h. Vectors of lanes: GCC or Clang. */\n"
     head += f'#include "{names.name}_batch.h"\n\n'
-    head += prelude(names.dtype, mapped, "sincos" in set().union(*(w.used for w in writers)))
+    head += prelude(names.dtype, writers)
     head += _LOAD.replace("COLUMN", f"{names.name}_column")
     text = "\n".join([head, *parts, block, every])
     return text.replace("REAL", names.real)

@@ -1,5 +1,6 @@
 """Compiler: the system's own, where it has one."""
 
+import _ctypes
 import ctypes
 import hashlib
 import os
@@ -8,6 +9,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+import weakref
 
 from cnclik import errors
 
@@ -15,11 +17,19 @@ FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-
 LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
 
 
+def _command() -> str | None:
+    return next((name for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name and shutil.which(name)), None)
+
+
+def can_build() -> bool:
+    """Whether there is a C compiler."""
+    return _command() is not None
+
+
 def command() -> str:
     """The C compiler: that of the environment's CC, else cc, gcc or clang. ArgumentError where there is none."""
-    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
-        if name and shutil.which(name):
-            return name
+    if found := _command():
+        return found
     raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
 
 
@@ -66,3 +76,9 @@ def _processor() -> str:
 def opened(library, *, lets_go=True):
     """The library; `lets_go` of Python's lock while it runs, for calls that take longer than a step."""
     return (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
+
+
+def closed_after(library):
+    """The library, which is closed when nothing holds it any more: its functions alone don't."""
+    weakref.finalize(library, _ctypes.dlclose, library._handle).atexit = False  # a thread may still be at work in it
+    return library

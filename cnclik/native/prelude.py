@@ -20,11 +20,12 @@ _ARCTANGENT = {
 }
 
 
-def prelude(dtype, mapped, sincos) -> str:
+def prelude(dtype, writers) -> str:
     """The text before functions of vectors, in which REAL stands for a number of a lane.
 
-    Args: mapped: operations that are called lane by lane. sincos: whether there are sines.
+    Args: writers: those that wrote the functions, and know what they use.
     """
+    mapped, used = (set().union(*found) for found in zip(*((w.mapped, w.used) for w in writers), strict=True))
     single = np.dtype(dtype).itemsize == 4
     mantissa, suffix = 24 if single else 53, "f" * single
 
@@ -66,10 +67,10 @@ def prelude(dtype, mapped, sincos) -> str:
         "HALF": c(0.5),
         "ZERO": c(0.0),
     }
-    text = _PRELUDE + (_SINCOS if sincos else "")
+    text = _PRELUDE + (_SINCOS if "sincos" in used else "")
     for word in sorted(words, key=len, reverse=True):
         text = text.replace(f"@{word}@", words[word])
-    for op in mapped:
+    for op in sorted(mapped):
         inside = OPERATIONS[op].text.format(*("x[i]", "y[i]"), f=suffix)
         two = "y[i]" in inside
         text += f"static inline V v{op}(V x{', V y' if two else ''})\n{{\n  V r = x;\n"

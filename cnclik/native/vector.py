@@ -4,7 +4,7 @@ A scalar becomes a vector of lanes, a comparison a mask; branches run where some
 what is its own. Loops have the same length in all lanes.
 """
 
-from cnclik.native.graph import BOOL, INT, REAL, Choice
+from cnclik.native.graph import BOOL, INT, REAL, Choice, functions
 from cnclik.native.operations import OPERATIONS
 from cnclik.native.scalar import Writer, number
 
@@ -115,3 +115,16 @@ class VectorWriter(Writer):
             self.inside(block, ending)
             self.line("}")
         self.outs(choice, wanted, names)
+
+
+def inner(graph, prefix) -> tuple:
+    """The functions that a graph calls several times: their texts, {function: its name in C}, and their writers."""
+    called = {f: f"{prefix}_part{i}" for i, f in enumerate(functions(graph), 1)}
+    texts, writers = [], []
+    for function, name in called.items():
+        writer = VectorWriter(function.graph, function.results, {"a": ("a[{0}]", True)}, called)
+        lines = writer.statements()
+        lines += [f"  r[{i}] = {v};" for i, v in enumerate([writer.of(node) for node in function.results])]
+        texts.append(f"static void {name}(const V *a, V *r)\n{{\n" + "\n".join(lines) + "\n}\n")
+        writers.append(writer)
+    return texts, called, writers

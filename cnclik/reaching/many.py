@@ -8,10 +8,11 @@ import numpy as np
 from cnclik.hints import as_here, form, use_form
 from cnclik.reaching import programs, search
 from cnclik.reaching.asked import Asked
-from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
-from cnclik.reaching.search import Answers, Setup, Targets
-from cnclik.reaching.seeds import SETS, compared, seeds
-from cnclik.reaching.single import each
+from cnclik.reaching.native import native_for
+from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
+from cnclik.reaching.search import Answers, Targets
+from cnclik.reaching.seeds import SETS
+from cnclik.reaching.single import along, each
 from cnclik.record import kept, replace
 from cnclik.threads import cores, side_by_side
 
@@ -38,11 +39,13 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
         return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
     kind = form() or form_for(asked.chain, B)
+    if native := native_for(asked, B, kind == "unrolled"):
+        return native.reached(pose, near, progress)
     chosen, few = use_form(kind), ONE_BY_ONE[kind]
     if len(pose) <= few:
         with chosen:
             return each(asked, pose, near, progress)
-    setup = _setup(asked)
+    setup = search.setup_of(asked)
     made = Answers.empty(B, n)
     beyond = np.zeros(B, bool)
     targets = Targets(pose, asked.bounds(near), near)
@@ -93,6 +96,15 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     return asked.reached(pose, near, *made.as_asked(), beyond)
 
 
+def path(asked: Asked, pose, progress=None) -> Reached:
+    """Answers for the targets (B, 12) of a path, each from the answer before it."""
+    kind = form() or form_for(asked.chain, len(pose))
+    if native := native_for(asked, len(pose), kind == "unrolled"):
+        return native.along(pose, progress)
+    with use_form(kind):
+        return along(asked, pose, progress)
+
+
 def form_for(chain, targets) -> str:
     """The form of programs for so many targets: rolled until a chain has been asked of so often that compiling pays.
 
@@ -104,12 +116,6 @@ def form_for(chain, targets) -> str:
     return "unrolled" if (asked_of[0] > ALONE if alone else asked_of[1] > MANY) else "rolled"
 
 
-def _setup(asked: Asked) -> Setup:
-    known = seeds(asked.chain)
-    limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
-    return Setup(asked.chain, *asked.unweighted(), known, compared(known, asked.task), *limits)
-
-
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
     """Up to `solutions` different answers for each of (B, 12) targets: the nearest of those that many seeds lead to."""
     first = many(asked, pose, near, progress)
@@ -118,7 +124,7 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
 
     def block(start):
         cut = slice(start, start + size)
-        mine = {name: getattr(first, name)[cut] for name in PER_TARGET}
+        mine = {name: v[cut] for name, v in fields(first).items()}
         return _several(asked, mine, pose[cut], None if near is None else near[cut], solutions, copies)
 
     kind = form() or form_for(asked.chain, len(pose) * copies)
@@ -129,14 +135,17 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
 
 def _several(asked, first, pose, near, solutions, copies) -> dict:
     """The fields of the record for some targets, from those of their first answers."""
-    B, n, setup = len(pose), asked.chain.n, _setup(asked)
+    B, n, setup = len(pose), asked.chain.n, search.setup_of(asked)
     each_of = np.arange(B)
     start = np.stack([search.drawn(setup, pose, k, np.full(B, k + setup.seed), each_of) for k in range(copies)], 1)
     mine = Targets(pose, asked.bounds(near), near).part(np.repeat(each_of, copies))
-    found = search.from_starts(setup, mine, start.reshape(-1, n))
-    drawn = asked.reached(mine.pose, mine.near, *found.as_asked(), np.zeros(B * copies, bool))
-    rows = {name: getattr(drawn, name) for name in PER_TARGET}
-    rows = {name: v.reshape(B, copies, *v.shape[1:]) for name, v in rows.items()}
+    start = np.clip(start.reshape(-1, n), *mine.bounds)
+    if native := native_for(asked, B * copies, True):
+        found = native.from_starts(mine.pose, mine.near, start)
+    else:
+        found = search.from_starts(setup, mine, start).as_asked()
+    drawn = asked.reached(mine.pose, mine.near, *found, np.zeros(B * copies, bool))
+    rows = {name: v.reshape(B, copies, *v.shape[1:]) for name, v in fields(drawn).items()}
     both = {name: np.concatenate([first[name][:, None], v], 1) for name, v in rows.items()}
     around = setup.seeds.middle if near is None else near[:, None]
     away = np.max(np.abs(both["q"] - around), axis=2)

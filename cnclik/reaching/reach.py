@@ -6,11 +6,10 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import form, use_form
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.many import form_for, many, several
+from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import PER_TARGET, Reached
-from cnclik.reaching.single import along, traced
+from cnclik.reaching.single import traced
 from cnclik.reaching.targets import read
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
@@ -79,6 +78,7 @@ def reach(
         errors.one_of("near", near, ("previous",))
     elif near is not None:
         near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
+        near = np.asarray(near) if known else near
         near = near + (np if known else jnp).zeros((len(pose), chain.n))  # quicker than broadcast_to
         near = near.astype(pose.dtype, copy=False)
     if not known and (solutions > 1 or previous):
@@ -89,8 +89,7 @@ def reach(
     elif previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
     elif previous:
-        with use_form(form() or form_for(chain, len(pose))):
-            made = along(asked, pose, progress)
+        made = path(asked, pose, progress)
     elif solutions > 1:
         made = several(asked, pose, near, solutions, progress)
     else:

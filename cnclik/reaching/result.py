@@ -65,6 +65,38 @@ class Reached:
         return f"Reached: {status.size:,} target{'s' * (status.size != 1)}: {parts}"
 
 
+def width(n: int) -> int:
+    """Numbers of a target's row: q, status, both errors, evaluations, at_limit, distance, as PER_TARGET has them."""
+    return 2 * n + 5
+
+
+def from_rows(chain, task, rows) -> Reached:
+    """The record of targets from their rows (B, width), which become its own."""
+    n, rows.flags.writeable = chain.n, False
+    return Reached(
+        q=rows[:, :n],
+        status=rows[:, n].astype(int),
+        position_error=rows[:, n + 1],
+        orientation_error=rows[:, n + 2],
+        evaluations=rows[:, n + 3].astype(int),
+        at_limit=rows[:, n + 4 : -1] != 0,
+        distance=rows[:, -1],
+        chain=chain,
+        task=task,
+    )
+
+
+def fields(made: Reached) -> dict:
+    """What the record has for each target, by name."""
+    return {name: getattr(made, name) for name in PER_TARGET}
+
+
+def as_rows(of: dict, xp=np):
+    """The rows of some targets' `fields`, or of one target's."""
+    single = xp.ndim(of["status"])
+    return xp.concatenate([v if xp.ndim(v) > single else v[..., None] for v in map(of.get, PER_TARGET)], axis=-1)
+
+
 def count(status) -> dict:
     """How many targets have each status."""
     status = np.asarray(status)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.reaching import programs
-from cnclik.reaching.seeds import SETS, nearest
+from cnclik.reaching.seeds import SETS, compared, nearest, seeds
 
 PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
 WIDE, COPIES, CAREFUL = 384, 12, 24  # later: lanes of a try, seeds per target at once at most, steps
@@ -35,6 +35,13 @@ class Setup(NamedTuple):
     tries: int  # seeds per target, at most
     budget: int  # looks per target, at most
     seed: int  # number of the first set of seeds
+
+
+def setup_of(asked) -> Setup:
+    """The setup of what is asked."""
+    known = seeds(asked.chain)
+    limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
+    return Setup(asked.chain, *asked.unweighted(), known, compared(known, asked.task), *limits)
 
 
 class Targets(NamedTuple):
@@ -147,9 +154,9 @@ def warm(setup: Setup, bounds, dtype) -> None:
 
 
 def from_starts(setup: Setup, targets: Targets, start) -> Answers:
-    """One careful search from each of (B, n) postures."""
+    """One careful search from each of (B, n) postures within the bounds."""
     made = Answers.empty(*start.shape)
-    q, _, here, looks = _in_float32(setup, targets, np.clip(start, *targets.bounds), CAREFUL, careful=True)
+    q, _, here, looks = _in_float32(setup, targets, start, CAREFUL, careful=True)
     made.looks[:] = looks
     _polish(setup, targets, [(np.flatnonzero(here), q[here])], made)
     return made

@@ -19,7 +19,7 @@ from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.programs import filled, workers
-from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus
+from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
 from cnclik.reaching.step import begin, in_parts, iterate, look
 from cnclik.record import cast, kept, placed, replace
@@ -41,7 +41,7 @@ AROUND = 0.3  # of the range of seeds, about `near`
 
 def each(asked, pose, near, progress=None):
     """Answers for some targets (B, 12), one by one: in blocks, of the unrolled form on all cores."""
-    rows = np.empty((len(pose), _width(asked.chain.n)))
+    rows = np.empty((len(pose), width(asked.chain.n)))
 
     def block(k):
         count = len(pose[k : k + BLOCK])
@@ -53,19 +53,19 @@ def each(asked, pose, near, progress=None):
         shared = _shared(asked)
         if len(pose) == 1:
             rows[0] = _program(*shared, pose[0], None if near is None else near[0])
-            return _reached(asked, rows)
+            return from_rows(asked.chain, asked.task, rows)
         with side_by_side(workers(form())) as pool:
             done = 0
             for count in pool.map(as_here(block), range(0, len(pose), BLOCK)):
                 done += count
                 if progress is not None:
                     progress(done, len(pose))
-    return _reached(asked, rows)
+    return from_rows(asked.chain, asked.task, rows)
 
 
 def along(asked, pose, progress=None):
     """Answers for the targets of a path, each from the answer before it; where there was none, from the last one."""
-    rows, at = np.empty((len(pose), _width(asked.chain.n))), start_posture(asked.chain, asked.task)
+    rows, at = np.empty((len(pose), width(asked.chain.n))), start_posture(asked.chain, asked.task)
     with jax.enable_x64(True):
         shared = _shared(asked)
         for k in range(0, len(pose), BLOCK):
@@ -74,32 +74,7 @@ def along(asked, pose, progress=None):
             rows[k : k + count] = made[:count]
             if progress is not None:
                 progress(k + count, len(pose))
-    return _reached(asked, rows)
-
-
-def _width(n):
-    return 2 * n + 5
-
-
-def _packed(row):
-    """The fields of one target as one vector: a program with one result is sooner called than one with seven."""
-    return jnp.concatenate([jnp.atleast_1d(row[name]).astype(row["q"].dtype) for name in PER_TARGET])
-
-
-def _reached(asked, rows) -> Reached:
-    """The record of targets, from their vectors (B, K), which become its own."""
-    n, rows.flags.writeable = asked.chain.n, False
-    return Reached(
-        q=rows[:, :n],
-        status=rows[:, n].astype(int),
-        position_error=rows[:, n + 1],
-        orientation_error=rows[:, n + 2],
-        evaluations=rows[:, n + 3].astype(int),
-        at_limit=rows[:, n + 4 : -1] != 0,
-        distance=rows[:, -1],
-        chain=asked.chain,
-        task=asked.task,
-    )
+    return from_rows(asked.chain, asked.task, rows)
 
 
 def _shared(asked):
@@ -135,11 +110,16 @@ def _answer(asked, pose, near, postures, to, derivative=False):
         held = (q <= bounds[0] + TOUCHING) | (q >= bounds[1] - TOUCHING)
         q = refined(asked.chain, asked.task, pose, q, held, made.found)
     found = asked.reached(pose, near, q, *made[1:], xp=jnp)
-    return {name: getattr(found, name) for name in PER_TARGET}
+    return fields(found)
+
+
+def _row(of):
+    """One target's fields as one vector: a program with one result is sooner called than one with seven."""
+    return as_rows({name: jnp.asarray(v, of["q"].dtype) for name, v in of.items()}, jnp)
 
 
 def _target(asked, postures, to, pose, near):
-    return _packed(_answer(asked, pose, near, postures, to))
+    return _row(_answer(asked, pose, near, postures, to))
 
 
 def _targets(asked, postures, to, poses, near, count):
@@ -148,7 +128,7 @@ def _targets(asked, postures, to, poses, near, count):
     def one(i, rows):
         return rows.at[i].set(_target(asked, postures, to, poses[i], None if near is None else near[i]))
 
-    return lax.fori_loop(0, count, one, jnp.zeros((len(poses), _width(asked.chain.n)), poses.dtype))
+    return lax.fori_loop(0, count, one, jnp.zeros((len(poses), width(asked.chain.n)), poses.dtype))
 
 
 def _waypoints(asked, postures, to, poses, at, count, begins):
@@ -165,9 +145,9 @@ def _waypoints(asked, postures, to, poses, at, count, begins):
             mine = replace(asked, jump=jnp.where(begins & (i == 0), FAR, asked.jump))
         row = _answer(mine, poses[i], at, postures, to)
         at = jnp.where(row["status"] <= int(ReachStatus.ACCEPTED), row["q"], at)
-        return at, rows.at[i].set(_packed(row))
+        return at, rows.at[i].set(_row(row))
 
-    return lax.fori_loop(0, count, one, (at, jnp.zeros((len(poses), _width(len(at))), at.dtype)))
+    return lax.fori_loop(0, count, one, (at, jnp.zeros((len(poses), width(len(at))), at.dtype)))
 
 
 def _alone(fn):

@@ -23,6 +23,8 @@ WRIST = ck.from_dh(
     upper=[2.5] * 6,
 )
 ARM = ck.planar_arm([1.0, 1.0])
+both_ways = pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+jax_alone = pytest.mark.parametrize("way", ["jax"], indirect=True)
 PLANE = ck.position("xy")
 
 
@@ -39,6 +41,7 @@ def drawn(chain, count, seed=0):
     return np.random.default_rng(seed).uniform(low, high, (count, chain.n))
 
 
+@both_ways
 @pytest.mark.parametrize("name", ["Panda", pytest.param("Kinova", marks=pytest.mark.slow), "UR5"])
 def test_every_answer_is_one(name):
     """By Pinocchio's forward kinematics, and within the limits."""
@@ -60,6 +63,7 @@ def test_every_answer_is_one(name):
     assert made.evaluations.mean() < 60
 
 
+@both_ways
 def test_few_and_many_and_one_agree_that_there_is_an_answer():
     targets = tips(WRIST, drawn(WRIST, 40))
     lots, few = ck.reach(WRIST, targets), ck.reach(WRIST, targets[:3])
@@ -69,6 +73,7 @@ def test_few_and_many_and_one_agree_that_there_is_an_answer():
         np.testing.assert_allclose(tips(WRIST, made), wanted, atol=3e-6)
 
 
+@both_ways
 def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
     targets = tips(WRIST, drawn(WRIST, 20))
     first, again, other = ck.reach(WRIST, targets), ck.reach(WRIST, targets), ck.reach(WRIST, targets, seed=3)
@@ -81,6 +86,7 @@ def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
     assert (single.q == first.q).all() and single.position_error.max() <= 1e-6 and alone.q.dtype == np.float64
 
 
+@jax_alone
 def test_another_number_of_targets_compiles_nothing():
     targets = tips(WRIST, drawn(WRIST, 300))
     ck.reach(WRIST, targets[:20])
@@ -90,6 +96,7 @@ def test_another_number_of_targets_compiles_nothing():
     assert programs._soon._cache_size() == before
 
 
+@jax_alone
 def test_one_by_one_or_in_batches(monkeypatch):
     """The same statuses, and answers; with `near`, the nearest; of several blocks, one of them not full."""
     held = ck.replace(WRIST, lower=(-1.0,) * 6, upper=(1.0,) * 6)
@@ -112,6 +119,7 @@ def test_one_by_one_or_in_batches(monkeypatch):
     assert told[-1] == (70, 70) and told[-3:] == [(32, 70), (64, 70), (70, 70)]
 
 
+@jax_alone
 @pytest.mark.form(None)
 def test_forms_agree_that_there_is_an_answer():
     targets = tips(ARM, drawn(ARM, 30))[:, :3, 3]
@@ -126,6 +134,7 @@ def test_forms_agree_that_there_is_an_answer():
 # --- why there is no answer ---------------------------------------------------------------------------
 
 
+@both_ways
 def test_out_of_reach_is_told_and_the_nearest_pose_given():
     rng = np.random.default_rng(1)
     ways = rng.normal(size=(40, 3)) * [1, 1, 0]
@@ -137,6 +146,7 @@ def test_out_of_reach_is_told_and_the_nearest_pose_given():
     assert "40 OUT_OF_REACH" in str(ck.reach(ARM, targets, task=PLANE))
 
 
+@both_ways
 def test_in_a_hole_of_the_limits():
     """A place that the arm reaches with its elbow the other way or bent further than it may."""
     held = ck.replace(ARM, lower=(-0.5, 0.2), upper=(0.5, 1.0))
@@ -158,6 +168,7 @@ def test_in_a_hole_of_the_limits():
         assert error <= 1.01 * np.sqrt(found) + 1e-6
 
 
+@both_ways
 def test_a_small_error_is_called_out_of_reach_only_where_that_is_known():
     held = ck.replace(ARM, lower=(-np.inf, 1e-2), upper=(np.inf, 3.0))  # the arm can't be stretched
     for target, status in (([2.00005, 0, 0], ReachStatus.OUT_OF_REACH), ([1.999985, 0, 0], ReachStatus.AT_LIMIT)):
@@ -167,6 +178,7 @@ def test_a_small_error_is_called_out_of_reach_only_where_that_is_known():
     assert ck.reach(folded, [1e-5, 0, 0], task=PLANE).solved
 
 
+@both_ways
 def test_without_a_reason_there_is_no_pose():
     targets = np.array([[0.5, 1.0, 0.0], [5.0, 0.0, 0.0], [1.2, 0.3, 0.0]] * 4)
     held = ck.replace(ARM, lower=(-0.5, 0.2), upper=(0.5, 1.0))
@@ -175,6 +187,7 @@ def test_without_a_reason_there_is_no_pose():
     assert np.isnan(made.q).all() and np.isnan(made.position_error).all()
 
 
+@both_ways
 def test_targets_that_are_not_finite():
     targets = tips(WRIST, drawn(WRIST, 10))
     targets[3, 0, 3], targets[4] = np.nan, np.inf
@@ -184,6 +197,7 @@ def test_targets_that_are_not_finite():
     assert ck.reach(WRIST, targets[3]).status == ReachStatus.NON_FINITE
 
 
+@both_ways
 def test_two_tolerances():
     targets = np.array([[2.001, 0.0, 0.0]] * 10)
     for some in (targets, targets[0]):
@@ -194,6 +208,7 @@ def test_two_tolerances():
         assert np.all(hasty.status == ReachStatus.ACCEPTED)
 
 
+@both_ways
 @pytest.mark.form(None)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_weights_decide_what_is_nearest_and_nothing_else(dtype):
@@ -212,6 +227,7 @@ def test_weights_decide_what_is_nearest_and_nothing_else(dtype):
                 np.testing.assert_allclose(made.position_error, 1.5, rtol=1e-3)
 
 
+@both_ways
 def test_an_orientation_tolerance_is_an_angle():
     arm = ck.planar_arm([1.0, 1.0, 0.5])
     for some in (np.eye(4)[None], np.stack([np.eye(4)] * 12)):
@@ -227,6 +243,7 @@ MIMIC = """<robot name="m"><link name="a"/><link name="b"/><link name="c"/><link
 <limit lower="-3" upper="3" velocity="1" effort="1"/></joint></robot>"""
 
 
+@both_ways
 def test_a_joint_that_a_slower_one_follows_is_not_turned_back(tmp_path):
     (tmp_path / "m.urdf").write_text(MIMIC)
     arm = ck.with_tool(ck.load_urdf(tmp_path / "m.urdf"), [1.0, 0.0, 0.0])
@@ -241,6 +258,7 @@ def test_a_joint_that_a_slower_one_follows_is_not_turned_back(tmp_path):
 # --- near, jump, several ------------------------------------------------------------------------------
 
 
+@both_ways
 def test_near_stays_on_the_branch():
     q = drawn(WRIST, 60, seed=5) * 0.9
     moved = q + np.random.default_rng(6).uniform(-0.02, 0.02, q.shape)
@@ -251,6 +269,7 @@ def test_near_stays_on_the_branch():
     assert alone.solved and alone.distance < 0.1 and alone.evaluations < 60
 
 
+@both_ways
 def test_a_jump_is_reported_and_not_made():
     q = drawn(WRIST, 40, seed=7)
     far = tips(WRIST, drawn(WRIST, 40, seed=8))
@@ -261,6 +280,7 @@ def test_a_jump_is_reported_and_not_made():
     assert ck.reach(WRIST, far[0], near=q[0], jump=0.1).status == ReachStatus.JUMP
 
 
+@both_ways
 def test_near_beyond_the_limits_is_no_way_around_a_jump():
     held = ck.replace(ARM, lower=(-1.0, -1.0), upper=(1.0, 1.0))
     target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
@@ -269,18 +289,21 @@ def test_near_beyond_the_limits_is_no_way_around_a_jump():
         assert np.all(made.status == ReachStatus.JUMP) and np.isnan(made.q).all()
 
 
+@both_ways
 def test_near_that_is_not_finite():
     target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
     for some in (target, np.stack([target] * 12)):
         assert np.all(ck.reach(ARM, some, task=PLANE, near=[np.nan, 0.5]).status == ReachStatus.NON_FINITE)
 
 
+@both_ways
 def test_another_seed_starts_elsewhere_for_one_target_too():
     target = tips(WRIST, drawn(WRIST, 1))[0]
     first, other = ck.reach(WRIST, target), ck.reach(WRIST, target, seed=5)
     assert first.solved and other.solved and not (first.q == other.q).all()
 
 
+@both_ways
 def test_a_path_has_no_jump_that_is_not_reported():
     t = np.linspace(0, 2 * np.pi, 200)
     path = np.stack([1.2 + 0.5 * np.cos(t), 0.5 * np.sin(t), 0 * t], axis=1)
@@ -294,6 +317,7 @@ def test_a_path_has_no_jump_that_is_not_reported():
     assert np.isnan(made.q[made.status == ReachStatus.JUMP]).all() and len(solved) > 10
 
 
+@both_ways
 def test_a_path_gives_what_its_waypoints_give_one_by_one():
     """Through several programs of the path, and a waypoint that is out of reach."""
     t = np.linspace(0, 2 * np.pi, 70)
@@ -336,6 +360,7 @@ def test_rotations_are_told_from_other_matrices():
         ck.reach(WRIST, (np.full((50, 3), 0.2), bent))
 
 
+@both_ways
 def test_several_solutions_are_different_and_all_are_answers():
     targets = tips(ARM, np.array([[0.3, 1.0], [-0.4, -0.7], [0.5, 1.5]]))[:, :3, 3]
     made = ck.reach(ARM, targets, task=PLANE, solutions=3)
@@ -350,6 +375,7 @@ def test_several_solutions_are_different_and_all_are_answers():
     assert far.status[0].tolist() == [ReachStatus.OUT_OF_REACH, ReachStatus.NO_OTHER] and np.isfinite(far.q[0, 0]).all()
 
 
+@both_ways
 @pytest.mark.slow
 def test_all_eight_branches_of_an_arm_with_a_spherical_wrist():
     free = ck.replace(WRIST, lower=(-np.inf,) * 6, upper=(np.inf,) * 6)
@@ -467,6 +493,7 @@ def quaternion_of(r):
     return sp.quaternion_from_rotation(r)
 
 
+@both_ways
 def test_a_base_of_its_own_for_each_target():
     q = drawn(WRIST, 10)
     base = np.tile(np.eye(4), (10, 1, 1))
@@ -476,6 +503,7 @@ def test_a_base_of_its_own_for_each_target():
     np.testing.assert_allclose(base @ tips(WRIST, made.q), base @ tips(WRIST, q), atol=3e-6)
 
 
+@both_ways
 def test_joints_without_limits_are_given_within_half_a_turn():
     targets = tips(ARM, drawn(ARM, 30))[:, :3, 3]
     assert np.abs(ck.reach(ARM, targets, task=PLANE).q).max() <= np.pi
