@@ -65,18 +65,17 @@ def native_for(asked: Asked, targets: int, soon: bool):
 def _built(asked):
     """The C library, or False where it can't be built."""
     try:
-        folder = tempfile.TemporaryDirectory(prefix="cnclik-reach-")
-        source = pathlib.Path(folder.name, "reach_lanes.c")
         text = native_source(asked.chain, asked.unweighted()[0], asked.task.weights is not None)
-        source.write_text(text, encoding="utf-8")
-        library = closed_after(opened(build([source], folder.name, flags=["-O2"])))
+        with tempfile.TemporaryDirectory(prefix="cnclik-reach-") as folder:  # not needed once it is open
+            source = pathlib.Path(folder, "reach_lanes.c")
+            source.write_text(text, encoding="utf-8")
+            library = closed_after(opened(build([source], folder, flags=["-O2"])))
     except (errors.ArgumentError, OSError) as error:
         warnings.warn(f"reach runs without native code: {error}", stacklevel=2)
         return False
     of = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
     library.search.restype, library.search.argtypes = None, of
     library.along.restype, library.along.argtypes = ctypes.c_int64, (ctypes.c_void_p, *of)
-    library.folder = folder  # lives as long as it does
     Native.libraries += 1
     return library
 
@@ -197,7 +196,7 @@ class Native:
         if B <= SMALLEST:
             self.library.search(where, 0, B)
             return
-        size = max(min(BLOCK, -(-B // cores())), SMALLEST)
+        size = max(min(BLOCK, -(-B // (4 * cores()))), SMALLEST)
 
         def block(first):
             self.library.search(where, first, min(first + size, B))

@@ -40,7 +40,7 @@ def native_source(chain, task, weighted) -> str:
     numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     defined = "".join(f"#define {name} {value}\n" for name, value in numbers.items())
     text = [prelude(np.float64, [*writers, writer]), defined, f"typedef struct {{\n{declared}\n}} Lanes;\n", *parts]
-    return "\n".join([*text, look, _SEARCH]).replace("REAL", "double")
+    return "\n".join([*text, look, SEARCH]).replace("REAL", "double")
 
 
 def _look(chain, task, weighted):
@@ -63,7 +63,7 @@ def _look(chain, task, weighted):
     return read(one, {"lanes": [*state, *own]}, {"lanes": state}, dtype=dtype)
 
 
-_SEARCH = """
+SEARCH = """
 typedef struct { /* what a search comes to for a target; `native.Native` has the same as a dtype */
   double q[N], squares[2], cost, steep; /* the best posture found, its errors' squares; see `step.Search` */
   double looks, found;

@@ -100,16 +100,17 @@ def peers(count):
         pinocchio = PinocchioReach(robot)
         options = pinocchio.best(few[:200])
         with tempfile.TemporaryDirectory() as scratch:
-            narrow = {"XLA_FLAGS": "--xla_cpu_max_isa=AVX2"}
+            bare = {"PATH": scratch}
             workers = {
-                "reach, AVX2 only": Worker(robot, many, CNCLIK, scratch, environment=narrow),
+                "reach, AVX2 only": Worker(robot, many, CNCLIK, scratch, environment={"CFLAGS": "-mno-avx512f"}),
+                "reach, no C compiler": Worker(robot, many, CNCLIK, scratch, environment=bare),
                 "Robotics Toolbox, ik_LM": toolbox(robot, few, scratch),
             }
             contenders = {
                 f"reach, {count:,} at once": (many, timed_reach(robot.chain, many)),
                 f"reach, {len(few):,} at once": (few, timed_reach(robot.chain, few)),
                 "Pinocchio C++": (few, timed_pinocchio(pinocchio, few, options)),
-            } | {label: (many if "AVX2" in label else few, w.run) for label, w in workers.items() if w}
+            } | {label: (many if "reach" in label else few, w.run) for label, w in workers.items() if w}
             found = rounds_of(robot, contenders)
             told = {label: w.about for label, w in workers.items() if w} | {"Pinocchio C++": options._asdict()}
             for worker in filter(None, workers.values()):

@@ -12,12 +12,10 @@ import scipy.optimize
 import scipy.spatial
 
 import cnclik as ck
-from cnclik.hints import opaque, quick_jit
-from cnclik.integrate.lanes import OPTIONS
-from cnclik.reaching import programs, search, step
+from cnclik.hints import opaque
+from cnclik.reaching import many, native_source, step
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.result import count as counts
-from cnclik.reaching.seeds import SETS, SIZE
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames
 from cnclik.robot.posture import arm_length, start_posture
@@ -153,43 +151,31 @@ def curve(robot, count, jump=0.2):
 # --- what each part is worth --------------------------------------------------------------------------
 
 
-def _random(to, targets, number):
-    """In place of `seeds.nearest`: any seed of the set."""
-    return SIZE * (number % SETS) + np.random.default_rng(number).integers(0, SIZE, len(targets))
-
-
 def _clipped(rows, e, cost, q, low, high, trust):
     """In place of `step._step`: joints at limits stay in."""
     low, high = (sp.each(lambda v, far=far: v + far, v) for v, far in ((low, -jnp.inf), (high, jnp.inf)))
     return STEP(rows, e, cost, q, low, high, trust)
 
 
-def _other_program(*given):
-    """Another function, so that nothing compiled before is found for it."""
-    return programs._many(*given)
-
-
-PARTS = {
+NEAREST = "nearest(a, a->pose + 12 * target, number % SETS)"
+AT_RANDOM = native_source.SEARCH.replace(NEAREST, "(number % SETS * SIZE + (number + target) * 40503 % SIZE)")
+PARTS = {  # what is another in the C source, or in the traced step
     "as it is": {},
-    "seeds at random, not the nearest": {"nearest": _random},
-    "joints at limits clipped only, not taken out": None,
-    "later tries plain, too": {"PLAIN": 1000},
-    "all tries careful": {"PLAIN": 0},
-    "later tries one seed at a time": {"COPIES": 1},
-    "first tries of 24 steps, not 9": {"STEPS": 24},
+    "seeds at random, not the nearest": {(native_source, "SEARCH"): AT_RANDOM},
+    "joints at limits clipped only, not taken out": {(step, "_step"): opaque(_clipped)},
+    "later tries plain, too": {(native_source, "PLAIN"): 1000},
+    "all tries careful": {(native_source, "PLAIN"): 0},
+    "first tries of 24 steps, not 9": {(native_source, "STEPS"): 24},
+    "by JAX, not as C": {(many, "native_for"): lambda *_: None},
 }
 
 
 @contextlib.contextmanager
-def changed(changes, clipped):
-    """The search with parts changed; None: with the step that only clips."""
+def changed(changes):
+    """The search with parts changed."""
     with contextlib.ExitStack() as stack:
-        if changes is None:
-            for name in ("_quick", "_soon"):
-                stack.enter_context(mock.patch.object(programs, name, clipped))
-            stack.enter_context(mock.patch.object(step, "_step", opaque(_clipped)))
-        for name, value in (changes or {}).items():
-            stack.enter_context(mock.patch.object(search, name, value))
+        for (module, name), value in changes.items():
+            stack.enter_context(mock.patch.object(module, name, value))
         yield
 
 
@@ -197,12 +183,12 @@ def parts(count, rounds=5):
     """Solve rate, evaluations and time of the Panda's targets without one part of the search at a time, in turn."""
     robot = Robot("Panda")
     targets = robot.pose(robot.drawn(count, seed=47))
-    clipped = quick_jit(_other_program, compiler=OPTIONS)
+    chains = {name: ck.replace(robot.chain) for name in PARTS}  # each keeps the code that is built for it
     times, last = {name: [] for name in PARTS}, {}
     for k in range(rounds + 1):
         for name, changes in PARTS.items():
-            with changed(changes, clipped):
-                seconds, last[name] = seconds_of(lambda: ck.reach(robot.chain, targets))
+            with changed(changes):
+                seconds, last[name] = seconds_of(functools.partial(ck.reach, chains[name], targets))
             if k:
                 times[name].append(seconds)
     first, rows = times["as it is"], []
