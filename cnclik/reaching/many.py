@@ -1,4 +1,4 @@
-"""Many targets: blocks of them on all cores, each searched for in rounds; and several answers for each."""
+"""Many targets: natively, or in blocks on all cores, each searched for in rounds; paths; several answers for each."""
 
 import functools
 

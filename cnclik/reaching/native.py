@@ -13,6 +13,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import hints_on
+from cnclik.native.arrays import UnsupportedError
 from cnclik.native.compiler import build, can_build, closed_after, opened
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.native_source import native_source
@@ -24,7 +25,7 @@ from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
 AT_ONCE, FEW = 4, 32  # chains that are not asked of often, and targets that are sooner searched for in other ways
-BLOCK, SMALLEST = 4096, 64  # targets that a core searches for at a time
+BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 FIRST = 16  # tries of all targets; nearly all need no more
 TRIES_BEYOND = 48  # of the search that tells why there is no answer
 _ENDLESS = 1 << 40  # looks
@@ -70,7 +71,7 @@ def _built(asked):
             source = pathlib.Path(folder, "reach_lanes.c")
             source.write_text(text, encoding="utf-8")
             library = closed_after(opened(build([source], folder, flags=["-O2"])))
-    except (errors.ArgumentError, OSError) as error:
+    except (errors.ArgumentError, UnsupportedError, OSError) as error:
         warnings.warn(f"reach runs without native code: {error}", stacklevel=2)
         return False
     of = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)

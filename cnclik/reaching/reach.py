@@ -36,7 +36,8 @@ def reach(
     """Joint values that put the tip at each of some targets, or the reason why none do.
 
     Called with numbers it works in float64 whatever the setting, on all cores, and returns NumPy arrays; the same
-    numbers give the same answers. Under jit, vmap and grad it is a pure function in JAX's dtype, in which the tolerance
+    numbers give the same answers. Where there is a C compiler the search is native, built when a chain is first asked
+    of, for half a second; elsewhere JAX's programs do the same, several times as slowly. Under jit, vmap and grad it is a pure function in JAX's dtype, in which the tolerance
     is at least 1e-5 where that is float32; derivatives with respect to targets and geometry are those of the implicit
     function theorem, dq = J# de with the joints that are at limits held.
 

@@ -1,4 +1,4 @@
-"""Searching for many targets at once: tries from ever new seeds, of which those that arrived take no further part.
+"""Searching for many targets at once, where `native` does not: tries from ever new seeds, until all have arrived.
 
 Float32 to near the tolerance, then a step or two in float64, where every answer is checked. The first tries start from
 the nearest seeds, and end early; the targets that are left get several seeds each at once, more steps, and a careful
