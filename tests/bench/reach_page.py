@@ -142,7 +142,7 @@ def path(found):
             statuses(r),
             f"{r['largest_step']:.4f}",
             f"{r['evaluations']:.1f}",
-            f"{r['us']:,.0f}",
+            f"{r['us']:.1f}",
         ]
         for n, r in found.items()
     ]
