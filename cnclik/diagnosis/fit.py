@@ -9,6 +9,7 @@ import itertools
 import numpy as np
 
 from cnclik import errors
+from cnclik.diagnosis.judge import LEAST
 from cnclik.integrate.drive import COMMANDS, MOST, Drive, sampled
 from cnclik.record import record, replace
 
@@ -21,7 +22,6 @@ BETTER = 10.0  # by which another number must lower the information criterion
 EXPLAINED = 0.5  # share of a motion below which a command has nothing to do with it
 EXACT = 1e-5  # share of a motion that is rounding
 EVALUATIONS = 200  # of a fit from one start
-LEAST = 16  # rows
 LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
 
 
