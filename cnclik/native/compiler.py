@@ -14,6 +14,15 @@ import weakref
 from cnclik import errors
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+UNSAFE = (
+    "-Ofast",
+    "-ffast-math",
+    "-funsafe-math",
+    "-ffinite-math",
+    "-fassociative-math",
+    "-freciprocal-math",
+    "-ffp-model",
+)
 LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
 
 
@@ -22,8 +31,8 @@ def _command() -> str | None:
 
 
 def can_build() -> bool:
-    """Whether there is a C compiler."""
-    return _command() is not None
+    """Whether there is a C compiler whose libraries can be opened."""
+    return _command() is not None and hasattr(_ctypes, "dlclose")  # not on Windows
 
 
 def command() -> str:
@@ -34,7 +43,8 @@ def command() -> str:
 
 
 def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
-    """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected.
+    """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected,
+    but for those by which NaN and infinity would mean nothing.
 
     Args:
       sources: C files of one folder.
@@ -43,7 +53,8 @@ def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
     """
     texts = [pathlib.Path(s).read_bytes() for s in sources]
     care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
-    line = [command(), "-std=c99", *FLAGS, *care, *flags, *os.environ.get("CFLAGS", "").split()]
+    own = [word for word in os.environ.get("CFLAGS", "").split() if not word.startswith(UNSAFE)]
+    line = [command(), "-std=c99", *FLAGS, *care, *flags, *own]
     headers = sorted(pathlib.Path(sources[0]).parent.glob("*.h"))
     key = hashlib.sha256(
         "\0".join([*line, _processor()]).encode() + b"\0".join(texts + [h.read_bytes() for h in headers])

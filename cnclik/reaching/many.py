@@ -39,7 +39,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
         return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
     kind = form() or form_for(asked.chain, B)
-    if native := native_for(asked, B, kind == "unrolled"):
+    if native := native_for(asked, kind == "unrolled"):
         return native.reached(pose, near, progress)
     chosen, few = use_form(kind), ONE_BY_ONE[kind]
     if len(pose) <= few:
@@ -99,7 +99,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
 def path(asked: Asked, pose, progress=None) -> Reached:
     """Answers for the targets (B, 12) of a path, each from the answer before it."""
     kind = form() or form_for(asked.chain, len(pose))
-    if native := native_for(asked, len(pose), kind == "unrolled"):
+    if native := native_for(asked, kind == "unrolled"):
         return native.along(pose, progress)
     with use_form(kind):
         return along(asked, pose, progress)
@@ -139,8 +139,8 @@ def _several(asked, first, pose, near, solutions, copies) -> dict:
     each_of = np.arange(B)
     start = np.stack([search.drawn(setup, pose, k, np.full(B, k + setup.seed), each_of) for k in range(copies)], 1)
     mine = Targets(pose, asked.bounds(near), near).part(np.repeat(each_of, copies))
-    start = np.clip(start.reshape(-1, n), *mine.bounds)
-    if native := native_for(asked, B * copies, True):
+    start = np.clip(search.turned(setup, start.reshape(-1, n), mine.near), *mine.bounds)
+    if native := native_for(asked, True):
         found = native.from_starts(mine.pose, mine.near, start)
     else:
         found = search.from_starts(setup, mine, start).as_asked()

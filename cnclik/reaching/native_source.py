@@ -13,7 +13,7 @@ from cnclik.native.program import Field, read
 from cnclik.native.vector import VectorWriter, inner
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
-from cnclik.reaching.search import AROUND, CAREFUL, COARSE, DOWNHILL, NEARBY, PLACES, PLAIN, SLOW, STEPS
+from cnclik.reaching.search import AROUND, CAREFUL, COARSE, NEARBY, PLACES, PLAIN, SLOW, STEPS
 from cnclik.reaching.seeds import SETS, SIZE
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast
@@ -36,7 +36,7 @@ def native_source(chain, task, weighted) -> str:
     look = "static void look(Lanes *s)\n{\n" + "\n".join(lines) + "\n}\n"
     declared = "\n".join(f"  {'I' if f.kind == INT else 'V'} {f.name}{f'[{f.size}]' * bool(f.shape)};" for f in fields)
     numbers = {"N": chain.n, "M": task.m, "SETS": SETS, "SIZE": SIZE, "PLAIN": PLAIN, "STEPS": STEPS, "SLOW": SLOW}
-    numbers |= {"CAREFUL": CAREFUL, "PLACES": PLACES, "DOWNHILL": DOWNHILL, "AROUND": AROUND, "NEARBY": NEARBY}
+    numbers |= {"CAREFUL": CAREFUL, "PLACES": PLACES, "AROUND": AROUND, "NEARBY": NEARBY}
     numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     defined = "".join(f"#define {name} {value}\n" for name, value in numbers.items())
     text = [prelude(np.float64, [*writers, writer]), defined, f"typedef struct {{\n{declared}\n}} Lanes;\n", *parts]
@@ -72,16 +72,18 @@ typedef struct { /* what a search comes to for a target; `native.Native` has the
 
 typedef struct { /* of B targets; the same as `native._Call` */
   const double *pose, *near; /* (B, 12), (B, N) or NULL */
+  const uint8_t *skip; /* (B) or NULL: nothing is tried for those */
   Found *made; /* (B) */
   double *rows; /* (B, 2 N + 5) or NULL: of targets that are found, what `result.from_rows` reads */
   const double *low, *high; /* (N) where joints are searched for; `jump` narrows that */
-  const double *lower, *upper, *turns; /* (N) limits; what a joint turns by without another posture, or 0 */
+  const double *lower, *upper; /* (N) limits */
+  const double *periods, *turns; /* (N) what a joint turns by to the same posture, or 0; of those without limits */
   const double *postures, *middle, *width; /* (SETS * SIZE, N), (N), (N) of the seeds */
   const float *features, *factors; /* (SETS, 13, SIZE), (12) */
   const double *roots; /* (M) of weights */
   double tolerance[2], jump; /* jump: INFINITY, where none is asked for */
   int64_t done, tries, budget, seed; /* tries before; in all */
-  int64_t downhill; /* whether from the places to the nearest pose */
+  int64_t downhill, steps; /* whether from the places to the nearest pose, and in how many steps */
 } Asked;
 
 typedef struct { /* of one lane */
@@ -134,7 +136,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   const int64_t target = own->target;
   const Found *made = a->made + target;
   while (a->downhill && own->number < PLACES && !(made->costs[own->number] < INFINITY)) own->number += 1;
-  if (own->number >= a->tries || own->looks >= (double)a->budget) return 0;
+  if (own->number >= a->tries || (own->number >= PLAIN && own->looks >= (double)a->budget)) return 0;
   const int64_t k = own->number, number = a->seed + k;
   const int plain = k < PLAIN && !a->downhill, by = plain && a->near != NULL;
   const double *start, *place = NULL;
@@ -145,9 +147,9 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   } else if (k < SETS) {
     start = a->postures + nearest(a, a->pose + 12 * target, number % SETS) * N;
   } else {
-    const uint64_t any = (uint64_t)number * 2654435761u;
-    start = a->postures + any % (SETS * SIZE) * N;
-    place = number % 2 == 0 && made->costs[any % PLACES] < INFINITY ? made->places[any % PLACES] : NULL;
+    const uint64_t any = (uint64_t)number * 0x9E3779B97F4A7C15u, some = (any >> 56) % PLACES;
+    start = a->postures + (any >> 20) % (SETS * SIZE) * N;
+    place = number % 2 == 0 && made->costs[some] < INFINITY ? made->places[some] : NULL;
   }
   for (int j = 0; j < N; ++j) {
     double q = start[j];
@@ -156,6 +158,8 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
       q = a->near[target * N + j] + AROUND * (double)k / PLAIN * 2 * (q - a->middle[j]) / width;
     } else if (place != NULL) {
       q = place[j] + NEARBY * (q - a->middle[j]);
+    } else if (a->near != NULL && a->periods[j] > 0 && !a->downhill) {
+      q = q + a->periods[j] * rint((a->near[target * N + j] - q) / a->periods[j]);
     }
     q = q < s->low[j][i] ? s->low[j][i] : q > s->high[j][i] ? s->high[j][i] : q;
     s->q[j][i] = s->best[j][i] = q;
@@ -165,7 +169,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   s->arrived[i] = 0;
   s->careful[i] = !plain;
   own->step = 0;
-  own->most = a->downhill ? DOWNHILL : plain ? STEPS : CAREFUL;
+  own->most = a->downhill ? (int)a->steps : plain ? STEPS : CAREFUL;
   return 1;
 }
 
@@ -197,7 +201,7 @@ static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
   own->looks = made->looks;
   for (int j = 0; j < 12; ++j) sum += 0 * a->pose[12 * target + j];
   for (int j = 0; j < N && a->near != NULL; ++j) sum += 0 * a->near[target * N + j];
-  return sum == 0 && begin(a, s, own, i);
+  return sum == 0 && !(a->skip != NULL && a->skip[target]) && begin(a, s, own, i);
 }
 
 /* A try that did not arrive: where it came to is kept, where it is better than the worst of those kept. */

@@ -31,6 +31,7 @@ class Setup(NamedTuple):
     roots: np.ndarray | None  # of the weights by which the nearest pose is the nearest
     seeds: object
     compared: object
+    periods: np.ndarray  # (n,) what each joint turns by to the same posture; 0 of those that have none
     tolerance: np.ndarray  # [m], [rad]
     tries: int  # seeds per target, at most
     budget: int  # looks per target, at most
@@ -41,7 +42,8 @@ def setup_of(asked) -> Setup:
     """The setup of what is asked."""
     known = seeds(asked.chain)
     limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
-    return Setup(asked.chain, *asked.unweighted(), known, compared(known, asked.task), *limits)
+    periods = np.where(asked.chain.periodic, 2 * np.pi, 0.0)
+    return Setup(asked.chain, *asked.unweighted(), known, compared(known, asked.task), periods, *limits)
 
 
 class Targets(NamedTuple):
@@ -170,12 +172,20 @@ def _starts(setup, mine, done, copies, places):
         shake = (known.postures[number % len(known.postures)] - known.middle) / np.maximum(known.width, 1e-9)
         start = mine.near + AROUND * done / PLAIN * 2 * shake
     else:
-        start = drawn(setup, mine.pose, done, number, np.repeat(np.arange(L), copies))
+        seed = drawn(setup, mine.pose, done, number, np.repeat(np.arange(L), copies))
+        start = turned(setup, seed, mine.near)
         if done >= SETS:  # every other one near the best places found
             place = places[np.arange(len(start)), _any(setup, number, np.repeat(np.arange(L), copies)) % PLACES]
-            close = place + NEARBY * (start - known.middle)
+            close = place + NEARBY * (seed - known.middle)
             start = np.where((number % 2 == 0)[:, None], close, start)
     return np.clip(start, *mine.bounds)
+
+
+def turned(setup, start, near):
+    """Postures (L, n), by whole turns where `near` is; near: (L, n) or None."""
+    if near is None:
+        return start
+    return start + setup.periods * np.round((near - start) / np.where(setup.periods > 0, setup.periods, 1.0))
 
 
 def drawn(setup, pose, done, number, target):

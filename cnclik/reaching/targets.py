@@ -60,7 +60,7 @@ def read(targets, task: Task, base=None):
         where = xp.einsum("...ij,...j->...i", back, where - base[..., :3, 3])
         turn = back @ turn
     made = xp.concatenate([where, turn.reshape(size, 9)], axis=1)
-    return made.astype(float) if xp is np else made, single
+    return np.ascontiguousarray(made, float) if xp is np else made, single
 
 
 def _parts(targets, task):

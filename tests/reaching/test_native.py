@@ -4,6 +4,7 @@ import copy
 import gc
 import pickle
 import shutil
+import time
 import warnings
 import weakref
 
@@ -71,6 +72,7 @@ def test_with_and_without_a_compiler_the_statuses_agree(monkeypatch):
         ("gcc", "-Wall -Wextra -Werror -fsanitize=undefined -fno-sanitize-recover=all"),
         ("clang", "-Wall -Wextra -Werror -Wno-psabi"),
         ("gcc", "-mno-avx"),
+        ("gcc", "-Ofast -ffast-math"),  # by which NaN and infinity would mean nothing: left out
     ],
 )
 def test_what_compilers_make_of_it(compiler, flags, monkeypatch):
@@ -93,7 +95,7 @@ def test_a_compiler_that_fails_is_told_once(monkeypatch):
     monkeypatch.setenv("CC", "false")
     arm = ck.replace(ARM)
     targets = tips(ARM, drawn(ARM, 40))[:, :3, 3]
-    with pytest.warns(UserWarning, match="reach runs without native code: .* says"):
+    with pytest.warns(UserWarning, match="reach runs without native code, .* says"):
         assert ck.reach(arm, targets, task=PLANE).solved.all()
     with warnings.catch_warnings(action="error"):
         assert ck.reach(arm, targets, task=PLANE).solved.all()
@@ -115,12 +117,93 @@ def test_a_chain_takes_its_code_with_it():
 def test_a_loop_over_many_chains_builds_few(monkeypatch):
     """Programs that serve all chains are sooner ready; a chain that is asked of often gets its own."""
     monkeypatch.setattr(native, "AT_ONCE", Native.libraries + 1)
-    begun = Native.libraries
-    for length in (0.5, 0.6, 0.7):
-        arm = ck.planar_arm([1.0, length])
-        assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
-    assert Native.libraries == begun + 1
-    for _ in range(many.ALONE):
-        assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
-    ck.reach(ck.planar_arm([1.0, 0.8]), [[0.9, 0.8, 0.0]] * (native.FEW + 1), task=PLANE)
-    assert Native.libraries == begun + 2
+    begun, lots = Native.libraries, [[0.9, 0.8, 0.0]] * 40
+    with ck.use_form(None):
+        for length in (0.5, 0.6, 0.7):
+            arm = ck.planar_arm([1.0, length])
+            assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
+            assert ck.reach(arm, lots, task=PLANE).solved.all()
+        assert Native.libraries == begun + 1
+        for _ in range(many.ALONE):
+            assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
+        assert Native.libraries == begun + 2
+
+
+def test_columns_are_rows_of_targets():
+    """Arrays whose numbers lie column by column."""
+    targets = tips(WRIST, drawn(WRIST, 50))
+    where = np.asfortranarray(targets[:, :3, 3])
+    for some in (where, (where, np.asfortranarray(targets[:, :3, :3]))):
+        made = ck.reach(WRIST, some, task="position", near=np.asfortranarray(drawn(WRIST, 50, seed=2)))
+        assert made.solved.all()
+        np.testing.assert_allclose(tips(WRIST, made.q)[:, :3, 3], where, atol=2e-6)
+
+
+def test_what_is_left_alone_still_has_its_arrays(monkeypatch):
+    """Threads go on for a while after an exception: what they write to is nobody else's."""
+    monkeypatch.setattr(native, "SMALLEST", 64)
+    monkeypatch.setattr(native, "cores", lambda: 4)
+    held, targets = hard_and_easy(3000)
+
+    def stop(*_):
+        raise KeyError("enough")
+
+    for _ in range(3):
+        with pytest.raises(KeyError, match="enough"):
+            ck.reach(held, targets, progress=stop)
+        mine = [np.zeros((3000, width)) for width in (7, 13, 17, 60)]
+        time.sleep(0.1)
+        assert not any(v.any() for v in mine)
+
+
+def test_progress_goes_on_and_only_up():
+    held, targets = hard_and_easy(1500)
+    told = []
+    for _ in range(2):
+        told.clear()
+        ck.reach(held, targets, progress=lambda *done: told.append(done))
+        counts = [done for done, _ in told]
+        assert counts == sorted(counts) and told[-1] == (1500, 1500) and len(told) > 8
+        assert {total for _, total in told} == {1500}
+
+
+def test_weights_are_for_the_nearest_pose_alone():
+    """Different answers are searched for without them."""
+    arm = ck.replace(WRIST, lower=(-3.0,) * 6, upper=(3.0,) * 6)
+    targets = tips(arm, drawn(arm, 10, seed=8))
+    for weights in (None, np.array([1.0, 1.0, 1.0, 1e-8, 1e-8, 1e-8])):
+        made = ck.reach(arm, targets, task=ck.pose_task(weights=weights), solutions=2)
+        assert made.solved.all()
+
+
+def test_what_can_not_be_looked_at_has_no_solutions():
+    """Targets whose squares overflow: nothing of what was in memory before."""
+    places = np.array([[1.2, 0.3, 0.0], [1e200, 0.0, 0.0], [0.3, 1.2, 0.0]])
+    for _ in range(3):
+        with np.errstate(over="ignore", invalid="ignore"):
+            made = ck.reach(ARM, places, task=PLANE, solutions=2, accept=(0.1, 0.1))
+        assert made.status[[0, 2]].max() == 0 and (made.status[1] > ck.ReachStatus.ACCEPTED).all()
+
+
+@pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+def test_a_wound_up_joint_has_its_seeds_where_it_is():
+    free = ck.replace(WRIST, lower=(-np.inf,) * 6, upper=(np.inf,) * 6)
+    near = drawn(free, 60, seed=1)
+    targets = tips(free, near + np.random.default_rng(2).uniform(-2.0, 2.0, near.shape))
+    for turn in (0.0, 4 * np.pi):
+        made = ck.reach(free, targets, near=near + turn, jump=2.1)
+        assert made.solved.mean() > 0.97 and np.abs(made.q - near - turn)[made.solved].max() <= 2.1 + 1e-9
+
+
+@pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+def test_few_seeds_and_a_small_budget_know_what_limits_forbid():
+    held = ck.replace(WRIST, lower=(-0.5,) * 6, upper=(0.5,) * 6)
+    targets = tips(WRIST, drawn(WRIST, 100, seed=9))
+    assert (ck.reach(held, targets, seeds=1).status == ck.ReachStatus.AT_LIMIT).mean() > 0.9
+    assert (ck.reach(held, targets, budget=10).status == ck.ReachStatus.AT_LIMIT).mean() > 0.9
+
+
+def test_beyond_the_stretched_arm_nothing_is_tried_without_need():
+    far = np.tile([5.0, 0.0, 0.0], (300, 1))
+    made = ck.reach(ARM, far, task=PLANE, explain=False)
+    assert (made.status == ck.ReachStatus.OUT_OF_REACH).all() and made.evaluations.max() == 0
