@@ -37,7 +37,7 @@ def reach(
 
     Called with numbers it works in float64 whatever the setting, on all cores, and returns NumPy arrays; the same
     numbers give the same answers. Where there is a C compiler the search is native, built when a chain is first asked
-    of, for half a second; elsewhere JAX's programs do the same, several times as slowly. Under jit, vmap and grad it is
+    of, for a second; elsewhere JAX's programs do the same, several times as slowly. Under jit, vmap and grad it is
     a pure function in JAX's dtype, in which the tolerance is at least 1e-5 where that is float32; derivatives with
     respect to targets and geometry are those of the implicit function theorem, dq = J# de with the joints that are at
     limits held.
