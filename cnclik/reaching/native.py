@@ -106,8 +106,8 @@ class Native:
         numbers["jump"] = np.inf if asked.jump is None else float(asked.jump)
         self.shared = _Call(**numbers, **{name: v.ctypes.data for name, v in given.items()})
         self.given = given  # what the pointers point to
-        fields = [("q", float, (n,)), ("squares", float, (2,)), *((name, float) for name in _NUMBERS)]
-        self.made = np.dtype([*fields, ("places", float, (PLACES, n)), ("costs", float, (PLACES,))])
+        columns = [("q", float, (n,)), ("squares", float, (2,)), *((name, float) for name in _NUMBERS)]
+        self.made = np.dtype([*columns, ("places", float, (PLACES, n)), ("costs", float, (PLACES,))])
 
     def reached(self, pose, near, progress=None) -> Reached:
         """Answers for (B, 12) targets, near (B, n) or None."""
