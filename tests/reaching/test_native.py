@@ -14,7 +14,7 @@ import pytest
 import cnclik as ck
 from cnclik.reaching import many, native
 from cnclik.reaching.native import Native
-from tests.reaching.test_reach import ARM, PLANE, WRIST, drawn, tips
+from tests.reaching.test_reach import ARM, PLANE, WRIST, both_ways, drawn, tips
 
 
 def hard_and_easy(count=120):
@@ -185,7 +185,7 @@ def test_what_can_not_be_looked_at_has_no_solutions():
         assert made.status[[0, 2]].max() == 0 and (made.status[1] > ck.ReachStatus.ACCEPTED).all()
 
 
-@pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+@both_ways
 def test_a_wound_up_joint_has_its_seeds_where_it_is():
     free = ck.replace(WRIST, lower=(-np.inf,) * 6, upper=(np.inf,) * 6)
     near = drawn(free, 60, seed=1)
@@ -195,7 +195,7 @@ def test_a_wound_up_joint_has_its_seeds_where_it_is():
         assert made.solved.mean() > 0.97 and np.abs(made.q - near - turn)[made.solved].max() <= 2.1 + 1e-9
 
 
-@pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+@both_ways
 def test_few_seeds_and_a_small_budget_know_what_limits_forbid():
     held = ck.replace(WRIST, lower=(-0.5,) * 6, upper=(0.5,) * 6)
     targets = tips(WRIST, drawn(WRIST, 100, seed=9))
