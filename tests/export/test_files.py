@@ -122,7 +122,7 @@ def test_options_are_checked(options, tmp_path):
 
 
 def test_the_command_line_writes_the_same(tmp_path, capsys):
-    words = ["export", "planar:1,0.8,0.6", "--task", "xy", "--method", "EE", "--damping", "0.1", "--no-cache"]
+    words = ["export", "planar:1,0.8,0.6", "--task", "xy", "--method", "EE", "--damping", "0.1"]
     (tmp_path / "cli").mkdir()
     (tmp_path / "cli" / "mine.txt").write_text("it was there")
     main([*words, "--out", str(tmp_path / "cli"), "--dtype", "float", "--name", "arm_step"])
