@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.native.compiler import can_build
 from cnclik.reaching import many, native
 from cnclik.reaching.native import Native
 from tests.reaching.test_reach import ARM, PLANE, WRIST, both_ways, drawn, tips
+
+pytestmark = pytest.mark.skipif(not can_build(), reason="there is no C compiler")
 
 
 def hard_and_easy(count=120):
