@@ -101,7 +101,7 @@ def _answers(args, chain, task):
     from cnclik.measure.answers import answers, save, transforms
     from cnclik.problem.tables import read_targets
     from cnclik.reaching.reach import reach
-    from cnclik.reaching.result import PER_TARGET
+    from cnclik.reaching.result import fields
     from cnclik.reaching.targets import read
     from cnclik.record import replace
     from cnclik.writing import output_folder
@@ -115,7 +115,7 @@ def _answers(args, chain, task):
             made = reach(chain, targets, task=task, **options, progress=report)
         first = time.perf_counter() - begun
         if made.q.ndim == 1:
-            made = replace(made, **{n: getattr(made, n)[None] for n in PER_TARGET})
+            made = replace(made, **{name: v[None] for name, v in fields(made).items()})
         if folder is not None:
             folder.write(args.out.name, functools.partial(save, answers(made, transforms(pose))))
     again = first

@@ -51,6 +51,20 @@ class Asked:
         low, high = xp.maximum(lower, near - self.jump), xp.minimum(upper, near + self.jump)
         return xp.minimum(low, upper), xp.maximum(high, lower)  # outside the limits: what is nearest to `near`
 
+    @property
+    def downhill(self) -> bool:
+        """Whether the nearest pose is wanted where there is no answer."""
+        return self.explain or self.accept is not None
+
+    def turning(self):
+        """Which joints (n,) go round without a limit."""
+        lower, upper = self.limited()
+        return np.array(self.chain.periodic) & np.isinf(lower) & np.isinf(upper)
+
+    def finite(self, pose, near, xp=np):
+        """Which targets (..., 12), and what is near them, hold numbers alone."""
+        return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
+
     def beyond(self):
         """Where the search goes that tells why there is no answer: without `jump`, or without limits; None: nowhere."""
         if not self.explain:
@@ -88,15 +102,13 @@ class Asked:
         if self.jump is not None:  # where `near` is outside the limits
             away = xp.max(xp.abs(q - near), axis=-1) > self.jump * (1 + 1e-9)
             status = xp.where((status <= ReachStatus.ACCEPTED) & away, int(ReachStatus.JUMP), status)
-        finite = xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
-        status = xp.where(finite, status, int(ReachStatus.NON_FINITE))
+        status = xp.where(self.finite(pose, near, xp), status, int(ReachStatus.NON_FINITE))
         none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE) | ~xp.isfinite(squares).all(axis=-1)
         if not self.explain:
             none = none | (status > ReachStatus.ACCEPTED)
         lower, upper = self.limited()
         around = xp.zeros_like(q) if near is None else near
-        turns = np.array(self.chain.periodic) & np.isinf(lower) & np.isinf(upper)
-        q = xp.where(turns, q - 2 * math.pi * xp.round((q - around) / (2 * math.pi)), q)
+        q = xp.where(self.turning(), q - 2 * math.pi * xp.round((q - around) / (2 * math.pi)), q)
         q, position, turn = (
             xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn))
         )

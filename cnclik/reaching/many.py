@@ -10,20 +10,18 @@ from cnclik.reaching import programs, search
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
-from cnclik.reaching.search import Answers, Targets
+from cnclik.reaching.search import BLOCK, SMALLEST, Answers, Targets
 from cnclik.reaching.seeds import SETS
 from cnclik.reaching.single import along, each
 from cnclik.record import kept, replace
 from cnclik.threads import cores, side_by_side
 
-BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 POOL = 1 << 18  # targets whose leftovers are searched for together
 EARLY, HARD = search.PLAIN + 4, 100  # so many targets without an answer after so many tries: it is worth it, too
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
 # Targets, at most, that are sooner searched for one by one; rolled, also where none of them has an answer: more of
 # these take longer than to compile what `HARD` asks for.
 ONE_BY_ONE = {"unrolled": 128, "rolled": 512}
-TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
 DRAWN = 12  # seeds for each solution asked for
@@ -37,7 +35,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         for i in range(0, B, POOL):
             told = progress and (lambda done, total, i=i: progress(i + done, B))
             parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
-        return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in PER_TARGET})
+        return replace(parts[0], **{name: np.concatenate([fields(p)[name] for p in parts]) for name in PER_TARGET})
     kind = form() or form_for(asked.chain, B)
     if native := native_for(asked, kind == "unrolled"):
         return native.reached(pose, near, progress)
@@ -50,8 +48,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     beyond = np.zeros(B, bool)
     targets = Targets(pose, asked.bounds(near), near)
     far = asked.too_far(pose)
-    known = np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1))
-    downhill = asked.explain or asked.accept is not None
+    known, downhill = asked.finite(pose, near), asked.downhill
 
     def first(ids):
         made.put(ids, search.first_tries(setup, targets.part(ids)))
@@ -61,7 +58,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill, done))
 
     def free(ids):
-        mine, wider = setup._replace(tries=TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
+        mine, wider = setup._replace(tries=search.TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
         found = search.first_tries(mine, wider)
         beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
 

@@ -5,7 +5,6 @@ as soon as it has arrived. Built in a second, where JAX compiles for ten.
 """
 
 import ctypes
-import functools
 import pathlib
 import tempfile
 import threading
@@ -18,16 +17,14 @@ from cnclik.native.compiler import build, can_build, closed_after, opened
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
-from cnclik.reaching.search import CAREFUL, DOWNHILL, PLACES, setup_of
+from cnclik.reaching.search import BLOCK, CAREFUL, DOWNHILL, PLACES, SMALLEST, TRIES_BEYOND, setup_of
 from cnclik.reaching.single import FAR
 from cnclik.record import kept, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
 AT_ONCE = 16  # chains of a process that have native code from their first call on
-BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 FIRST = 16  # tries of all targets; nearly all need no more
-TRIES_BEYOND = 48  # of the search that tells why there is no answer
 _NUMBERS = ("cost", "steep", "looks", "found")
 _POINTERS = (
     *("low", "high", "lower", "upper", "periods", "turns"),
@@ -77,7 +74,7 @@ def _built(asked):
             library = closed_after(opened(build([source], folder, flags=["-O2"])))
         of = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
         library.search.restype, library.search.argtypes = None, of
-        library.along.restype, library.along.argtypes = ctypes.c_int64, (ctypes.c_void_p, *of)
+        library.along.restype, library.along.argtypes = ctypes.c_int64, (ctypes.c_void_p, *of[:2])
     except Exception as error:  # whatever it is: JAX's programs do the same
         warnings.warn(f"reach runs without native code, several times as slowly: {error}", stacklevel=2)
         return False
@@ -93,14 +90,13 @@ class Native:
     def __init__(self, asked: Asked, library):
         setup, n = setup_of(asked), asked.chain.n
         (lower, upper), wide = asked.limited(), asked.beyond()
-        turns = np.where(np.isinf(lower) & np.isinf(upper), setup.periods, 0.0)
+        turns = np.where(asked.turning(), setup.periods, 0.0)
         roots = np.ones(asked.task.m) if setup.roots is None else setup.roots
         given = {"low": lower, "high": upper, "lower": lower, "upper": upper, "turns": turns, "roots": roots}
         given |= {name: getattr(setup.seeds, name) for name in ("postures", "middle", "width")}
         given = {name: np.ascontiguousarray(v, float) for name, v in (given | {"periods": setup.periods}).items()}
         given |= {"features": setup.compared.features, "factors": setup.compared.factors}
         self.asked, self.library, self.tries = asked, library, setup.tries
-        self.downhill = asked.explain or asked.accept is not None
         self.wide = wide and dict(zip(("low", "high"), wide, strict=True)) | {"jump": np.inf, "budget": 1 << 40}
         numbers = {"tolerance": tuple(setup.tolerance), "budget": setup.budget, "seed": setup.seed, "steps": DOWNHILL}
         numbers["jump"] = np.inf if asked.jump is None else float(asked.jump)
@@ -114,7 +110,7 @@ class Native:
         B, rows = len(pose), self._rows(len(pose))
         made = np.empty(B, self.made)
         made["found"] = 0
-        skip = None if self.downhill else self.asked.too_far(pose).astype(np.uint8)
+        skip = None if self.asked.downhill else self.asked.too_far(pose).astype(np.uint8)
         report = progress and (lambda found: progress(found, B))
         self._run(made, pose, near, report, rows=rows, skip=skip, tries=min(FIRST, self.tries))
         if not made["found"].all():
@@ -149,7 +145,7 @@ class Native:
             near = np.empty((count + 1, asked.chain.n))
             near[0] = at
             call = self._call(made, pose[k : k + count], near, rows=rows[k : k + count], tries=min(FIRST, self.tries))
-            done = self.library.along(ctypes.byref(call), near.ctypes.data, 0, count)
+            done = self.library.along(ctypes.byref(call), near.ctypes.data, count)
             k, at, found = k + done, near[done : done + 1], None
             if done < count:
                 found = self._told(made[done : done + 1], pose[k : k + 1], at)
@@ -165,7 +161,7 @@ class Native:
     def _told(self, made, pose, near, report=None) -> Reached:
         """The record of targets that the first tries have no answer for."""
         asked, beyond, far = self.asked, np.zeros(len(made), bool), self.asked.too_far(pose)
-        known = np.isfinite(pose).all(axis=1) & (True if near is None else np.isfinite(near).all(axis=1))
+        known = asked.finite(pose, near)
 
         def more(which, report, **numbers):
             """Search on for some, of which what is found is returned."""
@@ -177,13 +173,13 @@ class Native:
         ids, part = more(known & ~far, report, done=FIRST, tries=self.tries)
         made[ids] = part
         count = np.count_nonzero(made["found"])
-        report = report and functools.partial(lambda told, _: told(count), report)  # of what follows little is found
-        if self.downhill:
+        still = report and (lambda _: report(count))  # of what follows hardly any is an answer
+        if asked.downhill:
             made["cost"][made["found"] == 0] = np.inf
-            ids, part = more(known & (made["found"] == 0), report, downhill=1, tries=PLACES)
+            ids, part = more(known & (made["found"] == 0), still, downhill=1, tries=PLACES)
             made[ids] = part
         if self.wide is not None:
-            ids, part = more(known & ~far & (made["found"] == 0), report, tries=TRIES_BEYOND, **self.wide)
+            ids, part = more(known & ~far & (made["found"] == 0), still, tries=TRIES_BEYOND, **self.wide)
             beyond[ids] = part["found"] != 0
         return asked.reached(pose, near, *self._answers(made), beyond)
 

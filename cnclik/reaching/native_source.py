@@ -307,15 +307,15 @@ void search(const Asked *a, int64_t first, int64_t last)
 }
 
 /* The waypoints of a path, each from the answer before it, of which `near` (what asked->near points to, and a row more)
-   gets one after the other; the first that the tries have no answer for, or `last`. */
-int64_t along(const Asked *a, double *near, int64_t first, int64_t last)
+   gets one after the other; the first that the tries have no answer for, or `count`. */
+int64_t along(const Asked *a, double *near, int64_t count)
 {
-  for (int64_t k = first; k < last; ++k) {
+  for (int64_t k = 0; k < count; ++k) {
     const double *row = a->rows + k * (2 * N + 5);
     search(a, k, k + 1);
     if (!a->made[k].found) return k;
     for (int j = 0; j < N; ++j) near[(k + 1) * N + j] = row[N] == 0 ? row[j] : near[k * N + j];
   }
-  return last;
+  return count;
 }
 """

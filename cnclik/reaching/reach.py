@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import many, path, several
-from cnclik.reaching.result import PER_TARGET, Reached
+from cnclik.reaching.result import Reached, fields
 from cnclik.reaching.single import traced
 from cnclik.reaching.targets import read
 from cnclik.record import replace
@@ -96,4 +96,4 @@ def reach(
         made = several(asked, pose, near, solutions, progress)
     else:
         made = many(asked, pose, near, progress)
-    return replace(made, **{name: getattr(made, name)[0] for name in PER_TARGET}) if alone else made
+    return replace(made, **{name: v[0] for name, v in fields(made).items()}) if alone else made

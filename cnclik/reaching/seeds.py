@@ -66,7 +66,12 @@ class Compared:
 
 
 def compared(found: Seeds, task) -> Compared:
-    """What the seeds are to targets of a task."""
+    """What the seeds are to targets of a task, made once for them."""
+    name = f"_compared_{task.position}_{bool(task.orientation)}"
+    return kept(found, name, lambda found: _compared(found, task))
+
+
+def _compared(found, task):
     counts = np.array([i in task.linear for i in range(3)] + [bool(task.orientation)] * 9, float)
     tips = found.tips * counts
     features = np.concatenate([-2.0 * tips, np.sum(tips * tips, axis=1)[:, None]], axis=1)

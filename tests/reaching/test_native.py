@@ -15,6 +15,7 @@ import cnclik as ck
 from cnclik.native.compiler import can_build
 from cnclik.reaching import many, native
 from cnclik.reaching.native import Native
+from cnclik.reaching.result import PER_TARGET, fields
 from tests.reaching.test_reach import ARM, PLANE, WRIST, both_ways, drawn, tips
 
 pytestmark = pytest.mark.skipif(not can_build(), reason="there is no C compiler")
@@ -31,14 +32,12 @@ def hard_and_easy(count=120):
 
 def alike(one, other):
     """Whether two records are the same, bit by bit."""
-    fields = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
-    return all(np.array_equal(getattr(one, f), getattr(other, f), equal_nan=f != "status") for f in fields)
+    return all(np.array_equal(getattr(one, f), getattr(other, f), equal_nan=f != "status") for f in PER_TARGET)
 
 
 def some(made, ids):
     """The record of some targets."""
-    names = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
-    return ck.replace(made, **{name: getattr(made, name)[ids] for name in names})
+    return ck.replace(made, **{name: v[ids] for name, v in fields(made).items()})
 
 
 def test_an_answer_is_the_targets_own(monkeypatch):
