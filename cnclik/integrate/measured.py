@@ -80,7 +80,7 @@ def _checked(law, reference, q0, Ts, N, method, stage, drive, noise):
     return law, reference, q0, Ts, stage, drive, moving(drive, Ts), noise
 
 
-def at_rest(law, reference, start, drive, model, *, method, plant=None):
+def state_at_rest(law, reference, start, drive, model, *, method, plant=None):
     """The state that `through` begins with, from the joint values `start` in the form of the program."""
     at_drives = None if model is None else resting(drive, model, sp.packed(start))
     zero = jnp.zeros((), sp.packed(start).dtype)
@@ -97,7 +97,7 @@ def _late(drive) -> int:
 
 
 def through(law, reference, Ts, stage, drive, model, *, method, N, noise=None, plant=None, gained=None):
-    """The step of a loop on a robot, to be repeated from `at_rest` on: one(starting, state, k) -> (state, `Step`).
+    """The step of a loop on a robot, repeated from `state_at_rest` on: one(starting, state, k) -> (state, `Step`).
 
     Args: as for `solve_measured`, all of one dtype; `model` as by `moving`.
     """
@@ -149,7 +149,7 @@ def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, metho
         plant = in_form(plant, start)[0]
     law, plant, reference, noise, Ts, drive, model = cast((law, plant, reference, noise, Ts, drive, model), q0.dtype)
     one = through(law, reference, Ts, stage, drive, model, method=method, N=N, noise=noise, plant=plant, gained=gained)
-    state = at_rest(law, reference, start, drive, model, method=method, plant=plant)
+    state = state_at_rest(law, reference, start, drive, model, method=method, plant=plant)
     k = jnp.arange(N + 1).astype(q0.dtype)
     found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
     return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))

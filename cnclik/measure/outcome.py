@@ -14,7 +14,7 @@ from jax import lax
 
 from cnclik.hints import one_function
 from cnclik.integrate.drive import Drive, moving
-from cnclik.integrate.measured import at_rest, through
+from cnclik.integrate.measured import state_at_rest, through
 from cnclik.integrate.method import DEFAULT, Method, named
 from cnclik.integrate.solve import cast
 from cnclik.integrate.stage import picard
@@ -149,7 +149,7 @@ def outcome(
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
     seen = _Seen(
-        state=at_rest(law, reference, start, drive, model, method=method),
+        state=state_at_rest(law, reference, start, drive, model, method=method),
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,

@@ -21,7 +21,7 @@ class Conditions:
       model_error: relative error of the link lengths the law believes in.
       draws: scenarios drawn of noise and model error for each path.
       tolerance: what counts as arrived, for the loss "settling" [m, rad].
-      seed: of everything drawn.
+      seed: of noise and model error; joint noise has that of the drive.
 
     Raises: ArgumentError for values that do not fit.
     """
@@ -61,16 +61,18 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
     rng = np.random.default_rng(conditions.seed)
 
-    def drawn(i, draw):
+    def drawn(i, seed):
         return Scenario(
             reference=references[i % len(references)],
             q0=as_joint_values(law.chain, q0[i % len(q0)]),
             noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
             plant=_perturbed(law.chain, conditions.model_error, rng) if conditions.model_error > 0 else None,
-            draw=draw,
+            seed=int(seed),
         )
 
-    return stack(drawn(i, draw) for i in range(count) for draw in range(conditions.draws))
+    joints = np.random.default_rng(conditions.drive.seed).integers(2**31, size=count * conditions.draws)
+    joints[0] = conditions.drive.seed  # a single run is that of `solve` with this drive
+    return stack(drawn(k // conditions.draws, seed) for k, seed in enumerate(joints))
 
 
 def _perturbed(chain, relative, rng):

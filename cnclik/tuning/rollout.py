@@ -14,14 +14,14 @@ class Scenario:
 
     Attributes:
       reference, q0: as for `solve`.
-      noise, plant: as for `solve_measured`. draw: added to the seed of the drive's joint noise.
+      noise, plant: as for `solve_measured`. seed: of the drive's joint noise.
     """
 
     reference: object
     q0: object
     noise: object = None
     plant: object = None
-    draw: object = 0
+    seed: object = 0
 
 
 def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, drive=Drive(), horizon=None) -> Trajectory:
@@ -36,7 +36,7 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, driv
     alone = drive.prompt and drive.exact and loop.schedule is None and scenario.noise is None and scenario.plant is None
     if alone:
         return solve(*asked)
-    drive = drive if drive.exact else replace(drive, seed=drive.seed + scenario.draw)
+    drive = drive if drive.exact else replace(drive, seed=scenario.seed)
     horizon = N * loop.Ts if horizon is None else horizon
     schedule = cast(loop.schedule, scenario.q0.dtype)
 

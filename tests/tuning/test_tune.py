@@ -283,10 +283,13 @@ def test_each_draw_has_joint_noise_of_its_own():
     drawn = scenarios(LAW, LINE, np.array([0.3, 1.2]), 5, conditions)
     loop = pm.Adjustable(law=LAW, Ts=0.1)
     runs = jax.vmap(lambda one: rollout(loop, one, 5, "EE", ck.picard(1), drive=conditions.drive).q)(drawn)
-    for draw, q in enumerate(runs):
-        own = ck.solve(LAW, LINE, [0.3, 1.2], 0.1, 5, "EE", drive=Drive(joint_noise=1e-3, seed=4 + draw))
+    assert drawn.seed[0] == 4
+    for seed, q in zip(drawn.seed, runs, strict=True):
+        own = ck.solve(LAW, LINE, [0.3, 1.2], 0.1, 5, "EE", drive=Drive(joint_noise=1e-3, seed=int(seed)))
         np.testing.assert_allclose(q, own.q, atol=1e-12)
     assert np.ptp(runs[:, -1], axis=0).min() > 1e-4
+    other = ck.replace(conditions, drive=Drive(joint_noise=1e-3, seed=5))
+    assert not set(drawn.seed.tolist()) & set(scenarios(LAW, LINE, np.array([0.3, 1.2]), 5, other).seed.tolist())
 
 
 def test_a_gain_that_is_hardly_any_is_said_to_be():
