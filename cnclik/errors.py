@@ -64,6 +64,14 @@ def number(name: str, value, *, positive=False, at_least=None):
     return value
 
 
+def seed(value):
+    """What is drawn begins with it: a whole number from 0 to 2³⁰ − 1, or a traced one; returned as it came."""
+    number("seed", value)
+    if concrete(value) and not (0 <= value < 1 << 30 and value == int(value)):
+        raise fail("seed", f"be a whole number from 0 to {(1 << 30) - 1:,}", f"is {value!r}")
+    return value
+
+
 MOST = 100_000_000  # of steps of one run, targets of one call: beyond it no machine has the memory
 
 

@@ -31,6 +31,12 @@ from cnclik.errors import ArgumentError
             f"Argument `N` must be at most 9, but is 1{'0' * 115}….",
         ),
         (lambda: errors.integer("N", 10, at_least=0, at_most=9), "Argument `N` must be at most 9, but is 10."),
+        (
+            lambda: errors.seed(1 << 30),
+            "Argument `seed` must be a whole number from 0 to 1,073,741,823, but is 1073741824.",
+        ),
+        (lambda: errors.seed(-1), "Argument `seed` must be a whole number from 0 to 1,073,741,823, but is -1."),
+        (lambda: errors.seed(0.5), "Argument `seed` must be a whole number from 0 to 1,073,741,823, but is 0.5."),
         (lambda: errors.array("q", [1, 2], (3,)), "Argument `q` must have shape (3,), but has shape (2,)."),
         (
             lambda: errors.array("a", np.ones((2, 3)), (), (2,), (2, 2)),

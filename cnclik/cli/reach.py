@@ -180,7 +180,7 @@ def _random(chain, args):
     from cnclik.robot.rolled import roll
 
     low, high = spans(chain)
-    q = np.random.default_rng(args.seed).uniform(low, high, (args.random, chain.n))
+    q = np.random.default_rng(errors.seed(args.seed)).uniform(low, high, (args.random, chain.n))
     at = frames(roll(chain), q)
     return transforms(np.concatenate([at.position, at.rotation.reshape(-1, 9)], axis=1))
 

@@ -85,7 +85,7 @@ class Drive:
         if self.feedback == "rebased" and not self.steps_positions:
             must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
             raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
-        errors.number("seed", self.seed, at_least=0)
+        errors.seed(self.seed)
         for name in _QUANTITIES:
             value = getattr(self, name)
             if name == "damping_ratio" and self.natural_frequency is None:

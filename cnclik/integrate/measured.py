@@ -30,7 +30,7 @@ def white_noise(sigma, N: int, m: int, seed=0):
     sigma = errors.array("noise", sigma, (), (1,), (m,))
     if errors.concrete(sigma) and (sigma < 0).any():
         raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
-    errors.number("seed", seed, at_least=0)
+    errors.seed(seed)
     sigma = jnp.asarray(sigma)
     key = jax.random.key(jnp.asarray(seed).astype(jnp.uint32))
     return sigma * jax.random.normal(key, (N, m), sigma.dtype)

@@ -113,7 +113,7 @@ def problem_from(robot, **options) -> Problem:
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
     path = {name: v[name] for name in PATH}
-    seed = errors.number("seed", 0 if v["seed"] is None else v["seed"], at_least=0)
+    seed = errors.seed(0 if v["seed"] is None else v["seed"])
     said = {name: v[name] for name in DRIVE if v[name] is not None}
     kept = {name: v[name] for name in PACE if v[name] is not None}
     drive = drive_from(chain, seed=seed, **said) if said else None

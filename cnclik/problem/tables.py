@@ -60,7 +60,8 @@ def read_targets(file, task) -> np.ndarray:
     """
     path = pathlib.Path(file)
     ending = path.suffix.lower()
-    errors.one_of("TARGETS", ending, (".csv", ".npy", ".npz"))
+    if ending not in (".csv", ".npy", ".npz"):
+        raise errors.fail("TARGETS", "end with .csv, .npy, .npz", f"is {path.name!r}")
     if ending == ".csv":
         found = read_csv("TARGETS", path)
     else:

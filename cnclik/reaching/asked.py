@@ -148,11 +148,8 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     if jump is not None:
         errors.number("jump", jump, positive=True)
-    numbers = {"seeds": (seeds, 1), "budget": (budget, 1), "seed": (seed, 0)}
-    for name, (value, least) in numbers.items():
-        errors.integer(name, value, at_least=least)
-        if value >= 1 << 30:
-            raise errors.fail(name, f"be below {1 << 30}", f"is {value}")
+    for name, value in {"seeds": seeds, "budget": budget}.items():
+        errors.integer(name, value, at_least=1, at_most=1 << 30)
     tolerance = _pair("tolerance", tolerance)
     return Asked(
         chain=chain,
@@ -160,7 +157,9 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         tolerance=np.array([tolerance[0], 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # what is looked at is a chord
         accept=None if accept is None else _pair("accept", accept),
         jump=leaf(jump),
-        **{name: np.int32(value) for name, (value, _) in numbers.items()},
+        seeds=np.int32(seeds),
+        budget=np.int32(budget),
+        seed=np.int32(errors.seed(seed)),
         limits=bool(limits),
         explain=bool(explain),
     )

@@ -148,5 +148,5 @@ def _directions(d, count, seed):
     if d == 2:
         angle = 2 * np.pi * np.arange(count) / count
         return np.stack([np.cos(angle), np.sin(angle)], -1)
-    drawn = np.random.default_rng(seed).normal(size=(count, d))
+    drawn = np.random.default_rng(int(errors.seed(seed))).normal(size=(count, d))
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)

@@ -41,7 +41,7 @@ class Conditions:
         errors.number("model_error", self.model_error, at_least=0)
         errors.integer("draws", self.draws, at_least=1)
         errors.number("tolerance", self.tolerance, positive=True)
-        errors.integer("seed", self.seed, at_least=0)
+        errors.seed(self.seed)
 
 
 def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
@@ -59,7 +59,7 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
         raise errors.fail("q0", f"hold one start, or one for each of {len(references)} paths", f"holds {len(q0)}")
     m = law.task.m
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
-    rng = np.random.default_rng(conditions.seed)
+    rng = np.random.default_rng(int(conditions.seed))
 
     def drawn(i, seed):
         return Scenario(
@@ -70,9 +70,9 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
             seed=int(seed),
         )
 
-    joints = np.random.default_rng(conditions.drive.seed).integers(2**31, size=count * conditions.draws)
-    joints[0] = conditions.drive.seed  # a single run is that of `solve` with this drive
-    return stack(drawn(k // conditions.draws, seed) for k, seed in enumerate(joints))
+    seeds = np.random.default_rng(int(conditions.drive.seed)).integers(1 << 30, size=count * conditions.draws)
+    seeds[0] = conditions.drive.seed  # a single run is that of `solve` with this drive
+    return stack(drawn(k // conditions.draws, seed) for k, seed in enumerate(seeds))
 
 
 def _perturbed(chain, relative, rng):

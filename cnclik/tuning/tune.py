@@ -83,7 +83,7 @@ def tune(
 
     anchor = pm.free_of(parameters, fallbacks[safe])
     objective = replace(objective, postures=judged[safe].postures)  # constraints along that run
-    rng = np.random.default_rng(goal.conditions.seed)
+    rng = np.random.default_rng(int(goal.conditions.seed))
     begun = [
         _nearest_kept(objective, u, anchor)
         for u in (pm.free_of(parameters, own), *rng.uniform(-4, 4, (descent.starts - 1, len(anchor))))

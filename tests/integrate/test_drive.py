@@ -190,6 +190,7 @@ def test_float32_runs_in_float32():
         ({"command": "torque"}, "`command` must be one of velocity, position, but is 'torque'"),
         ({"feedback": "mesured"}, "did you mean 'measured'"),
         ({"joint_noise": -1.0}, "`joint_noise` must be at least 0"),
+        ({"seed": 2**33}, "`seed` must be a whole number"),
         ({"drive_velocity": 0.0}, "`drive_velocity` must be positive"),
     ],
 )
