@@ -149,7 +149,7 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
     if jump is not None:
         errors.number("jump", jump, positive=True)
     for name, value in {"seeds": seeds, "budget": budget}.items():
-        errors.integer(name, value, at_least=1, at_most=1 << 30)
+        errors.integer(name, value, at_least=1, at_most=(1 << 30) - 1)
     tolerance = _pair("tolerance", tolerance)
     return Asked(
         chain=chain,

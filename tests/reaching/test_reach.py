@@ -539,7 +539,7 @@ def test_turns_are_even():
         ({"targets": np.array(np.eye(4) + np.eye(4, k=-3))}, "`targets` must have the last row 0 0 0 1"),
         ({"targets": ([0, 0, 0], np.stack([np.eye(3)] * 5))}, "as many positions as rotations, but have one and 5"),
         ({"base": 2 * np.eye(4)}, "`base` must hold rotations"),
-        ({"budget": 10**10}, "`budget` must be below"),
+        ({"budget": 10**10}, "`budget` must be at most"),
         ({"near": "previous", "solutions": 2}, "`solutions` must be 1 along a path"),
     ],
 )
