@@ -4,12 +4,11 @@ import importlib.metadata
 import pathlib
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import cnclik as ck
 from cnclik.robot.posture import start_posture
-
-pin = pytest.importorskip("pinocchio")
 
 # file, tip, base: robots people own, 6 to 8 joints, prismatic and continuous ones among them.
 ROBOTS = {

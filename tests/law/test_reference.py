@@ -115,9 +115,10 @@ def test_hold():
 
 
 def test_hold_takes_a_whole_pose_in_any_form():
+    import pinocchio as pin
+
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = R1.as_matrix(), [1.0, 2, 3]
-    pin = pytest.importorskip("pinocchio")
     for target in (matrix, matrix.tolist(), jnp.asarray(matrix), pin.SE3(matrix)):
         position, rotation, _ = at(ck.hold(target), 0.0, "pose")
         close(position, [1, 2, 3])

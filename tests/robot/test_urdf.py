@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ElementTree
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import cnclik as ck
@@ -18,8 +19,6 @@ from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.rolled import roll
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
-
-pin = pytest.importorskip("pinocchio")
 
 
 def robots() -> pathlib.Path:
