@@ -19,13 +19,20 @@ def in_float64(fn):
     @functools.wraps(fn)
     def wide(*args, **kwargs):
         leaves = jax.tree.leaves((args, kwargs))
-        if jax.config.jax_enable_x64 or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return fn(*args, **kwargs)
+        if jax.config.jax_enable_x64 and not any(map(_narrow, leaves)):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
             args, kwargs = jax.tree.map(_widened, (args, kwargs))
             return fn(*args, **kwargs)
 
     return wide
+
+
+def _narrow(leaf):
+    """Whether it is a floating array of less than float64."""
+    return hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating) and leaf.dtype.itemsize < 8
 
 
 def _widened(leaf):

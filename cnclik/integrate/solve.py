@@ -191,12 +191,13 @@ def check_time(name, t, Ts, dtype, N: int = 1) -> None:
     last, eps = abs(t) + N * Ts, _eps(dtype)
     if last * eps <= Ts:  # float spacing is at most this
         return
-    gap, run = float(np.spacing(dtype.type(abs(t)))), float(np.spacing(dtype.type(last)))
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond the dtype's range there are no instants at all
+        gap, run = (float(np.nan_to_num(np.spacing(dtype.type(at)), nan=np.inf)) for at in (abs(t), last))
     if gap > Ts:
-        must = "be counted from the start of the motion, or the loop run in float64 (enable x64)"
+        must = "be counted from the start of the motion, or the loop run in float64 (x64 enabled, q in float64)"
         raise errors.fail(name, must, f"is {t:.12g} s: {dtype} times are {gap:.3g} s apart there, and Ts is {Ts:g} s")
     if run > Ts:
-        must = "be smaller, or the loop run in float64 (enable x64)"
+        must = "be smaller, or the loop run in float64 (x64 enabled, q in float64)"
         raise errors.fail("N", must, f"is {N}: {dtype} times are {run:.3g} s apart at the end, and Ts is {Ts:g} s")
 
 

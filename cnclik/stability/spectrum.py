@@ -117,8 +117,10 @@ def spectral_radius(law, reference, q, Ts, method: Method = DEFAULT, stage=picar
       q: (n,) joint values at rest [rad, m].
       Ts: sampling time [s].
       method, stage: as for `solve`.
+    Raises: ArgumentError where q is not at rest on the target, or Ts is no positive number.
     """
     method, stage = checked(method, stage)
+    Ts = 1.0 * errors.number("Ts", Ts, positive=True)
     given = law, at_rest(law, reference, q), as_joint_values(law.chain, q), Ts
     if all(map(errors.concrete, jax.tree.leaves(given))):
         return np.float64(_radius_of_numbers(*given, method, stage))
@@ -164,9 +166,10 @@ def spectrum(law, reference, q, Ts, method=DEFAULT, stage=picard(5)) -> Spectrum
     """Eigenvalues of the loop's one-step map at rest, task and null-space directions told apart. In float64.
 
     Args: as for `spectral_radius`.
-    Raises: ArgumentError where the loop is not at rest at q.
+    Raises: as `spectral_radius`.
     """
     method, stage = checked(method, stage)
+    errors.number("Ts", Ts, positive=True)
     held = at_rest(law, reference, q)
     return spectrum_of(*step_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
 

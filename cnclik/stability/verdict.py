@@ -210,8 +210,11 @@ def _judged(case):
     if not drive.prompt and len(case.t) - 2 <= drive.delay + drive.measurement_delay:
         return Behaviour.STALLED, f"the run is over before its dead time is; {error}", "run for more steps"
     moving = case.behind > seen.floor
-    restless = not (moving or seen.arrived or seen.shrinks) and case.radius > UNSTABLE
-    lasting = not seen.fades if seen.arrived else not (seen.soars or seen.shrinks)
+    shrinks = seen.shrinks and not (
+        seen.reversing > REVERSING and not seen.arrived and _unstable(case, case.end, case.start)
+    )
+    restless = not (moving or seen.arrived or shrinks) and case.radius > UNSTABLE
+    lasting = not seen.fades if seen.arrived else not (seen.soars or shrinks)
     if seen.visible and lasting and (seen.reversing > REVERSING or restless):
         kinds = {j.kind for j in law.chain.joints}
         unit = "rad" if kinds == {REVOLUTE} else "m" if REVOLUTE not in kinds else "rad or m"
@@ -234,10 +237,16 @@ def _judged(case):
     if case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE:
         swings = f"the error swings from side to side and keeps {case.overshoot:.2g} of itself each time"
         return Behaviour.RINGING, f"{swings}; {error}", _faster(case)
-    too_few = len(seen.size) <= FEW and case.radius > UNSTABLE  # for what its error did to tell
-    if too_few and radii(law, _resting(law, case.end), np.ones(1), *case.loop)[0] > UNSTABLE:
+    too_few = len(seen.size) <= FEW  # for what its error did to tell
+    if too_few and _unstable(case, case.end):
         return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
     return (_moving if moving else _held)(case, error, radius)
+
+
+def _unstable(case, *rests):
+    """Whether the loop is unstable by its last step, and as it would be at rest at one of these instants."""
+    rests = [_resting(case.law, at) for at in rests if case.radius > UNSTABLE]
+    return any(radii(case.law, at, np.ones(1), *case.loop)[0] > UNSTABLE for at in rests)
 
 
 def _held(case, error, radius):

@@ -55,6 +55,7 @@ def test_a_control_loop_of_mixed_types_compiles_once():
     ("call", "message"),
     [
         (lambda: ck.step(LAW, WAVE, Q32, time.time(), 0.01), r"`t` must be counted from the start of the motion.*x64"),
+        (lambda: ck.step(LAW, WAVE, Q32, 1e39, 0.01), r"`t` must be .* float32 times are inf s apart there, and Ts"),
         (lambda: ck.step(LAW, WAVE, Q32, -1e6, 0.01), r"`t` must be .* float32 times are 0.0625 s apart there, and Ts"),
         (lambda: ck.step(LAW, WAVE, Q32, np.int64(10**9), 0.01), "`t` must be counted"),
         (lambda: ck.solve(LAW, WAVE, Q32, 0.01, 5, t0=1.75e9), "`t0` must be counted from the start of the motion"),

@@ -55,6 +55,16 @@ def test_advice_is_the_same(name):
         np.testing.assert_allclose(found.spectrum.null, 1, atol=1e-9)
 
 
+def test_joint_values_in_float32_with_x64_on():
+    """Where x64 was on, arrays of float32 were taken as they came: stable to z = 0.70 in place of 2 on this arm."""
+    law = ck.Law(ck.planar_arm([1.0, 0.5, 0.3]), ck.position("xy"), alpha=5.0)
+    q = np.array([0.3, 0.8, 0.5], np.float32)
+    found = st.recommend(law, None, q, Ts=0.01, method="EE")
+    assert found.z_largest == pytest.approx(2, rel=1e-5)
+    assert st.margin(law, None, q, Ts=0.01, method="EE").margin == pytest.approx(40, rel=1e-5)
+    assert st.spectral_radius(law, None, q, 0.01, "EE") == pytest.approx(0.95, abs=1e-9)
+
+
 def test_settling_and_what_follows():
     def follow(array):
         law, q = loop("redundant position", array)

@@ -109,3 +109,16 @@ def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
     assert spectrum(law(), target, rest, Ts, method="EE").radius == pytest.approx(0.4, abs=1e-6)
     with pytest.raises(ck.ArgumentError, match="`target` must be one the loop comes to rest on"):
         settle(law(), ck.hold([9.0, 0.0]), Q)
+
+
+@pytest.mark.parametrize("one", [1, np.int64(1), np.float32(1), 1.0])
+def test_a_sampling_time_may_be_any_number(one):
+    assert spectral_radius(law(alpha=0.5), None, Q, one, "EE") == pytest.approx(0.5)
+    assert spectrum(law(alpha=0.5), None, Q, one, "EE").radius == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("wrong", [0, -0.1, np.nan, 1j, "x", None, [1, 2]])
+@pytest.mark.parametrize("asked", [spectral_radius, spectrum])
+def test_a_sampling_time_that_is_none_is_refused(asked, wrong):
+    with pytest.raises(ck.ArgumentError, match="`Ts` must be"):
+        asked(law(), None, Q, wrong, "EE")
