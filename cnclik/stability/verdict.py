@@ -227,10 +227,8 @@ def _judged(case):
         return Behaviour.SHAKING, f"{fast}, {error}; {radius}", _lower(case)
     limited = law.limits is not None and seen.often(Status.AT_LIMIT)
     if limited and not (seen.arrived or seen.shrinks or (moving and seen.largest <= case.behind)):
-        remedy = "choose another start, posture or path"
-        if not isinstance(law.limits, Saturated):
-            remedy += ", or limits saturation(), which lets other joints take over"
-        return Behaviour.AT_LIMIT, f"{_limit(case)}, and {error}", remedy
+        what, remedy = _limit(case, moving)
+        return Behaviour.AT_LIMIT, f"{what}, and {error}", remedy
     grown = seen.largest > max(GROWN * seen.size[0], seen.floor) and not seen.shrinks
     if (seen.grows and not moving) or ((seen.grows or grown) and case.radius > UNSTABLE):
         return Behaviour.DIVERGING, f"the error has grown to {case.size}; {radius}", _lower(case)
@@ -296,14 +294,18 @@ _SLOWER = "follow a slower path, use limits velocity_scaling(), or, near a singu
 _LESS_NULL = "reduce the gain of the null-space velocity"
 
 
-def _limit(case):
+def _limit(case, moving):
+    """Which limit holds the arm, and the remedy."""
+    remedy = "choose another start, posture or path"
+    if not isinstance(case.law.limits, Saturated):
+        remedy += ", or limits saturation(), which lets other joints take over"
     chain, q = case.law.chain, case.end.q
     near = 1e-3 * (1 + np.abs(q))
     stopped = (q <= np.array(chain.lower) + near) | (q >= np.array(chain.upper) - near)
     names = [name for name, is_there in zip(chain.joint_names, stopped, strict=True) if is_there]
     if not names:
-        return "joints are held at their velocity limits"
-    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit"
+        return "joints are held at their velocity limits", "follow a slower path" if moving else remedy
+    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit", remedy
 
 
 def _hopeless(case):

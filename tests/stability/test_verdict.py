@@ -135,6 +135,7 @@ def test_a_path_too_fast_for_the_velocity_limits():
     path = ck.line(TIP, TIP + 1.5 * INWARD, duration=1.0)
     found = judge(ck.Law(chain, XY, alpha=5.0, limits=ck.velocity_scaling()), path, 100, Ts=0.01)
     assert found.kind == Behaviour.AT_LIMIT and "velocity limits" in found.sentence
+    assert found.remedy == "follow a slower path"  # limits saturation() would not help
 
 
 def test_following_a_line():
