@@ -64,6 +64,9 @@ def run(args: Args) -> None:
     if args.cold:
         _cold(args)
         return
+    for name in ("only", "urdf", "spec"):
+        if value := getattr(args, name):
+            raise errors.fail(name, "be left out without --cold", f"is {str(value)!r}")
     if args.export:
         _export(args)
         return

@@ -70,7 +70,7 @@ def reach(
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
     asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
-    errors.integer("solutions", solutions, at_least=1)
+    errors.integer("solutions", solutions, at_least=1, at_most=1000)
     if jump is not None and near is None:
         raise errors.fail("near", "be given with `jump`", "is not")
     pose, alone = read(targets, asked.task, base)

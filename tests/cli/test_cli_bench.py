@@ -134,3 +134,9 @@ def test_a_cold_start_that_fails_is_told(monkeypatch, capsys):
 def test_bad_options_of_cold_starts(option):
     done = run("--cold", *option)
     assert (done.returncode, done.stdout) == (2, "") and done.stderr.count("\n") == 1
+
+
+def test_options_of_cold_starts_alone_are_refused():
+    done = run("--urdf", "no.urdf")  # it began the whole table
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "cnclik: Argument `urdf` must be left out without --cold, but is 'no.urdf'.\n"

@@ -108,6 +108,7 @@ def _halving(q):
     [
         dict(what="steps"),
         dict(name="clik step"),
+        dict(name="int"),
         dict(dtype="float16"),
         dict(runtime=("alpa",)),
         dict(batch=("qq",)),

@@ -533,6 +533,7 @@ def test_turns_are_even():
         ({"near": [0.0, 1.0]}, "`near` must have shape"),
         ({"near": "last"}, "`near` must be one of previous"),
         ({"solutions": 0}, "`solutions` must be at least 1"),
+        ({"solutions": 10**25}, "`solutions` must be at most 1,000"),
         ({"seeds": 2.5}, "`seeds` must be an integer"),
         ({"base": np.zeros((3, 3))}, "`base` must have shape"),
         ({"chain": 3}, "`chain` must be a Chain"),
