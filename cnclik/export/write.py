@@ -28,94 +28,12 @@ from cnclik.version import __version__
 from cnclik.writing import output_folder
 
 MANIFEST = "export.json"
-KEYWORDS = frozenset(
-    [
-        "alignas",
-        "alignof",
-        "and",
-        "and_eq",
-        "asm",
-        "auto",
-        "bitand",
-        "bitor",
-        "bool",
-        "break",
-        "case",
-        "catch",
-        "char",
-        "class",
-        "compl",
-        "const",
-        "const_cast",
-        "constexpr",
-        "continue",
-        "decltype",
-        "default",
-        "delete",
-        "do",
-        "double",
-        "dynamic_cast",
-        "else",
-        "enum",
-        "explicit",
-        "export",
-        "extern",
-        "false",
-        "float",
-        "for",
-        "friend",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "main",
-        "mutable",
-        "namespace",
-        "new",
-        "noexcept",
-        "not",
-        "not_eq",
-        "nullptr",
-        "operator",
-        "or",
-        "or_eq",
-        "private",
-        "protected",
-        "public",
-        "register",
-        "reinterpret_cast",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "static_assert",
-        "static_cast",
-        "struct",
-        "switch",
-        "template",
-        "this",
-        "thread_local",
-        "throw",
-        "true",
-        "try",
-        "typedef",
-        "typeid",
-        "typename",
-        "union",
-        "unsigned",
-        "using",
-        "virtual",
-        "void",
-        "volatile",
-        "wchar_t",
-        "while",
-        "xor",
-        "xor_eq",
-    ]
-)  # of C99 and C++17, and `main`
+KEYWORDS = """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl const const_cast
+constexpr continue decltype default delete do double dynamic_cast else enum explicit export extern false float for
+friend goto if inline int long main mutable namespace new noexcept not not_eq nullptr operator or or_eq private
+protected public register reinterpret_cast restrict return short signed sizeof static static_assert static_cast
+struct switch template this thread_local throw true try typedef typeid typename union unsigned using virtual void
+volatile wchar_t while xor xor_eq"""  # of C99 and C++17, and `main`
 
 
 def c(
@@ -197,7 +115,7 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
     errors.one_of("what", what, WHAT)
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise errors.fail("name", "be a C identifier such as clik_step", f"is {name!r}")
-    if name in KEYWORDS:
+    if name in KEYWORDS.split():
         raise errors.fail("name", "be no keyword of C or C++", f"is {name!r}")
     dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
     if batch and what not in ("step", "solve"):
