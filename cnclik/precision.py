@@ -19,9 +19,8 @@ def in_float64(fn):
     @functools.wraps(fn)
     def wide(*args, **kwargs):
         leaves = jax.tree.leaves((args, kwargs))
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return fn(*args, **kwargs)
-        if jax.config.jax_enable_x64 and not any(map(_narrow, leaves)):
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+        if traced or (jax.config.jax_enable_x64 and not any(map(_narrow, leaves))):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
             args, kwargs = jax.tree.map(_widened, (args, kwargs))
@@ -32,7 +31,11 @@ def in_float64(fn):
 
 def _narrow(leaf):
     """Whether it is a floating array of less than float64."""
-    return hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating) and leaf.dtype.itemsize < 8
+    return _floating(leaf) and leaf.dtype.itemsize < 8
+
+
+def _floating(leaf):
+    return hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating)
 
 
 def _widened(leaf):
@@ -40,6 +43,6 @@ def _widened(leaf):
 
     Always a copy: JAX remembers some constants by identity, whatever the setting, and the caller's shall stay theirs.
     """
-    if hasattr(leaf, "dtype") and np.issubdtype(leaf.dtype, np.floating):
+    if _floating(leaf):
         return np.array(leaf, np.float64)
     return leaf

@@ -243,8 +243,8 @@ def _judged(case):
 
 def _unstable(case, *rests):
     """Whether the loop is unstable by its last step, and as it would be at rest at one of these instants."""
-    rests = [_resting(case.law, at) for at in rests if case.radius > UNSTABLE]
-    return any(radii(case.law, at, np.ones(1), *case.loop)[0] > UNSTABLE for at in rests)
+    sizes = (radii(case.law, _resting(case.law, at), np.ones(1), *case.loop)[0] for at in rests)
+    return case.radius > UNSTABLE and any(size > UNSTABLE for size in sizes)
 
 
 def _held(case, error, radius):
