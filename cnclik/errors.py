@@ -64,6 +64,23 @@ def number(name: str, value, *, positive=False, at_least=None):
     return value
 
 
+def kind(name: str, value, of, must: str | None = None):
+    """A value of a class, or of one of several; `must`: how the first is asked for, where that is no "be a …"."""
+    if not isinstance(value, of):
+        first = of[0] if isinstance(of, tuple) else of
+        raise fail(name, must or f"be a {first.__name__}", f"is {type(value).__name__}")
+    return value
+
+
+def truth(name: str, value) -> bool:
+    """A Python bool of True or False, or of a number or an array of no axis that is one."""
+    import numpy as np
+
+    if not concrete(value) or np.ndim(value) != 0 or value not in (True, False):
+        raise fail(name, "be True or False", f"is {value!r}")
+    return bool(value)
+
+
 def seed(value):
     """What is drawn begins with it: a whole number from 0 to 2³⁰ − 1, or a traced one; returned as it came."""
     number("seed", value)

@@ -35,7 +35,7 @@ def lines_of(found, said) -> list:
         lines.append(f"Sampling time at alpha now: {edge}.")
     null = f"{len(eigen.null)} direction{'s' * (len(eigen.null) != 1)}, |λ| = {eigen.null_radius:.4g}"
     lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {null}.")
-    lines.append("The same loop elsewhere, by explicit Euler:")
+    lines += ["The same loop elsewhere, by explicit Euler:"] * bool(said.settings)
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
 
 
@@ -47,7 +47,7 @@ def escaped(text):
 
 
 def or_any(value) -> str:
-    return f"{value:.4g}" if value < math.inf else "any"
+    return "none" if value == 0 else f"{value:.4g}" if value < math.inf else "any"
 
 
 def _margin(now, said) -> str:

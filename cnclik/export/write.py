@@ -125,8 +125,7 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
         from cnclik.law.task import pose
 
         law = Law(law, pose(), alpha=1.0, inverse=damped(1.0))
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    errors.kind("law", law, Law)
     if reference is not None:
         if not isinstance(reference, Reference):
             raise errors.fail("reference", "be a Reference such as hold(...), or None", f"is {reference!r}")

@@ -151,8 +151,7 @@ def _check(name, value, *, zero):
 
 def check_drive(drive, n: int) -> Drive:
     """The drive; raises ArgumentError unless it is a `Drive` whose arrays fit a chain of n joints."""
-    if not isinstance(drive, Drive):
-        raise errors.fail("drive", "be Drive(...)", f"is {type(drive).__name__}")
+    errors.kind("drive", drive, Drive, "be Drive(...)")
     for name in _QUANTITIES:
         if np.ndim(getattr(drive, name)) == 1:
             errors.array(name, getattr(drive, name), (n,))

@@ -143,8 +143,7 @@ def checked(history, method, law):
         return None
     if method.steps == 1:
         raise errors.fail("history", f"be None for {method}, which has no memory", "is given")
-    if not isinstance(history, History):
-        raise errors.fail("history", "be what `step` handed back, `Step.history`", f"is {type(history).__name__}")
+    errors.kind("history", history, History, "be what `step` handed back, `Step.history`")
     n, m, first = law.chain.n, law.task.m, history.entries[0] if history.entries else Entry()
     kept = first.columns if method.exponential else first.slope
     q_kept = (first.q is not None) == (not method.exponential and len(method.a) > 1)

@@ -111,8 +111,7 @@ def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: Arra
     """
     dq = _vector("dq", dq)
     n = dq.shape[0]
-    if not isinstance(state, Pacing):
-        raise errors.fail("state", "be what `pace_at_rest` or `paced` handed back", f"is {type(state).__name__}")
+    errors.kind("state", state, Pacing, "be what `pace_at_rest` or `paced` handed back")
     if state.velocity.shape != (n,):
         raise errors.fail("dq", f"have {state.velocity.shape[0]} joints, as `state`", f"has {n}")
     errors.number("Ts", Ts, positive=True)
@@ -129,8 +128,7 @@ def _vector(name, value):
 
 def check_pace(pace, n: int, chain=None) -> Pace:
     """The pace, the velocities of a chain filled in; raises ArgumentError unless it is a `Pace` for n joints."""
-    if not isinstance(pace, Pace):
-        raise errors.fail("pace", "be Pace(...)", f"is {type(pace).__name__}")
+    errors.kind("pace", pace, Pace, "be Pace(...)")
     for name in ("velocity", "acceleration", "jerk"):
         if np.ndim(getattr(pace, name)) == 1:
             errors.array(name, getattr(pace, name), (n,), finite=False)

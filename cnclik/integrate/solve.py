@@ -23,7 +23,7 @@ from cnclik.integrate.stage import picard
 from cnclik.integrate.status import growing
 from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.law import Law
-from cnclik.law.reference import Reference, check
+from cnclik.law.reference import A_REFERENCE, Reference, check
 from cnclik.record import cast, placed, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
@@ -169,11 +169,9 @@ def _scalar_in(value, dtype, *_):
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     """Raise ArgumentError where the arguments of a loop don't fit; q as an array (n,) and the method as a `Method`."""
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
+    errors.kind("law", law, Law)
     method = named(method)
-    if not isinstance(reference, Reference):
-        raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
+    errors.kind("reference", reference, Reference, A_REFERENCE)
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)

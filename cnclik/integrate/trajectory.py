@@ -80,6 +80,23 @@ class Trajectory:
         return text + markup.error_plot(self.t, size, np.append(np.asarray(self.status) != 0, False))
 
 
+def check_run(run, law, name="run") -> Trajectory:
+    """The run, if it is one of this law's robot and task."""
+    errors.kind(name, run, Trajectory)
+    n, m = (np.shape(v)[-1] for v in (run.q, run.e))
+    if (n, m) != (law.chain.n, law.task.m):
+        wanted = f"{law.chain.n} joints and {law.task.m} task coordinates"
+        raise errors.fail(name, f"be a Trajectory of this law, of {wanted}", f"is of {n} and {m}")
+    return run
+
+
+def one_lane(run) -> None:
+    """Raise ArgumentError unless it is a single run."""
+    lanes = np.ndim(errors.kind("run", run, Trajectory).residual) - 1
+    if lanes:
+        raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
+
+
 def instants(one, start, k, q, m: int, *, early: int = 0):
     """What a loop does at its N + 1 instants, k = 0 … N, in component form. Pure.
 

@@ -19,6 +19,7 @@ from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse, damped_apply
+from cnclik.law.null import asked
 from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.record import brief, leaf, record
 from cnclik.robot import spatial as sp
@@ -61,8 +62,8 @@ class Law:
     near_singular: object = 0.01
 
     def __post_init__(self):
-        m = _checked("task", self.task, (Task,)).m
-        n = _checked("chain", self.chain, (Chain, RolledChain)).n
+        m = errors.kind("task", self.task, Task).m
+        n = errors.kind("chain", self.chain, (Chain, RolledChain)).n
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")
@@ -112,10 +113,11 @@ def _not_negative(alpha):
     return alpha
 
 
-def _checked(name, value, kinds):
-    if not isinstance(value, kinds):
-        raise errors.fail(name, f"be a {kinds[0].__name__}", f"is {type(value).__name__}")
-    return value
+def check_loop(law, *references) -> None:
+    """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
+    errors.kind("law", law, Law)
+    for one in references:
+        ref.check(errors.kind("reference", one, ref.Reference, ref.A_REFERENCE), law.task)
 
 
 class Evaluation(NamedTuple):
@@ -312,17 +314,8 @@ def gain(alpha, e):
 
 
 def null_velocity(law: Law, q):
-    """q̇₀ as a tuple, or None. A plain function of q is given an array; a record works on the tuple."""
-    wanted = law.null_velocity
-    if wanted is None:
-        return None
-    if dataclasses.is_dataclass(wanted):
-        return wanted(q)
-    n = law.chain.n
-    values = jnp.asarray(wanted(sp.packed(q)) if callable(wanted) else wanted)
-    if values.shape != (n,):
-        raise errors.fail("null_velocity", f"return shape ({n},)", f"returns shape {values.shape}")
-    return sp.like(q, values)
+    """q̇₀ in the form of q, or None, see `asked`."""
+    return None if law.null_velocity is None else asked(law.null_velocity, q)
 
 
 def weigh(law: Law, items):

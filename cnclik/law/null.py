@@ -4,6 +4,8 @@ A term is a record that maps q (a tuple of n scalars) to a joint velocity q̇₀
 (I − J# J) q̇₀ (Liégeois 1977; Siciliano et al. 2009, eq. 3.55).
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -12,7 +14,7 @@ from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.law.task import Task
-from cnclik.record import leaf, record
+from cnclik.record import leaf, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.frames import frames, jacobian_rows
@@ -48,6 +50,45 @@ class MaximizeManipulability:
         # A shift at rounding level: w has a kink at 0, where this stays finite.
         _, _, pivots = dense.ldl(dense.gram(thin, tiny_shift(thin)))
         return jnp.sqrt(sp.product(pivots))
+
+
+@record(kw_only=False)
+class ScaledNullVelocity:
+    """A null-space velocity times a gain."""
+
+    base: object
+    gain: object
+
+    def __call__(self, q):
+        return sp.scale(self.gain, asked(self.base, q))
+
+
+@record(kw_only=False)
+class Less:
+    """See `less`."""
+
+    base: object
+    drift: object
+
+    def __call__(self, q):
+        return sp.vsub(asked(self.base, q), sp.like(q, self.drift))
+
+
+def asked(wanted, q):
+    """q̇₀ of a null-space velocity, in the form of q: a record works on that; a plain function is given an array."""
+    if dataclasses.is_dataclass(wanted):
+        return wanted(q)
+    values, n = jnp.asarray(wanted(sp.packed(q)) if callable(wanted) else wanted), len(q)
+    if values.shape != (n,):
+        raise errors.fail("null_velocity", f"return shape ({n},)", f"returns shape {values.shape}")
+    return sp.like(q, values)
+
+
+def less(wanted, drift):
+    """A null-space velocity less a constant one (n,): q̇₀(q) − c. A posture stays one, drawn towards elsewhere."""
+    if isinstance(wanted, Posture):
+        return replace(wanted, rest=jnp.asarray(wanted.rest) - drift / wanted.rate)
+    return Less(wanted, drift)
 
 
 def posture(rest: ArrayLike, rate: ArrayLike = 1.0) -> Posture:

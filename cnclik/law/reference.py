@@ -23,6 +23,8 @@ from cnclik.robot.kinematics import Pose
 
 Target = ArrayLike | Pose | Any | None  # a position, or a whole pose; see `hold`
 
+A_REFERENCE = "be a Reference such as hold(...)"
+
 
 @record
 class Reference:
@@ -133,8 +135,7 @@ def causal(reference: Reference) -> Reference:
 
     A step then sees x_d and ẋ_d at its start alone, and takes the target to move on with that velocity.
     """
-    if not isinstance(reference, Reference):
-        raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(reference).__name__}")
+    errors.kind("reference", reference, Reference, A_REFERENCE)
     return replace(reference, known=False)
 
 
@@ -210,8 +211,8 @@ def circle(
       rotation: constant orientation, (3, 3) or (4,) quaternion.
     """
     center = errors.array("center", center, (2,), (3,))
-    errors.number("radius", radius, at_least=0)
-    errors.number("phase", phase)
+    radius = 1.0 * errors.number("radius", radius, at_least=0)
+    phase = 1.0 * errors.number("phase", phase)
     _nonzero("period", period)
     if center.shape[0] == 2:
         if normal is not None:
@@ -288,7 +289,7 @@ def waypoints(
         180° apart.
       closed: the last waypoint equals the first; the path passes through it smoothly and repeats.
     """
-    times = errors.array("times", times, (None,))
+    times, closed = errors.array("times", times, (None,)), errors.truth("closed", closed)
     count = times.shape[0]
     if count < 2:
         raise errors.fail("times", "hold at least two times", f"holds {count}")
@@ -304,7 +305,7 @@ def waypoints(
         rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
         quaternion = cubic(times, quaternions(rotations), closed, "rotations")
     times = jnp.asarray(times)
-    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=bool(closed))
+    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed)
     return Reference(curve=curve)
 
 

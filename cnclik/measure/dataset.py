@@ -11,7 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import Trajectory
+from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
 from cnclik.version import __version__
 
@@ -36,6 +36,7 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
     """
     import xarray as xr
 
+    check_run(trajectory, errors.kind("law", law, Law), "trajectory")
     dims = tuple(dims)
     t, evaluations = np.asarray(trajectory.t), np.asarray(trajectory.evaluations)
     *lanes, N = np.shape(trajectory.residual)
@@ -77,7 +78,17 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
 
 def as_json(config) -> str:
     """A configuration as one line of JSON with sorted keys, arrays as lists: what goes into attributes."""
-    return json.dumps(config, sort_keys=True, ensure_ascii=False, default=lambda value: np.asarray(value).tolist())
+
+    def listed(value):
+        found = np.asarray(value)
+        if found.dtype.kind not in "biufU":
+            raise TypeError(f"has {value!r} in it")
+        return found.tolist()
+
+    try:
+        return json.dumps(config, sort_keys=True, ensure_ascii=False, default=listed)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise errors.fail("config", "be what JSON can write: tables, lists, texts and numbers", str(error)) from None
 
 
 def provenance(dtype) -> dict:

@@ -4,7 +4,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.pace import Pace, check_pace
-from cnclik.integrate.trajectory import Trajectory
+from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.record import record
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
@@ -56,8 +56,7 @@ def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
     Raises: ArgumentError for shapes and values that do not fit.
     """
     if isinstance(run, Trajectory):
-        if np.ndim(run.residual) != 1:
-            raise errors.fail("run", "be one lane", f"has {np.ndim(run.residual) - 1} leading axes")
+        one_lane(run)
         t, qdot = np.asarray(run.t, float), np.asarray(run.qdot, float)
         Ts = (t[-1] - t[0]) / max(len(qdot), 1)
     else:

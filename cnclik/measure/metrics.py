@@ -15,9 +15,10 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.status import Status
+from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, glance, weigh
+from cnclik.law.law import Law, check_loop, glance, weigh
 from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.record import cast
@@ -315,8 +316,10 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
     Raises: ArgumentError for an unknown name (the nearest is suggested), one the task has no part in, or a batch.
     """
     one_lane(run)
+    check_loop(law, reference)
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
+    check_run(run, law)
     values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
     return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
 
@@ -325,12 +328,6 @@ def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> M
 def _values(run, law, reference, tolerance, *, names):
     loop = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
     return [METRICS[name].fn(loop) for name in names]
-
-
-def one_lane(run) -> None:
-    """Raise ArgumentError for a batch of runs."""
-    if jnp.ndim(run.residual) != 1:
-        raise errors.fail("run", "be one lane", f"has {jnp.ndim(run.residual) - 1} leading axes")
 
 
 def check(names, law: Law) -> None:

@@ -130,8 +130,7 @@ def asked_of(chain, *rest) -> Asked:
 
     Args: as `Asked` has them. Raises: ArgumentError for those that can't be asked.
     """
-    if not isinstance(chain, Chain):
-        raise errors.fail("chain", "be a Chain", f"is {type(chain).__name__}")
+    errors.kind("chain", chain, Chain)
     key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
     try:
         hash(key)

@@ -116,7 +116,7 @@ def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
     lengths = _scalars("lengths", lengths)
     for i, length in enumerate(lengths):
         errors.number(f"lengths[{i}]", length, at_least=0)
-    axis = (0.0, 0.0, -1.0 if clockwise else 1.0)
+    axis = (0.0, 0.0, -1.0 if errors.truth("clockwise", clockwise) else 1.0)
     steps = (0.0, *lengths)
     joints = [
         Joint(kind=REVOLUTE, axis=axis, origin=Offset(position=(0.0, steps[i], 0.0)), coordinate=i)
@@ -214,9 +214,10 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
     if not joints:
         raise errors.fail("joints", "hold at least one joint", "is empty")
     n = 1 + max(j.coordinate for j in joints)
-    names = tuple(joint_names) if joint_names is not None else tuple(f"q{i + 1}" for i in range(n))
-    if len(names) != n or len(set(names)) != n:
-        raise errors.fail("joint_names", f"hold {n} different names", f"is {list(names)}")
+    names = [f"q{i + 1}" for i in range(n)] if joint_names is None else joint_names
+    given = list(names) if np.iterable(names) and not isinstance(names, str) else []
+    if len(given) != n or not all(isinstance(v, str) for v in given) or len(set(given)) != n:
+        raise errors.fail("joint_names", f"hold {n} different names", f"is {joint_names!r}")
 
     def limits(name, values, default):
         if values is None:
@@ -226,7 +227,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
     return Chain(
         joints=joints,
         tip=tip or Offset(),
-        joint_names=names,
+        joint_names=tuple(given),
         lower=limits("lower", lower, -math.inf),
         upper=limits("upper", upper, math.inf),
         velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
@@ -235,6 +236,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
 
 def with_tool(chain: Chain, tool) -> Chain:
     """The chain with a fixed tool after its tip: a (3,) offset [m] or a 4×4 transform."""
+    errors.kind("chain", chain, Chain)
     offset = Offset(position=_scalars("tool", tool, 3)) if np.ndim(tool) == 1 else _offset("tool", tool)
     from cnclik.record import replace
 
@@ -294,7 +296,7 @@ def _sequence(name, rows):
 def _kinds(kinds, n):
     letters = {"R": REVOLUTE, "P": PRISMATIC}
     kinds = "R" * n if kinds is None else kinds
-    if len(kinds) != n or any(k not in letters for k in kinds):
+    if not isinstance(kinds, (str, list, tuple)) or len(kinds) != n or any(k not in ("R", "P") for k in kinds):
         raise errors.fail("kinds", f"be {n} letters R or P", f"is {kinds!r}")
     return tuple(letters[k] for k in kinds)
 

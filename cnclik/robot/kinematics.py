@@ -11,7 +11,7 @@ from cnclik.record import cast, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
 from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import in_form, one_off, roll
+from cnclik.robot.rolled import RolledChain, in_form, one_off, roll
 
 
 @record
@@ -24,7 +24,8 @@ class Pose:
 
 def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     """q as a floating array (n,), checked."""
-    q = errors.array(name, q, (chain.n,), finite=finite)
+    n = errors.kind("chain", chain, (Chain, RolledChain)).n
+    q = errors.array(name, q, (n,), finite=finite)
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
 
 
@@ -89,6 +90,8 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
       q: (n,) joint values [rad, m].
       task: a task from `cnclik.law`; by default the whole 6-row geometric Jacobian.
     """
+    if not (task is None or hasattr(task, "linear")):  # a task's class is of a room above
+        raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     return _manipulability(chain, task, as_joint_values(chain, q))
 
 

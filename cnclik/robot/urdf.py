@@ -112,7 +112,7 @@ def _leader(by_name, edge, known):
 
 
 def _link(tree, name, link):
-    if link not in tree.links:
+    if not isinstance(link, str) or link not in tree.links:
         hint = errors.nearest(link, tree.links)
         raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
     return link

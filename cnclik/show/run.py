@@ -10,8 +10,8 @@ from matplotlib.ticker import MaxNLocator
 
 from cnclik import errors
 from cnclik.integrate.status import Status
+from cnclik.integrate.trajectory import one_lane
 from cnclik.measure.dataset import to_dataset
-from cnclik.measure.metrics import one_lane
 from cnclik.show import style
 
 _TIME = "time $t$ [s]"

@@ -148,7 +148,7 @@ def checked(method, stage):
 
 
 def first_above(fn, level, reach=REACH, points=1024):
-    """Smallest z > 0 from which fn(z) > level, to 11 digits; inf where that is nowhere up to `reach`.
+    """Smallest z from which fn(z) > level, to 11 digits; inf where that is nowhere up to `reach`, 0 where it always is.
 
     fn maps an array (points,) to one. It is looked at every 10/points up to 10 and in geometric steps beyond; an
     excursion narrower than that is not seen.
@@ -169,7 +169,7 @@ def first_above(fn, level, reach=REACH, points=1024):
         grid = np.linspace(low, high, points + 1)[1:]
         i = int(np.argmax(~(np.asarray(fn(grid)) <= level)))
         low, high = (grid[i - 1] if i else low), grid[i]
-    return float(0.5 * (low + high))
+    return float(0.5 * (low + high)) if low else 0.0
 
 
 def least_on(fn, high, points=1024):

@@ -12,6 +12,7 @@ from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
+from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
@@ -19,7 +20,7 @@ from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.rolled import one_off, pays, quickly
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.recommend import largest_stable, loop_at_rest
-from cnclik.stability.spectrum import check_loop, largest_rate, settle
+from cnclik.stability.spectrum import largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
 BLOCK = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer

@@ -29,6 +29,7 @@ ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were 
 SPEED = 0.1  # [m/s] of the tip, where none is given
 OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
 MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
+GROWS = 1e-6  # excess of a factor of the null space over 1, from which on a motion there grows
 KEPT = 1e-3  # share of a speed up to which a lag is settled
 
 
@@ -76,7 +77,7 @@ class Practice:
       recommended_method: by name.
       speed: of the tip [m/s]. joint_speed: largest share of a joint's velocity limit that it takes, in the worst
         direction at rest; NaN where there is no limit, or no position among the task's coordinates.
-      settings: {where: what to set there, in words}.
+      settings: {where: what to set there, in words}; empty where explicit Euler is stable with no gain.
       notes: what limits these numbers, in sentences; measured in results/loops.
       advice: `Advice`, on which this rests.
     """
@@ -108,11 +109,17 @@ def practice(
       drive: what lies between command and motion; None: nothing is known of it. What is stable is then told of drives
         that follow at once, and a gain is recommended that bears ASSUMED seconds of dead time.
       speed: of the tip [m/s], for the joint velocities.
+    Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself.
     """
     Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(errors.number("speed", speed, at_least=0))
     method, known = named(method), Drive() if drive is None else drive
     loop = loop_at_rest(law, reference, q, method, stage, known)
     found = advice_of(loop, Ts)
+    if found.gains.z_largest == 0:
+        name = "law" if law.null_velocity is None else "null_velocity"
+        raise errors.fail(
+            name, f"leave some gain stable at Ts = {Ts:g} s: less of it, or a shorter Ts", found.gains.limit
+        )
     gains, by = found.gains, loop._replace(method=EE)
     euler = gains if method.name == EE.name else recommendation_of(by, Ts)
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
@@ -143,8 +150,8 @@ def practice(
         recommended_method=DEFAULT.name,
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
-        settings=settings(elsewhere, by_euler, Ts),
-        notes=_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
+        settings=settings(elsewhere, by_euler, Ts) if by_euler else {},
+        notes=_notes(drive, loop.modes(np.array([chosen]), Ts)[0], found.spectrum),
         advice=found,
     )
 
@@ -224,13 +231,18 @@ def _reason(gains, chosen, drive, assumed) -> str:
     return f"the largest without overshoot, also were the dead time a sample longer than {late:g}"
 
 
-def _notes(drive, steps) -> tuple:
+def _notes(drive, steps, now) -> tuple:
     """What these numbers leave out; how far the model carries was measured of servos in MuJoCo, see results/loops."""
     said = []
     if np.abs(np.imag(steps)).max(initial=0.0) > 1e-9:
         said.append(
             "The gain matrix turns the error as it shrinks it (complex eigenvalues): overshoot doesn't tell. "
             "Go by the largest stable gain, and keep well below it."
+        )
+    if now.null_radius > 1 + GROWS:
+        said.append(
+            "In the null space the arm leaves this posture by itself (a motion grows by "
+            f"{now.null_radius:.6g} each step, whatever the gain): ask again where it comes to rest."
         )
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
         said.append(

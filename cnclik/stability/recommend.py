@@ -29,11 +29,13 @@ from cnclik.stability.spectrum import (
     at_rest,
     directions,
     largest_rate,
+    leaving,
     null_radius,
     spectrum_of,
     step_map,
     step_maps,
     task_radius,
+    without_growth,
 )
 
 REACH = 1e4  # z up to which is looked
@@ -45,7 +47,8 @@ class Recommendation:
 
     Attributes:
       name: "alpha" or "Ts".
-      largest: the largest stable value, of the law's alpha's shape; inf where every one is stable.
+      largest: the largest stable value, of the law's alpha's shape; inf where every one is stable, 0 where none is,
+        as with a null-space velocity that is unstable by itself.
       fastest: the value with the smallest spectral radius; inf where larger is faster without end.
       monotone: of alpha, the largest value without overshoot; None of Ts.
       recommended: of alpha, the largest value without overshoot were the dead time a sample longer; None of Ts.
@@ -117,7 +120,7 @@ class Advice:
 
 
 class LoopAtRest(NamedTuple):
-    """A loop at rest, checked, with the number behind its gain."""
+    """A loop at rest, checked, with the number behind its gain, see `at_rest`."""
 
     law: object
     held: object
@@ -129,11 +132,17 @@ class LoopAtRest(NamedTuple):
     known: dict  # maps that were asked for: limits of one loop look at the same gains
 
     def maps(self, scale, Ts):
-        """See `step_maps`."""
+        """See `step_maps`, `without_growth`."""
         key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
         if key not in self.known:
-            self.known[key] = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
+            moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
+            self.known[key] = (moved if self.law.null_velocity is None else self._staying(moved)), rows
         return self.known[key]
+
+    def _staying(self, moved):
+        if "leaving" not in self.known:
+            self.known["leaving"] = leaving(self.law, self.held, self.q, self.method, self.stage)
+        return without_growth(moved, *self.known["leaving"])
 
     def along(self, z, Ts=None):
         """`maps` at gains of z; with Ts None at sampling times of z."""
@@ -152,7 +161,7 @@ class LoopAtRest(NamedTuple):
 def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
     """Args: as for `recommend`."""
     method, stage = checked(method, stage)
-    held, drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
+    (law, held), drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
     return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
 
 
@@ -236,17 +245,18 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         return task_radius(*maps(z)) if drive.prompt else radius(loop.modes(z, Ts)[0], drive, Ts)
 
     z_largest = largest_stable(loop, Ts, reach)
-    z_fastest, least = least_on(slowest, min(z_largest, reach), _points(loop))
+    z_fastest, least = least_on(slowest, min(z_largest, reach), _points(loop)) if z_largest else (0.0, 1.0)
     if z_fastest >= reach:
         z_fastest = np.inf
     z_monotone = z_recommended = None
     if Ts is not None:
         z_monotone, z_recommended = (
-            without_overshoot(loop, one, Ts, z_largest, reach) for one in (drive, longer(drive))
+            without_overshoot(loop, one, Ts, z_largest, reach) if z_largest else 0.0 for one in (drive, longer(drive))
         )
         z_recommended = min(z_recommended, z_monotone)
     bounded = np.isfinite(z_largest)
-    moved, rows = maps(np.array([z_largest * (1 + 1e-6) if bounded else 1.0]))  # unbounded: only for the direction
+    edge = z_largest * (1 + 1e-6) if bounded and z_largest else 1.0  # without an edge: only for what is beyond it
+    moved, rows = maps(np.array([edge]))
     beyond = spectrum_of(moved[0], rows)
     return Recommendation(
         name="Ts" if Ts is None else "alpha",
@@ -259,7 +269,9 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         z_monotone=z_monotone,
         z_recommended=z_recommended,
         radius=least,
-        limit=_what_limits(loop, beyond) if bounded else f"no limit from stability: {_how(loop)} {_why(loop)}",
+        limit=_what_limits(loop, beyond, z_largest)
+        if bounded
+        else f"no limit from stability: {_how(loop)} {_why(loop)}",
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
@@ -312,8 +324,10 @@ def _how(loop):
     return str(loop.method) + (f" with {loop.stage}" if loop.method.implicit else "")
 
 
-def _what_limits(loop, beyond) -> str:
+def _what_limits(loop, beyond, z_largest) -> str:
     """The first thing to give way just beyond the largest stable value, in words."""
+    if z_largest == 0 and beyond.null_radius > 1:
+        return f"none is stable: the null-space velocity multiplies a motion by {beyond.null_radius:.4g} each step"
     if callable(loop.law.null_velocity) and beyond.null_radius > max(beyond.radius, 1.0):
         return "limited by the null-space velocity"
     if not loop.drive.prompt and loop.drive.feedback != "commanded":

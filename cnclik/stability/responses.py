@@ -66,7 +66,7 @@ def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     drive = replace(drive, drive_velocity=None, drive_acceleration=None, joint_noise=0.0, resolution=0.0)
     long = int(np.ceil(10 * np.max(drive.late_by(float(Ts))) / float(Ts)))
     N = errors.integer("N", max(2 * PERIOD, long) if N is None else N, at_least=1)
-    held = at_rest(law, reference, q)
+    law, held = at_rest(law, reference, q)
     q = as_joint_values(law.chain, q)
     m, Ts = law.task.m, float(Ts)
     units = np.tile(np.eye(m), (2, 1))

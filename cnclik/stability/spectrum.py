@@ -11,12 +11,13 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.history import blank
-from cnclik.integrate.method import DEFAULT, IE, Method
+from cnclik.integrate.method import DEFAULT, EE, IE, Method
 from cnclik.integrate.remember import primed
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, evaluate
+from cnclik.law.law import check_loop, evaluate
+from cnclik.law.null import less
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -26,6 +27,8 @@ from cnclik.robot.rolled import in_form, one_off
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
+TINY = 1e-6  # [s]: a step that tells nothing but the flow's own derivative
+GROWTH = 1e-6  # [1/s]: a motion of the null space that grows faster leaves the posture
 LANES = 128  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
 
 
@@ -121,7 +124,7 @@ def spectral_radius(law, reference, q, Ts, method: Method = DEFAULT, stage=picar
     """
     method, stage = checked(method, stage)
     Ts = 1.0 * errors.number("Ts", Ts, positive=True)
-    given = law, at_rest(law, reference, q), as_joint_values(law.chain, q), Ts
+    given = *at_rest(law, reference, q), as_joint_values(law.chain, q), Ts
     if all(map(errors.concrete, jax.tree.leaves(given))):
         return np.float64(_radius_of_numbers(*given, method, stage))
     return _radius(*given, method, stage)
@@ -170,7 +173,7 @@ def spectrum(law, reference, q, Ts, method=DEFAULT, stage=picard(5)) -> Spectrum
     """
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
-    held = at_rest(law, reference, q)
+    law, held = at_rest(law, reference, q)
     return spectrum_of(*step_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
 
 
@@ -221,6 +224,29 @@ def null_radius(moved, rows):
     return _largest(moved, directions(rows)[3])
 
 
+def leaving(law, reference, q, method, stage):
+    """Directions (n, g) of the null space along which a null-space velocity leaves q for another posture, and their
+    duals (g, n): it grows there by itself, as a step that is too short for anything else shows.
+    """
+    method = method if method.steps == 1 else EE
+    moved, rows = step_map(law, reference, q, TINY, method, stage)
+    across = directions(rows)[3]
+    rates, vectors = np.linalg.eig((across.T @ moved @ across - np.eye(across.shape[1])) / TINY)
+    grows = (rates.real > GROWTH) & (np.abs(rates.imag) < GROWTH)
+    return across @ vectors[:, grows].real, (np.linalg.inv(vectors)[grows] @ across.T).real
+
+
+def without_growth(moved, directions, duals):
+    """Maps (k, p·n, p·n) that leave motions along such directions as they are: no gain or sampling time is to blame."""
+    n, g = directions.shape
+    p = moved.shape[-1] // n
+    directions, duals = at_instants(directions, p), at_instants(duals, p)
+    found = duals @ moved @ directions
+    still = found.copy()
+    still[:, :g] = np.eye(g, p * g)
+    return moved - directions @ (found - still) @ duals
+
+
 def _largest(moved, basis):
     basis = at_instants(basis, moved.shape[-1] // len(basis))
     parts = basis.T @ moved @ basis
@@ -232,18 +258,11 @@ def _largest(moved, basis):
 # --- rest ---------------------------------------------------------------------------------------------
 
 
-def check_loop(law, *references) -> None:
-    """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
-    if not isinstance(law, Law):
-        raise errors.fail("law", "be a Law", f"is {type(law).__name__}")
-    for one in references:
-        if not isinstance(one, ref.Reference):
-            raise errors.fail("reference", "be a Reference such as hold(...)", f"is {type(one).__name__}")
-        ref.check(one, law.task)
-
-
 def at_rest(law, reference, q):
-    """The held reference of a loop at rest at q: where q is, once it is known that `reference` is there too.
+    """The law and the held reference of a loop at rest at q, once it is known that `reference` is there too.
+
+    The reference is where q is. A null-space velocity that moves the arm there is taken less that motion: on its way
+    to another posture the arm passes through rests of this loop, and the motion is no error of any of them.
 
     Raises: ArgumentError where `reference` (None: any) is elsewhere at t = 0 by more than REST.
     """
@@ -251,7 +270,25 @@ def at_rest(law, reference, q):
     q = as_joint_values(law.chain, q, finite=True)
     if reference is not None and errors.concrete(q):
         _require_rest(law, reference, q)
-    return replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
+    held = replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
+    if law.null_velocity is None:
+        return law, held
+    known = all(map(errors.concrete, jax.tree.leaves((law, q))))
+    drift = (_drift_of_numbers if known else _drift)(law, held, q)
+    return replace(law, null_velocity=less(law.null_velocity, drift)), held
+
+
+def _drift(law, held, q):
+    """The part (n,) of q̇₀ that moves the arm at rest at q."""
+    (law, held), drift = cast((law, held), q.dtype), jnp.zeros_like(q)
+    for limits in (None, law.limits):  # without them first: they may shorten what they are given
+        now = replace(law, limits=limits, null_velocity=less(law.null_velocity, drift))
+        now, at = in_form(now, q)
+        drift = drift + sp.packed(evaluate(now, held, jnp.zeros_like(q[0]), at).qdot)
+    return drift
+
+
+_drift_of_numbers = one_off(_drift)
 
 
 def hold_at(law, q, move=0.0):

@@ -16,10 +16,10 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import Trajectory
+from cnclik.integrate.trajectory import check_run
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Transpose
-from cnclik.law.law import Law
+from cnclik.law.law import Law, check_loop
 from cnclik.law.limits import Saturated
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
@@ -29,7 +29,7 @@ from cnclik.stability.driven import each_drive, modes_of, overshoot
 from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, fastest_share, maps, radii, stable_share, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
-from cnclik.stability.spectrum import at_rest, check_loop, directions, null_radius, spectrum_of
+from cnclik.stability.spectrum import at_rest, directions, null_radius, spectrum_of
 
 REVERSING = 0.15  # share of the joint speed that the next step takes back, from which on a loop shakes
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
@@ -89,8 +89,7 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     """
     check_loop(law, reference)
     method, stage = checked(method, stage)
-    if not isinstance(run, Trajectory) or np.shape(run.q)[-1] != law.chain.n:
-        raise errors.fail("run", "be a Trajectory of this law", f"is {type(run).__name__}")
+    check_run(run, law)
     if np.ndim(run.residual) != 1 or len(run.residual) == 0:
         raise errors.fail("run", "be one run of at least one step", f"has steps of shape {np.shape(run.residual)}")
     step = float(run.t[-1] - run.t[0]) / len(run.residual)
@@ -190,9 +189,10 @@ def _instants(law, reference, q, t):
     return wanted, instant(-2), instant(-1)
 
 
-def _resting(law, at) -> Instant:
-    """The instant as it would be at rest there."""
-    return Instant(at.q, at_rest(law, None, at.q))
+def _resting(law, at):
+    """The law and the instant as they would be at rest there."""
+    law, held = at_rest(law, None, at.q)
+    return law, Instant(at.q, held)
 
 
 # --- what the run did, first match first: (kind, what it did, remedy) -----------------------------------
@@ -243,7 +243,7 @@ def _judged(case):
 
 def _unstable(case, *rests):
     """Whether the loop is unstable by its last step, and as it would be at rest at one of these instants."""
-    sizes = (radii(case.law, _resting(case.law, at), np.ones(1), *case.loop)[0] for at in rests)
+    sizes = (radii(*_resting(case.law, at), np.ones(1), *case.loop)[0] for at in rests)
     return case.radius > UNSTABLE and any(size > UNSTABLE for size in sizes)
 
 
@@ -366,12 +366,10 @@ def _lower(case):
     law, (Ts, method, stage, drive) = case.law, case.loop
     ends = [at for at in (case.end, case.start) if np.isfinite(at.q).all() and np.abs(at.q).max() <= WILD]
     ends = [_resting(law, at) for at in ends]
-    across = [
-        null_radius(*maps(law, at, np.ones(1), Ts, method, stage))[0] for at in ends if callable(law.null_velocity)
-    ]
+    across = [null_radius(*maps(*at, np.ones(1), Ts, method, stage))[0] for at in ends if callable(law.null_velocity)]
     if any(radius > UNSTABLE for radius in across):
         return _LESS_NULL
-    share = min((stable_share(law, at, *case.loop) for at in ends), default=1.0)
+    share = min((stable_share(*at, *case.loop) for at in ends), default=1.0)
     if 0 < share < 1:
         solved = method.implicit and isinstance(stage, Picard)
         other = ", or solve the stage with chord(2)" if solved else ""
@@ -389,7 +387,7 @@ def _lower(case):
 
 
 def _faster(case):
-    share = fastest_share(case.law, _resting(case.law, case.end), *case.loop)
+    share = fastest_share(*_resting(case.law, case.end), *case.loop)
     return f"reduce {_gain(case.law, share, 'to about')}, which settles soonest" if share < 1 else "reduce alpha"
 
 

@@ -4,9 +4,9 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
+from cnclik.law.law import check_loop
 from cnclik.record import record, stack
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.stability.spectrum import check_loop
 from cnclik.tuning.parameters import scaled_links
 from cnclik.tuning.rollout import Scenario
 
@@ -36,8 +36,7 @@ class Conditions:
     def __post_init__(self):
         if np.any(np.asarray(errors.array("noise", self.noise, (), (None,)), float) < 0):
             raise errors.fail("noise", "be at least 0", f"is {np.asarray(self.noise).tolist()}")
-        if not isinstance(self.drive, Drive):
-            raise errors.fail("drive", "be Drive(...)", f"is {type(self.drive).__name__}")
+        errors.kind("drive", self.drive, Drive, "be Drive(...)")
         errors.number("model_error", self.model_error, at_least=0)
         errors.integer("draws", self.draws, at_least=1)
         errors.number("tolerance", self.tolerance, positive=True)

@@ -32,7 +32,7 @@ def maps_at_rest(law, q, Ts, method, stage):
 
     With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
     """
-    moved, rows = one_step(law, at_rest(law, None, q), q, Ts, _forgetful(method), stage)
+    moved, rows = one_step(*at_rest(law, None, q), q, Ts, _forgetful(method), stage)
     inverse = jnp.linalg.pinv(rows)  # once: of two batches side by side LAPACK's threads may wait for each other
     across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
     return of_error(moved, rows, inverse=inverse), across @ moved @ across
@@ -119,7 +119,7 @@ def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
     q = as_joint_values(law.chain, q)
     law = replace(law, alpha=jnp.asarray(law.alpha))
     scale = np.asarray(alpha) / largest_rate(law.alpha)
-    moved, rows = step_maps(law, at_rest(law, None, q), q, scale, Ts, _forgetful(method), stage)
+    moved, rows = step_maps(*at_rest(law, None, q), q, scale, Ts, _forgetful(method), stage)
     steps = modes_of(moved, directions(rows)[2], drive)
     if drive.order == 0:
         return radius(steps, drive, 1.0)

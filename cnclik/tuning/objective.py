@@ -12,12 +12,12 @@ from cnclik.hints import after
 from cnclik.integrate.drive import check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
+from cnclik.law.law import check_loop
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
 from cnclik.stability.driven import delay_margin, noise_gain, own_drives, radius
 from cnclik.stability.linear import checked
-from cnclik.stability.spectrum import check_loop
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, scenarios
@@ -69,8 +69,7 @@ class Goal:
             raise errors.fail("margin", "be at most 1", f"is {self.margin:g}")
         if not isinstance(self.bounds, (dict, type(None))):
             raise errors.fail("bounds", "be a table {name: (lower, upper)}", f"is {self.bounds!r}")
-        if not isinstance(self.conditions, Conditions):
-            raise errors.fail("conditions", "be Conditions(...)", f"is {type(self.conditions).__name__}")
+        errors.kind("conditions", self.conditions, Conditions, "be Conditions(...)")
 
 
 class Judged(NamedTuple):

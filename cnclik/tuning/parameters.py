@@ -4,8 +4,6 @@ An optimizer moves free numbers u; what they stand for can't leave its bounds, w
 function, symmetric positive definite gains by one of their eigenvalues.
 """
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +11,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import bounded_jit
 from cnclik.law import inverse as inverses
+from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Offset
@@ -163,21 +162,6 @@ def scheduled(loop: Adjustable, share):
     alpha = jnp.asarray(loop.law.alpha)
     size = jnp.max(jnp.abs(jnp.linalg.eigvalsh(alpha) if alpha.ndim == 2 else alpha))
     return replace(loop.law, alpha=alpha * (rate / size))
-
-
-@record(kw_only=False)
-class ScaledNullVelocity:
-    """A null-space velocity times a gain, in the form of q."""
-
-    base: object
-    gain: object
-
-    def __call__(self, q):
-        base = self.base
-        if dataclasses.is_dataclass(base):
-            return sp.scale(self.gain, base(q))
-        wanted = base(sp.packed(q)) if callable(base) else base
-        return sp.scale(self.gain, sp.like(q, jnp.asarray(wanted)))
 
 
 def scaled_links(chain, factors):

@@ -65,8 +65,7 @@ def tune(
     Returns: `Tuned`; it keeps every constraint, or says by how much not.
     Raises: ArgumentError for arguments that do not fit.
     """
-    if not isinstance(descent, Descent):
-        raise errors.fail("descent", "be Descent(...)", f"is {type(descent).__name__}")
+    errors.kind("descent", descent, Descent, "be Descent(...)")
     objective = loop_objective(law, reference, q0, Ts=Ts, N=N, method=method, stage=stage, **goal)
     goal, parameters = Goal(**goal), objective.parameters
     asked = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)

@@ -178,6 +178,14 @@ def test_circle():
         assert np.linalg.norm(xdot) == pytest.approx(2 * np.pi * radius / period, rel=1e-14)
 
 
+def test_whole_numbers_of_any_size():
+    """NumPy has no cosine of an integer that is none of its own."""
+    for huge in ({"phase": 10**25}, {"radius": 10**25}):
+        given = {"radius": 1.0, **huge}
+        found, wanted = (ck.circle([0, 0], period=1, **{k: kind(v) for k, v in given.items()}) for kind in (int, float))
+        np.testing.assert_array_equal(found.curve.first, wanted.curve.first)
+
+
 def test_circle_in_space():
     for normal in ([1.0, 2, -1], [0, 1, 0], [0, 0, -3]):
         unit = np.array(normal) / np.linalg.norm(normal)
@@ -324,6 +332,8 @@ BAD = [
     (lambda: ck.waypoints([0, 1], None, [TURN] * 3), r"`rotations` must have shape \(2, 4\) or \(2, 3, 3\)"),
     (lambda: ck.waypoints([0, 1, 2], [[1, 0], [0, 1], [-1, 0]], closed=True), "`positions` must end where it starts"),
     (lambda: ck.waypoints([0, 1], None, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]], closed=True), "`rotations` must end where"),
+    (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=TURN), "`closed` must be True or False, but is"),
+    (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=None), "`closed` must be True or False, but is None"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
     (lambda: ck.with_feedforward(ck.hold([1, 2]), 1.0), r"`velocity` must have shape \(n,\), but has shape \(\)"),
 ]

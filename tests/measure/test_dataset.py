@@ -61,3 +61,24 @@ def test_dims_that_do_not_fit(scara):
     run = ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2, "EE")
     with pytest.raises(ck.ArgumentError, match="Argument `dims` must name the 0 leading axes"):
         to_dataset(run, scara, dims=("alpha",))
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"run": 3}, "`trajectory` must be a Trajectory, but is int"),
+        ({"law": None}, "`law` must be a Law, but is NoneType"),
+        (
+            {"law": ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=1.0)},
+            "of 3 joints and 2 task coordinates, but is of 2 and 2",
+        ),
+        ({"config": 1j}, "`config` must be what JSON can write"),
+        ({"config": {"a": [object()]}}, "`config` must be what JSON can write"),
+        ({"config": {"a": 1, 2: 3}}, "`config` must be what JSON can write"),
+    ],
+)
+def test_what_makes_no_dataset_is_named(scara, changes, told):
+    given = {"run": ck.solve(scara, ck.hold([1.2, 0.3]), [0.0, 0.1], 0.1, 2, "EE"), "law": scara} | changes
+    with pytest.raises(ck.ArgumentError, match=told) as caught:
+        to_dataset(given.pop("run"), given.pop("law"), **given)
+    assert "\n" not in str(caught.value)

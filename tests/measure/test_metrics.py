@@ -71,6 +71,22 @@ def test_a_batch_is_refused_and_mapped():
     np.testing.assert_allclose(each.final_error, np.linalg.norm(runs.e[:, -1], axis=1), rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"run": "run"}, "`run` must be a Trajectory, but is str"),
+        ({"law": 3}, "`law` must be a Law, but is int"),
+        ({"reference": [0.0, 1.0]}, r"`reference` must be a Reference such as hold\(\.\.\.\), but is list"),
+        ({"law": ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=1.0)}, "of 3 joints and 2 task coordinates"),
+    ],
+)
+def test_what_was_not_run_is_refused(changes, told):
+    law, target = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([0.0, 1.0])
+    given = {"run": ck.solve(law, target, [0.2, 0.9], 0.1, 3), "law": law, "reference": target} | changes
+    with pytest.raises(ArgumentError, match=told):
+        measure_run(**given)
+
+
 LOSSES = ["final_error", "mean_error", "rms_error", "max_error", "rms_along", "rms_across", "rate", "max_qdot"]
 LOSSES += ["rms_qdot", "rms_qddot", "path_length", "limit_distance", "least_singular_value", "overshoot"]
 

@@ -225,6 +225,18 @@ BAD = [
     (lambda: assemble([]), r"`joints` must hold at least one joint"),
     (lambda: ck.pose(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have shape \(1,\), but has shape \(2,\)\."),
     (lambda: ck.jacobian(ck.planar_arm([1.0]), 0.0), r"`q` must have shape \(1,\), but has shape \(\)\."),
+    (lambda: ck.planar_arm([1.0], joint_names=1.0), "`joint_names` must hold 1 different names, but is 1.0"),
+    (lambda: ck.planar_arm([1.0], joint_names="a"), "`joint_names` must hold 1 different names, but is 'a'"),
+    (lambda: ck.planar_arm([1.0, 1.0], joint_names=I3[:2]), "`joint_names` must hold 2 different names"),
+    (lambda: ck.planar_arm([1.0], clockwise=I3), "`clockwise` must be True or False, but is"),
+    (lambda: ck.planar_arm([1.0], clockwise="no"), "`clockwise` must be True or False, but is 'no'"),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=1.0), "`kinds` must be 1 letters R or P, but is 1.0"),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=[[1]]), "`kinds` must be 1 letters R or P"),
+    (lambda: ck.with_tool("arm", [0.0, 0.0, 1.0]), "`chain` must be a Chain, but is str"),
+    (lambda: ck.jacobian(3, [0.0]), "`chain` must be a Chain, but is int"),
+    (lambda: ck.pose(None, [0.0]), "`chain` must be a Chain, but is NoneType"),
+    (lambda: ck.manipulability("panda", [0.0]), "`chain` must be a Chain, but is str"),
+    (lambda: ck.manipulability(ck.planar_arm([1.0]), [0.0], "xy"), "`task` must be a Task such as position"),
 ]
 
 

@@ -332,6 +332,9 @@ def test_unknown_links_suggest_the_nearest(tmp_path):
         ck.load_urdf(file, tip="griper")
     with pytest.raises(ck.ArgumentError, match="`base`"):
         ck.load_urdf(file, base="nowhere")
+    for wrong in (3, np.eye(2), ["d"]):
+        with pytest.raises(ck.ArgumentError, match="`tip` must be one of the"):
+            ck.load_urdf(file, tip=wrong)
 
 
 def test_what_is_not_kinematics_is_not_read(tmp_path):

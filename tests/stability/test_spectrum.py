@@ -7,6 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.stability import linear
+from cnclik.stability.practice import practice
 from cnclik.stability.recommend import advise, margin, recommend
 from cnclik.stability.spectrum import settle, spectral_radius, spectrum
 
@@ -122,3 +123,68 @@ def test_a_sampling_time_may_be_any_number(one):
 def test_a_sampling_time_that_is_none_is_refused(asked, wrong):
     with pytest.raises(ck.ArgumentError, match="`Ts` must be"):
         asked(law(), None, Q, wrong, "EE")
+
+
+# --- a null-space velocity that moves the arm, or is unstable by itself -----------------------------------
+
+FOUR = ck.planar_arm([1.0, 0.8, 0.6, 0.5])
+ON_THE_WAY = jnp.array([-0.4, 0.9, -1.2, 0.3])  # manipulability grows from here on
+NULL = {
+    "posture": ck.posture(np.zeros(4), 3.0),
+    "manipulability": ck.maximize_manipulability(FOUR, XY, 5.0),
+    "constant": np.array([1.0, -2.0, 3.0, 0.5]),
+    "function": lambda q: jnp.sin(3 * q[::-1]),
+}
+
+
+def on_the_way(null, **changes):
+    return ck.Law(FOUR, XY, **({"alpha": 6.0, "null_velocity": null} | changes))
+
+
+@pytest.mark.parametrize("limits", [None, ck.velocity_scaling(), ck.saturation()], ids=["free", "scaled", "saturated"])
+@pytest.mark.parametrize("null", NULL)
+def test_gains_are_safe_on_the_way_to_another_posture_as_at_its_end(null, limits):
+    """Moving through the null space changes nothing of the error, which an exact J# multiplies by 1 − z."""
+    fast = ck.replace(FOUR, velocity_limit=(0.5,) * 4)
+    made = ck.replace(on_the_way(NULL[null]), chain=fast, limits=limits)
+    found = recommend(made, None, ON_THE_WAY, Ts=Ts, method="EE")
+    assert found.z_largest == pytest.approx(2, rel=1e-6) and found.z_recommended == pytest.approx(0.25, rel=1e-3)
+    assert found.limit.startswith("limited by EE")
+    assert margin(made, None, ON_THE_WAY, Ts=Ts, method="EE").margin == pytest.approx(2 / 0.6, rel=1e-6)
+    now = spectrum(made, None, ON_THE_WAY, Ts, "EE")
+    np.testing.assert_allclose(now.task, 0.4, atol=1e-6)
+    assert now.coupling < 1e-6
+    assert spectral_radius(made, None, ON_THE_WAY, Ts, "EE") == pytest.approx(0.4, abs=1e-6)
+    assert jax.jit(lambda q: spectral_radius(made, None, q, Ts, "EE"))(ON_THE_WAY) == pytest.approx(0.4, abs=1e-6)
+
+
+@pytest.mark.parametrize("drive", [ck.Drive(), ck.Drive(delay=2), ck.Drive(lag=np.array([0.1, 0.1, 0.1, 0.2]))])
+def test_a_posture_that_is_left_by_itself_limits_no_gain(drive):
+    """The step shows it: whatever the gain, its null space grows by more than any rounding, and doesn't swing."""
+    made = on_the_way(NULL["manipulability"])
+    away = next(q for q in np.random.default_rng(0).uniform(-2, 2, (20, 4)) if _growth(made, q) > 1.05)
+    calm = recommend(on_the_way(None), None, away, Ts=Ts, method="EE", drive=drive)
+    found = recommend(made, None, away, Ts=Ts, method="EE", drive=drive)
+    assert found.z_largest == pytest.approx(calm.z_largest, rel=1e-3) and calm.z_largest > 0.1
+    assert found.z_recommended == pytest.approx(calm.z_recommended, rel=1e-3)
+    said = practice(made, None, away, Ts=Ts, method="EE", drive=drive).notes
+    assert any("leaves this posture by itself" in note for note in said)
+    assert not any("leaves" in note for note in practice(on_the_way(None), None, away, Ts=Ts, drive=drive).notes)
+
+
+def _growth(made, q):
+    return spectrum(made, None, q, Ts, "EE").null.real.max()
+
+
+@pytest.mark.parametrize("drive", [ck.Drive(), ck.Drive(delay=2)], ids=str)
+@pytest.mark.parametrize("method", ["EE", "EXP-MIDPOINT"])
+def test_no_gain_is_stable_with_a_null_space_velocity_that_is_not(method, drive):
+    """1 − κ Ts = −1.5, and of two stages 1 − 2.5 + 2.5²/2: positive, and as wrong."""
+    made = ck.Law(ARM, XY, alpha=6.0, null_velocity=lambda q: 25.0 * (Q - q))
+    found = recommend(made, None, Q, Ts=Ts, method=method, drive=drive)
+    assert found.largest == found.recommended == found.monotone == found.fastest == found.z_largest == 0
+    factor = {"EE": "1.5", "EXP-MIDPOINT": "1.625"}[method]
+    assert f"none is stable: the null-space velocity multiplies a motion by {factor} each step" in found.limit
+    assert margin(made, None, Q, Ts=Ts, method=method, drive=drive).margin == 0
+    with pytest.raises(ck.ArgumentError, match="`null_velocity` must leave some gain stable"):
+        practice(made, None, Q, Ts=Ts, method=method, drive=drive)

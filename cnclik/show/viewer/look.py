@@ -73,7 +73,8 @@ def _factors(made, q):
     rests = np.isfinite(q[-1]).all() and np.abs(q[-1]).max() <= WILD
     q = np.asarray(q[-1] if rests else made.q0, float)
     drive = made.drive or Drive()
-    moved, rows = maps(made.law, Instant(q, at_rest(made.law, None, q)), np.ones(1), made.Ts, made.method, made.stage)
+    law, held = at_rest(made.law, None, q)
+    moved, rows = maps(law, Instant(q, held), np.ones(1), made.Ts, made.method, made.stage)
     if not np.isfinite(moved).all():
         return np.zeros(0, complex), np.inf
     if drive.prompt:

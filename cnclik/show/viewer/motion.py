@@ -6,7 +6,7 @@ import functools
 import numpy as np
 
 from cnclik.integrate.status import Status, names
-from cnclik.measure.metrics import one_lane
+from cnclik.integrate.trajectory import one_lane
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
 from cnclik.stability.verdict import UNSTABLE
