@@ -40,6 +40,8 @@ def main(argv=None) -> None:
     """
     process = argv is None
     argv = list(sys.argv[1:] if process else argv)
+    if process:
+        os.environ["MPLBACKEND"] = "agg"  # figures go to files: what windows are drawn with has no say
     with terminal.guarded(process):
         if argv[:1] in (["-V"], ["--version"]):
             print(f"cnclik {__version__}")

@@ -15,6 +15,7 @@ from cnclik.record import replace
 from cnclik.robot.chain import Chain
 
 
+@np.errstate(over="ignore", invalid="ignore")  # squares of targets beyond any robot: such lanes say so by themselves
 def reach(
     chain: Chain,
     targets: ArrayLike,

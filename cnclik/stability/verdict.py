@@ -98,7 +98,8 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     case = _case(law, reference, run, float(Ts), method, stage, check_drive(drive, law.chain.n))
     kind, what, remedy = _judged(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
-        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or _SLOWER
+        moving = case.behind > case.seen.floor
+        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or (_SLOWER if moving else _GENTLER)
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""),
@@ -291,6 +292,7 @@ def _moving(case, error, radius):
 
 _UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
 _SLOWER = "follow a slower path, use limits velocity_scaling(), or, near a singularity, damped(...)"
+_GENTLER = "use limits velocity_scaling(), or an error_clamp, or reduce alpha"
 _LESS_NULL = "reduce the gain of the null-space velocity"
 
 

@@ -23,6 +23,7 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
+from cnclik.sweeps.summary import RESULTS
 from cnclik.writing import abandoned, hidden_folder
 
 DATA = "data.zarr"
@@ -209,6 +210,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         with tempfile.TemporaryFile(dir=folder):
             pass  # it can be written
     if not os.path.exists(path):
+        _require_own_results(folder)
         return None
     store = Store(folder)
     if fresh:
@@ -230,6 +232,17 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
                     left.unlink()
         store.repair(spec)
     return store
+
+
+def _require_own_results(folder):
+    """Raise ArgumentError where a sweep would write over what no sweep has written."""
+    there = [name for name in RESULTS if (folder / name).exists()]
+    with contextlib.suppress(OSError, ValueError):
+        if not there or {"cnclik", "spec"} <= set(json.loads((folder / "config.json").read_bytes())):
+            return
+    raise errors.fail(
+        "out", "be a new folder, or one of a sweep", f"{there[0]} in {str(folder)[-60:]!r} is not a sweep's"
+    )
 
 
 def _difference(a, b, where=""):

@@ -25,6 +25,10 @@ _NEARLY_NO_GAIN = (
     "The gain is hardly any: within the whole path it would not take back an error. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
 )
+_LITTLE_GAIN = (
+    "The gain, which was not tuned, is hardly any: within the whole path it would not take back an error. Raise alpha, "
+    "tune it too, or give more steps."
+)
 
 
 @record
@@ -118,7 +122,8 @@ class Tuned:
     def why(self) -> str:
         """The status in a sentence, and a second one where what was found is hardly a loop."""
         if self.status != "infeasible":
-            return _WHY[self.status] + (f" {_NEARLY_NO_GAIN}" if self.N * self.after.correction < 1 else "")
+            little = _NEARLY_NO_GAIN if {"alpha", "schedule"} & set(self.values) else _LITTLE_GAIN
+            return _WHY[self.status] + (f" {little}" if self.N * self.after.correction < 1 else "")
         worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"
         return f"{_WHY[self.status]} Worst, the bound on {worst}."
 

@@ -66,6 +66,7 @@ def test_a_drive_to_paste(recorded, tmp_path, capsys):
         (["--kind", "lag"], "Argument `kind` must come with --step, but comes without."),
         (["--alpha", "-1"], "Argument `alpha` must be positive, but is -1."),
         (["--longest-period", "0"], "Argument `longest-period` must be positive, but is 0."),
+        (["--out", __file__], "Argument `out` must be a folder that can be written into"),
     ],
 )
 def test_user_errors_are_one_line(log, options, line, capsys):

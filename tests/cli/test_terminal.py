@@ -147,3 +147,11 @@ def test_platforms_that_are_not_there(name):
     )
     assert found.returncode == 2 and found.stderr.startswith("cnclik: Argument `JAX_PLATFORMS` must name a platform")
     assert found.stderr.count("\n") == 1 and time.perf_counter() - begun < 60
+
+
+def test_windows_that_matplotlib_does_not_know(tmp_path):
+    """Figures go to files, whatever else would draw them."""
+    words = [sys.executable, "-m", "cnclik", "solve", "planar:1,1", "--N", "3", "--out", str(tmp_path)]
+    found = subprocess.run(words, capture_output=True, text=True, env=os.environ | {"MPLBACKEND": "foo"})
+    assert (found.returncode, found.stderr) == (0, "")
+    assert {"error.png", "trajectory.nc"} <= {p.name for p in tmp_path.iterdir()}

@@ -291,6 +291,14 @@ def test_near_beyond_the_limits_is_no_way_around_a_jump():
 
 
 @both_ways
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [1e30, 1e200, -1e308])
+def test_targets_beyond_all_squares_cost_their_own_lane_alone(far):
+    made = ck.reach(ARM, [[far, 0.1, 0.0], [0.9, 0.4, 0.0]], task=PLANE)
+    assert made.status.tolist() == [ReachStatus.OUT_OF_REACH, ReachStatus.SOLVED]
+    assert ck.reach(ARM, [far, 0.1, 0.0], task=PLANE, near=[0.1, 0.2]).status == ReachStatus.OUT_OF_REACH
+
+
 def test_near_that_is_not_finite():
     target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
     for some in (target, np.stack([target] * 12)):

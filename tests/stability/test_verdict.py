@@ -138,6 +138,15 @@ def test_a_path_too_fast_for_the_velocity_limits():
     assert found.remedy == "follow a slower path"  # limits saturation() would not help
 
 
+def test_what_asks_for_more_than_joints_can_is_told_how_to_ask_for_less():
+    chain = ck.replace(FIVE, velocity_limit=(0.05,) * 5)
+    held = judge(law(5.0, chain), NEAR, 60)
+    assert held.kind == Behaviour.SETTLED and "velocity limit" in held.sentence
+    assert "path" not in held.remedy and "velocity_scaling()" in held.remedy and "reduce alpha" in held.remedy
+    moving = judge(law(5.0, chain), ck.line(TIP, TIP + 0.7 * INWARD, duration=2.0), 200, Ts=0.01)
+    assert moving.kind == Behaviour.SETTLED and moving.remedy.startswith("follow a slower path")
+
+
 def test_following_a_line():
     """Without feed-forward the loop lags by v/alpha; with it, it follows."""
     path = ck.line(TIP, TIP + 0.7 * INWARD, duration=2.0)

@@ -296,7 +296,9 @@ def test_a_gain_that_is_hardly_any_is_said_to_be():
     fast = problem_from("planar:1,0.8", reference="circle", radius=0.2, period=0.7)
     at = dict(Ts=0.01, N=60, method="EE", descent=Descent(steps=30))
     late = tune(fast.law, fast.reference, fast.q0, conditions=Conditions(drive=Drive(delay=3, lag=0.1)), **at)
-    assert late.after.z * 60 < 1 and "hardly any" in str(late)
+    assert late.after.z * 60 < 1 and "hardly any" in str(late) and "or bound alpha" in str(late)
+    given = ck.replace(late, values={"links": np.ones(3)})  # as where something else was tuned
+    assert "hardly any" in given.why and "tune it too" in given.why and "bound alpha" not in given.why
 
 
 def test_late_loops_are_tuned_by_their_own_roots():
