@@ -153,6 +153,14 @@ def one_of(name: str, value, names):
     return value
 
 
+def ending(name: str, path, *endings) -> str:
+    """What the name of a file ends with, in small letters."""
+    found = path.suffix.lower()
+    if found not in endings:
+        raise fail(name, f"end with {', '.join(endings)}", f"is {path.name!r}")
+    return found
+
+
 def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
     near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)

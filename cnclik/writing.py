@@ -14,6 +14,21 @@ _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
 
 
+def checked_file(name, file, *endings) -> pathlib.Path:
+    """The path of a file to write; raises ArgumentError unless it has one of the endings, in a folder that is there."""
+    file = pathlib.Path(file)
+    errors.ending(name, file, *endings)
+    size = len(file.name.encode(errors="replace"))
+    if size > 250:
+        raise errors.fail(name, "have a name of at most 250 bytes", f"has {size}")
+    fits = False
+    with contextlib.suppress(OSError, ValueError):
+        fits = os.path.isdir(file.parent) and not os.path.isdir(file)
+    if not fits:
+        raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
+    return file
+
+
 class Folder:
     """A hidden folder to write into, whose files are moved to their place when all is well.
 

@@ -96,9 +96,9 @@ def _check_report(args, argv) -> None:
     if getattr(args, "report", None) is not None:
         import shlex
 
-        from cnclik.show.report import checked_page
+        from cnclik.writing import checked_file
 
-        checked_page("report", args.report)
+        checked_file("report", args.report, ".html")
         args.typed = shlex.join(argv)
 
 

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import functools
 import json
-import os
 import pathlib
 import time
 from typing import Annotated, Literal
@@ -80,13 +79,9 @@ def _check(args):
         errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
     if args.out is not None and not args.map:
         from cnclik.measure.answers import ENDINGS
+        from cnclik.writing import checked_file
 
-        if args.out.suffix.lower() not in ENDINGS:
-            raise errors.fail("out", f"end with {', '.join(ENDINGS)}", f"is {str(args.out)!r}")
-        if not os.path.isdir(args.out.parent) or os.path.isdir(args.out):
-            raise errors.fail("out", "name a file in a folder that is there", f"is {str(args.out)!r}")
-        if len(os.fsencode(args.out.name)) > 250:
-            raise errors.fail("out", "have a name of at most 250 bytes", f"has {len(os.fsencode(args.out.name))}")
+        checked_file("out", args.out, *ENDINGS)
     if args.path and args.near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
 

@@ -34,13 +34,13 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.show.report import checked_page
     from cnclik.show.viewer import front, need
+    from cnclik.writing import checked_file
 
     need.require_viser()
     errors.integer("port", args.port, at_least=1, at_most=65_000)
     if args.html is not None:
-        checked_page("html", args.html)
+        checked_file("html", args.html, ".html")
     motions, live = _shown(args)
     if args.html is not None:
         print(f"Wrote {front.write_page(live.motions() if live else motions, args.html)}.")

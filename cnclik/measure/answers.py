@@ -43,7 +43,7 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
 def save(data: "xr.Dataset", path) -> None:
     """Write answers as .npz (`targets`, and a name for each variable), .nc, or .csv (a row per target and solution)."""
     path = pathlib.Path(path)
-    ending = errors.one_of("out", path.suffix.lower(), ENDINGS)
+    ending = errors.ending("out", path, *ENDINGS)
     if ending == ".nc":
         save_netcdf(data, path)
     elif ending == ".npz":

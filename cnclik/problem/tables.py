@@ -59,9 +59,7 @@ def read_targets(file, task) -> np.ndarray:
     transform row by row; a .npy file an array of such rows or of transforms; a .npz file has it under `targets`.
     """
     path = pathlib.Path(file)
-    ending = path.suffix.lower()
-    if ending not in (".csv", ".npy", ".npz"):
-        raise errors.fail("TARGETS", "end with .csv, .npy, .npz", f"is {path.name!r}")
+    ending = errors.ending("TARGETS", path, ".csv", ".npy", ".npz")
     if ending == ".csv":
         found = read_csv("TARGETS", path)
     else:

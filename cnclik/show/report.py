@@ -4,11 +4,9 @@ What is drawn is what the verb draws; the page is written last, so that it costs
 """
 
 import dataclasses
-import os
 import pathlib
 import platform
 
-from cnclik import errors
 from cnclik.markup import escaped, table
 from cnclik.writing import output_folder
 
@@ -39,22 +37,6 @@ class Report:
     motions: object = None
     command: str = ""
     dtype: str = "float64"
-
-
-def checked_page(name, file) -> pathlib.Path:
-    """The path of a page to write. Raises: ArgumentError unless it is an .html in a folder that is there."""
-    file = pathlib.Path(file)
-    if file.suffix.lower() != ".html":
-        raise errors.fail(name, "end with .html", f"is {str(file)!r}")
-    if len(file.name.encode(errors="replace")) > 250:
-        raise errors.fail(name, "have a name of at most 250 bytes", f"has {len(file.name.encode(errors='replace'))}")
-    try:
-        fits = os.path.isdir(file.parent) and not os.path.isdir(file)
-    except (OSError, ValueError):
-        fits = False
-    if not fits:
-        raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
-    return file
 
 
 def write(report: Report, file) -> None:

@@ -236,7 +236,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
 
 def _require_own_results(folder):
     """Raise ArgumentError where a sweep would write over what no sweep has written."""
-    there = [name for name in RESULTS if (folder / name).exists()]
+    there = [name for name in RESULTS if os.path.exists(folder / name)]
     with contextlib.suppress(OSError, ValueError):
         if not there or {"cnclik", "spec"} <= set(json.loads((folder / "config.json").read_bytes())):
             return

@@ -39,7 +39,7 @@ def read_motions(path, robot=None) -> list:
     """
     path = pathlib.Path(path)
     path = path / RUN if os.path.exists(path / RUN) else path
-    ending = errors.one_of("FILE", path.suffix.lower(), ENDINGS)
+    ending = errors.ending("FILE", path, *ENDINGS)
     found = {".nc": _netcdf, ".npz": _arrays, ".csv": _table}[ending](path)
     config = found.pop("config", None) or _beside(path)
     if robot is None and "robot" in config:

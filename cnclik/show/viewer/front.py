@@ -6,14 +6,13 @@ from cnclik import errors
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.markup import escaped
 from cnclik.problem.build import Problem, problem_from
-from cnclik.show.report import checked_page
 from cnclik.show.viewer import need, play
 from cnclik.show.viewer.files import is_result, read_motions, robot_of
 from cnclik.show.viewer.live import Live
 from cnclik.show.viewer.motion import Motion, motion_of
 from cnclik.show.viewer.page import as_page
 from cnclik.show.viewer.scene import Scene
-from cnclik.writing import output_folder
+from cnclik.writing import checked_file, output_folder
 
 MOST = 2  # motions beside each other
 
@@ -74,7 +73,7 @@ def view(what, law=None, *, beside=None, host="localhost", port=8080, html=None)
 
 def write_page(motions, file) -> pathlib.Path:
     """Write motions as one page. Raises: ArgumentError where it can't be written."""
-    file = checked_page("html", file)
+    file = checked_file("html", file, ".html")
     with output_folder(file.parent, name="html") as folder:
         folder.write_text(file.name, as_page(motions))
     return file
