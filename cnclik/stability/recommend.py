@@ -28,14 +28,15 @@ from cnclik.stability.spectrum import (
     Spectrum,
     at_rest,
     directions,
+    growing,
     largest_rate,
-    leaving,
+    null_flow_of_numbers,
     null_radius,
     spectrum_of,
+    staying,
     step_map,
     step_maps,
     task_radius,
-    without_growth,
 )
 
 REACH = 1e4  # z up to which is looked
@@ -132,17 +133,18 @@ class LoopAtRest(NamedTuple):
     known: dict  # maps that were asked for: limits of one loop look at the same gains
 
     def maps(self, scale, Ts):
-        """See `step_maps`, `without_growth`."""
+        """See `step_maps`, `staying`."""
         key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
         if key not in self.known:
             moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
-            self.known[key] = (moved if self.law.null_velocity is None else self._staying(moved)), rows
+            self.known[key] = (moved if self.law.null_velocity is None else staying(moved, self._growing())), rows
         return self.known[key]
 
-    def _staying(self, moved):
-        if "leaving" not in self.known:
-            self.known["leaving"] = leaving(self.law, self.held, self.q, self.method, self.stage)
-        return without_growth(moved, *self.known["leaving"])
+    def _growing(self):
+        if "growing" not in self.known:
+            found = null_flow_of_numbers(self.law, self.held, self.q)
+            self.known["growing"] = growing(*map(np.asarray, found))
+        return self.known["growing"]
 
     def along(self, z, Ts=None):
         """`maps` at gains of z; with Ts None at sampling times of z."""

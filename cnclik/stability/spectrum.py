@@ -11,7 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.history import blank
-from cnclik.integrate.method import DEFAULT, EE, IE, Method
+from cnclik.integrate.method import DEFAULT, IE, Method
 from cnclik.integrate.remember import primed
 from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
@@ -27,7 +27,6 @@ from cnclik.robot.rolled import in_form, one_off
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
-TINY = 1e-6  # [s]: a step that tells nothing but the flow's own derivative
 GROWTH = 1e-6  # [1/s]: a motion of the null space that grows faster leaves the posture
 LANES = 128  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
 
@@ -224,27 +223,45 @@ def null_radius(moved, rows):
     return _largest(moved, directions(rows)[3])
 
 
-def leaving(law, reference, q, method, stage):
-    """Directions (n, g) of the null space along which a null-space velocity leaves q for another posture, and their
-    duals (g, n): it grows there by itself, as a step that is too short for anything else shows.
+def null_flow(law, held, q):
+    """How the velocity at rest at q changes with q, ∂q̇/∂q (n, n), and the rows of the weighted J (m, n). Pure."""
+    law, held = cast((law, held), q.dtype)
+
+    def flow(q):
+        made, at = in_form(law, q)
+        found = evaluate(made, held, jnp.zeros_like(q[0]), at)
+        return sp.packed(found.qdot), sp.packed(found.rows, q.dtype)
+
+    return jax.jacfwd(flow, has_aux=True)(q)
+
+
+null_flow_of_numbers = one_off(null_flow)
+
+
+def growing(flow, rows):
+    """Projection (n, n) on the motions of the null space of J that leave a posture for another by the flow ∂q̇/∂q.
+
+    It is the null-space velocity itself that carries them away: no gain or sampling time is to blame.
     """
-    method = method if method.steps == 1 else EE
-    moved, rows = step_map(law, reference, q, TINY, method, stage)
+    if not (np.isfinite(flow).all() and np.isfinite(rows).all()):
+        return np.zeros_like(flow)
     across = directions(rows)[3]
-    rates, vectors = np.linalg.eig((across.T @ moved @ across - np.eye(across.shape[1])) / TINY)
+    inner = across.T @ flow @ across
+    rates, vectors = np.linalg.eig(inner)
     grows = (rates.real > GROWTH) & (np.abs(rates.imag) < GROWTH)
-    return across @ vectors[:, grows].real, (np.linalg.inv(vectors)[grows] @ across.T).real
+    return across @ ((vectors * grows) @ np.linalg.pinv(vectors)).real @ across.T
 
 
-def without_growth(moved, directions, duals):
-    """Maps (k, p·n, p·n) that leave motions along such directions as they are: no gain or sampling time is to blame."""
-    n, g = directions.shape
+def staying(moved, growth):
+    """Maps (..., p·n, p·n) that leave motions of a projection `growing` (..., n, n) as they are."""
+    n = growth.shape[-1]
     p = moved.shape[-1] // n
-    directions, duals = at_instants(directions, p), at_instants(duals, p)
-    found = duals @ moved @ directions
-    still = found.copy()
-    still[:, :g] = np.eye(g, p * g)
-    return moved - directions @ (found - still) @ duals
+    if p == 1:
+        return moved - growth @ moved @ growth + growth
+    all_of_it = at_instants(growth, p)
+    found = all_of_it @ moved @ all_of_it
+    still = np.concatenate([np.broadcast_to(np.kron(np.eye(1, p), growth), found[:, :n].shape), found[:, n:]], 1)
+    return moved - found + still
 
 
 def _largest(moved, basis):

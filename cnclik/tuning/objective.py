@@ -18,6 +18,7 @@ from cnclik.record import record
 from cnclik.robot.rolled import one_off
 from cnclik.stability.driven import delay_margin, noise_gain, own_drives, radius
 from cnclik.stability.linear import checked
+from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, scenarios
@@ -82,6 +83,7 @@ class Judged(NamedTuple):
     speed: object
     excess: object  # (4,) by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
     postures: object  # (B·K, n) where these were measured
+    growths: object  # (B·K, n, n) projections on motions of the null space that grow there by themselves
     run: object  # `Trajectory` of the first scenario
 
     @property
@@ -103,6 +105,7 @@ class LoopObjective:
     parameters: tuple
     scenarios: object  # `Scenario` with a leading axis B
     postures: object  # (B·K, n) where the spectral radius is asked for
+    growths: object  # (B·K, n, n) motions of the null space there that grow by themselves, see `growing`
     moments: object  # (B·K,) of the horizon, for a gain schedule
     losses: tuple  # (function, weight) pairs
     margin: object
@@ -147,6 +150,14 @@ class LoopObjective:
 
         return jax.vmap(one)(postures, self.moments)
 
+    def _flows(self, loop, postures):
+        """`null_flow` at rest at postures (B·K, n)."""
+
+        def one(q, moment):
+            return null_flow(*at_rest(pm.scheduled(loop, moment), None, q), q)
+
+        return jax.vmap(one)(postures, self.moments)
+
     def _loss(self, loop, runs, maps):
         steps = jnp.arange(self.N, dtype=runs.q.dtype)
         weight = jnp.clip((self.horizon - steps * loop.Ts) / loop.Ts, 0.0, 1.0)
@@ -174,7 +185,7 @@ class LoopObjective:
             radius = jax.vmap(linear.radius_bound)(linear.driven_map(maps, self.drive, self.loop.Ts))
             constraints.append(radius / self.margin - 1.0)
         if callable(self.loop.law.null_velocity):
-            constraints.append(jax.vmap(linear.radius_estimate)(across) - 1.0)
+            constraints.append(jax.vmap(linear.radius_estimate)(staying(across, jnp.asarray(self.growths))) - 1.0)
         if self.joints:
             constraints.append(self._speed(runs) - 1.0)
         return self._loss(loop, runs, maps), jnp.concatenate(constraints)
@@ -192,6 +203,7 @@ class LoopObjective:
             "finite": jnp.all(jnp.isfinite(runs.q)),
             "maps": maps,
             "across": across,
+            "flows": self._flows(loop, postures) if callable(self.loop.law.null_velocity) else None,
             "speed": jnp.max(self._speed(runs)) if self.joints else jnp.zeros((), runs.q.dtype),
             "postures": postures,
             "run": jax.tree.map(lambda x: x[0], runs),
@@ -208,14 +220,19 @@ class LoopObjective:
         def told(value):
             return np.where(finite & np.isfinite(value), value, np.inf)
 
+        across, growths = seen["across"], np.zeros_like(seen["across"])
+        if seen["flows"] is not None:
+            flows, rows = (v.reshape(-1, *v.shape[-2:]) for v in seen["flows"])
+            growths = np.reshape([*map(growing, flows, rows)], across.shape)
+            across = staying(across, growths)
         radius = told(linear.measured_radius(linear.driven_map(maps, self.drive, float(self.loop.Ts))))
-        null_radius, correction = (told(linear.measured_radius(v)) for v in (seen["across"], _corrections(maps, np)))
+        null_radius, correction = (told(linear.measured_radius(v)) for v in (across, _corrections(maps, np)))
         speed = told(seen["speed"])
         ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
         asked = (True, np.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
         excess = np.where(asked, np.stack(ratios, -1) - 1.0, -np.inf)
         postures, run = seen["postures"], seen["run"]
-        return Judged(told(seen["loss"]), radius, null_radius, correction, speed, excess, postures, run)
+        return Judged(told(seen["loss"]), radius, null_radius, correction, speed, excess, postures, growths, run)
 
 
 def _corrections(maps, xp=jnp):
@@ -270,6 +287,7 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
         parameters=parameters,
         scenarios=runs,
         postures=np.repeat(runs.q0, INTERVALS + 1, axis=0),
+        growths=np.zeros((len(runs.q0) * (INTERVALS + 1), law.chain.n, law.chain.n)),
         moments=np.tile(np.linspace(0, 1, INTERVALS + 1), len(runs.q0)),
         losses=tuple((fn, np.asarray(w)) for fn, w in terms(goal.loss)),
         margin=np.asarray(float(goal.margin)),

@@ -81,7 +81,8 @@ def tune(
         return result(objective, own, before, judge(objective, [own])[0], [], **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
-    objective = replace(objective, postures=judged[safe].postures)  # constraints along that run
+    along = judged[safe]
+    objective = replace(objective, postures=along.postures, growths=along.growths)  # constraints along that run
     rng = np.random.default_rng(int(goal.conditions.seed))
     begun = [
         _nearest_kept(objective, u, anchor)

@@ -12,6 +12,7 @@ from cnclik.hints import equations, quick_jit
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.problem.build import problem_from
+from cnclik.stability.spectrum import spectrum
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import scenarios
@@ -290,6 +291,27 @@ def test_each_draw_has_joint_noise_of_its_own():
     assert np.ptp(runs[:, -1], axis=0).min() > 1e-4
     other = ck.replace(conditions, drive=Drive(joint_noise=1e-3, seed=5))
     assert not set(drawn.seed.tolist()) & set(scenarios(LAW, LINE, np.array([0.3, 1.2]), 5, other).seed.tolist())
+
+
+@pytest.mark.parametrize("name", ["manipulability", "posture"])
+def test_a_null_space_velocity_that_leaves_the_posture_is_no_fault_of_the_gain(name):
+    """Along this run a motion of the null space grows by 2 % a step, whatever the gain: all others are kept to."""
+    arm = ck.planar_arm([1.0, 0.8, 0.6, 0.5])
+    null = {
+        "manipulability": ck.maximize_manipulability(arm, ck.position("xy"), 2.0),
+        "posture": ck.posture(np.zeros(4), 2.0),
+    }[name]
+    q0 = np.array([-0.715, -0.605, 0.942, -1.224])
+    tip = np.asarray(ck.pose(arm, q0).position)[:2]
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=null)
+    assert spectrum(law, None, q0, 0.01, "EE").null_radius > 1.01
+    found = tune(law, ck.line(tip, 0.9 * tip, duration=1.0), q0, Ts=0.01, N=100, method="EE", descent=Descent(steps=60))
+    assert found.satisfied and found.after.z == pytest.approx(0.25, abs=0.01)
+    assert found.after.null_radius == pytest.approx(1, abs=1e-9)
+    fast = ck.replace(law, null_velocity=lambda q: 250.0 * (q0 - q))  # 1 − 2.5: by the step
+    path = ck.line(tip, 0.99 * tip, duration=1.0)
+    blamed = tune(fast, path, q0, Ts=0.01, N=20, method="EE", descent=Descent(steps=2))
+    assert not blamed.satisfied and "null space" in blamed.why
 
 
 def test_a_gain_that_is_hardly_any_is_said_to_be():
