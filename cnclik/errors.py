@@ -74,9 +74,8 @@ def kind(name: str, value, of, must: str | None = None):
 
 def truth(name: str, value) -> bool:
     """A Python bool of True or False, or of a number or an array of no axis that is one."""
-    import numpy as np
-
-    if not concrete(value) or np.ndim(value) != 0 or value not in (True, False):
+    single = concrete(value) and getattr(value, "ndim", 0) == 0 and not isinstance(value, (list, tuple))
+    if not single or value not in (True, False):
         raise fail(name, "be True or False", f"is {value!r}")
     return bool(value)
 

@@ -29,6 +29,12 @@ def checked_file(name, file, *endings) -> pathlib.Path:
     return file
 
 
+def checked_folder(name, path) -> None:
+    """Raise ArgumentError unless `path` is, or can become, a folder that can be written into; nothing is left there."""
+    with output_folder(path, name=name):
+        pass
+
+
 class Folder:
     """A hidden folder to write into, whose files are moved to their place when all is well.
 

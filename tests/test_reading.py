@@ -76,8 +76,11 @@ def test_numpys_files_that_are_damaged(tmp_path):
         for k in range(0, len(data), 3):
             for damaged in (data[:k], data[:k] + bytes([data[k] ^ 16]) + data[k + 1 :]):
                 (tmp_path / f"damaged{name[-4:]}").write_bytes(damaged)
+                found = None
                 with contextlib.suppress(ck.ArgumentError):
-                    read_targets(tmp_path / f"damaged{name[-4:]}", position())
+                    found = read_targets(tmp_path / f"damaged{name[-4:]}", position())
+                if found is not None and name.endswith(".npz"):  # which has checksums
+                    np.testing.assert_array_equal(found, np.ones((2, 3)))
 
 
 def test_little_that_unpacks_to_much(tmp_path, monkeypatch):

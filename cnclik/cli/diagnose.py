@@ -42,13 +42,12 @@ class Args(ComputeOptions):
 def run(args: Args) -> None:
     from cnclik.diagnosis.fit import sampling_time
     from cnclik.problem.tables import read_columns
-    from cnclik.writing import output_folder
+    from cnclik.writing import checked_folder
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
     if args.out is not None:
-        with output_folder(args.out):  # a folder that can't be written into is found before any work
-            pass
+        checked_folder("out", args.out)
     names, table = read_columns("LOG", args.log, gaps=True)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")

@@ -18,8 +18,7 @@ from cnclik.export.trace import WHAT, Asked, trace
 from cnclik.integrate.method import DEFAULT, named
 from cnclik.integrate.solve import evaluations_of
 from cnclik.integrate.stage import picard
-from cnclik.law.law import Law
-from cnclik.law.reference import Reference, check
+from cnclik.law.law import Law, check_loop
 from cnclik.native.arrays import UnsupportedError
 from cnclik.native.cost import operations
 from cnclik.record import brief
@@ -28,12 +27,16 @@ from cnclik.version import __version__
 from cnclik.writing import output_folder
 
 MANIFEST = "export.json"
-KEYWORDS = """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl const const_cast
-constexpr continue decltype default delete do double dynamic_cast else enum explicit export extern false float for
-friend goto if inline int long main mutable namespace new noexcept not not_eq nullptr operator or or_eq private
-protected public register reinterpret_cast restrict return short signed sizeof static static_assert static_cast
-struct switch template this thread_local throw true try typedef typeid typename union unsigned using virtual void
-volatile wchar_t while xor xor_eq"""  # of C99 and C++17, and `main`
+KEYWORDS = """alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t class
+compl const const_cast constexpr continue decltype default delete do double dynamic_cast else enum explicit export
+extern false float for friend goto if inline int long main mutable namespace new noexcept not not_eq nullptr operator
+or or_eq private protected public register reinterpret_cast restrict return short signed sizeof static static_assert
+static_cast struct switch template this thread_local throw true try typedef typeid typename union unsigned using
+virtual void volatile wchar_t while xor xor_eq"""  # of C99 and C++17, and `main`
+LIBRARY = """abort abs acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exit exp exp2 expm1
+fabs fdim floor fma fmax fmin fmod free frexp hypot ilogb labs ldexp lgamma log log10 log1p log2 logb lrint lround
+malloc memchr memcmp memcpy memmove memset modf nan nearbyint nextafter pow printf puts remainder remquo rint round
+scalbn sin sinh sqrt strcmp strcpy strlen tan tanh tgamma trunc"""  # functions of C, also with f and l
 
 
 def c(
@@ -117,6 +120,8 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
         raise errors.fail("name", "be a C identifier such as clik_step", f"is {name!r}")
     if name in KEYWORDS.split():
         raise errors.fail("name", "be no keyword of C or C++", f"is {name!r}")
+    if {name, name.removesuffix("f"), name.removesuffix("l")} & set(LIBRARY.split()):
+        raise errors.fail("name", "be no function of C's library", f"is {name!r}")
     dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
     if batch and what not in ("step", "solve"):
         raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")
@@ -127,9 +132,7 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
         law = Law(law, pose(), alpha=1.0, inverse=damped(1.0))
     errors.kind("law", law, Law)
     if reference is not None:
-        if not isinstance(reference, Reference):
-            raise errors.fail("reference", "be a Reference such as hold(...), or None", f"is {reference!r}")
-        check(reference, law.task)
+        check_loop(law, reference)
     if what == "reach" and runtime is not None:
         raise errors.fail("runtime", "be left out for 'reach'", f"is {runtime!r}")
     runtime = None if runtime is None else tuple(runtime)

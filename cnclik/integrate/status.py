@@ -5,6 +5,7 @@ import enum
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik import errors
 from cnclik.law.limits import unlimited
 from cnclik.law.reference import motion
 from cnclik.robot import spatial as sp
@@ -56,19 +57,21 @@ def count(status) -> dict:
     return counts | {s.name: int(np.sum((status & s.value) != 0)) for s in Status if s}
 
 
-def require_ok(trajectory, *, allow=Status.OK):
-    """The trajectory itself if no step has a status beyond `allow` and RESTARTED, which is no defect; else StepError.
+def require_ok(run, *, allow=Status.OK):
+    """The run itself if no step has a status beyond `allow` and RESTARTED, which is no defect; else StepError.
 
     The message names the first bad step (and lane), its time, and the remedy. Values are looked at, so this
     can't be used under jit.
     """
-    status = np.asarray(trajectory.status) & ~int(allow | Status.RESTARTED)
+    if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is of a module above
+        raise errors.fail("run", "be a Trajectory", f"is {type(run).__name__}")
+    status = np.asarray(run.status) & ~int(allow | Status.RESTARTED)
     if not status.any():
-        return trajectory
+        return run
     # Earliest step over all lanes: the last axis is time.
     *lane, k = min(np.argwhere(status), key=lambda index: index[-1])
     bad = int(status[(*lane, k)])
-    t = float(np.asarray(trajectory.t)[(*lane, k)])
+    t = float(np.asarray(run.t)[(*lane, k)])
     where = f" of lane {tuple(int(i) for i in lane)}" if lane else ""
     worst = next(s for s in _REMEDY if bad & s)
     raise StepError(f"Step {k}{where} (t = {t:.6g} s) is {names(bad)}: {_REMEDY[worst]}.")

@@ -83,10 +83,10 @@ class Trajectory:
 def check_run(run, law, name="run") -> Trajectory:
     """The run, if it is one of this law's robot and task."""
     errors.kind(name, run, Trajectory)
-    n, m = (np.shape(v)[-1] for v in (run.q, run.e))
-    if (n, m) != (law.chain.n, law.task.m):
-        wanted = f"{law.chain.n} joints and {law.task.m} task coordinates"
-        raise errors.fail(name, f"be a Trajectory of this law, of {wanted}", f"is of {n} and {m}")
+    found, wanted = ((*np.shape(run.q)[-1:], *np.shape(run.e)[-1:]), (law.chain.n, law.task.m))
+    if found != wanted:
+        must = f"be a Trajectory of this law, of {wanted[0]} joints and {wanted[1]} task coordinates"
+        raise errors.fail(name, must, f"is of {' and '.join(map(str, found))}")
     return run
 
 

@@ -148,7 +148,7 @@ def damped(damping: ArrayLike) -> Damped:
     Args:
       damping: λ (not λ²), in the unit of J's singular values; positive.
     """
-    return Damped(damping=_positive("damping", damping))
+    return Damped(damping=positive("damping", damping))
 
 
 def manipulability_damped(damping: ArrayLike, threshold: ArrayLike) -> ManipulabilityDamped:
@@ -161,7 +161,7 @@ def manipulability_damped(damping: ArrayLike, threshold: ArrayLike) -> Manipulab
       damping: λ₀ (not λ₀²), reached at the singularity; in the unit of J's singular values; positive.
       threshold: w₀, in the unit of w: for a task of r rotations and p positions m^p.
     """
-    return ManipulabilityDamped(damping=_positive("damping", damping), threshold=_positive("threshold", threshold))
+    return ManipulabilityDamped(damping=positive("damping", damping), threshold=positive("threshold", threshold))
 
 
 def singular_damped(damping: ArrayLike, threshold: ArrayLike) -> SingularDamped:
@@ -175,10 +175,11 @@ def singular_damped(damping: ArrayLike, threshold: ArrayLike) -> SingularDamped:
       damping: λ_max (not λ_max²), reached at the singularity; in the unit of J's singular values; positive.
       threshold: ε, in the same unit; positive.
     """
-    return SingularDamped(damping=_positive("damping", damping), threshold=_positive("threshold", threshold))
+    return SingularDamped(damping=positive("damping", damping), threshold=positive("threshold", threshold))
 
 
-def _positive(name, value):
+def positive(name, value):
+    """A positive number as a field of a record."""
     return leaf(errors.number(name, value, positive=True))
 
 

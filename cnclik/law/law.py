@@ -19,7 +19,7 @@ from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse, damped_apply
-from cnclik.law.null import asked
+from cnclik.law.null import evaluated
 from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.record import brief, leaf, record
 from cnclik.robot import spatial as sp
@@ -314,8 +314,8 @@ def gain(alpha, e):
 
 
 def null_velocity(law: Law, q):
-    """q̇₀ in the form of q, or None, see `asked`."""
-    return None if law.null_velocity is None else asked(law.null_velocity, q)
+    """q̇₀ in the form of q, or None, see `evaluated`."""
+    return None if law.null_velocity is None else evaluated(law.null_velocity, q)
 
 
 def weigh(law: Law, items):

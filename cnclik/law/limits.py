@@ -13,11 +13,10 @@ import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 
-from cnclik import errors
 from cnclik.hints import opaque
 from cnclik.law import dense
-from cnclik.law.inverse import Factored, tiny_shift
-from cnclik.record import leaf, record
+from cnclik.law.inverse import Factored, positive, tiny_shift
+from cnclik.record import record
 from cnclik.robot import spatial as sp
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
@@ -148,7 +147,7 @@ def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
     Args:
       rate: a joint outside its limits returns at rate · (distance), as far as the task leaves freedom [1/s].
     """
-    return Weighted(rate=_positive("rate", rate))
+    return Weighted(rate=positive("rate", rate))
 
 
 # --- saturation in the null space ---------------------------------------------------------------------
@@ -300,8 +299,4 @@ def saturation(rate: ArrayLike = 10.0) -> Saturated:
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 an explicit step does not cross a limit.
     """
-    return Saturated(rate=_positive("rate", rate))
-
-
-def _positive(name, value):
-    return leaf(errors.number(name, value, positive=True))
+    return Saturated(rate=positive("rate", rate))

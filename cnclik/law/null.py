@@ -60,21 +60,21 @@ class ScaledNullVelocity:
     gain: object
 
     def __call__(self, q):
-        return sp.scale(self.gain, asked(self.base, q))
+        return sp.scale(self.gain, evaluated(self.base, q))
 
 
 @record(kw_only=False)
-class Less:
-    """See `less`."""
+class WithoutDrift:
+    """See `without`."""
 
     base: object
     drift: object
 
     def __call__(self, q):
-        return sp.vsub(asked(self.base, q), sp.like(q, self.drift))
+        return sp.vsub(evaluated(self.base, q), sp.like(q, self.drift))
 
 
-def asked(wanted, q):
+def evaluated(wanted, q):
     """q̇₀ of a null-space velocity, in the form of q: a record works on that; a plain function is given an array."""
     if dataclasses.is_dataclass(wanted):
         return wanted(q)
@@ -84,11 +84,11 @@ def asked(wanted, q):
     return sp.like(q, values)
 
 
-def less(wanted, drift):
-    """A null-space velocity less a constant one (n,): q̇₀(q) − c. A posture stays one, drawn towards elsewhere."""
+def without(wanted, drift):
+    """A null-space velocity without a constant part (n,): q̇₀(q) − c. A posture stays one, drawn towards elsewhere."""
     if isinstance(wanted, Posture):
         return replace(wanted, rest=jnp.asarray(wanted.rest) - drift / wanted.rate)
-    return Less(wanted, drift)
+    return WithoutDrift(wanted, drift)
 
 
 def posture(rest: ArrayLike, rate: ArrayLike = 1.0) -> Posture:

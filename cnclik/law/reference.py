@@ -126,6 +126,7 @@ def with_feedforward(reference: Reference, velocity: ArrayLike) -> Reference:
 
     For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
     """
+    errors.kind("reference", reference, Reference, A_REFERENCE)
     velocity = errors.array("velocity", velocity, (None,))
     return replace(reference, feedforward=velocity)
 

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> "xr.Dataset":
+def to_dataset(run: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> "xr.Dataset":
     """A trajectory, or a batch of them, as an `xarray.Dataset`.
 
     Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from
     instant k to k + 1), then `joint` or `axis`. Every variable bears `long_name` and `units`.
 
     Args:
-      trajectory: from `solve`; batched, its leaves carry leading axes.
+      run: `Trajectory` from `solve`; batched, its leaves carry leading axes.
       law: the law that was run: its chain names the joints, its task the axes.
       dims: names of the leading axes, outermost first.
       coords: labels along them, {dim: values}.
@@ -36,10 +36,10 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
     """
     import xarray as xr
 
-    check_run(trajectory, errors.kind("law", law, Law), "trajectory")
+    check_run(run, errors.kind("law", law, Law))
     dims = tuple(dims)
-    t, evaluations = np.asarray(trajectory.t), np.asarray(trajectory.evaluations)
-    *lanes, N = np.shape(trajectory.residual)
+    t, evaluations = np.asarray(run.t), np.asarray(run.evaluations)
+    *lanes, N = np.shape(run.residual)
     if len(lanes) != len(dims):
         raise errors.fail("dims", f"name the {len(lanes)} leading axes of the trajectory", f"is {dims}")
     q_units, x_units = law.chain.units, law.task.units
@@ -48,17 +48,17 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
     instant, step = (*dims, "time"), (*dims, "step")
     flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(s.name for s in Status if s)}
     variables = {
-        "q": ((*instant, "joint"), trajectory.q, _about("joint value", q_unit)),
-        "x": ((*instant, "axis"), trajectory.x, _about("task coordinate", x_unit)),
-        "e": ((*instant, "axis"), trajectory.e, _about("error x_d − x", x_unit)),
-        "qdot": ((*step, "joint"), trajectory.qdot, _about("joint velocity", qdot_unit)),
-        "residual": (step, trajectory.residual, _about("last change of the implicit stage", q_unit)),
-        "contraction": (step, trajectory.contraction, _about("ratio of its last two changes", "1")),
-        "status": (step, trajectory.status, _about("status bits", "1") | flags),
+        "q": ((*instant, "joint"), run.q, _about("joint value", q_unit)),
+        "x": ((*instant, "axis"), run.x, _about("task coordinate", x_unit)),
+        "e": ((*instant, "axis"), run.e, _about("error x_d − x", x_unit)),
+        "qdot": ((*step, "joint"), run.qdot, _about("joint velocity", qdot_unit)),
+        "residual": (step, run.residual, _about("last change of the implicit stage", q_unit)),
+        "contraction": (step, run.contraction, _about("ratio of its last two changes", "1")),
+        "status": (step, run.status, _about("status bits", "1") | flags),
         "evaluations": (dims, np.broadcast_to(evaluations, lanes), _about("evaluations of f(q, t)", "1")),
     }
-    if trajectory.path_time is not None:
-        variables["path_time"] = (instant, trajectory.path_time, _about("time on the path, which waits", "s"))
+    if run.path_time is not None:
+        variables["path_time"] = (instant, run.path_time, _about("time on the path, which waits", "s"))
     labels = {
         "joint": ("joint", list(law.chain.joint_names), _about("joint", "1")),
         "joint_unit": ("joint", list(q_units), _about("unit of the joint's value", "1")),
@@ -72,7 +72,7 @@ def to_dataset(trajectory: Trajectory, law: Law, *, dims=(), coords=None, config
     else:  # lanes with clocks of their own, such as a sweep over Ts
         variables["t"] = (instant, t, _about("time", "s"))
     variables = {name: (d, np.asarray(v), about) for name, (d, v, about) in variables.items()}
-    found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(trajectory.q.dtype))
+    found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(run.q.dtype))
     return found if config is None else found.assign_attrs(config=as_json(config))
 
 

@@ -80,10 +80,9 @@ def problem_from(robot, **options) -> Problem:
 
     Args:
       robot: a URDF file, panda, ur5, planar:1,1 …, or a `Chain`.
-      options: names and values of `cnclik.problem.OPTIONS` and `MEASURED`, which say what each means and its default;
-        None
-        is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be the
-        record itself. Numbers may be traced.
+      options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which say what each means and its
+        default; None is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be
+        the record itself. Numbers may be traced.
 
     Raises: ArgumentError naming the entry that does not fit.
     """

@@ -43,6 +43,7 @@ def reachability(
       span: half the width of the grid [m] about the first joint; by default a little more than the arm gets to.
       options: of `cnclik.reach`, such as `tolerance` and `seeds`, 32 here.
     """
+    errors.kind("chain", chain, Chain)
     errors.one_of("where", where, (*PLANES, "box"))
     errors.one_of("task", task, ("pose", "position"))
     cells = errors.integer("cells", cells, at_least=2)

@@ -5,6 +5,7 @@ A joint is a fixed offset from the frame before it, then a rotation about (revol
 as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik.record`.
 """
 
+import contextlib
 import math
 
 import numpy as np
@@ -199,7 +200,7 @@ def from_screws(
     if len(axes) != len(points):
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
     kinds = _kinds(kinds, len(points))
-    tip = Offset(position=_scalars("home", home, 3)) if np.ndim(home) == 1 else _offset("home", home)
+    tip = _offset("home", home, places=True)
     joints, last = [], sp.ZERO
     for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
         joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=sp.vsub(point, last)), coordinate=i))
@@ -215,7 +216,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
         raise errors.fail("joints", "hold at least one joint", "is empty")
     n = 1 + max(j.coordinate for j in joints)
     names = [f"q{i + 1}" for i in range(n)] if joint_names is None else joint_names
-    given = list(names) if np.iterable(names) and not isinstance(names, str) else []
+    given = list(names) if np.iterable(names) and not isinstance(names, (str, dict)) else []
     if len(given) != n or not all(isinstance(v, str) for v in given) or len(set(given)) != n:
         raise errors.fail("joint_names", f"hold {n} different names", f"is {joint_names!r}")
 
@@ -237,7 +238,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
 def with_tool(chain: Chain, tool) -> Chain:
     """The chain with a fixed tool after its tip: a (3,) offset [m] or a 4×4 transform."""
     errors.kind("chain", chain, Chain)
-    offset = Offset(position=_scalars("tool", tool, 3)) if np.ndim(tool) == 1 else _offset("tool", tool)
+    offset = _offset("tool", tool, places=True)
     from cnclik.record import replace
 
     return replace(chain, tip=compose(chain.tip, offset))
@@ -295,20 +296,26 @@ def _sequence(name, rows):
 
 def _kinds(kinds, n):
     letters = {"R": REVOLUTE, "P": PRISMATIC}
-    kinds = "R" * n if kinds is None else kinds
-    if not isinstance(kinds, (str, list, tuple)) or len(kinds) != n or any(k not in ("R", "P") for k in kinds):
+    given = ["R"] * n if kinds is None else list(kinds) if np.iterable(kinds) else []
+    if len(given) != n or not all(isinstance(k, str) and k in letters for k in given):
         raise errors.fail("kinds", f"be {n} letters R or P", f"is {kinds!r}")
-    return tuple(letters[k] for k in kinds)
+    return tuple(letters[k] for k in given)
 
 
-def _offset(name, transform) -> Offset:
-    """Offset of a 4×4 homogeneous transform; None is the identity. Nested lists stay literal."""
+def _offset(name, transform, places=False) -> Offset:
+    """Offset of a 4×4 homogeneous transform, or of a position (3,); None is the identity. Nested lists stay literal."""
     if transform is None:
         return Offset()
     if isinstance(transform, Offset):
         return transform
-    if np.shape(transform) != (4, 4):
-        raise errors.fail(name, "have shape (4, 4)", f"has shape {np.shape(transform)}")
+    shape = None
+    with contextlib.suppress(ValueError):  # rows of several lengths
+        shape = np.shape(transform)
+    if places and shape is not None and len(shape) == 1:
+        return Offset(position=_scalars(name, transform, 3))
+    if shape != (4, 4):
+        found = "has rows of several lengths" if shape is None else f"has shape {shape}"
+        raise errors.fail(name, "have shape (4, 4)", found)
     rows = [_scalars(f"{name}[{i}]", transform[i], 4) for i in range(4)]
     if all(errors.concrete(x) for row in rows for x in row):
         r = np.array([[float(x) for x in row[:3]] for row in rows[:3]])

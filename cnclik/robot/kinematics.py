@@ -90,7 +90,7 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
       q: (n,) joint values [rad, m].
       task: a task from `cnclik.law`; by default the whole 6-row geometric Jacobian.
     """
-    if not (task is None or hasattr(task, "linear")):  # a task's class is of a room above
+    if not (task is None or isinstance(getattr(task, "linear", None), tuple)):  # a task's class is of a room above
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     return _manipulability(chain, task, as_joint_values(chain, q))
 

@@ -59,13 +59,14 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
                 failed[file] = error
     monitoring.record_event_time_span(DRAWING, begun, time.time())
     if failed:
-        what = ", ".join(f"{file} ({_reason(error)})" for file, error in failed.items())
+        what = ", ".join(f"{file} ({in_a_line(error)})" for file, error in failed.items())
         again = f", `{again}` draws again" if again else ""
         message = f"Not drawn: {what}; the data are kept in {path}{again}."
         raise FigureError(message, [f for f in figures if f not in failed]) from next(iter(failed.values()))
     return list(figures)
 
 
-def _reason(error) -> str:
+def in_a_line(error) -> str:
+    """What an error says, and of which kind it is."""
     text = " ".join(f"{type(error).__name__}: {error}".split())
     return text if len(text) <= 200 else text[:199] + "…"

@@ -8,6 +8,7 @@ import pathlib
 import platform
 
 from cnclik.markup import escaped, table
+from cnclik.show.output import FigureError, in_a_line
 from cnclik.writing import output_folder
 
 MOST_ROWS, SHORT = 60, 8  # rows of a table at most, and of one that stands above the figures
@@ -44,8 +45,6 @@ def write(report: Report, file) -> None:
 
     Raises: FigureError at the end, naming those parts; ArgumentError where the page could not be written.
     """
-    from cnclik.show.output import FigureError
-
     file, failed = pathlib.Path(file), {}
     text = page(report, failed)
     with output_folder(file.parent, name="report") as folder:
@@ -95,7 +94,7 @@ def _figure(number, file, make, about, captions, failed) -> str:
     try:
         drawn = picture(make, escaped(name), about, number)
     except Exception as error:  # whatever a figure may meet: it costs itself alone
-        failed[name] = _reason(error)
+        failed[name] = in_a_line(error)
         drawn = f"<p>Not drawn: {escaped(failed[name])}</p>"
     return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"
 
@@ -116,7 +115,7 @@ def _moving(report, failed) -> str:
         motions = list(report.motions())
         inner = as_page(motions).replace("&", "&amp;").replace('"', "&quot;")
     except Exception as error:
-        failed["the moving robot"] = _reason(error)
+        failed["the moving robot"] = in_a_line(error)
         return f'<p class="note">The moving robot could not be drawn: {escaped(failed["the moving robot"])}</p>'
     names = [f"{'in grey' if k else 'in blue'}: {escaped(m.name)}" for k, m in enumerate(motions)]
     who = f"{'; '.join(names)}. " if len(motions) > 1 else ""
@@ -145,11 +144,6 @@ def _again(report) -> str:
     about = provenance(report.dtype) | {"python": platform.python_version(), "system": platform.platform()}
     command = f"<pre>{escaped(report.command)}</pre>" if report.command else ""
     return f"<h2>To repeat it</h2>{command}{_wide(table((), about.items(), left=2))}"
-
-
-def _reason(error) -> str:
-    text = " ".join(f"{type(error).__name__}: {error}".split())
-    return text if len(text) <= 200 else text[:199] + "…"
 
 
 _SHEET = """<style>

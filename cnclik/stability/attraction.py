@@ -15,6 +15,7 @@ from cnclik import errors
 from cnclik.integrate.method import EE, named
 from cnclik.integrate.stage import picard
 from cnclik.law.inverse import Pseudoinverse
+from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE
@@ -78,6 +79,7 @@ def certified_radius(law, q0, *, Ts, method=EE) -> float:
     Raises: ArgumentError for laws and methods it does not cover.
     """
     method = errors.one_of("method", str(method), ("EE", "EXP-EE"))
+    check_loop(law)
     q0 = as_joint_values(law.chain, q0, "q0")
     extras = (law.task.weights, law.limits, law.null_velocity)
     plain = not law.task.orientation and all(extra is None for extra in extras)

@@ -9,6 +9,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, sampled
+from cnclik.integrate.method import DEFAULT
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -218,7 +219,7 @@ def monotone_limit(modes, drive, Ts, stable, reach, points):
 
 
 @in_float64
-def driven_limits(method="EE", stage=None, *, Ts: float, drive: Drive = Drive()) -> DrivenLimits:
+def driven_limits(method=DEFAULT, stage=None, *, Ts: float, drive: Drive = Drive()) -> DrivenLimits:
     """Largest stable, monotone, recommended and fastest z of a method through a drive, exact J#. In float64.
 
     Pure dead time of d samples and explicit Euler: stable to 2 sin(π/(2(2d + 1))), monotone to d^d/(d + 1)^(d + 1).
@@ -334,7 +335,7 @@ def _different(steps):
 def noise_limit(most: float, drive: Drive, Ts: float) -> float:
     """Share of an error that a step may take back so that the noise gain is at most `most`: 2m²/(1 + m²) of a loop
     without drive, for then it is √(g/(2 − g))."""
-    low, high = 0.0, min(2.0, driven_limits(Ts=Ts, drive=drive).stable)
+    low, high = 0.0, min(2.0, driven_limits("EE", Ts=Ts, drive=drive).stable)
     for _ in range(24):
         share = 0.5 * (low + high)
         kept = noise_gain(np.array([[-share]]), drive, Ts)[0] <= most

@@ -29,7 +29,6 @@ ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were 
 SPEED = 0.1  # [m/s] of the tip, where none is given
 OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
 MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
-GROWS = 1e-6  # excess of a factor of the null space over 1, from which on a motion there grows
 KEPT = 1e-3  # share of a speed up to which a lag is settled
 
 
@@ -151,7 +150,7 @@ def practice(
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
         settings=settings(elsewhere, by_euler, Ts) if by_euler else {},
-        notes=_notes(drive, loop.modes(np.array([chosen]), Ts)[0], found.spectrum),
+        notes=(*_left(loop, found.spectrum), *_notes(drive, loop.modes(np.array([chosen]), Ts)[0])),
         advice=found,
     )
 
@@ -231,18 +230,21 @@ def _reason(gains, chosen, drive, assumed) -> str:
     return f"the largest without overshoot, also were the dead time a sample longer than {late:g}"
 
 
-def _notes(drive, steps, now) -> tuple:
+def _left(loop, now) -> tuple:
+    """Whether the posture is one that the loop stays in."""
+    if loop.law.null_velocity is None or not loop.growing().any():
+        return ()
+    grows = f"a motion grows by {now.null_radius:.6g} each step, whatever the gain"
+    return (f"In the null space the arm leaves this posture by itself ({grows}): ask again where it comes to rest.",)
+
+
+def _notes(drive, steps) -> tuple:
     """What these numbers leave out; how far the model carries was measured of servos in MuJoCo, see results/loops."""
     said = []
     if np.abs(np.imag(steps)).max(initial=0.0) > 1e-9:
         said.append(
             "The gain matrix turns the error as it shrinks it (complex eigenvalues): overshoot doesn't tell. "
             "Go by the largest stable gain, and keep well below it."
-        )
-    if now.null_radius > 1 + GROWS:
-        said.append(
-            "In the null space the arm leaves this posture by itself (a motion grows by "
-            f"{now.null_radius:.6g} each step, whatever the gain): ask again where it comes to rest."
         )
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
         said.append(

@@ -25,6 +25,7 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.linear import checked, delay_limit, first_above, least_on
 from cnclik.stability.spectrum import (
+    MEETING,
     Spectrum,
     at_rest,
     directions,
@@ -137,10 +138,11 @@ class LoopAtRest(NamedTuple):
         key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
         if key not in self.known:
             moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
-            self.known[key] = (moved if self.law.null_velocity is None else staying(moved, self._growing())), rows
+            self.known[key] = (moved if self.law.null_velocity is None else staying(moved, self.growing())), rows
         return self.known[key]
 
-    def _growing(self):
+    def growing(self):
+        """See `spectrum.growing`."""
         if "growing" not in self.known:
             found = null_flow_of_numbers(self.law, self.held, self.q)
             self.known["growing"] = growing(*map(np.asarray, found))
@@ -286,10 +288,10 @@ def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:
     def worst(z):
         if drive.prompt:
             moved, rows = loop.along(z, Ts)
-            return np.maximum(task_radius(moved, rows), null_radius(moved, rows))
+            return np.maximum(task_radius(moved, rows), null_radius(moved, rows) - MEETING)
         task, null = loop.modes(z, Ts)
         moves = callable(loop.law.null_velocity)
-        return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) if moves else 0.0)
+        return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) - MEETING if moves else 0.0)
 
     return first_above(worst, 1 + SLACK, reach, _points(loop))
 

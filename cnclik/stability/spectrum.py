@@ -17,7 +17,7 @@ from cnclik.integrate.solve import advance, cast, solve
 from cnclik.integrate.stage import chord, picard
 from cnclik.law import reference as ref
 from cnclik.law.law import check_loop, evaluate
-from cnclik.law.null import less
+from cnclik.law.null import without
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot import spatial as sp
@@ -27,7 +27,8 @@ from cnclik.robot.rolled import in_form, one_off
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
-GROWTH = 1e-6  # [1/s]: a motion of the null space that grows faster leaves the posture
+LEAVING = 1e-6  # [1/s]: a motion of the null space that grows faster leaves the posture
+MEETING = 1e-6  # of a factor of the null space above 1 that is none: where two meet, rounding parts them
 LANES = 128  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
 
 
@@ -248,7 +249,7 @@ def growing(flow, rows):
     across = directions(rows)[3]
     inner = across.T @ flow @ across
     rates, vectors = np.linalg.eig(inner)
-    grows = (rates.real > GROWTH) & (np.abs(rates.imag) < GROWTH)
+    grows = (rates.real > LEAVING) & (np.abs(rates.imag) < LEAVING)
     return across @ ((vectors * grows) @ np.linalg.pinv(vectors)).real @ across.T
 
 
@@ -292,14 +293,16 @@ def at_rest(law, reference, q):
         return law, held
     known = all(map(errors.concrete, jax.tree.leaves((law, q))))
     drift = (_drift_of_numbers if known else _drift)(law, held, q)
-    return replace(law, null_velocity=less(law.null_velocity, drift)), held
+    if known and not np.isfinite(drift).all():
+        raise errors.fail("null_velocity", "give a finite velocity at q", f"is {np.asarray(drift).tolist()}")
+    return replace(law, null_velocity=without(law.null_velocity, drift)), held
 
 
 def _drift(law, held, q):
     """The part (n,) of q̇₀ that moves the arm at rest at q."""
     (law, held), drift = cast((law, held), q.dtype), jnp.zeros_like(q)
     for limits in (None, law.limits):  # without them first: they may shorten what they are given
-        now = replace(law, limits=limits, null_velocity=less(law.null_velocity, drift))
+        now = replace(law, limits=limits, null_velocity=without(law.null_velocity, drift))
         now, at = in_form(now, q)
         drift = drift + sp.packed(evaluate(now, held, jnp.zeros_like(q[0]), at).qdot)
     return drift

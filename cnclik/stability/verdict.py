@@ -16,7 +16,7 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import Picard, picard
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import check_run
+from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Transpose
 from cnclik.law.law import Law, check_loop
@@ -89,9 +89,10 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     """
     check_loop(law, reference)
     method, stage = checked(method, stage)
+    one_lane(run)
     check_run(run, law)
-    if np.ndim(run.residual) != 1 or len(run.residual) == 0:
-        raise errors.fail("run", "be one run of at least one step", f"has steps of shape {np.shape(run.residual)}")
+    if len(run.residual) == 0:
+        raise errors.fail("run", "have at least one step", "has none")
     step = float(run.t[-1] - run.t[0]) / len(run.residual)
     if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")

@@ -19,6 +19,7 @@ import zlib
 import numpy as np
 
 from cnclik import errors
+from cnclik.reading import read_bytes
 from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
@@ -237,8 +238,9 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
 def _require_own_results(folder):
     """Raise ArgumentError where a sweep would write over what no sweep has written."""
     there = [name for name in RESULTS if os.path.exists(folder / name)]
-    with contextlib.suppress(OSError, ValueError):
-        if not there or {"cnclik", "spec"} <= set(json.loads((folder / "config.json").read_bytes())):
+    with contextlib.suppress(errors.ArgumentError, ValueError, RecursionError):
+        about = json.loads(read_bytes("out", folder / "config.json", "a file")) if there else None
+        if not there or (isinstance(about, dict) and {"cnclik", "spec"} <= set(about)):
             return
     raise errors.fail(
         "out", "be a new folder, or one of a sweep", f"{there[0]} in {str(folder)[-60:]!r} is not a sweep's"

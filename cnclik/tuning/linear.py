@@ -63,7 +63,7 @@ def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
     found = []
     for one in each_drive(looked_at_drive(drive)):
         late = replace(one, delay=one.delay + delay_margin)
-        found += [driven_limits(Ts=Ts, drive=late).monotone, noise_limit(noise_gain, one, Ts)]
+        found += [driven_limits("EE", Ts=Ts, drive=late).monotone, noise_limit(noise_gain, one, Ts)]
     return min(found)
 
 

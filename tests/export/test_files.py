@@ -109,6 +109,8 @@ def _halving(q):
         dict(what="steps"),
         dict(name="clik step"),
         dict(name="int"),
+        dict(name="char16_t"),
+        dict(name="sinf"),
         dict(dtype="float16"),
         dict(runtime=("alpa",)),
         dict(batch=("qq",)),

@@ -121,7 +121,7 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
     with jax.ensure_compile_time_eval():
         from cnclik.stability import driven_limits
 
-        limits = [driven_limits(Ts=Ts, drive=Drive(measurement_delay=d, delay=4 - d)).stable for d in (0, 3)]
+        limits = [driven_limits("EE", Ts=Ts, drive=Drive(measurement_delay=d, delay=4 - d)).stable for d in (0, 3)]
     assert limits[0] == limits[1]
     for share, settles in ((0.95, True), (1.05, False)):
         law = ck.replace(LAW, alpha=share * limits[0] / Ts)

@@ -334,6 +334,8 @@ BAD = [
     (lambda: ck.waypoints([0, 1], None, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]], closed=True), "`rotations` must end where"),
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=TURN), "`closed` must be True or False, but is"),
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=None), "`closed` must be True or False, but is None"),
+    (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=[[1], [1, 2]]), "`closed` must be True or False, but is"),
+    (lambda: ck.with_feedforward(5, [1.0]), "`reference` must be a Reference such as"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
     (lambda: ck.with_feedforward(ck.hold([1, 2]), 1.0), r"`velocity` must have shape \(n,\), but has shape \(\)"),
 ]

@@ -66,7 +66,7 @@ def test_dims_that_do_not_fit(scara):
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"run": 3}, "`trajectory` must be a Trajectory, but is int"),
+        ({"run": 3}, "`run` must be a Trajectory, but is int"),
         ({"law": None}, "`law` must be a Law, but is NoneType"),
         (
             {"law": ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=1.0)},

@@ -232,6 +232,13 @@ BAD = [
     (lambda: ck.planar_arm([1.0], clockwise="no"), "`clockwise` must be True or False, but is 'no'"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=1.0), "`kinds` must be 1 letters R or P, but is 1.0"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=[[1]]), "`kinds` must be 1 letters R or P"),
+    (
+        lambda: ck.with_tool(ck.planar_arm([1.0]), [[1, 2], [3]]),
+        r"`tool` must have shape \(4, 4\), but has rows of sev",
+    ),
+    (lambda: ck.manipulability(ck.planar_arm([1.0]), [0.0], type(ck.position())), "`task` must be a Task such as"),
+    (lambda: ck.reachability(5, "xz"), "`chain` must be a Chain, but is int"),
+    (lambda: ck.planar_arm([1.0], joint_names={"a": 1}), "`joint_names` must hold 1 different names"),
     (lambda: ck.with_tool("arm", [0.0, 0.0, 1.0]), "`chain` must be a Chain, but is str"),
     (lambda: ck.jacobian(3, [0.0]), "`chain` must be a Chain, but is int"),
     (lambda: ck.pose(None, [0.0]), "`chain` must be a Chain, but is NoneType"),

@@ -40,6 +40,8 @@ def verdict(law=LAW, reference=GOAL, run=None, Ts=0.1):
         (lambda: st.certified_radius(LAW, Q, Ts="a"), "`Ts` must be a number"),
         (lambda: st.sampled_attraction(LAW, Q, radii=[0.1], Ts=0.1, directions=0), "`directions` must be at least 1"),
         (lambda: verdict(run=3), "`run` must be a Trajectory"),
+        (lambda: ck.require_ok(5), "`run` must be a Trajectory, but is int"),
+        (lambda: st.certified_radius(5, Q, Ts=0.1), "`law` must be a Law, but is int"),
         (lambda: verdict(reference=None), "`reference` must be a Reference"),
         (lambda: verdict(ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=1.0)), "Trajectory of this law"),
         (lambda: verdict(Ts=0.01), r"`Ts` must be the run's, 0\.1 s, but is 0\.01"),

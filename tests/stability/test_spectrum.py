@@ -188,3 +188,17 @@ def test_no_gain_is_stable_with_a_null_space_velocity_that_is_not(method, drive)
     assert margin(made, None, Q, Ts=Ts, method=method, drive=drive).margin == 0
     with pytest.raises(ck.ArgumentError, match="`null_velocity` must leave some gain stable"):
         practice(made, None, Q, Ts=Ts, method=method, drive=drive)
+
+
+def test_a_null_space_velocity_that_is_not_finite_is_named():
+    with pytest.raises(ck.ArgumentError, match="`null_velocity` must give a finite velocity at q, but is") as caught:
+        recommend(law(null_velocity=lambda q: jnp.nan * q), None, Q, Ts=Ts, method="EE")
+    assert "\n" not in str(caught.value)
+
+
+def test_factors_that_meet_at_one_are_no_instability():
+    """q̇₀ that moves one direction as another is off: a nilpotent flow, whose eigenvalues rounding parts by √ε."""
+    across = np.linalg.svd(np.asarray(ck.jacobian(FOUR, ON_THE_WAY))[:2])[2][2:]
+    shear = across[0][:, None] * across[1]
+    found = recommend(on_the_way(lambda q: shear @ (q - ON_THE_WAY)), None, ON_THE_WAY, Ts=Ts, method="EE")
+    assert found.z_largest == pytest.approx(2, rel=1e-5)

@@ -218,7 +218,7 @@ def test_pose_of_a_real_arm(alpha, kinds):
 
 def test_what_cannot_be_judged():
     run = ck.solve(law(5.0), NEAR, Q5, Ts, 0)
-    with pytest.raises(ck.ArgumentError, match="`run` must be one run of at least one step"):
+    with pytest.raises(ck.ArgumentError, match="`run` must have at least one step"):
         verdict(law(5.0), NEAR, run, Ts=Ts)
 
 

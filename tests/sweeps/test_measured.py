@@ -60,7 +60,7 @@ def test_a_pace_is_an_option_like_the_others():
 
 def test_drives_are_options_like_the_others():
     """Loops with a lag, on an axis and fixed, beside the limits of theory; half a sample of dead time has one too."""
-    limits = [driven_limits(Ts=0.1, drive=Drive(lag=lag, delay=1)).stable for lag in (0.05, 0.3)]
+    limits = [driven_limits("EE", Ts=0.1, drive=Drive(lag=lag, delay=1)).stable for lag in (0.05, 0.3)]
     at = {"alpha": "share*bound/Ts", "delay": 1, "bound": limits[1]}
     found = run_spec(spec(["final_error"], 400, at | {"lag": 0.3}, share=[0.95, 1.05]))
     assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > SHIFT and "limit" not in found.coords
@@ -68,7 +68,7 @@ def test_drives_are_options_like_the_others():
     assert (found.final_error < 0.2 * SHIFT).all()
     half = spec(["final_error"], 400, {"alpha": "share*limit/Ts", "delay": 0.5}, share=[0.95, 1.05])
     found = run_spec(half)
-    assert found.limit == pytest.approx(driven_limits(Ts=1.0, drive=Drive(delay=0.5)).stable)
+    assert found.limit == pytest.approx(driven_limits("EE", Ts=1.0, drive=Drive(delay=0.5)).stable)
     assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > 2 * SHIFT
 
 

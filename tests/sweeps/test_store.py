@@ -142,12 +142,16 @@ def test_a_folder_with_something_else_is_left_alone(path, tmp_path):
 
 @pytest.mark.parametrize("fresh", [False, True])
 @pytest.mark.parametrize("name", ["config.json", "summary.csv"])
-@pytest.mark.parametrize("text", ['{"mine": 1}', "[1]", "no JSON"])
+@pytest.mark.parametrize("text", ['{"mine": 1}', "5", "[{}]", "[" * 200_000, "no JSON", "\xff"], ids=range(6))
 def test_a_file_of_someone_elses_is_not_written_over(path, tmp_path, name, text, fresh):
-    (tmp_path / name).write_text(text)
+    (tmp_path / name).write_text(text, "latin-1")
     with pytest.raises(ArgumentError, match=f"`out` must be a new folder, or one of a sweep, but {name} in"):
         store.run(spec.read(path), tmp_path, fresh=fresh)
-    assert [p.name for p in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == text
+    assert [p.name for p in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text("latin-1") == text
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(ArgumentError, match="`out` must be a new folder, or one of a sweep"):
+        store.run(spec.read(path), tmp_path, fresh=fresh)
 
 
 def test_results_without_their_data_are_made_anew(path, tmp_path):

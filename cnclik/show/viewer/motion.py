@@ -6,7 +6,7 @@ import functools
 import numpy as np
 
 from cnclik.integrate.status import Status, names
-from cnclik.integrate.trajectory import one_lane
+from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
 from cnclik.stability.verdict import UNSTABLE
@@ -70,6 +70,7 @@ def motion_of(run, law, *, name="", note="", links=None, radius=0.0) -> Motion:
     Raises: ArgumentError for a batch.
     """
     one_lane(run)
+    check_run(run, law)
     known = [np.asarray(v) for v in (run.t, run.q, run.x, run.e, run.status)]
     about = dict(axes=law.task.names, units=law.task.units, name=name, note=note, links=links)
     made = from_arrays(law.chain, *known, **about)
