@@ -15,7 +15,6 @@ from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, causal
 from cnclik.problem.names import (
-    NULL_TERMS,
     gain_from,
     inverse_from,
     limits_from,
@@ -32,6 +31,7 @@ from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import FUTURES
 
 LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
+_NULL = ("posture", "posture_rate", "manipulability")
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
 
 
@@ -107,8 +107,8 @@ def problem_from(robot, **options) -> Problem:
         task,
         alpha=gain_from(v["alpha"]),
         inverse=inverse,
-        limits=limits_from(v["limits"], Ts),
-        null_velocity=null_from(chain, task, **{name: v[name] for name in NULL_TERMS}),
+        limits=limits_from(v["limits"], Ts, v["limit_rate"]),
+        null_velocity=null_from(chain, task, **{name: v[name] for name in _NULL}),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
     path = {name: v[name] for name in PATH}

@@ -43,12 +43,6 @@ LIMITS = {  # of the rate [1/s] at which a joint may near its limit
     "weighted-least-norm": limits.weighted_least_norm,
     "saturation": limits.saturation,
 }
-NULL_TERMS = {  # of chain, task and the option's value
-    "posture": lambda chain, task, rest: null.posture(errors.array("posture", rest, (chain.n,))),
-    "manipulability": lambda chain, task, gain: null.maximize_manipulability(
-        chain, task, errors.number("manipulability", gain, positive=True)
-    ),
-}
 STAGES = {"picard": stages.picard, "chord": stages.chord, "newton": stages.newton}
 
 
@@ -189,25 +183,36 @@ def inverse_from(name=None, damping=None, threshold=None):
     return build(**fitting("inverse", name, words.INVERSES[name], {"damping": damping, "threshold": threshold}))
 
 
-def limits_from(name="none", Ts=None):
+def limits_from(name="none", Ts=None, rate=None):
     """How limits are respected, one of `LIMITS`.
 
-    Where the sampling time is known, a joint nears its limit at most as fast as one step can stop: 1/Ts, and
-    10 per second at most.
+    Where no rate is given and the sampling time is known, a joint nears its limit at most as fast as one step can stop:
+    1/Ts, and 10 per second at most.
     """
+    made = LIMITS[errors.one_of("limits", name, LIMITS)]
+    if rate is not None:
+        if name not in ("weighted-least-norm", "saturation"):
+            raise errors.fail("limit_rate", "come with limits weighted-least-norm or saturation", f"comes with {name}")
+        return made(errors.number("limit_rate", rate, positive=True))
     rate = 10.0
     if Ts is not None:
         rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
-    return LIMITS[errors.one_of("limits", name, LIMITS)](rate)
+    return made(rate)
 
 
-def null_from(chain: Chain, task, **given):
-    """The null-space term: towards a `posture` (n,) at 1/s, or up the `manipulability` with this gain, or None."""
-    given = {name: value for name, value in given.items() if value is not None}
-    if len(given) > 1:
-        first, second, *_ = given
-        raise errors.fail(second, f"be left out where `{first}` is given", f"is {given[second]!r}")
-    return next((NULL_TERMS[name](chain, task, value) for name, value in given.items()), None)
+def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):
+    """The null-space term: towards a `posture` (n,) at `posture_rate`, 1/s by default, or up the `manipulability` with
+    this gain, or None.
+    """
+    if posture is None and posture_rate is not None:
+        raise errors.fail("posture_rate", "come with `posture`", "comes without")
+    if manipulability is None:
+        rest = None if posture is None else errors.array("posture", posture, (chain.n,))
+        rate = 1.0 if posture_rate is None else errors.number("posture_rate", posture_rate, positive=True)
+        return None if rest is None else null.posture(rest, rate)
+    if posture is not None:
+        raise errors.fail("manipulability", "be left out where `posture` is given", f"is {manipulability!r}")
+    return null.maximize_manipulability(chain, task, errors.number("manipulability", manipulability, positive=True))
 
 
 # --- loop ---------------------------------------------------------------------------------------------

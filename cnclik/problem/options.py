@@ -80,12 +80,15 @@ OPTIONS = {
     "threshold": Option(NUMBER, "Manipulability or least singular value below which the last two are damped.",
                         unit="w", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(LIMITS)}.", "none"),
+    "limit_rate": Option(NUMBER, "Of weighted-least-norm and saturation: rate at which a joint may near its limit "
+                         "[1/s]; 1/Ts, at most 10, by default.", unit="1/s", must="positive"),
     "error_clamp": Option(NUMBERS, "Largest position [m] and orientation [rad] error that the gain sees: what settles "
                           "before far targets.", unit="m, rad", must="positive"),
     "feedforward": Option(NUMBER, "Factor of the desired velocity: 1 tracks (default), 0 is pure feedback."),
     "near_singular": Option(NUMBER, "Least singular value under which a step is marked near singular; 0.01 by "
                             "default.", unit="J"),
     "posture": Option(NUMBERS, "Joint values to draw towards in the null space [rad, m].", unit="q"),
+    "posture_rate": Option(NUMBER, "Rate at which they are drawn to [1/s]; 1 by default.", unit="1/s", must="positive"),
     "manipulability": Option(NUMBER, "Gain of climbing the manipulability in the null space.", must="positive"),
     "q0": Option(NUMBERS, "Joint values at the start [rad, m]; a posture inside the limits, away from singularities, "
                  "by default.", unit="q"),

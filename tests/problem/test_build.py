@@ -117,6 +117,13 @@ def test_waypoint_files(tmp_path):
     np.testing.assert_allclose(p.reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
 
 
+def test_rates_are_those_of_python():
+    made = p.problem_from("panda", posture=[0.1] * 7, posture_rate=3.0, limits="saturation", limit_rate=2.0).law
+    assert float(made.null_velocity.rate) == 3.0 and float(made.limits.rate) == 2.0
+    made = p.problem_from("panda", posture=[0.1] * 7, limits="saturation", Ts=0.5).law
+    assert float(made.null_velocity.rate) == 1.0 and float(made.limits.rate) == 2.0  # one step may stop there
+
+
 @pytest.mark.parametrize(
     "text, told",
     [
@@ -184,6 +191,14 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"posture": [0] * 6}, "posture"),
         ({"posture": [0] * 7, "manipulability": 1}, "manipulability"),
         ({"manipulability": -1}, "`manipulability`"),
+        ({"posture_rate": 2.0}, "`posture_rate` must come with `posture`, but comes without"),
+        ({"posture": [0] * 7, "posture_rate": 0}, "`posture_rate` must be positive"),
+        (
+            {"limit_rate": 2.0},
+            "`limit_rate` must come with limits weighted-least-norm or saturation, but comes with none",
+        ),
+        ({"limits": "velocity-scaling", "limit_rate": 2.0}, "`limit_rate` must come with limits"),
+        ({"limits": "saturation", "limit_rate": -2.0}, "`limit_rate` must be positive"),
         ({"speed": 3}, "`option`"),
     ],
 )
