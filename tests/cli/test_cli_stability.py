@@ -18,6 +18,19 @@ def test_advice_on_the_terminal(capsys):
     assert "stable: gain margin 4" in out and "30 ms of dead time" in out
 
 
+def test_a_posture_drawn_to_too_fast_for_explicit_euler(capsys):
+    """1 − κ Ts = −2, or so, by explicit Euler; e^(−κ Ts) by the exponential step, which is then advised alone."""
+    fast = ["stability", "planar:1,1,1", "--posture", "0.1", "0.4", "0.6", "--posture-rate", "30", "--Ts", "0.1"]
+    main(fast)
+    out = capsys.readouterr().out
+    assert len(re.findall(r"│ +none │\n", out)) == 3 and "elsewhere" not in out
+    with pytest.raises(SystemExit) as left:
+        main([*fast, "--method", "EE"])
+    said = capsys.readouterr().err
+    assert left.value.code == 2 and said.count("\n") == 1
+    assert "`null_velocity` must leave some gain stable" in said and re.search(r"by 1\.9\d* each step", said)
+
+
 def advice(capsys, *options):
     main(["stability", "ur5", *map(str, options), "--json"])
     return json.loads(capsys.readouterr().out)
