@@ -238,8 +238,7 @@ def _map(args, chain, task):
 
     from cnclik.problem.names import robot_name
     from cnclik.reaching.map import reachability
-    from cnclik.show.output import draw
-    from cnclik.show.reach import reachability as figure
+    from cnclik.show.output import draw, drawn_by
     from cnclik.writing import output_folder
 
     if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
@@ -265,7 +264,7 @@ def _map(args, chain, task):
     seconds = time.perf_counter() - begun
     title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
-    figures = {"map.png": (lambda: figure(found, title=title), about)}
+    figures = {"map.png": (lambda: drawn_by("reach", "reachability")(found, title=title), about)}
     with args.figures_first():
         draw(figures, out)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}

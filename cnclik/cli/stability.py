@@ -183,9 +183,9 @@ def _plane(args, out):
         for row in rows:
             shown.add_row(*row)
         Console().print(shown)
-    from cnclik.show import stability as show
+    from cnclik.show.output import drawn_by
 
-    return {"plane.png": (lambda: show.plane(data), {"Title": "stability regions"})}
+    return {"plane.png": (lambda: drawn_by("stability", "plane")(data), {"Title": "stability regions"})}
 
 
 # --- the map ------------------------------------------------------------------------------------------
@@ -219,12 +219,13 @@ def _map(args, out):
     attributes = provenance(float) | {"config": config}
     data = data.assign_attrs(attributes)
     out.write("map.nc", functools.partial(save_netcdf, data))
-    from cnclik.show import stability as show
+    from cnclik.show.output import drawn_by
 
     title = "\n".join(filter(None, (f"{name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)
-    figures = {"map.png": (lambda: show.stability_map(data, title=title, operating=point), about)}
+    draw_map = drawn_by("stability", "stability_map")
+    figures = {"map.png": (lambda: draw_map(data, title=title, operating=point), about)}
     if found.method.implicit and not driven:
         z, some = np.linspace(0.02, 3.0, 2 * args.cells), range(max(args.passes) + 1)
         with progress.bar("loops") as report:
@@ -233,7 +234,10 @@ def _map(args, out):
             ).assign_attrs(attributes)
         out.write("passes.nc", functools.partial(save_netcdf, strip))
         name = f"{found.name}, {found.method}, {strip.attrs['stage']}(M)"
-        figures["passes.png"] = (lambda: show.passes({name: strip}), {"Title": name, "Description": config})
+        figures["passes.png"] = (
+            lambda: drawn_by("stability", "passes")({name: strip}),
+            {"Title": name, "Description": config},
+        )
     endings = data.ending.values
     names = data.ending.attrs["flag_meanings"].split()
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))

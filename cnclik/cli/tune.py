@@ -77,11 +77,12 @@ def run(args: Args) -> None:
         seconds = time.perf_counter() - begin
         data = tuning.to_json(found, config=_config(args))
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
-        drawn = {}
-        if args.figures or args.report:
-            from cnclik.show.tuning import drawings
+    drawn = {}
+    if args.figures or args.report:
+        from cnclik.show.tuning import drawings
 
-            drawn = drawings(found)
+        drawn = drawings(found)
+    with output_folder(args.out) as folder:
         text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn) if args.figures else ())
         folder.write_text("summary.md", text)
     print(text.split("\n## Figures")[0])

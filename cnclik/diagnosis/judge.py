@@ -19,6 +19,7 @@ LOST = 0.05  # share that is left at the end of what has died out
 WINDOW = 1.5  # periods of a window in which an oscillation must be seen
 BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
 LITTLE = 2e-3  # share of the range that is hardly anything
+CLEAN = 1e-3  # or this share of the waves themselves
 WAVES = 0.04  # share of the range that such bends may leave in waves
 ABOVE = 1.5  # or times what is left,
 OFTEN = 10  # where there are fewer periods
@@ -107,7 +108,8 @@ def _is_there(y, found, part, angle) -> bool:
     rough = _roughness(left)
     many = len(y) * angle > 2 * np.pi * OFTEN
     large = (np.ptp(part, axis=0) > WAVES * np.ptp(y, axis=0)) & (many | (np.std(part, axis=0) > ABOVE * found.noise))
-    if not np.any(large | (found.noise <= BENT * rough)):
+    clean = found.noise <= np.maximum(BENT * rough, CLEAN * np.std(part, axis=0))
+    if not np.any(large | clean):
         return False
     width = min(max(int(WINDOW * 2 * np.pi / angle), 8), len(y))
     smooth, _ = np.linalg.qr(np.linspace(-1, 1, width)[:, None] ** np.arange(4))

@@ -1,5 +1,6 @@
 """Drawing figures so that none costs the data it was drawn from."""
 
+import contextlib
 import functools
 import importlib
 import threading
@@ -25,10 +26,16 @@ def load_ahead(*modules) -> None:
     """Load modules in a thread of its own, such as what will draw, while the compiler is at work."""
 
     def load():
-        for name in modules:
-            importlib.import_module(name)
+        with contextlib.suppress(Exception):  # who needs it will say why it can't be loaded
+            for name in modules:
+                importlib.import_module(name)
 
     threading.Thread(target=load, daemon=True).start()
+
+
+def drawn_by(module, name):
+    """A function of `cnclik.show` that draws, loaded when it is called: by then the data are safe."""
+    return lambda *args, **options: getattr(importlib.import_module(f"cnclik.show.{module}"), name)(*args, **options)
 
 
 def draw(figures, path, *, name="out", again="", progress=None) -> list:
@@ -47,8 +54,10 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
     from jax import monitoring
 
     begun, failed = time.time(), {}
-    from cnclik.show import style
-
+    try:
+        from cnclik.show import style
+    except Exception as error:
+        raise _undrawn(dict.fromkeys(figures, error), figures, path, again) from error
     with output_folder(path, name=name) as folder, style.style():
         for done, (file, (make, about)) in enumerate(figures.items()):
             if progress is not None:
@@ -59,14 +68,19 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
                 failed[file] = error
     monitoring.record_event_time_span(DRAWING, begun, time.time())
     if failed:
-        what = ", ".join(f"{file} ({in_a_line(error)})" for file, error in failed.items())
-        again = f", `{again}` draws again" if again else ""
-        message = f"Not drawn: {what}; the data are kept in {path}{again}."
-        raise FigureError(message, [f for f in figures if f not in failed]) from next(iter(failed.values()))
+        raise _undrawn(failed, figures, path, again) from next(iter(failed.values()))
     return list(figures)
+
+
+def _undrawn(failed, figures, path, again):
+    what = ", ".join(f"{file} ({in_a_line(error)})" for file, error in failed.items())
+    again = f", `{again}` draws again" if again else ""
+    return FigureError(
+        f"Not drawn: {what}; the data are kept in {path}{again}.", [f for f in figures if f not in failed]
+    )
 
 
 def in_a_line(error) -> str:
     """What an error says, and of which kind it is."""
-    text = " ".join(f"{type(error).__name__}: {error}".split())
+    text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
     return text if len(text) <= 200 else text[:199] + "…"

@@ -9,7 +9,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.law import reference as ref
 from cnclik.robot.rolled import one_off
 from cnclik.stability.driven import looked_at, modes_of, radius
-from cnclik.stability.spectrum import directions, step_maps, task_radius
+from cnclik.stability.spectrum import at_rest, directions, step_maps, task_radius
 
 GAINS = 256  # looked at together
 LEAST = 1e-15  # share of the gain down to which a stable one is looked for
@@ -21,6 +21,12 @@ class Instant(NamedTuple):
 
     q: np.ndarray  # (n,)
     reference: ref.Reference
+
+
+def resting(law, at: Instant):
+    """The law and the instant as they would be at rest there, see `at_rest`."""
+    law, held = at_rest(law, None, at.q)
+    return law, Instant(at.q, held)
 
 
 @one_off

@@ -114,11 +114,6 @@ def practice(
     method, known = named(method), Drive() if drive is None else drive
     loop = loop_at_rest(law, reference, q, method, stage, known)
     found = advice_of(loop, Ts)
-    if found.gains.z_largest == 0:
-        name = "law" if law.null_velocity is None else "null_velocity"
-        raise errors.fail(
-            name, f"leave some gain stable at Ts = {Ts:g} s: less of it, or a shorter Ts", found.gains.limit
-        )
     gains, by = found.gains, loop._replace(method=EE)
     euler = gains if method.name == EE.name else recommendation_of(by, Ts)
     safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
@@ -127,6 +122,8 @@ def practice(
         chosen, by_euler = (taking_back(one, late_monotone(safe.delay + SPARE), Ts) for one in (loop, by))
         chosen, by_euler = min(chosen, gains.z_recommended), min(by_euler, euler.z_recommended)
     chosen, by_euler, z_largest = min(chosen, MOST_Z), min(by_euler, MOST_Z), gains.z_largest
+    if chosen == 0:
+        raise _no_gain(loop, gains, Ts)
     if drive is None:
         z_largest = min(z_largest, taking_back(loop, late_stable(safe.delay), Ts))
     elsewhere = by_euler
@@ -153,6 +150,16 @@ def practice(
         notes=(*_left(loop, found.spectrum), *_notes(drive, loop.modes(np.array([chosen]), Ts)[0])),
         advice=found,
     )
+
+
+def _no_gain(loop, gains, Ts):
+    """The error that says why not the smallest gain can be recommended."""
+    name = "law" if loop.law.null_velocity is None else "null_velocity"
+    what, why = "stable", gains.limit
+    if gains.z_largest > 0:
+        own = np.abs(loop.modes(np.array([1e-9]), Ts)[0].sum(-1)).max()
+        what, why = "without overshoot", f"by itself, through this J#, it takes back {own:.3g} of an error in a step"
+    return errors.fail(name, f"leave some gain {what} at Ts = {Ts:g} s: less of it, or a shorter Ts", why)
 
 
 def taking_back(loop, share: float, Ts: float) -> float:

@@ -10,6 +10,7 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, Method
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
+from cnclik.law.null import MaximizeManipulability
 from cnclik.precision import in_float64
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
@@ -144,8 +145,11 @@ class LoopAtRest(NamedTuple):
     def growing(self):
         """See `spectrum.growing`."""
         if "growing" not in self.known:
-            found = null_flow_of_numbers(self.law, self.held, self.q)
-            self.known["growing"] = growing(*map(np.asarray, found))
+            flow, rows = map(np.asarray, null_flow_of_numbers(self.law, self.held, self.q))
+            climbs = isinstance(getattr(self.law.null_velocity, "base", None), MaximizeManipulability)
+            if climbs and directions(rows)[2].shape[1] < len(rows):
+                raise errors.fail("q", "be no singular posture to climb the manipulability from", "is: it has no slope")
+            self.known["growing"] = growing(flow, rows)
         return self.known["growing"]
 
     def along(self, z, Ts=None):

@@ -8,36 +8,31 @@ where the run ended? The thresholds are the constants below and in `observed`; q
 import enum
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.stage import Picard, picard
+from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.law import reference as ref
-from cnclik.law.inverse import Transpose
 from cnclik.law.law import Law, check_loop
-from cnclik.law.limits import Saturated
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.robot.chain import REVOLUTE
-from cnclik.robot.posture import arm_length
+from cnclik.stability import reasons
 from cnclik.stability.driven import each_drive, modes_of, overshoot
 from cnclik.stability.linear import checked
-from cnclik.stability.local import Instant, fastest_share, maps, radii, stable_share, targets
+from cnclik.stability.local import Instant, maps, radii, resting, targets
 from cnclik.stability.observed import GROWN, Observed, observe, rms
-from cnclik.stability.spectrum import at_rest, directions, null_radius, spectrum_of
+from cnclik.stability.reasons import UNSTABLE, WILD
+from cnclik.stability.spectrum import directions, spectrum_of
 
 REVERSING = 0.15  # share of the joint speed that the next step takes back, from which on a loop shakes
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
-UNSTABLE = 1.01  # spectral radius beyond which a loop that seems to rest doesn't: smaller excess is the error's own
 FEW = 8  # instants of a run that is judged by its step's eigenvalues alone where these are unstable
-WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
 LOOKED_AT = 9  # instants of the last quarter whose target is looked at
-GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
 
 
 class Behaviour(enum.StrEnum):
@@ -52,6 +47,9 @@ class Behaviour(enum.StrEnum):
     AT_LIMIT = "stuck at a limit"
     OUT_OF_REACH = "out of reach"
     STALLED = "no progress"
+
+
+_UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
 
 
 @record
@@ -100,7 +98,7 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     kind, what, remedy = _judged(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         moving = case.behind > case.seen.floor
-        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or (_SLOWER if moving else _GENTLER)
+        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or (reasons.SLOWER if moving else reasons.GENTLER)
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""),
@@ -191,12 +189,6 @@ def _instants(law, reference, q, t):
     return wanted, instant(-2), instant(-1)
 
 
-def _resting(law, at):
-    """The law and the instant as they would be at rest there."""
-    law, held = at_rest(law, None, at.q)
-    return law, Instant(at.q, held)
-
-
 # --- what the run did, first match first: (kind, what it did, remedy) -----------------------------------
 
 
@@ -205,7 +197,7 @@ def _judged(case):
     radius = f"the loop's spectral radius at the end is {case.radius:.3g}"
     if seen.bad is not None:
         what = f"not finite from t = {case.t[seen.bad]:.4g} s on (step {seen.bad})"
-        return Behaviour.DIVERGING, what, _lower(case)
+        return Behaviour.DIVERGING, what, reasons.lower(case)
     if not np.any(np.asarray(law.alpha)):
         return Behaviour.STALLED, f"the gain is 0, so errors stay; {error}", "raise alpha"
     drive = case.loop[-1]
@@ -223,29 +215,29 @@ def _judged(case):
         fast = f"joint velocities up to {seen.joint_speed:.3g} {unit}/s go back and forth"
         if seen.arrived and case.null_radius > 1:
             inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
-            return Behaviour.SHAKING, f"{fast} {inside}", _LESS_NULL
-        if not seen.arrived and (gap := _gap(case)):
-            return Behaviour.OUT_OF_REACH, f"{gap}, and {fast}", _reach_remedy(case)
-        return Behaviour.SHAKING, f"{fast}, {error}; {radius}", _lower(case)
+            return Behaviour.SHAKING, f"{fast} {inside}", reasons.LESS_NULL
+        if not seen.arrived and (gap := reasons.gap(case)):
+            return Behaviour.OUT_OF_REACH, f"{gap}, and {fast}", reasons.reach_remedy(case)
+        return Behaviour.SHAKING, f"{fast}, {error}; {radius}", reasons.lower(case)
     limited = law.limits is not None and seen.often(Status.AT_LIMIT)
     if limited and not (seen.arrived or seen.shrinks or (moving and seen.largest <= case.behind)):
-        what, remedy = _limit(case, moving)
+        what, remedy = reasons.held_by(case, moving)
         return Behaviour.AT_LIMIT, f"{what}, and {error}", remedy
     grown = seen.largest > max(GROWN * seen.size[0], seen.floor) and not seen.shrinks
     if (seen.grows and not moving) or ((seen.grows or grown) and case.radius > UNSTABLE):
-        return Behaviour.DIVERGING, f"the error has grown to {case.size}; {radius}", _lower(case)
+        return Behaviour.DIVERGING, f"the error has grown to {case.size}; {radius}", reasons.lower(case)
     if case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE:
         swings = f"the error swings from side to side and keeps {case.overshoot:.2g} of itself each time"
-        return Behaviour.RINGING, f"{swings}; {error}", _faster(case)
+        return Behaviour.RINGING, f"{swings}; {error}", reasons.faster(case)
     too_few = len(seen.size) <= FEW  # for what its error did to tell
     if too_few and _unstable(case, case.end):
-        return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
+        return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", reasons.lower(case)
     return (_moving if moving else _held)(case, error, radius)
 
 
 def _unstable(case, *rests):
     """Whether the loop is unstable by its last step, and as it would be at rest at one of these instants."""
-    sizes = (radii(*_resting(case.law, at), np.ones(1), *case.loop)[0] for at in rests)
+    sizes = (radii(*resting(case.law, at), np.ones(1), *case.loop)[0] for at in rests)
     return case.radius > UNSTABLE and any(size > UNSTABLE for size in sizes)
 
 
@@ -255,30 +247,30 @@ def _held(case, error, radius):
         unstable = max(case.radius, case.null_radius if callable(case.law.null_velocity) else 0.0)
         if unstable > UNSTABLE:
             what = f"at rest, but any disturbance grows: the loop's spectral radius is {unstable:.3g}"
-            return Behaviour.DIVERGING, what, _lower(case)
+            return Behaviour.DIVERGING, what, reasons.lower(case)
         return Behaviour.SETTLED, f"{error}; {radius}", ""
     if seen.shrinks:
         return Behaviour.CONVERGING, f"{error} and shrinking; {radius}", "run for more steps"
-    if _hopeless(case) or _beyond(case) > 0:
-        return Behaviour.OUT_OF_REACH, f"{error}, and {_reach(case)}", _reach_remedy(case)
-    if gap := _gap(case):
-        return Behaviour.OUT_OF_REACH, f"{error}; {gap}", _reach_remedy(case)
+    if reasons.hopeless(case) or reasons.beyond(case) > 0:
+        return Behaviour.OUT_OF_REACH, f"{error}, and {reasons.why_not(case)}", reasons.reach_remedy(case)
+    if gap := reasons.gap(case):
+        return Behaviour.OUT_OF_REACH, f"{error}; {gap}", reasons.reach_remedy(case)
     if np.all(np.diff(seen.late) < 0) and case.radius < 1:
         return Behaviour.CONVERGING, f"slowly, {error}; {radius}", "raise alpha, or run for more steps"
     if seen.often(Status.NEAR_SINGULAR):
         remedy = "start elsewhere, or move the target; damped(...) keeps velocities small"
         return Behaviour.STALLED, f"{error}, next to a singularity", remedy
-    return Behaviour.STALLED, f"{error} and stays; {radius}", _lower(case)
+    return Behaviour.STALLED, f"{error} and stays; {radius}", reasons.lower(case)
 
 
 def _moving(case, error, radius):
     lag = rms(case.seen.late)
     if lag <= max(case.behind, case.seen.floor):
         if case.radius > UNSTABLE:
-            return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", _lower(case)
+            return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {radius}", reasons.lower(case)
         return Behaviour.SETTLED, f"it follows, {error}; {radius}", ""
-    if _hopeless(case):
-        return Behaviour.OUT_OF_REACH, f"{error}, and {_reach(case)}", _reach_remedy(case)
+    if reasons.hopeless(case):
+        return Behaviour.OUT_OF_REACH, f"{error}, and {reasons.why_not(case)}", reasons.reach_remedy(case)
     if case.seen.shrinks:
         return Behaviour.CONVERGING, f"{error} and shrinking; {radius}", "run for more steps"
     what = f"{error}, {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on; {radius}"
@@ -287,114 +279,3 @@ def _moving(case, error, radius):
     if case.loop[-1].prompt:
         return Behaviour.LAGGING, what, "raise alpha"
     return Behaviour.LAGGING, what, "raise alpha, no further than `stability` recommends for these drives"
-
-
-# --- its parts in words -------------------------------------------------------------------------------
-
-_UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
-_SLOWER = "follow a slower path, use limits velocity_scaling(), or, near a singularity, damped(...)"
-_GENTLER = "use limits velocity_scaling(), or an error_clamp, or reduce alpha"
-_LESS_NULL = "reduce the gain of the null-space velocity"
-
-
-def _limit(case, moving):
-    """Which limit holds the arm, and the remedy."""
-    remedy = "choose another start, posture or path"
-    if not isinstance(case.law.limits, Saturated):
-        remedy += ", or limits saturation(), which lets other joints take over"
-    chain, q = case.law.chain, case.end.q
-    near = 1e-3 * (1 + np.abs(q))
-    stopped = (q <= np.array(chain.lower) + near) | (q >= np.array(chain.upper) - near)
-    names = [name for name, is_there in zip(chain.joint_names, stopped, strict=True) if is_there]
-    if not names:
-        return "joints are held at their velocity limits", "follow a slower path" if moving else remedy
-    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit", remedy
-
-
-def _hopeless(case):
-    """Whether no joint motion reduces the error."""
-    size, push = np.linalg.norm(case.e), np.linalg.norm(case.rows.T @ case.e)
-    return size > case.seen.floor and push < GRADIENT * np.linalg.norm(case.rows, 2) * size
-
-
-def _beyond(case):
-    """By how much the target lies beyond the stretched arm [m]; negative where it doesn't, or that isn't known."""
-    if case.target is None:
-        return -np.inf
-    base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
-    base = base if len(case.target) == 3 else base[list(case.law.task.linear)]
-    return float(np.linalg.norm(case.target - base) - arm_length(case.law.chain))
-
-
-def _gap(case):
-    """How far from the target the tip stays at best, in words; empty where it can get there, or that isn't known."""
-    from cnclik.reaching.reach import reach  # here: most runs end where nothing is asked of it
-    from cnclik.reaching.result import ReachStatus
-
-    chain, task = case.law.chain, replace(case.law.task, weights=None)
-    if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
-        return ""
-    position, rotation = np.zeros(3), np.eye(3) if case.turn is None else case.turn
-    if case.target is not None:
-        position[list(task.linear) if len(case.target) < 3 else slice(None)] = case.target
-    made = reach(chain, (position, rotation), task=task, tolerance=(1e-4, 1e-4), limits=case.law.limits is not None)
-    if made.solved or made.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):
-        return ""
-    best = [f"{made.position_error:.3g} m"] * bool(task.position)
-    best += [f"{made.orientation_error:.3g} rad"] * bool(task.orientation)
-    held = " within the joint limits" if made.status == ReachStatus.AT_LIMIT else ""
-    return f"the tip can get no nearer than {' and '.join(best)}{held}"
-
-
-def _reach(case):
-    beyond, (m, n) = _beyond(case), case.rows.shape
-    if beyond > 0:
-        return f"the target is {beyond:.3g} m beyond the stretched arm"
-    if np.linalg.matrix_rank(case.rows) < m and m > n:
-        return f"the task asks for {m} coordinates of an arm with {n} joints"
-    return "no joint motion makes it smaller"
-
-
-def _reach_remedy(case):
-    m, n = case.rows.shape
-    if m > n:
-        return "ask for fewer coordinates"
-    if not np.any(getattr(case.law.inverse, "damping", 0.0)):
-        return "bring the target nearer, or use damped(...) and error_clamp to stop quietly before it"
-    return "bring the target nearer, or start from another posture"
-
-
-def _lower(case):
-    """What stops a loop that shakes or diverges: less gain, by what is stable at rest at both ends of the run."""
-    law, (Ts, method, stage, drive) = case.law, case.loop
-    ends = [at for at in (case.end, case.start) if np.isfinite(at.q).all() and np.abs(at.q).max() <= WILD]
-    ends = [_resting(law, at) for at in ends]
-    across = [null_radius(*maps(*at, np.ones(1), Ts, method, stage))[0] for at in ends if callable(law.null_velocity)]
-    if any(radius > UNSTABLE for radius in across):
-        return _LESS_NULL
-    share = min((stable_share(*at, *case.loop) for at in ends), default=1.0)
-    if 0 < share < 1:
-        solved = method.implicit and isinstance(stage, Picard)
-        other = ", or solve the stage with chord(2)" if solved else ""
-        if not (method.exponential or solved or not drive.prompt or isinstance(law.inverse, Transpose)):
-            other = ", or use method EXP-MIDPOINT, which has no such limit"
-        return f"reduce {_gain(law, share, 'below')}{other}"
-    if share == 0:
-        more = "raise the damping" if np.any(getattr(law.inverse, "damping", 0.0)) else "use damped(...)"
-        return f"no gain is stable in this posture: {more}"
-    if _beyond(case) > 0:
-        return f"{_reach(case)}: bring it nearer, or use damped(...) and error_clamp"
-    if case.seen.often(Status.NEAR_SINGULAR):
-        return "it is next to a singularity: use damped(...), and error_clamp if the target is far"
-    return "what is asked is too far off, or out of reach: use damped(...) and error_clamp, or reduce alpha"
-
-
-def _faster(case):
-    share = fastest_share(*_resting(case.law, case.end), *case.loop)
-    return f"reduce {_gain(case.law, share, 'to about')}, which settles soonest" if share < 1 else "reduce alpha"
-
-
-def _gain(law, share, word):
-    alpha = np.asarray(law.alpha, float)
-    amount = f"{share * alpha:.3g} 1/s" if alpha.ndim == 0 else f"{share:.2g} of what it is"
-    return f"alpha {word} {amount} at this Ts"

@@ -16,9 +16,9 @@ from cnclik.integrate.trajectory import Trajectory
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.stability.driven import driven_factors, looked_at_drive, modes_of, own_drives, radius
-from cnclik.stability.local import Instant, maps
-from cnclik.stability.spectrum import at_rest, directions, largest_rate, spectrum_of
-from cnclik.stability.verdict import WILD
+from cnclik.stability.local import Instant, maps, resting
+from cnclik.stability.reasons import WILD
+from cnclik.stability.spectrum import directions, largest_rate, spectrum_of
 
 
 class Loop(NamedTuple):
@@ -73,8 +73,7 @@ def _factors(made, q):
     rests = np.isfinite(q[-1]).all() and np.abs(q[-1]).max() <= WILD
     q = np.asarray(q[-1] if rests else made.q0, float)
     drive = made.drive or Drive()
-    law, held = at_rest(made.law, None, q)
-    moved, rows = maps(law, Instant(q, held), np.ones(1), made.Ts, made.method, made.stage)
+    moved, rows = maps(*resting(made.law, Instant(q, None)), np.ones(1), made.Ts, made.method, made.stage)
     if not np.isfinite(moved).all():
         return np.zeros(0, complex), np.inf
     if drive.prompt:

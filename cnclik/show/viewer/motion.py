@@ -9,7 +9,7 @@ from cnclik.integrate.status import Status, names
 from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
-from cnclik.stability.verdict import UNSTABLE
+from cnclik.stability.reasons import UNSTABLE
 
 GOOD, WARNING, BAD = 0, 1, 2
 LEVELS = (style.GREEN, style.ORANGE, style.VERMILION)  # colours of the three
