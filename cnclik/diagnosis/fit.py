@@ -85,9 +85,11 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
     if len(motion) < LEAST:
         raise errors.fail("motion", f"have at least {LEAST} rows", f"has {len(motion)}")
     for name, values in (("command", command), ("motion", motion)):
-        if np.any(np.ptp(values, axis=0) <= 1e-12 * np.abs(values).max(0)):
+        if np.any(np.ptp(values, axis=0) <= np.maximum(1e-12 * np.abs(values).max(0), 1 / LARGEST)):
             raise errors.fail(name, "move in every column", "stands still")
     Ts = sampling_time(t, Ts)
+    if t is not None and len(t) != len(command):
+        raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {len(t)}")
     start = Drive(command=command_kind)
     found = [_fit_order(start, order, command, motion, Ts) for order in orders]
     best = found[0]
@@ -123,6 +125,9 @@ def sampling_time(t, Ts) -> float:
         raise errors.fail("t", "increase", f"has a median step of {usual:g} s")
     if Ts is None:
         Ts = float(t[-1] - t[0]) / len(step)
+        if abs(usual / Ts - 1) > 0.02:
+            found = f"are {usual:.6g} s apart in the median and {Ts:.6g} s in the mean (digits are missing, or rows)"
+            raise errors.fail("t", "be times that are equally far apart", found)
     Ts = float(errors.number("Ts", Ts, positive=True))
     if abs(usual / Ts - 1) > 0.02:
         raise errors.fail("Ts", f"be that of the recording, {usual:.6g} s", f"is {Ts:g}")

@@ -19,6 +19,7 @@ from cnclik import errors
 from cnclik.hints import bounded_jit
 from cnclik.record import leaf, record, replace
 from cnclik.robot import spatial as sp
+from cnclik.robot.chain import Chain
 
 TURNING = 0.6  # part of the acceleration that following the path may take at a steady share; the rest changes the share
 BENDING = 0.5  # and part of the jerk
@@ -47,13 +48,15 @@ class Pace:
     wait: object = None
 
     def __post_init__(self):
-        if self.wait not in (None, True, False):
-            raise errors.fail("wait", "be True, False or None", f"is {self.wait!r}")
+        if self.wait is not None:
+            errors.truth("wait", self.wait)
         for name in ("velocity", "acceleration", "jerk"):
             value = getattr(self, name)
             if value is None or (name == "velocity" and isinstance(value, str) and value == CHAIN):
                 continue
             known = errors.array(name, value, (), (None,), finite=False)
+            if known.size == 0:
+                raise errors.fail(name, "be a number or one per joint", "is empty")
             if errors.concrete(known) and not (np.asarray(known) > 0).all():
                 raise errors.fail(name, "be positive", f"is {np.asarray(known).min():g}")
             object.__setattr__(self, name, leaf(value) if np.ndim(value) == 0 else known)
@@ -118,6 +121,9 @@ def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: Arra
     check_pace(pace, n)
     if isinstance(pace.velocity, str):
         raise errors.fail("velocity", "be numbers or None: the chain is not known here", f"is {pace.velocity!r}")
+    if stop is not None:
+        errors.number("stop", stop, at_least=0)
+    errors.number("sharpness", sharpness, at_least=0)
     Ts = np.asarray(Ts, dq.dtype) if errors.concrete(Ts) else Ts
     return _scaled(pace, state, dq, Ts, stop, sharpness)
 
@@ -134,6 +140,8 @@ def check_pace(pace, n: int, chain=None) -> Pace:
             errors.array(name, getattr(pace, name), (n,), finite=False)
     if chain is None or not isinstance(pace.velocity, str):
         return pace
+    if errors.kind("chain", chain, Chain).n != n:
+        raise errors.fail("chain", f"have {n} joints", f"has {chain.n}")
     limits = sp.packed(chain.velocity_limit, float)
     if errors.concrete(limits):  # NumPy compiles nothing
         limits = np.asarray(limits)

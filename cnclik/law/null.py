@@ -78,7 +78,8 @@ def evaluated(wanted, q):
     """q̇₀ of a null-space velocity, in the form of q: a record works on that; a plain function is given an array."""
     if dataclasses.is_dataclass(wanted):
         return wanted(q)
-    values, n = jnp.asarray(wanted(sp.packed(q)) if callable(wanted) else wanted), len(q)
+    values, n = wanted(sp.packed(q)) if callable(wanted) else wanted, len(q)
+    values = jnp.asarray(errors.array("null_velocity", values, finite=False))
     if values.shape != (n,):
         raise errors.fail("null_velocity", f"return shape ({n},)", f"returns shape {values.shape}")
     return sp.like(q, values)

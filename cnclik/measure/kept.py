@@ -6,6 +6,7 @@ from cnclik import errors
 from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.record import record
+from cnclik.robot.chain import Chain
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
 _ROUNDING = 1e-6  # of a limit
@@ -57,6 +58,8 @@ def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
     """
     if isinstance(run, Trajectory):
         one_lane(run)
+        if Ts is not None:
+            raise errors.fail("Ts", "be left out for a Trajectory, which has it", f"is {Ts!r}")
         t, qdot = np.asarray(run.t, float), np.asarray(run.qdot, float)
         Ts = (t[-1] - t[0]) / max(len(qdot), 1)
     else:
@@ -66,6 +69,8 @@ def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
     n = qdot.shape[1]
     if not len(qdot):
         raise errors.fail("run", "have a step", "has none")
+    if chain is not None and errors.kind("chain", chain, Chain).n != n:
+        raise errors.fail("chain", f"have the run's {n} joints", f"has {chain.n}")
     pace = check_pace(pace, n, chain)
     if isinstance(pace.velocity, str):
         raise errors.fail("chain", "be given, for its velocity limits", "is None")

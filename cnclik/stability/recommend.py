@@ -263,7 +263,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         )
         z_recommended = min(z_recommended, z_monotone)
     bounded = np.isfinite(z_largest)
-    edge = z_largest * (1 + 1e-6) if bounded and z_largest else 1.0  # without an edge: only for what is beyond it
+    edge = max(z_largest, 1e-9) * (1 + 1e-6) if bounded else 1.0  # without an edge: only for the direction
     moved, rows = maps(np.array([edge]))
     beyond = spectrum_of(moved[0], rows)
     return Recommendation(
@@ -334,8 +334,9 @@ def _how(loop):
 
 def _what_limits(loop, beyond, z_largest) -> str:
     """The first thing to give way just beyond the largest stable value, in words."""
-    if z_largest == 0 and beyond.null_radius > 1:
-        return f"none is stable: the null-space velocity multiplies a motion by {beyond.null_radius:.4g} each step"
+    if z_largest == 0 and loop.law.null_velocity is not None:
+        factor, what = max((beyond.null_radius, "a motion"), (beyond.radius, "an error, through this J#,"))
+        return f"none is stable: the null-space velocity multiplies {what} by {factor:.4g} each step"
     if callable(loop.law.null_velocity) and beyond.null_radius > max(beyond.radius, 1.0):
         return "limited by the null-space velocity"
     if not loop.drive.prompt and loop.drive.feedback != "commanded":

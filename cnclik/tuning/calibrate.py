@@ -10,6 +10,7 @@ from cnclik import errors
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot import spatial as sp
+from cnclik.robot.chain import Chain
 from cnclik.robot.frames import frames
 from cnclik.robot.rolled import in_form
 from cnclik.tuning import parameters as pm
@@ -56,8 +57,15 @@ def calibrate(
     Returns: `Calibrated`.
     Raises: ArgumentError for shapes that do not fit.
     """
+    if errors.kind("descent", descent, Descent, "be Descent(...)").starts != 1:
+        raise errors.fail("descent", "have one start, as what is nominal is one", f"has {descent.starts}")
     start = np.asarray(errors.array("start", start), float)
-    q = jnp.asarray(errors.array("q", q, (None, None)))
+    if not start.size:
+        raise errors.fail("start", "hold numbers", "is empty")
+    if not callable(build):
+        raise errors.fail("build", "be a function of the value", f"is {build!r}")
+    n = errors.kind("build", build(jnp.asarray(start)), Chain, "return a Chain").n
+    q = jnp.asarray(errors.array("q", q, (None, n)))
     measured = jnp.asarray(errors.array("measured", measured, (q.shape[0], 3)))
     lower, upper = (start + d if b is None else b for b, d in ((lower, -0.5), (upper, 0.5)))
     p = pm.parameter("geometry", start, lower, upper, build)

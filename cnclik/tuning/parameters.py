@@ -47,7 +47,8 @@ class Parameter:
 def parameter(name, start, lower, upper, put, *, kind=BOX, unit="1") -> Parameter:
     """A `Parameter`, checked. Raises ArgumentError for bounds that leave no room."""
     start = np.asarray(errors.array(name, start, finite=False), float)
-    lower, upper = (np.asarray(errors.array(f"bounds of {name}", v), float) for v in (lower, upper))
+    shapes = ((), start.shape) if kind == BOX else ((),)
+    lower, upper = (np.asarray(errors.array(f"bounds of {name}", v, *shapes), float) for v in (lower, upper))
     if not np.all(lower < upper):
         raise errors.fail(f"bounds of {name}", "increase", f"are {lower.tolist()} and {upper.tolist()}")
     if kind == BOX:

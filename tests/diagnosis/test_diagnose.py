@@ -124,6 +124,17 @@ def test_a_motion_from_one_place_to_another_is_no_oscillation():
             assert not diagnose(path + noise * rng.standard_normal(600), TS).rings
 
 
+@pytest.mark.parametrize("digits", [None, 6])
+@pytest.mark.parametrize("slope", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize(("frequency", "size", "N"), [(3, 0.01, 600), (5, 0.05, 300), (2, 0.02, 1000), (8, 0.01, 600)])
+def test_clean_waves_on_a_ramp_are_seen(frequency, size, N, slope, digits):
+    """Small beside the way, and without noise or with that of a display's digits alone."""
+    t = 0.01 * np.arange(N)
+    y = slope * t + size * np.sin(2 * np.pi * frequency * t + 0.3)
+    found = diagnose(y if digits is None else y.round(digits), 0.01)
+    assert found.kind is Kind.SUSTAINED and found.period == pytest.approx(100 / frequency, rel=1e-2)
+
+
 def test_what_is_excited_again_rings_and_is_not_sustained():
     e = np.tile(loop(0.3, 4, 200), 20) + 0.003 * np.random.default_rng(7).standard_normal(4000)
     found = diagnose(e, TS)

@@ -94,6 +94,7 @@ def test_what_is_fitted_goes_into_the_loop():
         ((step(), np.ones(150)), "Argument `motion` must move in every column, but stands still."),
         ((np.ones(150), step()), "Argument `command` must move in every column, but stands still."),
         ((step(), step()[:99]), "Argument `motion` must have the shape of the commands, (150, 1), but has (99, 1)."),
+        ((1e-200 * step(), 1e-200 * step()), "Argument `command` must move in every column, but stands still."),
         ((step(9), step(9)), "Argument `motion` must have at least 16 rows, but has 9."),
         (
             (step(), np.random.default_rng(1).standard_normal(150)),
@@ -114,3 +115,8 @@ def test_times_must_be_even():
         fit_drive(t, step(), step())
     with pytest.raises(ArgumentError, match=r"must be that of the recording, 0\.004 s, but is 0\.002"):
         fit_drive(TS * np.arange(150), step(), step(), 0.002)
+    with pytest.raises(ArgumentError, match="`t` must have the commands' 150 rows, but has 100"):
+        fit_drive(TS * np.arange(100), step(), step())
+    coarse = (1e5 + 0.01 * np.arange(150)).astype(np.float32)  # 7.8 ms apart, as far as float32 tells
+    with pytest.raises(ArgumentError, match="`t` must be times that are equally far apart, but are 0"):
+        fit_drive(coarse, step(), step())

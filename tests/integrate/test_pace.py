@@ -294,7 +294,9 @@ def test_a_smooth_stream_shakes_a_fast_loop_least():
     [
         (lambda: ck.Pace(jerk=-1), "`jerk` must be positive, but is -1"),
         (lambda: ck.Pace(velocity="fast"), "`velocity` must be an array of real numbers, but is 'fast'"),
-        (lambda: ck.Pace(wait="no"), "`wait` must be True, False or None"),
+        (lambda: ck.Pace(wait="no"), "`wait` must be True or False, but is 'no'"),
+        (lambda: ck.Pace(wait=np.zeros(2)), "`wait` must be True or False"),
+        (lambda: ck.Pace(acceleration=[]), "`acceleration` must be a number or one per joint, but is empty"),
         (lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=2.0), r"`pace` must be Pace\(...\), but is float"),
         (lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=ck.Pace(jerk=[1.0, 2.0])), r"`jerk` must have shape \(3,\)"),
         (
@@ -304,6 +306,16 @@ def test_a_smooth_stream_shakes_a_fast_loop_least():
         (lambda: ck.paced(PACE, None, Q0, TS), "`state` must be what `pace_at_rest`"),
         (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0[:2], TS), "`dq` must have 3 joints, as `state`, but has 2"),
         (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0, 0.0), "`Ts` must be positive"),
+        (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0, TS, stop=np.nan), "`stop` must be finite, but is nan"),
+        (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0, TS, stop=-1.0), "`stop` must be at least 0, but is -1"),
+        (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0, TS, stop=Q0), "`stop` must be a number"),
+        (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0, TS, sharpness="x"), "`sharpness` must be a number"),
+        (
+            lambda: ck.check_limits(np.zeros((3, 2)), PACE, Ts=TS, chain=LAW.chain),
+            "`chain` must have the run's 2",
+        ),
+        (lambda: ck.check_limits(np.zeros((3, 2)), PACE, Ts=TS, chain=5), "`chain` must be a Chain, but is int"),
+        (lambda: ck.check_limits(ck.solve(LAW, FAR, Q0, TS, 3), PACE, Ts=TS), "`Ts` must be left out for a Trajectory"),
         (lambda: ck.paced(ck.Pace(), ck.pace_at_rest(Q0), Q0, TS), "`velocity` must be numbers or None"),
         (lambda: ck.check_limits(np.zeros((3, 2)), PACE), "`Ts` must be a number, but is None"),
         (lambda: ck.check_limits(np.zeros((3, 2)), ck.Pace(), Ts=TS), "`chain` must be given, for its velocity"),

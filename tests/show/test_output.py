@@ -1,8 +1,11 @@
 """A figure that can't be drawn costs only itself."""
 
+import sys
+
 import matplotlib.pyplot as plt
 import pytest
 
+from cnclik.cli import main
 from cnclik.show.output import FigureError, draw
 
 
@@ -16,3 +19,26 @@ def test_a_figure_that_fails_costs_only_itself(tmp_path):
         draw(figures, tmp_path, progress=lambda *report: reports.append(report))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["b.png", "c.pdf"]
     assert reports == [(k, 3, f"drawing {name}") for k, name in enumerate(figures)]
+
+
+@pytest.mark.parametrize(
+    ("words", "kept"),
+    [
+        (["stability", "--plane", "--methods", "EE", "--passes", "0"], {"plane.nc", "plane.md"}),
+        (
+            ["stability", "planar:1,1", "--map", "--cells", "2", "--N", "4", "--method", "EE", "--Ts", "0.1"],
+            {"map.nc"},
+        ),
+        (["reach", "planar:1,1", "--map", "xy", "--cells", "4", "--task", "position"], {"map.npz"}),
+    ],
+    ids=["plane", "map", "reach"],
+)
+def test_what_draws_may_be_missing(words, kept, tmp_path, monkeypatch, capsys):
+    for name in ("matplotlib.pyplot", *(m for m in sys.modules if m.startswith("cnclik.show."))):
+        if name not in ("cnclik.show.output", "cnclik.show.report"):
+            monkeypatch.setitem(sys.modules, name, None)  # so that importing it fails
+    with pytest.raises(SystemExit) as left:
+        main([*words, "--out", str(tmp_path)])
+    said = capsys.readouterr().err.strip()
+    assert left.value.code == 1 and said.startswith("cnclik: Not drawn: ") and "\n" not in said
+    assert kept <= {p.name for p in tmp_path.iterdir()}

@@ -1,5 +1,7 @@
 """The whole loop's one-step map at rest against linear theory, direction by direction."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -202,3 +204,31 @@ def test_factors_that_meet_at_one_are_no_instability():
     shear = across[0][:, None] * across[1]
     found = recommend(on_the_way(lambda q: shear @ (q - ON_THE_WAY)), None, ON_THE_WAY, Ts=Ts, method="EE")
     assert found.z_largest == pytest.approx(2, rel=1e-5)
+
+
+def test_a_null_space_that_spirals_out_by_itself_limits_no_gain():
+    across = np.linalg.svd(np.asarray(ck.jacobian(FOUR, ON_THE_WAY))[:2])[2][2:]
+    for growth, turn in ((0.2, 3.0), (2.0, 0.0)):
+        flow = across.T @ np.array([[growth, turn], [-turn, growth]]) @ across
+        made = on_the_way(lambda q, flow=flow: flow @ (q - ON_THE_WAY))
+        assert spectrum(made, None, ON_THE_WAY, Ts, "EE").null_radius > 1.01
+        assert recommend(made, None, ON_THE_WAY, Ts=Ts, method="EE").z_largest == pytest.approx(2, rel=1e-6)
+    around = across.T @ np.array([[0.0, 3.0], [-3.0, 0.0]]) @ across  # a circle, out of which explicit Euler steps
+    found = recommend(on_the_way(lambda q: around @ (q - ON_THE_WAY)), None, ON_THE_WAY, Ts=Ts, method="EE")
+    assert found.z_largest == 0 and "by 1.04" in found.limit  # sqrt(1 + 0.3²)
+
+
+def test_null_space_velocities_that_pull_at_the_task_are_told():
+    """Through a damped J#, whose projector is none."""
+    leaks = on_the_way(ck.maximize_manipulability(FOUR, XY, 20.0), inverse=ck.damped(0.5))
+    found = recommend(leaks, None, ON_THE_WAY, Ts=Ts, method="EE")
+    assert found.z_largest == 0 and re.search(r"multiplies an error, through this J#, by 1\.\d+ each step", found.limit)
+    draws = on_the_way(lambda q: 30.0 * (ON_THE_WAY - q), inverse=ck.damped(0.5))
+    with pytest.raises(ck.ArgumentError, match=r"`null_velocity` must leave .* it takes back 0\.\d+ of an error"):
+        practice(draws, None, ON_THE_WAY, Ts=0.05)
+    place = ck.hold(np.asarray(ck.pose(FOUR, ON_THE_WAY).position)[:2])
+    with pytest.raises(ck.ArgumentError, match="as the null-space velocity pulls at it"):
+        settle(leaks, place, ON_THE_WAY)
+    climbs = on_the_way(ck.maximize_manipulability(FOUR, XY, 5.0), inverse=ck.damped(0.5))
+    with pytest.raises(ck.ArgumentError, match="`q` must be no singular posture to climb the manipulability from"):
+        recommend(climbs, None, np.zeros(4), Ts=Ts)

@@ -22,6 +22,24 @@ def test_link_lengths_from_twenty_poses(x64):
     assert found.rms_after < 1e-8 < 1e-2 < found.rms_before and told
 
 
-def test_shapes_that_do_not_fit_are_named():
-    with pytest.raises(ck.ArgumentError, match="measured"):
-        ck.calibrate(ck.planar_arm, np.ones(2), np.ones((3, 2)), np.ones((4, 3)))
+GIVEN = {"build": ck.planar_arm, "start": np.ones(2), "q": np.ones((3, 2)), "measured": np.ones((3, 3))}
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"measured": np.ones((4, 3))}, r"`measured` must have shape \(3, 3\)"),
+        ({"q": np.ones((3, 4))}, r"`q` must have shape \(n, 2\), but has shape \(3, 4\)"),
+        ({"build": 3}, "`build` must be a function of the value, but is 3"),
+        ({"build": lambda value: None}, "`build` must return a Chain, but is NoneType"),
+        ({"start": []}, "`start` must hold numbers, but is empty"),
+        ({"lower": np.zeros(3)}, r"`bounds of geometry` must have shape \(\) or \(2,\), but has shape \(3,\)"),
+        ({"descent": None}, r"`descent` must be Descent\(\.\.\.\), but is NoneType"),
+        ({"descent": ck.tuning.Descent(starts=3)}, "`descent` must have one start"),
+        ({"progress": 5}, "`progress` must be a function or None, but is 5"),
+    ],
+)
+def test_what_does_not_fit_is_named(changes, told):
+    with pytest.raises(ck.ArgumentError, match=told) as caught:
+        ck.calibrate(**(GIVEN | changes))
+    assert "\n" not in str(caught.value)
