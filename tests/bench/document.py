@@ -1,7 +1,8 @@
 """Tables of docs/speed.md from the files that were measured: `python -m tests.bench.document`.
 
 The page's text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
-results/speed/peers.json (`python -m tests.bench`) and results/speed/table.json (`cnclik bench --json`).
+results/speed/peers.json (`python -m tests.bench`), table.json (`cnclik bench --json`) and first.json
+(`python -m tests.bench.first --json`).
 """
 
 import itertools
@@ -13,6 +14,7 @@ import statistics
 import sys
 
 from cnclik.measure.files import markdown
+from tests.bench import first
 
 ROOT = pathlib.Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "speed.md"
@@ -209,6 +211,8 @@ def sections(results: pathlib.Path) -> dict:
             made["tricks"] = _tricks(found)
     if (results / "table.json").exists():
         made["bench"] = _bench(json.loads((results / "table.json").read_text()))
+    if (results / "first.json").exists():
+        made["first"] = first.table(json.loads((results / "first.json").read_text()))
     return made
 
 

@@ -87,6 +87,12 @@ def measure(rounds):
     return found
 
 
+def table(found) -> str:
+    """What was measured, as Markdown."""
+    rows = [(name, f"{statistics.median(v):.2f}", f"{min(v):.2f} to {max(v):.2f}") for name, v in found.items()]
+    return markdown(("library", "median [s]", "range [s]"), rows)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
@@ -95,8 +101,7 @@ def main():
     found = measure(args.rounds)
     if args.json:
         args.json.write_text(json.dumps(found, indent=1) + "\n")
-    rows = [(name, f"{statistics.median(v):.2f}", f"{min(v):.2f} to {max(v):.2f}") for name, v in found.items()]
-    print(markdown(("library", "median [s]", "range [s]"), rows))
+    print(table(found))
 
 
 if __name__ == "__main__":
