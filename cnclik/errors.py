@@ -35,6 +35,12 @@ def reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
+def in_a_line(error: Exception) -> str:
+    """What an error says, and of which kind it is."""
+    text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
+    return text if len(text) <= 200 else text[:199] + "…"
+
+
 def concrete(value) -> bool:
     """Whether the value is known now, and may be looked at."""
     jax = sys.modules.get("jax")  # where it isn't loaded nothing is traced

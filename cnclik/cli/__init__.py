@@ -73,6 +73,8 @@ def _run(verb, *options) -> None:
         _leave(2, error)
     except FigureError as error:
         _leave(1, error)
+    except ImportError as error:  # of what is installed beside us; what was computed is written before it is needed
+        _leave(1, errors.in_a_line(error))
     except KeyboardInterrupt:
         _stopped(signal.SIGINT)
     except terminal.Terminated:

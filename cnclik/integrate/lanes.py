@@ -49,7 +49,10 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     tile = errors.integer("tile", (TILE if on_cpu else kernel.TILE) if tile is None else tile, at_least=1)
     default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
-    cores = available() if cores is None else errors.integer("cores", cores, at_least=1)
+    cores = available() if cores is None else errors.integer("cores", cores, at_least=1, at_most=1 << 16)
+    quick = errors.truth("quick", quick)
+    if not callable(fn):
+        raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
 
     def traced(*args):
         return tiled(fn, tile, *args)

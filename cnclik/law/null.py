@@ -110,4 +110,6 @@ def maximize_manipulability(chain: Chain, task: Task, gain: ArrayLike = 1.0) -> 
       chain, task: those of the law.
       gain: [1/s per unit of w].
     """
+    errors.kind("chain", chain, Chain)
+    errors.kind("task", task, Task)
     return MaximizeManipulability(chain=chain, task=task, gain=leaf(errors.number("gain", gain, positive=True)))

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.hints import bounded_jit
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, rows, vector
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of, rows, vector
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
 from cnclik.robot import spatial as sp
@@ -303,8 +303,7 @@ def waypoints(
         positions = errors.array("positions", positions, (count, None))
         position = cubic(times, positions, closed, "positions")
     if rotations is not None:
-        rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
-        quaternion = cubic(times, quaternions(rotations), closed, "rotations")
+        quaternion = cubic(times, quaternions_of("rotations", rotations, count), closed, "rotations")
     times = jnp.asarray(times)
     curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed)
     return Reference(curve=curve)
@@ -380,14 +379,3 @@ def _from_quaternion(q):
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
     return jnp.stack(sp.log_so3(rows(last @ first.T)))
-
-
-@bounded_jit
-def quaternions(rotations):
-    """Unit quaternions (K, 4) of rotations, each with the sign nearer to the one before."""
-    if rotations.shape[1:] == (4,):
-        q = rotations / jnp.linalg.norm(rotations, axis=1, keepdims=True)
-    else:
-        q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(rows(r))))(rotations)
-    flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
-    return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]

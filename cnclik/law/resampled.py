@@ -5,8 +5,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.law.curves import Spline
-from cnclik.law.reference import Reference, quaternions
+from cnclik.law.curves import Spline, quaternions_of
+from cnclik.law.reference import Reference
 
 KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # and how late each is at least [longest periods]
 
@@ -49,7 +49,7 @@ def resampled(
     if positions is not None:
         points.append(errors.array("positions", positions, (count, None)))
     if rotations is not None:
-        points.append(quaternions(errors.array("rotations", rotations, (count, 4), (count, 3, 3))))
+        points.append(quaternions_of("rotations", rotations, count))
     known = all(map(errors.concrete, (times, *points)))
     xp = np if known else jnp  # NumPy compiles nothing
     times = xp.asarray(times)

@@ -29,24 +29,28 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
     shown = str(choices.reading(reading))
     if out is None:
         return everything(progress)
-    from cnclik.paper import figures
     from cnclik.show.output import draw
     from cnclik.writing import output_folder
 
     with output_folder(out) as folder:
         found = everything(progress)
-        pictures = figures.figures(*found, shown)
-        _write(folder, found, shown, {name: about.get("Title", "") for name, (_, about) in pictures.items()})
+        judged = _write(folder, found)
+    from cnclik.paper import figures, story  # by now the data are safe
+
+    pictures = figures.figures(*found, shown)
+    captions = {name: about.get("Title", "") for name, (_, about) in pictures.items()}
+    with output_folder(out) as folder:
+        folder.write_text("claims.md", story.story(judged, found.trajectories, found.methods, shown, captions))
     draw(pictures, out, progress=progress)
     return found
 
 
-def _write(folder, found, shown, captions) -> None:
+def _write(folder, found):
+    """Write the data and the claims; returns these."""
     import functools
     import json
 
     from cnclik.measure.files import save_netcdf
-    from cnclik.paper import story
     from cnclik.paper.claims import judge
 
     for name, data in found._asdict().items():
@@ -54,5 +58,4 @@ def _write(folder, found, shown, captions) -> None:
     judged = judge(found.trajectories, found.passes)
     # allow_nan: a claim that rests on a NaN must not pass as JSON.
     folder.write_text("claims.json", json.dumps(judged, indent=1, allow_nan=False) + "\n")
-    text = story.story(judged, found.trajectories, found.methods, shown, captions)
-    folder.write_text("claims.md", text)
+    return judged

@@ -114,6 +114,8 @@ def problem_from(robot, **options) -> Problem:
     path = {name: v[name] for name in PATH}
     seed = errors.seed(0 if v["seed"] is None else v["seed"])
     said = {name: v[name] for name in DRIVE if v[name] is not None}
+    if "damping_ratio" in said and "natural_frequency" not in said:
+        raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
     kept = {name: v[name] for name in PACE if v[name] is not None}
     drive = drive_from(chain, seed=seed, **said) if said else None
     if kept and (v["noise"] is not None or (drive is not None and not (drive.prompt and drive.exact))):

@@ -159,13 +159,13 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         seeds=np.int32(seeds),
         budget=np.int32(budget),
         seed=np.int32(errors.seed(seed)),
-        limits=bool(limits),
-        explain=bool(explain),
+        limits=errors.truth("limits", limits),
+        explain=errors.truth("explain", explain),
     )
 
 
 def _pair(name, value):
-    if np.ndim(value) == 0:
+    if not isinstance(value, (tuple, list)) and np.ndim(value) == 0:
         raise errors.fail(name, "be a pair, of position [m] and orientation [rad]", f"is {value!r}")
     value = errors.array(name, value, (2,), finite=False)
     if not errors.concrete(value) or not (np.asarray(value) > 0).all():

@@ -6,6 +6,7 @@ import importlib
 import threading
 import time
 
+from cnclik import errors
 from cnclik.writing import output_folder
 
 DRAWING = "/cnclik/drawing"  # the event by which `draw` tells jax.monitoring how long it took
@@ -73,14 +74,8 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
 
 
 def _undrawn(failed, figures, path, again):
-    what = ", ".join(f"{file} ({in_a_line(error)})" for file, error in failed.items())
+    what = ", ".join(f"{file} ({errors.in_a_line(error)})" for file, error in failed.items())
     again = f", `{again}` draws again" if again else ""
     return FigureError(
         f"Not drawn: {what}; the data are kept in {path}{again}.", [f for f in figures if f not in failed]
     )
-
-
-def in_a_line(error) -> str:
-    """What an error says, and of which kind it is."""
-    text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-    return text if len(text) <= 200 else text[:199] + "…"

@@ -7,8 +7,9 @@ import dataclasses
 import pathlib
 import platform
 
+from cnclik import errors
 from cnclik.markup import escaped, table
-from cnclik.show.output import FigureError, in_a_line
+from cnclik.show.output import FigureError
 from cnclik.writing import output_folder
 
 MOST_ROWS, SHORT = 60, 8  # rows of a table at most, and of one that stands above the figures
@@ -94,7 +95,7 @@ def _figure(number, file, make, about, captions, failed) -> str:
     try:
         drawn = picture(make, escaped(name), about, number)
     except Exception as error:  # whatever a figure may meet: it costs itself alone
-        failed[name] = in_a_line(error)
+        failed[name] = errors.in_a_line(error)
         drawn = f"<p>Not drawn: {escaped(failed[name])}</p>"
     return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"
 
@@ -115,7 +116,7 @@ def _moving(report, failed) -> str:
         motions = list(report.motions())
         inner = as_page(motions).replace("&", "&amp;").replace('"', "&quot;")
     except Exception as error:
-        failed["the moving robot"] = in_a_line(error)
+        failed["the moving robot"] = errors.in_a_line(error)
         return f'<p class="note">The moving robot could not be drawn: {escaped(failed["the moving robot"])}</p>'
     names = [f"{'in grey' if k else 'in blue'}: {escaped(m.name)}" for k, m in enumerate(motions)]
     who = f"{'; '.join(names)}. " if len(motions) > 1 else ""

@@ -18,7 +18,7 @@ from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
-from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.robot.rolled import one_off
 from cnclik.stability.linear import checked, share_per_step
@@ -35,6 +35,7 @@ def curvature_bound(chain) -> float:
 
     Raises: ArgumentError for chains with prismatic joints, whose distances have no bound here.
     """
+    errors.kind("chain", chain, Chain)
     if any(j.kind != REVOLUTE for j in chain.joints):
         raise errors.fail("chain", "have revolute joints only", "has a prismatic one")
     offsets = [*(j.origin.position for j in chain.joints[1:]), chain.tip.position]
@@ -92,6 +93,8 @@ def certified_radius(law, q0, *, Ts, method=EE) -> float:
     bound = curvature_bound(law.chain)
     rows = np.asarray(jacobian(law.chain, q0))[list(law.task.linear)]
     sigma = float(np.linalg.svd(rows)[1][-1])
+    if sigma <= 0:
+        return 0.0
     s = np.linspace(0, sigma, 2002)[1:-1]
     # With x = ‖e₀‖, room = 1 − |1 − z| − L z² x/(2s²) must be positive and L z x ≤ (σ − s) s·room: linear in x.
     room = 1 - abs(1 - z)
@@ -114,11 +117,17 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
     import xarray as xr
 
     method, stage = checked(method, stage)
-    q0 = as_joint_values(law.chain, q0, "q0")
+    check_loop(law)
+    q0, seed = as_joint_values(law.chain, q0, "q0"), errors.seed(seed)
     radii = np.asarray(errors.array("radii", radii, (None,)), float)
+    if not radii.size or radii.min() <= 0:
+        raise errors.fail("radii", "hold positive numbers", f"is {radii.tolist()}")
     Ts = jnp.asarray(errors.number("Ts", Ts, positive=True), float)
     errors.number("tolerance", tolerance, positive=True)
-    directions, N = errors.integer("directions", directions, at_least=1), errors.integer("N", N, at_least=4)
+    directions, N = (
+        errors.integer("directions", directions, at_least=1),
+        errors.integer("N", N, at_least=4, at_most=errors.MOST),
+    )
     units = _directions(len(law.task.position), directions, seed)
     moves = jnp.asarray((radii[:, None, None] * units).reshape(-1, units.shape[-1]))
     ended = _targets(law, q0, moves, Ts, stage, N=N, method=method, tolerance=tolerance)
@@ -150,5 +159,5 @@ def _directions(d, count, seed):
     if d == 2:
         angle = 2 * np.pi * np.arange(count) / count
         return np.stack([np.cos(angle), np.sin(angle)], -1)
-    drawn = np.random.default_rng(int(errors.seed(seed))).normal(size=(count, d))
+    drawn = np.random.default_rng(int(seed)).normal(size=(count, d))
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)

@@ -7,6 +7,7 @@ R(z) = e^{−z}, of all of them. A multistep method has a factor for each instan
 λᵖ = Σⱼ (aⱼ − z bⱼ) λᵖ⁻¹⁻ʲ; what counts is the largest. Everything here runs in float64 by itself.
 """
 
+import contextlib
 import math
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import bounded_jit
+from cnclik.integrate.drive import MOST
 from cnclik.integrate.march import march
 from cnclik.integrate.method import named
 from cnclik.integrate.stage import picard
@@ -85,7 +87,7 @@ def amplification(method, stage, z):
     Returns: a NumPy array of the shape of z; complex where z is, or where a multistep method's factor is. In float64.
     """
     method, stage = checked(method, stage)
-    z = np.asarray(z)
+    z = _numbers(z)
     if method.steps > 1 and not method.exponential:
         roots = factors(method, stage, z)
         largest = np.take_along_axis(roots, np.argmax(np.abs(roots), -1)[..., None], -1)[..., 0]
@@ -95,6 +97,15 @@ def amplification(method, stage, z):
     x, y = _amplification(at_rest_as(method), stage, a, b)
     value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
     return value.reshape(z.shape)
+
+
+def _numbers(z):
+    """z as an array of real or complex numbers, all finite."""
+    with contextlib.suppress(ValueError, TypeError):
+        found = np.asarray(z)
+        if found.dtype.kind in "iufc" and np.isfinite(found).all():
+            return found
+    raise errors.fail("z", "be a finite number, or an array of them", f"is {z!r}")
 
 
 def at_rest_as(method):
@@ -113,10 +124,10 @@ def factors(method, stage, z, delay: int = 0):
     multistep formula. The factors are the roots of its polynomial.
     """
     method, stage = checked(method, stage)
-    delay = errors.integer("delay", delay, at_least=0)
+    delay = errors.integer("delay", delay, at_least=0, at_most=MOST)
     if method.steps == 1 or method.exponential:
         return late_factors(amplification(method, stage, z), delay)
-    z = np.asarray(z)
+    z = _numbers(z)
     row = np.zeros((*z.shape, method.steps + delay), z.dtype if np.iscomplexobj(z) else np.float64)
     row[..., : len(method.a)] += method.a
     row[..., delay : delay + len(method.b)] -= z[..., None] * np.array(method.b)
@@ -261,8 +272,9 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
     import xarray as xr
 
     method, stage = checked(method, stage)
-    points = errors.integer("points", points, at_least=2)
-    x, y = np.linspace(*real, points), np.linspace(*imaginary, points)
+    points = errors.integer("points", points, at_least=2, at_most=10_000)
+    ends = (np.asarray(errors.array(name, v, (2,)), float) for name, v in (("real", real), ("imaginary", imaginary)))
+    x, y = (np.linspace(*pair, points) for pair in ends)
     values = np.abs(amplification(method, stage, x + 1j * y[:, None]))
     return xr.DataArray(
         values,

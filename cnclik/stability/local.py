@@ -54,13 +54,17 @@ def radii(law, at: Instant, scale, Ts, method, stage, drive=Drive()):
 
 
 def stable_share(law, at: Instant, Ts, method, stage, drive=Drive()) -> float:
-    """Share of the gain up to which the loop is stable at an instant, to 1 %: 1 if all of it is, 0 below LEAST."""
+    """Share of the gain up to which the loop is stable at an instant, to 1 %: 1 if all of it is, 0 below LEAST.
 
+    All of it counts, too, where only smaller gains are not: those that don't outweigh what else moves the task.
+    """
     count = GAINS if drive.prompt else looked_at(drive, 3)
 
     def bad(scale):
         return ~(radii(law, at, scale, Ts, method, stage, drive) <= 1 + _NOISE)
 
+    if not bad(np.ones(1)).any() and bad(np.full(1, LEAST)).any():
+        return 1.0
     for top in np.geomspace(1, LEAST, 6)[:-1]:  # three decades at a time
         grid = np.geomspace(top * 1e-3, top, count)
         unstable = bad(grid)

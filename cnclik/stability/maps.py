@@ -59,7 +59,7 @@ def outcomes(
     method, stage = checked(method, stage)
     check_loop(law, reference)
     check_drive(drive, law.chain.n)
-    N = errors.integer("N", N, at_least=4)
+    N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
     given = (("q0", q0), ("alpha", alpha), ("Ts", Ts), ("M", 0 if M is None else M))
     q0, alpha, Ts, passes = (np.asarray(errors.array(name, value), float) for name, value in given)
@@ -67,6 +67,8 @@ def outcomes(
         raise errors.fail("Ts", "be positive", f"is {Ts.tolist()}")
     if np.any(passes < 0):
         raise errors.fail("M", "be at least 0", f"is {passes.tolist()}")
+    if np.any((passes > 1_000_000) | (passes != np.round(passes))):
+        raise errors.fail("M", "be whole, and at most a million", f"is {passes.tolist()}")
     if q0.shape[-1:] != (law.chain.n,):
         raise errors.fail("q0", f"have shape (..., {law.chain.n})", f"has shape {q0.shape}")
     shapes = q0.shape[:-1], alpha.shape, Ts.shape, passes.shape
@@ -131,6 +133,7 @@ def stability_map(
     import xarray as xr
 
     method, stage = checked(method, stage)
+    check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
     rest = settle(law, reference, q0) if rest is None else rest
@@ -172,8 +175,10 @@ def passes_map(law, reference, q0, *, z, M, Ts=0.1, method="CN", stage=picard(0)
     method, stage = checked(method, stage)
     if not method.implicit:
         raise errors.fail("method", "be implicit, such as CN", f"is {method}")
-    z = np.asarray(errors.array("z", z, (None,)), float)
-    M = np.array([errors.integer("M", m, at_least=0) for m in M], int)
+    z, Ts = np.asarray(errors.array("z", z, (None,)), float), float(errors.number("Ts", Ts, positive=True))
+    if not np.iterable(M) or isinstance(M, str):
+        raise errors.fail("M", "be numbers of passes", f"is {M!r}")
+    M = np.array([errors.integer("M", m, at_least=0, at_most=1_000_000) for m in M], int)
     made = outcomes(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, N=N, **options)
     masked = [replace(stage, M=jnp.asarray(int(m)), maximum=int(M.max())) for m in M]
     return xr.Dataset(

@@ -23,7 +23,7 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.linear import first_above, late_monotone, late_stable
 from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
-from cnclik.stability.spectrum import directions, step_map
+from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
 ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
 SPEED = 0.1  # [m/s] of the tip, where none is given
@@ -147,7 +147,11 @@ def practice(
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
         settings=settings(elsewhere, by_euler, Ts) if by_euler else {},
-        notes=(*_left(loop, found.spectrum), *_notes(drive, loop.modes(np.array([chosen]), Ts)[0])),
+        notes=(
+            *_left(loop, found.spectrum),
+            *_pulled(law, loop, chosen / Ts),
+            *_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
+        ),
         advice=found,
     )
 
@@ -243,6 +247,21 @@ def _left(loop, now) -> tuple:
         return ()
     grows = f"a motion grows by {now.null_radius:.6g} each step, whatever the gain"
     return (f"In the null space the arm leaves this posture by itself ({grows}): ask again where it comes to rest.",)
+
+
+def _pulled(law, loop, alpha) -> tuple:
+    """What the null-space velocity, which is taken off at rest, leaves of an error."""
+    if law.null_velocity is None:
+        return ()
+    velocity = np.asarray(drift_of_numbers(law, loop.held, loop.q))
+    pull = np.linalg.norm(loop.maps(np.ones(1), np.ones(1))[1] @ velocity)
+    if pull / alpha < rest_tolerance(law.chain):
+        return ()
+    return (
+        f"The null-space velocity pulls at the task through this J#, by {pull:.3g} [m/s, rad/s]: about"
+        f" {pull / alpha:.3g} [m, rad] stay off at the recommended gain. pseudoinverse(), less damping or a slower one "
+        "mends it.",
+    )
 
 
 def _notes(drive, steps) -> tuple:

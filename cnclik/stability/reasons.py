@@ -9,12 +9,12 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.stage import Picard
 from cnclik.integrate.status import Status
-from cnclik.law.inverse import Transpose
+from cnclik.law.inverse import Pseudoinverse, Transpose
 from cnclik.law.limits import Saturated
 from cnclik.record import replace
 from cnclik.robot.posture import arm_length
 from cnclik.stability.local import fastest_share, maps, resting, stable_share
-from cnclik.stability.spectrum import null_radius
+from cnclik.stability.spectrum import drift_of_numbers, null_radius
 
 UNSTABLE = 1.01  # spectral radius beyond which a loop that seems to rest doesn't: smaller excess is the error's own
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
@@ -22,6 +22,9 @@ GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion redu
 SLOWER = "follow a slower path, use limits velocity_scaling(), or, near a singularity, damped(...)"
 GENTLER = "use limits velocity_scaling(), or an error_clamp, or reduce alpha"
 LESS_NULL = "reduce the gain of the null-space velocity"
+PULLED = "the null-space velocity pulls at the task, as I − J# J of this inverse is no projector"
+LESS_PULL = "use pseudoinverse(), less damping, or a slower null-space velocity"
+LEAK = 0.3  # share of what the gain asks for that such a pull must be
 
 
 def held_by(case, moving):
@@ -89,6 +92,27 @@ def reach_remedy(case):
     if not np.any(getattr(case.law.inverse, "damping", 0.0)):
         return "bring the target nearer, or use damped(...) and error_clamp to stop quietly before it"
     return "bring the target nearer, or start from another posture"
+
+
+def leaks(case) -> bool:
+    """Whether what is left of an error is what the null-space velocity puts there, through a J# whose I − J# J is no
+    projector."""
+    law = case.law
+    if law.null_velocity is None or isinstance(law.inverse, Pseudoinverse):
+        return False
+    pull = case.rows @ np.asarray(drift_of_numbers(law, resting(law, case.end)[1].reference, case.end.q))
+    asked = np.asarray(law.alpha, float)
+    asked = asked @ case.e if asked.ndim == 2 else asked * case.e
+    return bool(np.linalg.norm(pull) > LEAK * np.linalg.norm(asked) > 0)
+
+
+def faster_than_its_joints(case) -> str:
+    """What to do about a loop that asks for more than its joints can."""
+    if case.behind > case.seen.floor:
+        return SLOWER
+    if case.law.null_velocity is None:
+        return GENTLER
+    return f"use limits velocity_scaling(), or {LESS_NULL}, or alpha"
 
 
 def lower(case):

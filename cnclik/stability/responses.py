@@ -10,6 +10,7 @@ from cnclik.integrate.measured import solve_measured
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
+from cnclik.law.law import check_loop
 from cnclik.law.shifted import shifted
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
@@ -61,11 +62,12 @@ def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     import xarray as xr
 
     method, stage = checked(method, stage)
+    check_loop(law)
     errors.number("Ts", Ts, positive=True)
     check_drive(drive, law.chain.n)
     drive = replace(drive, drive_velocity=None, drive_acceleration=None, joint_noise=0.0, resolution=0.0)
     long = int(np.ceil(10 * np.max(drive.late_by(float(Ts))) / float(Ts)))
-    N = errors.integer("N", max(2 * PERIOD, long) if N is None else N, at_least=1)
+    N = errors.integer("N", max(2 * PERIOD, long) if N is None else N, at_least=1, at_most=errors.MOST)
     law, held = at_rest(law, reference, q)
     q = as_joint_values(law.chain, q)
     m, Ts = law.task.m, float(Ts)

@@ -292,7 +292,7 @@ def at_rest(law, reference, q):
     if law.null_velocity is None:
         return law, held
     known = all(map(errors.concrete, jax.tree.leaves((law, q))))
-    drift = (_drift_of_numbers if known else _drift)(law, held, q)
+    drift = (drift_of_numbers if known else _drift)(law, held, q)
     if known and not np.isfinite(drift).all():
         raise errors.fail("null_velocity", "give a finite velocity at q", f"is {np.asarray(drift).tolist()}")
     return replace(law, null_velocity=without(law.null_velocity, drift)), held
@@ -308,7 +308,7 @@ def _drift(law, held, q):
     return drift
 
 
-_drift_of_numbers = one_off(_drift)
+drift_of_numbers = one_off(_drift)
 
 
 def hold_at(law, q, move=0.0):

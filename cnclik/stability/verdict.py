@@ -97,8 +97,7 @@ def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     case = _case(law, reference, run, float(Ts), method, stage, check_drive(drive, law.chain.n))
     kind, what, remedy = _judged(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
-        moving = case.behind > case.seen.floor
-        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or (reasons.SLOWER if moving else reasons.GENTLER)
+        what, remedy = f"{what}; {case.seen.over_velocity}", remedy or reasons.faster_than_its_joints(case)
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""),
@@ -251,6 +250,8 @@ def _held(case, error, radius):
         return Behaviour.SETTLED, f"{error}; {radius}", ""
     if seen.shrinks:
         return Behaviour.CONVERGING, f"{error} and shrinking; {radius}", "run for more steps"
+    if reasons.leaks(case):
+        return Behaviour.STALLED, f"{error} and stays: {reasons.PULLED}", reasons.LESS_PULL
     if reasons.hopeless(case) or reasons.beyond(case) > 0:
         return Behaviour.OUT_OF_REACH, f"{error}, and {reasons.why_not(case)}", reasons.reach_remedy(case)
     if gap := reasons.gap(case):

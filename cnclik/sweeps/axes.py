@@ -31,6 +31,10 @@ def read(name, value, joints=0) -> Axis:
         values = {v: v for v in values}
     if isinstance(values, np.ndarray) and name not in COUNTED + COMPILED_IN:
         values = values.astype(float)
+    if name in COUNTED and np.ndim(values) > 1:
+        raise errors.fail(where, "hold one number each", f"is {value!r}")
+    if isinstance(values, list) and any(isinstance(v, bool) for v in values):
+        raise errors.fail(where, "hold numbers", f"is {value!r}")
     found = axis(name, values, where)
     if found.inner:
         check_values(where, name, found.values)

@@ -263,10 +263,21 @@ def _check_loops(spec: Spec):
 # --- figures ------------------------------------------------------------------------------------------
 
 
+def _check_selected(where, value, axis):
+    """Raise ArgumentError unless what a figure selects lies on the axis; of numbers the nearest is meant."""
+    if not axis.inner:
+        errors.one_of(where, value if isinstance(value, str) else str(value), list(map(str, axis.labels)))
+    elif np.ndim(axis.values) == 1:
+        errors.number(where, value)
+        if not axis.values.min() <= value <= axis.values.max():
+            raise errors.fail(where, f"lie between {axis.values.min():g} and {axis.values.max():g}", f"is {value:g}")
+
+
 def _figures(figures, spec: Spec) -> tuple:
     if not isinstance(figures, list):
         raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {figures!r}")
-    dims = [a.name for a in spec.grid().axes]
+    axes = {a.name: a for a in (spec.grid().axes if spec.shape().axes else ())}  # cut, which counts the blocks
+    dims = list(axes)
     for i, figure in enumerate(figures):
         where = f"figure[{i}]"
         if not isinstance(figure, dict):
@@ -282,6 +293,9 @@ def _figures(figures, spec: Spec) -> tuple:
         for key in ROLES:
             if key in figure:
                 errors.one_of(f"{where}.{key}", figure[key], dims)
-        for key in figure.get("select", {}):
+        if set(figure.get("name", "")) & set("/\\:") or figure.get("name", "x") in ("", ".", ".."):
+            raise errors.fail(f"{where}.name", "be a file's name without a folder", f"is {figure['name']!r}")
+        for key, value in figure.get("select", {}).items():
             errors.one_of(f"{where}.select", key, dims)
+            _check_selected(f"{where}.select.{key}", value, axes[key])
     return tuple(figures)

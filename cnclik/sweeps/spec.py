@@ -77,6 +77,8 @@ class Spec:
     def grid(self) -> Grid:
         """The grid, cut into blocks."""
         found = self.shape()
+        if not found.axes:
+            raise errors.fail("axes", "hold at least one axis, such as alpha = [1, 5, 10]", "holds none")
         size = math.prod(len(a) for a in found.inner)
         # Blocks of a power of two that long loops make smaller, enough of them to keep the cores busy.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)

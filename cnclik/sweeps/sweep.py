@@ -1,6 +1,7 @@
 """sweep and run_spec: one study over a labelled grid, or a spec's question, as an xarray.Dataset."""
 
 import json
+import os
 
 import jax
 import numpy as np
@@ -65,6 +66,12 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
     coordinate `limit`, the largest stable z = alpha·Ts; from a store, loaded on use.
     Raises: ArgumentError for what can't be run, or a folder that holds something else.
     """
+    if progress is not None and not callable(progress):
+        raise errors.fail("progress", "be a function or None", f"is {progress!r}")
+    for name, value in (("spec", spec), *([("out", out)] if out is not None else [])):
+        errors.kind(name, value, (os.PathLike, str, *([Spec] if name == "spec" else [])), "be a path")
+    if isinstance(set, str) or not np.iterable(set) or not all(isinstance(v, str) for v in set):
+        raise errors.fail("set", "be strings NAME=VALUE", f"is {set!r}")
     spec = spec if isinstance(spec, Spec) else read(spec, set)
     if out is not None:
         store.run(spec, out, fresh=fresh, progress=progress)

@@ -242,7 +242,8 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
             at = int(np.argmin(np.where(violation <= 1e-3, loss, np.inf)))
             kept = "kept" if violation[at] <= 0 else f"exceeded by {100 * violation[at]:.2g} %"
             progress((i + 1) * per_round, rounds * per_round, f"loss {loss[at]:.5g}, constraints {kept}")
-        settled = np.abs(before - loss) <= tolerance * np.abs(loss)
+        with np.errstate(invalid="ignore"):  # of a loss that was infinite, and is
+            settled = np.abs(before - loss) <= tolerance * np.abs(loss)
         exact = loss * np.asarray(scale) < nothing
         stuck = np.asarray(carry.failures) >= REJECTIONS
         done = (violation <= 1e-4) & (settled | exact | stuck)

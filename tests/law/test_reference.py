@@ -336,6 +336,9 @@ BAD = [
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=None), "`closed` must be True or False, but is None"),
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=[[1], [1, 2]]), "`closed` must be True or False, but is"),
     (lambda: ck.with_feedforward(5, [1.0]), "`reference` must be a Reference such as"),
+    (lambda: ck.waypoints([0, 1], None, [np.diag([1, 1, -1])] * 2), "`rotations` must hold rotation matrices"),
+    (lambda: ck.resampled([0, 1], rotations=np.zeros((2, 4))), "`rotations` must hold no quaternion of length 0"),
+    (lambda: ck.resampled([0, 1], rotations=[np.diag([1, 1, -1])] * 2), "`rotations` must hold rotation matrices"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
     (lambda: ck.with_feedforward(ck.hold([1, 2]), 1.0), r"`velocity` must have shape \(n,\), but has shape \(\)"),
 ]

@@ -10,6 +10,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.stability import Behaviour, verdict
+from cnclik.stability.practice import practice
 
 FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
 TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -214,6 +215,29 @@ def test_pose_of_a_real_arm(alpha, kinds):
     with ck.use_hints(False):
         found = judge(made, target, 40, q)
     assert found.kind in kinds.split(), found.sentence
+
+
+def test_a_null_space_velocity_that_pulls_at_the_task_is_named():
+    """Through a damped J# the error stays where gain and pull are even; more damping, or less gain, make it larger."""
+    start = np.array([0.3, 0.8, 0.6])
+    arm = ck.planar_arm([1.0] * 3)
+    made = ck.Law(arm, XY, alpha=5.0, inverse=ck.damped(0.05), null_velocity=ck.posture(start + 0.5, 10.0))
+    place = ck.hold(np.asarray(ck.pose(arm, start).position[:2]) + 1e-3)
+    found = judge(made, place, 400, start, Ts=0.05)
+    assert found.kind == Behaviour.STALLED and "pulls at the task" in found.sentence and found.radius < 1
+    assert found.remedy.startswith("use pseudoinverse(), less damping") and "alpha" not in found.remedy
+    for changes in ({"inverse": ck.pseudoinverse()}, {"null_velocity": None}):
+        assert judge(ck.replace(made, **changes), place, 400, start, Ts=0.05).kind == Behaviour.SETTLED
+    for less in ({"inverse": ck.damped(0.02)}, {"null_velocity": ck.posture(start + 0.5, 3.0)}):
+        assert judge(ck.replace(made, **less), place, 400, start, Ts=0.05).error < 0.5 * found.error
+    said = practice(made, None, start, Ts=0.05, method="EE").notes
+    assert any("pulls at the task" in note for note in said)
+
+
+def test_a_null_space_velocity_too_fast_for_the_joints_is_named():
+    chain = ck.replace(FIVE, velocity_limit=(0.05,) * 5)
+    found = judge(law(5.0, chain, null_velocity=ck.posture(Q5 + 0.3, 5.0)), NEAR, 60)
+    assert "velocity limit" in found.sentence and "reduce the gain of the null-space velocity" in found.remedy
 
 
 def test_what_cannot_be_judged():

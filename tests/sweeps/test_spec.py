@@ -301,6 +301,10 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must be [least, greatest]"),
         ({"figure": [{"kind": "heat", "reduce": "sum"}]}, "`figure[0].reduce` must be median, mean"),
         ({"figure": [{"kind": "heat", "xx": "z"}]}, "holds 'xx'"),
+        ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
+        ({"figure": [{"kind": "heat", "name": ".."}]}, "`figure[0].name` must be a file's name without a folder"),
+        ({"figure": [{"kind": "heat", "select": {"z": 1e9}}]}, "`figure[0].select.z` must lie between"),
+        ({"figure": [{"kind": "heat", "select": {"z": "a"}}]}, "`figure[0].select.z` must be a number, but is 'a'"),
         ({"figure": [{"kind": "heat", "x": "zz"}]}, "`figure[0].x` must be one of"),
         ({"figure": [{"kind": "heat", "value": "rms_error"}]}, "`figure[0].value` must be one of"),
     ],
@@ -388,3 +392,18 @@ def test_expressions_are_arithmetic():
     for bad in ("a.b", "a[0]", "lambda: 1", "f(a)", "sin(a, a)", "a if a else a", "'s'", "1j", "sin", "a and a"):
         with pytest.raises(ArgumentError, match="be a number or a short expression"):
             expression.parse("x", bad)
+
+
+def test_a_spec_without_axes_is_one_loop_and_no_sweep():
+    w = written(axes=None, figure=None)
+    w["fixed"] |= {"M": 2, "z": 0.5, "lift": 0.1, "method": "CN"}
+    spec = check.parse(w)
+    assert float(spec.build().Ts) == 0.1
+    with pytest.raises(ArgumentError, match="`axes` must hold at least one axis"):
+        spec.grid()
+
+
+@pytest.mark.parametrize(("values", "told"), [([[1, 2, 3, 4]], "hold one number each"), ([True, 2], "hold numbers")])
+def test_passes_are_single_numbers(values, told):
+    with pytest.raises(ArgumentError, match=f"`axes.M` must {told}"):
+        check.parse(written(axes__M=values))
