@@ -73,15 +73,15 @@ def _run(verb, *options) -> None:
         _leave(2, error)
     except FigureError as error:
         _leave(1, error)
-    except ImportError as error:  # of what is installed beside us; what was computed is written before it is needed
-        _leave(1, errors.in_a_line(error))
     except KeyboardInterrupt:
         _stopped(signal.SIGINT)
     except terminal.Terminated:
         _stopped(signal.SIGTERM)
-    except Exception:
+    except Exception as error:
         if terminal.heard_now:
             _stopped(terminal.heard_now[0])
+        if isinstance(error, ImportError):  # of what draws: what was computed is written before that is loaded
+            _leave(1, errors.in_a_line(error))
         if _has_platform():
             raise
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
