@@ -21,9 +21,14 @@ _WHY = {
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
 
+HELD = 0.01  # of a joint's velocity limit, within which a run is held back by it
 _NEARLY_NO_GAIN = (
     "The gain is hardly any: within the whole path it would not take back an error. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
+)
+_HELD_BACK = (
+    "The gain is hardly any: within the whole path it would not take back an error. More would break the bound on "
+    "joint velocities: give more steps or a slower path, begin nearer to it, or use limits velocity_scaling()."
 )
 _LITTLE_GAIN = (
     "The gain, which was not tuned, is hardly any: within the whole path it would not take back an error. Raise alpha, "
@@ -123,7 +128,8 @@ class Tuned:
     def why(self) -> str:
         """The status in a sentence, and a second one where what was found is hardly a loop."""
         if self.status != "infeasible":
-            little = _NEARLY_NO_GAIN if {"alpha", "schedule"} & set(self.values) else _LITTLE_GAIN
+            tuned, held = {"alpha", "schedule"} & set(self.values), self.after.speed > 1 - HELD
+            little = _LITTLE_GAIN if not tuned else _HELD_BACK if held else _NEARLY_NO_GAIN
             return _WHY[self.status] + (f" {little}" if self.N * self.after.correction < 1 else "")
         worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"
         return f"{_WHY[self.status]} Worst, the bound on {worst}."

@@ -319,6 +319,8 @@ def test_a_gain_that_is_hardly_any_is_said_to_be():
     at = dict(Ts=0.01, N=60, method="EE", descent=Descent(steps=30))
     late = tune(fast.law, fast.reference, fast.q0, conditions=Conditions(drive=Drive(delay=3, lag=0.1)), **at)
     assert late.after.z * 60 < 1 and "hardly any" in str(late) and "or bound alpha" in str(late)
+    fast = ck.replace(late, after=ck.replace(late.after, speed=0.999))  # as where joint velocities hold it back
+    assert "hardly any" in fast.why and "bound on joint velocities" in fast.why and "drive" not in fast.why
     given = ck.replace(late, values={"links": np.ones(3)})  # as where something else was tuned
     assert "hardly any" in given.why and "tune it too" in given.why and "bound alpha" not in given.why
 
