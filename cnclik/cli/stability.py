@@ -185,7 +185,7 @@ def _plane(args, out):
         Console().print(shown)
     from cnclik.show.output import drawn_by
 
-    return {"plane.png": (lambda: drawn_by("stability", "plane")(data), {"Title": "stability regions"})}
+    return {"plane.png": (functools.partial(drawn_by("stability", "plane"), data), {"Title": "stability regions"})}
 
 
 # --- the map ------------------------------------------------------------------------------------------
@@ -224,8 +224,8 @@ def _map(args, out):
     title = "\n".join(filter(None, (f"{name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)
-    draw_map = drawn_by("stability", "stability_map")
-    figures = {"map.png": (lambda: draw_map(data, title=title, operating=point), about)}
+    drawn = functools.partial(drawn_by("stability", "stability_map"), data, title=title, operating=point)
+    figures = {"map.png": (drawn, about)}
     if found.method.implicit and not driven:
         z, some = np.linspace(0.02, 3.0, 2 * args.cells), range(max(args.passes) + 1)
         with progress.bar("loops") as report:
@@ -235,7 +235,7 @@ def _map(args, out):
         out.write("passes.nc", functools.partial(save_netcdf, strip))
         name = f"{found.name}, {found.method}, {strip.attrs['stage']}(M)"
         figures["passes.png"] = (
-            lambda: drawn_by("stability", "passes")({name: strip}),
+            functools.partial(drawn_by("stability", "passes"), {name: strip}),
             {"Title": name, "Description": config},
         )
     endings = data.ending.values

@@ -80,14 +80,13 @@ class Trajectory:
         return text + markup.error_plot(self.t, size, np.append(np.asarray(self.status) != 0, False))
 
 
-def check_run(run, law, name="run") -> Trajectory:
-    """The run, if it is one of this law's robot and task."""
-    errors.kind(name, run, Trajectory)
+def check_run(run, law) -> None:
+    """Raise ArgumentError unless it is a run, or a batch of them, of this law's robot and task."""
+    errors.kind("run", run, Trajectory)
     found, wanted = ((*np.shape(run.q)[-1:], *np.shape(run.e)[-1:]), (law.chain.n, law.task.m))
     if found != wanted:
         must = f"be a Trajectory of this law, of {wanted[0]} joints and {wanted[1]} task coordinates"
-        raise errors.fail(name, must, f"is of {' and '.join(map(str, found))}")
-    return run
+        raise errors.fail("run", must, f"is of {' and '.join(map(str, found))}")
 
 
 def one_lane(run) -> None:

@@ -31,7 +31,6 @@ from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import FUTURES
 
 LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
-_NULL = ("posture", "posture_rate", "manipulability")
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
 
 
@@ -108,7 +107,7 @@ def problem_from(robot, **options) -> Problem:
         alpha=gain_from(v["alpha"]),
         inverse=inverse,
         limits=limits_from(v["limits"], Ts, v["limit_rate"]),
-        null_velocity=null_from(chain, task, **{name: v[name] for name in _NULL}),
+        null_velocity=null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
     path = {name: v[name] for name in PATH}

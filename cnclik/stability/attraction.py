@@ -124,10 +124,8 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
         raise errors.fail("radii", "hold positive numbers", f"is {radii.tolist()}")
     Ts = jnp.asarray(errors.number("Ts", Ts, positive=True), float)
     errors.number("tolerance", tolerance, positive=True)
-    directions, N = (
-        errors.integer("directions", directions, at_least=1),
-        errors.integer("N", N, at_least=4, at_most=errors.MOST),
-    )
+    directions = errors.integer("directions", directions, at_least=1)
+    N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     units = _directions(len(law.task.position), directions, seed)
     moves = jnp.asarray((radii[:, None, None] * units).reshape(-1, units.shape[-1]))
     ended = _targets(law, q0, moves, Ts, stage, N=N, method=method, tolerance=tolerance)

@@ -63,7 +63,8 @@ def stable_share(law, at: Instant, Ts, method, stage, drive=Drive()) -> float:
     def bad(scale):
         return ~(radii(law, at, scale, Ts, method, stage, drive) <= 1 + _NOISE)
 
-    if not bad(np.ones(1)).any() and bad(np.full(1, LEAST)).any():
+    least, whole = bad(np.array([LEAST, 1.0]))
+    if least and not whole:
         return 1.0
     for top in np.geomspace(1, LEAST, 6)[:-1]:  # three decades at a time
         grid = np.geomspace(top * 1e-3, top, count)

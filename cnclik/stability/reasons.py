@@ -9,12 +9,13 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.stage import Picard
 from cnclik.integrate.status import Status
-from cnclik.law.inverse import Pseudoinverse, Transpose
+from cnclik.law.inverse import Transpose
 from cnclik.law.limits import Saturated
 from cnclik.record import replace
+from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.posture import arm_length
 from cnclik.stability.local import fastest_share, maps, resting, stable_share
-from cnclik.stability.spectrum import drift_of_numbers, null_radius
+from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky, null_radius
 
 UNSTABLE = 1.01  # spectral radius beyond which a loop that seems to rest doesn't: smaller excess is the error's own
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
@@ -95,12 +96,11 @@ def reach_remedy(case):
 
 
 def leaks(case) -> bool:
-    """Whether what is left of an error is what the null-space velocity puts there, through a J# whose I − J# J is no
-    projector."""
-    law = case.law
-    if law.null_velocity is None or isinstance(law.inverse, Pseudoinverse):
+    """Whether what is left of an error is what the null-space velocity puts there."""
+    law, q = case.law, as_joint_values(case.law.chain, case.end.q)
+    if not leaky(law):
         return False
-    pull = case.rows @ np.asarray(drift_of_numbers(law, resting(law, case.end)[1].reference, case.end.q))
+    pull = case.rows @ np.asarray(drift_of_numbers(law, held_at(law, q), q))
     asked = np.asarray(law.alpha, float)
     asked = asked @ case.e if asked.ndim == 2 else asked * case.e
     return bool(np.linalg.norm(pull) > LEAK * np.linalg.norm(asked) > 0)

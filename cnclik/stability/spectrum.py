@@ -288,7 +288,7 @@ def at_rest(law, reference, q):
     q = as_joint_values(law.chain, q, finite=True)
     if reference is not None and errors.concrete(q):
         _require_rest(law, reference, q)
-    held = replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
+    held = held_at(law, q)
     if law.null_velocity is None:
         return law, held
     known = all(map(errors.concrete, jax.tree.leaves((law, q))))
@@ -309,6 +309,16 @@ def _drift(law, held, q):
 
 
 drift_of_numbers = one_off(_drift)
+
+
+def held_at(law, q):
+    """The held reference of a loop at rest at q, told that it moves no more."""
+    return replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
+
+
+def leaky(law) -> bool:
+    """Whether a null-space velocity may pull at the task: I − J# J is a projector of the pseudoinverse alone."""
+    return law.null_velocity is not None and not isinstance(law.inverse, Pseudoinverse)
 
 
 def hold_at(law, q, move=0.0):
@@ -354,8 +364,8 @@ def settle(law, reference, q0, *, N=200):
     run = solve(law, reference, q0, 1.0 / largest_rate(law.alpha), N, IE, chord(4))
     size = float(np.linalg.norm(np.asarray(run.e)[-1]))
     if not size < rest_tolerance(law.chain):
-        pulls = law.null_velocity is not None and not isinstance(law.inverse, Pseudoinverse)
-        found = f"leaves an error of {size:.3g} after {N} steps" + ", as the null-space velocity pulls at it" * pulls
+        why = ", as the null-space velocity pulls at it" * leaky(law)
+        found = f"leaves an error of {size:.3g} after {N} steps{why}"
         raise errors.fail("target", "be one the loop comes to rest on", found)
     return np.asarray(run.q)[-1]
 

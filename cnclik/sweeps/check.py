@@ -268,9 +268,10 @@ def _check_selected(where, value, axis):
     if not axis.inner:
         errors.one_of(where, value if isinstance(value, str) else str(value), list(map(str, axis.labels)))
     elif np.ndim(axis.values) == 1:
-        errors.number(where, value)
-        if not axis.values.min() <= value <= axis.values.max():
-            raise errors.fail(where, f"lie between {axis.values.min():g} and {axis.values.max():g}", f"is {value:g}")
+        least, most = axis.values.min(), axis.values.max()
+        slack = 1e-9 * max(abs(least), abs(most))  # the ends are computed, and rounded
+        if not least - slack <= errors.number(where, value) <= most + slack:
+            raise errors.fail(where, f"lie between {least:g} and {most:g}", f"is {value:g}")
 
 
 def _figures(figures, spec: Spec) -> tuple:
@@ -293,7 +294,7 @@ def _figures(figures, spec: Spec) -> tuple:
         for key in ROLES:
             if key in figure:
                 errors.one_of(f"{where}.{key}", figure[key], dims)
-        if set(figure.get("name", "")) & set("/\\:") or figure.get("name", "x") in ("", ".", ".."):
+        if set(figure.get("name", "")) & set("/\\") or figure.get("name", "x") in ("", ".", ".."):
             raise errors.fail(f"{where}.name", "be a file's name without a folder", f"is {figure['name']!r}")
         for key, value in figure.get("select", {}).items():
             errors.one_of(f"{where}.select", key, dims)

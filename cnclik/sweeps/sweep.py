@@ -68,8 +68,8 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
     """
     if progress is not None and not callable(progress):
         raise errors.fail("progress", "be a function or None", f"is {progress!r}")
-    for name, value in (("spec", spec), *([("out", out)] if out is not None else [])):
-        errors.kind(name, value, (os.PathLike, str, *([Spec] if name == "spec" else [])), "be a path")
+    errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
+    errors.kind("out", out, (str, os.PathLike, type(None)), "be a path")
     if isinstance(set, str) or not np.iterable(set) or not all(isinstance(v, str) for v in set):
         raise errors.fail("set", "be strings NAME=VALUE", f"is {set!r}")
     spec = spec if isinstance(spec, Spec) else read(spec, set)

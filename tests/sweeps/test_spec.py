@@ -407,3 +407,11 @@ def test_a_spec_without_axes_is_one_loop_and_no_sweep():
 def test_passes_are_single_numbers(values, told):
     with pytest.raises(ArgumentError, match=f"`axes.M` must {told}"):
         check.parse(written(axes__M=values))
+
+
+def test_the_rounded_end_of_an_axis_can_be_selected():
+    """linspace(0.1, 0.7, 4) ends at 0.7 − 1e-16, or 0.7 + 1e-16."""
+    for first, last in ((0.1, 0.7), (0.1, 0.3), (0.7, 0.1)):
+        axis = {"linspace": [first, last, 3]}
+        for end in (np.nextafter(last, 9), np.nextafter(last, -9), first):
+            check.parse(written(axes__z=axis, figure=[{"kind": "slices", "x": "lift", "select": {"z": float(end)}}]))
