@@ -9,9 +9,21 @@ multiplies the error of ė = −alpha e.
 import dataclasses
 
 import jax
+import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.multistep import AB2, AB3, AB4, IFD5, ZEAD4, ZNN4, ZNN6, Multistep
+from cnclik.integrate.multistep import (
+    AB2,
+    AB3,
+    AB4,
+    IFD5,
+    ZEAD4,
+    ZNN4,
+    ZNN6,
+    Multistep,
+    check_order,
+    weights_of,
+)
 
 
 @jax.tree_util.register_static
@@ -21,7 +33,7 @@ class Method:
 
     Attributes:
       name: as written in the API, on the command line and in datasets.
-      A: rows of the lower triangular coefficient matrix, row i with i + 1 entries.
+      A: rows of the lower triangular coefficient matrix, row i with i + 1 entries; without its last, 0, an entry less.
       b: weights of the slopes.
       c: times of the slopes, in units of Ts.
       order: the order of accuracy on a moving target, stages solved exactly.
@@ -37,6 +49,20 @@ class Method:
     source: str
     exponential: bool = False
 
+    def __post_init__(self):
+        b, c = weights_of("b", self.b), weights_of("c", self.c)
+        A = tuple(weights_of(f"A[{i}]", row) for i, row in enumerate(self.A))
+        A = tuple((*row, 0.0) if len(row) == i else row for i, row in enumerate(A))
+        if [len(row) for row in A] != list(range(1, len(b) + 1)):
+            raise errors.fail("A", "be lower triangular, row i with i + 1 entries for each of `b`", f"is {self.A!r}")
+        if len(c) != len(b):
+            raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
+        made = {"A": A, "b": b, "c": c, "order": check_order(self.order, b, _conditions(A, np.array(b), np.array(c)))}
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
+        if self.exponential and self.implicit:
+            raise errors.fail("exponential", "be False for an implicit tableau", "is True")
+
     def __repr__(self):
         return self.name
 
@@ -49,6 +75,17 @@ class Method:
     def steps(self) -> int:
         """How many instants it uses: the present one."""
         return 1
+
+
+def _conditions(A, b, c):
+    """What the order conditions leave, those of the orders 1 to 4 (Hairer, Nørsett & Wanner 1993, II.2)."""
+    A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
+    return (
+        [b.sum() - 1],
+        [b @ c - 1 / 2, *(A.sum(1) - c)],
+        [b @ c**2 - 1 / 3, b @ A @ c - 1 / 6],
+        [b @ c**3 - 1 / 4, (b * c) @ A @ c - 1 / 8, b @ A @ c**2 - 1 / 12, b @ A @ A @ c - 1 / 24],
+    )
 
 
 EE = Method(

@@ -8,16 +8,50 @@ values. How large z = alpha·Ts may be follows from the roots of λᵖ = Σⱼ (
 """
 
 import dataclasses
+import functools
+from fractions import Fraction
 
 import jax
+import numpy as np
 
-# bⱼ by their number (Bashforth & Adams 1883; Hairer, Nørsett & Wanner 1993, III.1).
-ADAMS = {
-    1: (1.0,),
-    2: (3 / 2, -1 / 2),
-    3: (23 / 12, -16 / 12, 5 / 12),
-    4: (55 / 24, -59 / 24, 37 / 24, -9 / 24),
-}
+from cnclik import errors
+
+ROUNDING = 1e-9  # of weights that were written as decimals
+
+
+@functools.cache
+def adams(p: int) -> tuple:
+    """The p weights of Adams-Bashforth, bⱼ = ∫₀¹ Πᵢ (s + i)/(i − j) ds over i ≠ j (Bashforth & Adams 1883).
+
+    See Hairer, Nørsett & Wanner (1993), III.1.
+    """
+    weights = []
+    for j in range(p):
+        polynomial = [Fraction(1)]  # in s, the constant first
+        for i in (*range(j), *range(j + 1, p)):
+            polynomial = [(i * a + b) / (i - j) for a, b in zip([*polynomial, 0], [0, *polynomial], strict=True)]
+        weights.append(float(sum(x / (k + 1) for k, x in enumerate(polynomial))))
+    return tuple(weights)
+
+
+def weights_of(name, values) -> tuple:
+    """Weights of a method, or its times, as a tuple of floats."""
+    return tuple(float(x) for x in errors.array(name, values, (None,)))
+
+
+def check_order(order, b, left) -> int:
+    """A method's order, a whole number; ArgumentError where its weights are of less.
+
+    Args: left: what the conditions of the orders 1, 2, … leave, those of an order together; 0 where they hold.
+    """
+    order = errors.integer("order", order, at_least=1)
+    (excess,) = left[0]
+    if abs(excess) > ROUNDING:
+        raise errors.fail("b", f"hold weights whose sum is {sum(b) - excess:g}", f"has a sum of {sum(b):g}")
+    for found, missed in enumerate(left[1:order], 1):
+        if max(map(abs, missed)) > ROUNDING:
+            raise errors.fail("order", f"be {found}, that of the weights", f"is {order}")
+    return order
 
 
 @jax.tree_util.register_static
@@ -42,6 +76,23 @@ class Multistep:
     source: str
     exponential: bool = False
 
+    def __post_init__(self):
+        a, b = (weights_of(name, getattr(self, name)) for name in "ab")
+        if abs(sum(a) - 1) > ROUNDING:
+            raise errors.fail("a", "hold weights whose sum is 1", f"holds {list(a)}")
+        growth = max(map(abs, np.roots([1.0, *(-w for w in a)])))  # of the past, whatever Ts is (Dahlquist 1956)
+        if growth > 1 + ROUNDING**0.5:
+            raise errors.fail("a", "have no root of λᵖ = Σⱼ aⱼ λᵖ⁻¹⁻ʲ beyond 1", f"has one of size {growth:.4g}")
+        if self.exponential and a != (1.0,):
+            raise errors.fail("exponential", "be False for a formula that remembers joint values", "is True")
+        made = {
+            "a": a,
+            "b": b,
+            "order": check_order(self.order, b, [[_missed(a, b, k)] for k in range(1, len(a + b) + 2)]),
+        }
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
+
     def __repr__(self):
         return self.name
 
@@ -61,8 +112,14 @@ class Multistep:
 
         With all of them it is the formula itself; with fewer, Adams-Bashforth of rising order up to its own.
         """
-        rising = [((1.0,), ADAMS[min(past + 1, self.order)]) for past in range(self.steps - 1)]
+        rising = [((1.0,), adams(min(past + 1, self.order))) for past in range(self.steps - 1)]
         return tuple(tuple(_filled(w, self.steps) for w in row) for row in (*rising, (self.a, self.b)))
+
+
+def _missed(a, b, k) -> float:
+    """What the formula is off by at the end of a step from 0 to 1 along tᵏ."""
+    past = sum(w * (-j) ** k for j, w in enumerate(a))
+    return past - 1.0 + sum(w * k * (-j) ** (k - 1) for j, w in enumerate(b))
 
 
 def _filled(weights, count):
@@ -70,7 +127,7 @@ def _filled(weights, count):
 
 
 def _adams(p):
-    return Multistep(name=f"AB{p}", b=ADAMS[p], order=p, source="Bashforth & Adams (1883)")
+    return Multistep(name=f"AB{p}", b=adams(p), order=p, source="Bashforth & Adams (1883)")
 
 
 AB2, AB3, AB4 = map(_adams, (2, 3, 4))

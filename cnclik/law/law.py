@@ -149,6 +149,8 @@ def respond(law: Law, q, at) -> Evaluation:
 def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
     """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
     rows, velocity = weigh(law, at.rows), weigh(law, velocity)
+    if sp.unrolled(rows) and all(sp.is_number(x) for row in rows for x in row):  # of sliders: nothing tells the dtype
+        rows = tuple(_without_literals(row, q) for row in rows)
     held = False
     if law.limits is None:
         made = law.inverse(rows)
@@ -158,6 +160,7 @@ def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
     else:
         made = law.limits(law.inverse, law.chain, q, rows, velocity, wanted)
         qdot, held = made.qdot, made.held
+    qdot = _without_literals(qdot, q)
     return Evaluation(
         qdot=qdot,
         e=at.e,
@@ -170,6 +173,11 @@ def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
         asked=velocity,
         kept=getattr(made, "kept", None),
     )
+
+
+def _without_literals(v, q):
+    """A vector over the joints with no literal left, such as the 0 of a joint that the task doesn't see."""
+    return sp.each(lambda x, like: jnp.full_like(like, x) if sp.is_number(x) else x, v, q) if sp.unrolled(q) else v
 
 
 class Seen(NamedTuple):

@@ -228,3 +228,34 @@ def test_a_method_of_ones_own():
     )
     for z in Z:
         close(amplification(ralston, z, 1.0, ck.picard(0)), 1 - z + z**2 / 2 - z**3 / 6, atol=1e-12)
+
+
+def test_an_explicit_tableau_may_leave_out_its_diagonal():
+    """Rows as they are printed for explicit methods, of integers too."""
+    kutta = dict(b=[1 / 6, 2 / 3, 1 / 6], c=[0, 0.5, 1], order=3, source="Kutta (1901)")
+    short = ck.Method(name="KUTTA3", A=[[], [0.5], [-1, 2]], **kutta)
+    whole = ck.Method(name="KUTTA3", A=((0.0,), (0.5, 0.0), (-1.0, 2.0, 0.0)), **kutta)
+    assert short == whole and hash(short) == hash(whole) and not short.implicit
+    run = ck.solve(SLIDE, ck.hold([1.0]), np.zeros(1), 0.5, 2, short)
+    close(1 - run.q[1:, 0], [1 - 0.5 + 0.125 - 0.125 / 6, (1 - 0.5 + 0.125 - 0.125 / 6) ** 2], atol=1e-14)
+
+
+TWO = dict(A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2)
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        (dict(b=(0.0, 2.0)), "`b` must hold weights whose sum is 1, but has a sum of 2"),
+        (dict(order=3), "`order` must be 2, that of the weights, but is 3"),
+        (dict(c=(0.0, 0.4)), "`order` must be 1, that of the weights, but is 2"),
+        (dict(A=((0.0,), (0.5, 0.0), (0.5,))), "`A` must be lower triangular"),
+        (dict(A=((0.0, 0.0), (0.5, 0.0))), "`A` must be lower triangular"),
+        (dict(c=(0.0,)), "`c` must have shape"),
+        (dict(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
+        (dict(order=0), "`order` must be at least 1"),
+    ],
+)
+def test_tableaus_that_are_none(named, message):
+    with pytest.raises(ck.ArgumentError, match=message):
+        ck.Method(name="own", source="", **TWO | named)

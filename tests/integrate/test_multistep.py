@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate import history
-from cnclik.integrate.multistep import ADAMS
+from cnclik.integrate.multistep import adams
 from cnclik.law.law import look
 from cnclik.robot.rolled import roll
 from tests.integrate.test_exponential import ARM, CIRCLE, LAW, LENGTHS, START, by_steps
@@ -96,7 +96,51 @@ def test_formulas_are_consistent():
             )
             assert (abs(made - 1) < 1e-14) == (power <= method.order)
         assert method.table[0][1][:1] == (1.0,) and method.table[-1][0][: len(a)] == pytest.approx(tuple(a))
-    assert all(sum(w) == pytest.approx(1) for w in ADAMS.values())
+
+
+# As printed in Hairer, Nørsett & Wanner (1993), III.1, and usual tables.
+PRINTED = {
+    1: [1],
+    2: [3 / 2, -1 / 2],
+    3: [23 / 12, -16 / 12, 5 / 12],
+    4: [55 / 24, -59 / 24, 37 / 24, -9 / 24],
+    5: [1901 / 720, -2774 / 720, 2616 / 720, -1274 / 720, 251 / 720],
+    6: [4277 / 1440, -7923 / 1440, 9982 / 1440, -7298 / 1440, 2877 / 1440, -475 / 1440],
+}
+
+
+def test_adams_weights_of_any_order():
+    for p, weights in PRINTED.items():
+        assert adams(p) == pytest.approx(weights, rel=1e-15)
+
+
+@pytest.mark.parametrize("p", [pytest.param(5, marks=pytest.mark.slow), 6])
+def test_formulas_of_ones_own_of_many_instants(p):
+    """A start by RK4 and, after a jump of the target, Adams-Bashforth of rising order: up to 5 of 6 instants."""
+    method = ck.Multistep(name=f"AB{p}", b=PRINTED[p], order=p, source="")
+    f = planar_law(LENGTHS, target, velocity, 4.0)
+    qs = list(clik("RK4", f, START, 0.02, p - 1))
+    for k in range(p - 1, 12):
+        qs.append(qs[k] + 0.02 * sum(w * f(qs[k - j], (k - j) * 0.02) for j, w in enumerate(PRINTED[p])))
+    close(by_steps(LAW, CIRCLE, START, 0.02, 12, method)[0], qs, atol=1e-11)
+    assert [row[1][: i + 1] for i, row in enumerate(method.table)] == [adams(i + 1) for i in range(p)]
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        (dict(b=[1.5, -0.4], order=1), "`b` must hold weights whose sum is 1, but has a sum of 1.1"),
+        (dict(b=[1.5, -0.5], order=3), "`order` must be 2, that of the weights, but is 3"),
+        (dict(a=[0.5, 0.4], b=[1.0], order=1), "`a` must hold weights whose sum is 1"),
+        (dict(a=[-4.0, 5.0], b=[4.0, 2.0], order=3), "`a` must have no root of .* beyond 1, but has one of size 5"),
+        (dict(a=[0.5, 0.5], b=[1.5], order=1, exponential=True), "`exponential` must be False"),
+        (dict(b=[], order=1), "`b` must hold weights whose sum is 1"),
+        (dict(b="AB2", order=1), "`b` must be an array of real numbers"),
+    ],
+)
+def test_formulas_that_are_none(named, message):
+    with pytest.raises(ck.ArgumentError, match=message):
+        ck.Multistep(name="own", source="", **named)
 
 
 # --- history ------------------------------------------------------------------------------------------
