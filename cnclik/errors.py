@@ -7,6 +7,7 @@ is loaded for a message.
 import difflib
 import math
 import sys
+import warnings
 
 _MOST = 800  # characters of a message
 
@@ -179,3 +180,18 @@ def _fits(shape, wanted):
 def _show(shape):
     inner = ", ".join("n" if s is None else str(s) for s in shape)
     return f"({inner},)" if len(shape) == 1 else f"({inner})"
+
+
+# --- what is done, and is probably not meant ------------------------------------------------------------
+
+
+class Remark(UserWarning):
+    """What was given can be used, but probably isn't meant: degrees as radians, millimetres as metres."""
+
+
+def remark(text: str) -> None:
+    """Warn the user, at their own line of Python; on the command line it is a line of its own, and in `--json`."""
+    depth, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "cnclik":
+        depth, frame = depth + 1, frame.f_back
+    warnings.warn(text, Remark, stacklevel=depth)

@@ -14,7 +14,7 @@ import cnclik
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
     *("errors", "markup", "record", "programs", "hints", "precision", "compilation", "threads", "lazy", "reading"),
-    *("writing", "version"),
+    *("writing", "version", "quantities"),
 )
 BASE = ("robot", "law", "integrate", "native")  # reached through the names of the package alone
 ROOMS = (

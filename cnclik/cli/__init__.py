@@ -53,7 +53,7 @@ def main(argv=None) -> None:
 
 def _run(verb, *options) -> None:
     from cnclik import errors
-    from cnclik.cli import arguments, common
+    from cnclik.cli import arguments, common, remarks
     from cnclik.show.output import FigureError
 
     try:
@@ -62,7 +62,7 @@ def _run(verb, *options) -> None:
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
-        with _watched(args) as spans:
+        with remarks.listening(), _watched(args) as spans:
             if isinstance(args, common.ComputeOptions):
                 with _nothing_collected():
                     _prepare(args.cache)

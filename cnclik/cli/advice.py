@@ -6,11 +6,13 @@ COLUMNS = ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")
 
 
 def title_of(found) -> str:
-    return f"{name_of(found)}, task {' '.join(found.law.task.names)}"
+    from cnclik.cli.heading import robot_and_task
+
+    return f"{robot_and_task(found.name, found.tip, found.law.task)}, {loop_of(found)}"
 
 
-def gains_of(found, said) -> list:
-    """Rows of COLUMNS."""
+def gains_of(found, said, given) -> list:
+    """Rows of COLUMNS. Args: given: what the user gave, as `cnclik.cli.problem.table` has it."""
     from cnclik.record import in_words
 
     dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
@@ -20,23 +22,30 @@ def gains_of(found, said) -> list:
     for row, name in zip(names, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
         value, euler = getattr(said, name), said.explicit_euler[name]
         rows.append((row, *map(or_any, (value, value * found.Ts, euler))))
-    return [*rows, ("now", in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
+    return [*rows, (_present(given), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
 
 
-def lines_of(found, said) -> list:
+def lines_of(found, said, given) -> list:
     """What the numbers mean, in sentences."""
     now, eigen = said.advice.margin, said.advice.spectrum
     lines = ["* of drives that follow at once"] * bool(said.assumed_dead_time)
     lines += [f"Recommended: {said.reason}.", *_costs(said, found)]
-    lines.append(f"At alpha now: {_margin(now, said)}")
+    lines.append(f"At alpha {_present(given)}: {_margin(now, said)}")
     if said.advice.times is not None:
         times = said.advice.times
         edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
-        lines.append(f"Sampling time at alpha now: {edge}.")
+        lines.append(f"Sampling time at alpha {_present(given)}: {edge}.")
     null = f"{len(eigen.null)} direction{'s' * (len(eigen.null) != 1)}, |λ| = {eigen.null_radius:.4g}"
     lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {null}.")
     lines += ["The same loop elsewhere, by explicit Euler:"] * bool(said.settings)
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
+
+
+def _present(given) -> str:
+    """What to call the gain that the loop has: nobody gave the default."""
+    from cnclik.cli.heading import unless_given
+
+    return "by default" if unless_given(given, "alpha") else "now"
 
 
 def escaped(text):
@@ -108,5 +117,9 @@ def _length(metres) -> str:
             return f"{metres * scale:.3g} {unit}"
 
 
-def name_of(found):
-    return f"{found.name}, {found.method}" + (f", {found.stage}" if found.method.implicit else "")
+def name_of(found) -> str:
+    return f"{found.name}, {loop_of(found)}"
+
+
+def loop_of(found) -> str:
+    return f"{found.method}" + (f", {found.stage}" if found.method.implicit else "")

@@ -2,7 +2,6 @@
 drive."""
 
 import dataclasses
-import json
 import pathlib
 from typing import Annotated, Literal
 
@@ -11,6 +10,7 @@ import tyro
 from cnclik import errors
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import Number
+from cnclik.cli.remarks import print_json
 
 _TIMES = ("t", "time", "t [s]", "time [s]")  # what a column of times may be called
 
@@ -71,7 +71,7 @@ def _diagnose(args, names, table, clock, Ts):
     signal = _whole(table[:, chosen])
     found = diagnose(signal, Ts, alpha=args.alpha, longest=longest)
     if args.json:
-        print(json.dumps(plain(_fields(found)), allow_nan=False))
+        print_json(plain(_fields(found)))
     else:
         print(found)
         _tell(found)
@@ -143,14 +143,14 @@ def _step(args, names, table, clock, Ts):
     fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
     if args.json:
         drive = fit.drive
-        print(json.dumps(plain({
+        print_json(plain({
             "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "command": drive.command,
             "delay": drive.delay,
             "lag": _plain(drive.lag) if drive.order == 1 else None,
             "natural_frequency": _plain(drive.natural_frequency) if drive.order == 2 else None,
             "damping_ratio": _plain(drive.damping_ratio) if drive.order == 2 else None,
             "uncertainty": fit.uncertainty, "rms": list(fit.rms), "explained": fit.explained, "options": fit.options,
-        }), allow_nan=False))  # fmt: skip
+        }))  # fmt: skip
     else:
         print(fit.options)
         print(fit)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from cnclik.cli.common import ComputeOptions
+from cnclik.cli.heading import robot_and_task
 from cnclik.cli.problem import ProblemOptions, problem, table
 
 
@@ -62,7 +63,7 @@ def run(args: Args) -> None:
         )
     where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
     of = f", {made.method} {where}" if args.what in ("step", "solve") else ""
-    print(f"{made.name}: {args.what} in {args.dtype}{of}")
+    print(f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}{of}")
     files = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
     print(f"Wrote {', '.join(sorted(files))} to {folder}/.")
     print(f"Build and test: {BUILD.format(sources=f'{args.name}.c example.c')} && ./example")

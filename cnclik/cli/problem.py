@@ -79,8 +79,10 @@ def problem(args):
 
 
 def drive_words(made) -> str:
-    """What a robot adds, such as "2 samples of dead time, drives 20 ms behind their commands"; "" where nothing."""
+    """What a robot adds, such as "2 samples (20 ms) of dead time, feedback measured"; "" where nothing."""
     import numpy as np
+
+    from cnclik.quantities import in_samples
 
     if made.pace is not None:
         return "steps scaled along the way to limits of " + ", ".join(
@@ -89,7 +91,9 @@ def drive_words(made) -> str:
     drive = made.drive
     if drive is None or (drive.prompt and drive.exact):
         return ""
-    said = [f"{drive.delay:g} samples of dead time"] * bool(drive.delay)
+    said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
+    measured = drive.measurement_delay
+    said += [f"measured {in_samples(measured, made.Ts)} late"] * bool(measured)
     if drive.order:
         late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
         said.append(

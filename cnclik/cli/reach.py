@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import json
 import pathlib
 import time
 from typing import Annotated, Literal
@@ -13,7 +12,9 @@ import tyro
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.heading import robot_and_task
 from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions
+from cnclik.cli.remarks import print_json
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -59,11 +60,13 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.problem.names import robot_from, task_from
+    from cnclik.problem.names import robot_and_tip, robot_name, task_from
 
     _check(args)
-    chain = robot_from(args.robot, args.tip, args.base, args.lengths)
+    chain, tip = robot_and_tip(args.robot, args.tip, args.base, args.lengths)
     task = task_from(args.task, chain)
+    if not args.json:
+        print(robot_and_task(robot_name(args.robot, args.tip), tip, task))
     if args.map:
         _map(args, chain, task)
     else:
@@ -120,7 +123,7 @@ def _answers(args, chain, task):
         again = time.perf_counter() - begun
     summary = _summary(made, first, again)
     if args.json:
-        print(json.dumps(summary))
+        print_json(summary)
     else:
         _tell(made, summary, first)
         if args.out is not None:
@@ -273,7 +276,7 @@ def _map(args, chain, task):
         f"{100 * np.mean(found.share == 1):.1f} % in every orientation tried"
     )
     if args.json:
-        print(json.dumps(summary))
+        print_json(summary)
     else:
         print(f"{count:,} targets in {seconds:.2f} s: {answer}")
         print(f"Wrote map.png and map.npz to {out}/.")

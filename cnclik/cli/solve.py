@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options
+from cnclik.cli.heading import robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 
 PIECE = 2000  # steps between two looks at the clock
@@ -52,11 +53,13 @@ def run(args: Args) -> None:
     with progress.bar("verdict"):
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked)
-    title = f"{made.name}: task {' '.join(made.law.task.names)}, N = {made.N} steps of Ts = {made.Ts:g} s"
-    loop = "; ".join(filter(None, (f"{_loop(made)}, along {args.reference}", drive_words(made))))
+    given = table(args)
+    title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
+    loop = "; ".join(filter(None, (f"{_loop(made, given)}, along {args.reference}", drive_words(made))))
+    where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
-    print(f"{title}\n{loop}")
+    print("\n".join([title, loop, *where]))
     Console().print(_shown(facts))
     print(answer)
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
@@ -68,7 +71,7 @@ def run(args: Args) -> None:
     args.write_report(
         title,
         answer,
-        facts=[("loop", loop), *facts],
+        facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
         figures=figures,
         captions=_CAPTIONS,
         motions=functools.partial(_motions, args, made, trajectory, answer, told.radius),
@@ -92,7 +95,7 @@ def _motions(args, made, trajectory, answer, radius):
     return [motion_of(trajectory, made.law, name=name, note=answer, links=links, radius=radius)]
 
 
-def _loop(made) -> str:
+def _loop(made, given) -> str:
     """Method, stage, inverse, gain and gain per step, such as "CN by picard(5), damped, alpha = 5 1/s, z = 0.05"."""
     import numpy as np
 
@@ -101,7 +104,8 @@ def _loop(made) -> str:
     gain = np.asarray(made.law.alpha, float)
     alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
     stage = f" by {made.stage}" * made.method.implicit
-    return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, alpha = {alpha} 1/s, z = alpha·Ts = {z}"
+    alpha = f"alpha = {alpha} 1/s{unless_given(given, 'alpha')}"
+    return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, {alpha}, z = alpha·Ts = {z}"
 
 
 def _march(made, report):

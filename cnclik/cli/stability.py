@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 import math
 import pathlib
 import textwrap
@@ -15,6 +14,7 @@ from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.advice import COLUMNS, escaped, gains_of, lines_of, name_of, or_any, title_of
 from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import (
     DriveOptions,
     LoopOptions,
@@ -25,6 +25,7 @@ from cnclik.cli.problem import (
     problem,
     table,
 )
+from cnclik.cli.remarks import print_json
 from cnclik.problem.options import DRIVE
 
 
@@ -129,7 +130,7 @@ def _advice(args, found, rest):
 def _tell(args, advised):
     """What to set, and how far the operating point is from what is not safe."""
     if args.json:
-        print(json.dumps(_as_table(*advised), allow_nan=False))
+        print_json(_as_table(*advised))
         return
     from rich.console import Console
     from rich.table import Table
@@ -139,12 +140,13 @@ def _tell(args, advised):
     shown = Table(title=escaped(title_of(found)), title_justify="left")
     for column in COLUMNS:
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
-    for row in gains_of(found, said):
+    for row in gains_of(found, said, table(args)):
         shown.add_row(*row)
-    for note in said.notes:  # what the numbers can't say comes before them
+    asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
+    for note in (*asked, *said.notes):  # what the numbers can't say comes before them
         console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
-    for line in lines_of(found, said):
+    for line in lines_of(found, said, table(args)):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
@@ -153,7 +155,8 @@ def _as_table(found, said) -> dict:
     from cnclik.measure.files import plain
 
     margin = said.advice.margin
-    about = dict(robot=found.name, task=list(found.law.task.names), method=str(found.method), Ts=found.Ts)
+    about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0)
+    about |= dict(method=str(found.method), Ts=found.Ts)
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
     return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}
@@ -273,8 +276,11 @@ def _report(args, figures, advised):
     args.write_report(
         title_of(found),
         answer,
-        tables=[("Gains", COLUMNS, gains_of(found, said))],
-        lines=[*said.notes, *(line for line in lines_of(found, said) if not line.startswith("Recommended"))],
+        tables=[("Gains", COLUMNS, gains_of(found, said, table(args)))],
+        lines=[
+            *said.notes,
+            *(line for line in lines_of(found, said, table(args)) if not line.startswith("Recommended")),
+        ],
         figures=figures,
         captions={"errors": "The error of a step to the target."},
         motions=lambda: motions,

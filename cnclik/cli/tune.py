@@ -12,6 +12,7 @@ import tyro
 from cnclik import errors
 from cnclik.cli import common
 from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
@@ -83,8 +84,15 @@ def run(args: Args) -> None:
 
         drawn = drawings(found)
     with output_folder(args.out) as folder:
-        text = tuning.page(found, made.name, seconds=seconds, figures=tuple(drawn) if args.figures else ())
+        text = tuning.page(
+            found,
+            ", tip ".join(filter(None, (made.name, made.tip))),
+            seconds=seconds,
+            figures=tuple(drawn) if args.figures else (),
+        )
         folder.write_text("summary.md", text)
+    heading = [f"Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.", *start_and_target(made, table(args))]
+    print("\n".join(heading))
     print(text.split("\n## Figures")[0])
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
@@ -99,7 +107,7 @@ def run(args: Args) -> None:
     args.write_report(
         f"Tuned: {made.name}",
         f"{found.why} {values}.",
-        facts=facts,
+        facts=[("asked", " ".join(heading)), *facts],
         figures=figures,
         captions=CAPTIONS,
         motions=functools.partial(_motions, args, found),

@@ -20,7 +20,7 @@ from cnclik.problem.names import (
     limits_from,
     null_from,
     require_free,
-    robot_from,
+    robot_and_tip,
     robot_name,
     stage_from,
     start_from,
@@ -39,7 +39,7 @@ class Problem:
     """What `solve` needs, `solve(*p.loop)`, what a robot adds to it, and its name; `run()` has all of it.
 
     `drive` and `pace` are None where nothing was said of them. `noise` (m,) or a number is the standard deviation of
-    the measured error, or None, `seed` that of what is drawn.
+    the measured error, or None, `seed` that of what is drawn. `tip` is what the robot's tip is called.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Problem:
     pace: Pace | None = None
     noise: object = None
     seed: int = 0
+    tip: str = ""
 
     @property
     def loop(self) -> tuple:
@@ -95,7 +96,7 @@ def problem_from(robot, **options) -> Problem:
     N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    chain = robot_from(robot, v["tip"], v["base"], v["lengths"])
+    chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"])
     task = task_from(v["task"], chain)
     inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])
     if task.m > chain.n and isinstance(inverse, Pseudoinverse):
@@ -123,6 +124,7 @@ def problem_from(robot, **options) -> Problem:
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     return Problem(
         name=robot_name(robot, v["tip"]),
+        tip=tip,
         law=law,
         reference=causal(reference) if unknown else reference,
         q0=q0,

@@ -9,15 +9,15 @@ import re
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors
+from cnclik import errors, quantities
 from cnclik.integrate import stage as stages
 from cnclik.integrate.method import named
 from cnclik.law import inverse, limits, null, task
 from cnclik.problem import words
-from cnclik.robot import builtin
+from cnclik.robot import builtin, urdf
 from cnclik.robot.chain import Chain, planar_arm
 from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
-from cnclik.robot.urdf import load_urdf
+from cnclik.robot.tree import read_urdf
 
 ROBOTS = {
     "panda": builtin.panda,
@@ -69,8 +69,13 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
 
     `planar-clockwise` turns as the paper's arms do. `tip` and `base` name links of a file.
     """
+    return robot_and_tip(text, tip, base, lengths)[0]
+
+
+def robot_and_tip(text, tip=None, base=None, lengths=None) -> tuple:
+    """(chain, what its tip is called, "" where nobody says). Args: as `robot_from`."""
     if isinstance(text, Chain):
-        return text
+        return text, tip or ""
     if not isinstance(text, (str, pathlib.Path)):
         raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {text!r}")
     name, colon, parts = str(text).partition(":")
@@ -79,7 +84,7 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
         if lengths is not None:
             raise errors.fail("lengths", f"be left out for the robot {str(text)!r}", f"is {lengths!r}")
         try:
-            given["lengths"] = [float(part) for part in parts.split(",")]
+            given["lengths"] = [m for part in parts.split(",") for m in quantities.read(part, "m")]
         except ValueError:
             raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {str(text)!r}") from None
     elif str(text) not in ROBOTS:
@@ -87,12 +92,14 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
         if not os.path.exists(name) and not name.lower().endswith((".urdf", ".xml", ".xacro")):
             names = ", ".join(n for n in ROBOTS if not words.ROBOTS[n].needs)
             raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
-        return load_urdf(name, **fitting("robot", name, words.URDF, given))
-    return ROBOTS[name](**fitting("robot", name, words.ROBOTS[name], given))
+        links = fitting("robot", name, words.URDF, given)
+        tree = read_urdf(name)
+        return urdf.chain(tree, **links), urdf.tip_of(tree, **links)
+    return ROBOTS[name](**fitting("robot", name, words.ROBOTS[name], given)), words.ROBOTS[name].tip
 
 
 def robot_name(text, tip=None) -> str:
-    """What to call a robot in titles: its file's name without folder, and the tip."""
+    """What to call a robot in titles: its file's name without folder, and the tip where it is given."""
     if isinstance(text, Chain):
         return f"{text.n}-joint chain"
     text = str(text)

@@ -11,6 +11,7 @@ class Takes(NamedTuple):
 
     needs: tuple = ()  # options that must be given
     takes: tuple = ()  # options that may be
+    tip: str = ""  # of a robot: what its tip is called
 
     @property
     def options(self) -> tuple:
@@ -18,10 +19,10 @@ class Takes(NamedTuple):
 
 
 ROBOTS = {
-    "panda": Takes(),
-    "ur5": Takes(),
-    "planar": Takes(needs=("lengths",)),
-    "planar-clockwise": Takes(needs=("lengths",)),
+    "panda": Takes(tip="flange"),
+    "ur5": Takes(tip="tool flange"),
+    "planar": Takes(needs=("lengths",), tip="end of the last link"),
+    "planar-clockwise": Takes(needs=("lengths",), tip="end of the last link"),
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")

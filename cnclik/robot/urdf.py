@@ -1,10 +1,13 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
+import re
+
 from cnclik import errors
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose, inverse
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
+_JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 
 
@@ -33,17 +36,10 @@ def load_urdf(path, tip=None, base=None) -> Chain:
 def chain(tree: Tree, tip=None, base=None) -> Chain:
     """The chain from base to tip of a tree that was read before. Args and raises: as `load_urdf`."""
     base = tree.root if base is None else _link(tree, "base", base)
-    if tip is None:
-        candidates = tree.tips(base)
-        if not candidates and base != tree.root:
-            raise errors.fail("tip", f"be given, as no moving joint hangs on {base!r} of {tree.file}", "is not")
-        if not candidates:
-            raise errors.fail("base", "have a moving joint after it", f"is {base!r} of {tree.file}, which has none")
-        if len(candidates) > 1:
-            named = ", ".join(candidates)
-            raise errors.fail("tip", f"be given for {tree.file}", f"is not, and the candidates are {named}")
-        tip = candidates[0]
-    up, down = tree.way(_link(tree, "tip", tip), base)
+    given, tip = tip, tip_of(tree, tip, base)
+    up, down = tree.way(tip, base)
+    if given is None:
+        _remark_on_a_jaw(tip, up, down)
 
     by_name = {e.name: e for e in tree.edges}
     joints, before, coordinates, leaders = [], Offset(), {}, {}  # {name of a joint that is followed: its coordinate}
@@ -55,8 +51,7 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
             before = compose(before, inverse(origin)) if turned else before
             continue
         if edge.type not in _MOVING:
-            odd = f"joint {edge.name!r} on the way is {edge.type!r}"
-            raise errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
+            raise _odd(tree, tip, edge, turned)
         leader, multiplier, offset = _leader(by_name, edge, leaders)
         joint = Joint(
             kind=_MOVING[edge.type],
@@ -79,6 +74,33 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
         upper=[e.upper for e in followed],
         velocity_limit=[e.velocity for e in followed],
     )
+
+
+def tip_of(tree: Tree, tip=None, base=None) -> str:
+    """The name of the last link: the one given, or the only one that can be meant. Args and raises: as `load_urdf`."""
+    base = tree.root if base is None else _link(tree, "base", base)
+    if tip is not None:
+        return _link(tree, "tip", tip)
+    candidates = tree.tips(base)
+    if not candidates and base != tree.root:
+        raise errors.fail("tip", f"be given, as no moving joint hangs on {base!r} of {tree.file}", "is not")
+    if not candidates:
+        raise errors.fail("base", "have a moving joint after it", f"is {base!r} of {tree.file}, which has none")
+    if len(candidates) > 1:
+        named = ", ".join(candidates)
+        raise errors.fail("tip", f"be given for {tree.file}", f"is not, and the candidates are {named}")
+    return candidates[0]
+
+
+def _remark_on_a_jaw(tip, up, down):
+    """A tip that nobody chose, and that the last joint moves as a gripper's does its jaw, is hardly the one meant."""
+    moving = [edge for edge in (*up, *down) if edge.type != "fixed"]
+    if len(moving) > 1 and moving[-1] in down and _JAW.search(f"{moving[-1].name} {moving[-1].child}"):
+        jaw = moving[-1]
+        errors.remark(
+            f"The tip is {tip!r}, a gripper's jaw that joint {jaw.name!r} moves. The tip {jaw.parent!r} is the arm "
+            "without the jaw."
+        )
 
 
 def _leader(by_name, edge, known):
@@ -111,8 +133,21 @@ def _leader(by_name, edge, known):
     return leader, multiplier, offset
 
 
+def _odd(tree, tip, edge, turned):
+    """The error of a way over a joint that is no coordinate; where the way goes on with joints it names their base."""
+    after = edge.parent if turned else edge.child
+    rest = [e for part in tree.way(tip, after) for e in part]
+    such = any(e.type in _MOVING for e in rest) and all(e.type in (*_MOVING, "fixed") for e in rest)
+    remedy = f"; base {after!r} begins after it" if such else ""
+    odd = f"joint {edge.name!r} on the way is {edge.type!r}{remedy}"
+    return errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
+
+
 def _link(tree, name, link):
-    if not isinstance(link, str) or link not in tree.links:
-        hint = errors.nearest(link, tree.links)
-        raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
-    return link
+    if isinstance(link, str) and link in tree.links:
+        return link
+    padded = [known for known in tree.links if isinstance(link, str) and known.strip() == link.strip()]
+    if len(padded) == 1:  # some files have spaces round a name, which nobody sees
+        return padded[0]
+    hint = errors.nearest(link, tree.links)
+    raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")

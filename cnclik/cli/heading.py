@@ -1,0 +1,55 @@
+"""Heading: what was asked, above every answer: robot, tip, task, dead time, start and target; defaults are named."""
+
+from cnclik.problem.options import DEFAULTS, PATH
+from cnclik.quantities import in_samples
+
+
+def robot_and_task(name, tip, task) -> str:
+    """Such as "panda, tip flange, task x y z rx ry rz"."""
+    return ", ".join(filter(None, (name, tip and f"tip {tip}", f"task {' '.join(task.names)}")))
+
+
+def unless_given(given: dict, *names) -> str:
+    """The word " (default)" where none of the options was given, or what was given is the default."""
+    usual = {name: (DEFAULTS.get(name), (DEFAULTS.get(name),)) for name in names}
+    return "" if any(given.get(name, values[0]) not in values for name, values in usual.items()) else " (default)"
+
+
+def dead_time(made) -> str:
+    """The dead time of a problem in samples and ms, or that none was given."""
+    if made.drive is None or not made.drive.lumped.delay:
+        return f"dead time none{'' if made.drive is not None else ' given'}"
+    late = f"dead time {in_samples(made.drive.delay, made.Ts)}"
+    measured = made.drive.measurement_delay
+    return late + (f", and of the measurement {in_samples(measured, made.Ts)}" if measured else "")
+
+
+def start_and_target(made, given: dict) -> list:
+    """Two sentences: the joint values that the loop begins with, and where its path begins.
+
+    Args: given: what the user gave, as `cnclik.cli.problem.table` has it.
+    """
+    from cnclik.record import in_words
+
+    units = ", ".join(dict.fromkeys(made.law.chain.units))
+    named = any(given.get(name) is not None for name in PATH) or str(given.get("reference")).lower().endswith(".csv")
+    return [
+        f"Start: q0 = {in_words(made.q0)} {units}{'' if 'q0' in given else ' (default)'}.",
+        f"{_first_point(made, given.get('reference', 'hold'))}{'' if named else ' (default)'}.",
+    ]
+
+
+def _first_point(made, name) -> str:
+    import numpy as np
+
+    from cnclik.law.reference import controlled
+    from cnclik.robot.poses import quaternion
+
+    position, rotation = made.reference.curve(0.0)
+    task, said = made.law.task, []
+    if task.position:
+        values = [float(v) for v in controlled(task, position)]
+        said.append(f"{' '.join(task.position)} = {' '.join(f'{v:.5g}' for v in values)} m")
+    if task.orientation:
+        said.append(f"quaternion w x y z = {' '.join(f'{v:.5g}' for v in quaternion(np.array(rotation, float)))}")
+    return f"{'Target' if name == 'hold' else f'Path {name}, from'} {', '.join(said)}"

@@ -1,0 +1,110 @@
+"""Quantities: numbers, with a unit or without, as a user writes them. Loads neither JAX nor NumPy.
+
+A number without a unit is in the option's own unit. `34ms`, `0 -90 90 deg` and `300 -300 500 mm` say another.
+"""
+
+import math
+import re
+
+_NUMBER = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|inf(?:inity)?\b|nan\b)", re.IGNORECASE)
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6}
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6}
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180}
+_SECONDS = {"s": ("s",), "s²": ("s²", "s^2", "s2"), "s³": ("s³", "s^3", "s3")}
+SAMPLES = "samples"
+
+
+def number(text: str) -> float | None:
+    """The number that a text is, in ASCII digits with a decimal point; None for anything else, such as 1_0 or 0,25."""
+    text = text.strip(" \t\r\n")
+    return float(text) if _NUMBER.fullmatch(text) else None
+
+
+def hint(text: str) -> str:
+    """Why a text is no number, where that can be told, to stand behind it; else nothing."""
+    if re.search(r"\$[({]", text):
+        return ", an expression of xacro: run `xacro FILE -o robot.urdf` first"
+    plain = text.replace(",", ".").replace("_", "")
+    plain = "".join(str(int(c)) if c.isdecimal() else c for c in plain)
+    return f": write {plain}" if plain != text and number(plain) is not None else ""
+
+
+def units(unit: str) -> dict:
+    """{spelling: (factor, unit)} of what may stand behind a number whose own unit is one of `cnclik.problem.OPTIONS`.
+
+    "q" is rad or m, "x" the metres of a point, "samples" are also a time, which the sampling time makes samples.
+    """
+    if unit == "1/s":
+        return {"1/s": (1.0, unit), "/s": (1.0, unit)}
+    if unit == SAMPLES:
+        times = {word: (factor, "s") for word, factor in _TIMES.items()}
+        return times | {word: (1.0, SAMPLES) for word in ("sample", SAMPLES)}
+    found = {}
+    for part in unit.split(", "):
+        base, slash, per = part.partition("/")
+        for word, group in (("s", _TIMES), ("m", _LENGTHS), ("rad", _ANGLES)):
+            if word == base or (base == "q" and word != "s") or (base == "x" and word == "m"):
+                for text, factor in group.items():
+                    words = [f"{text}/{end}" for end in _SECONDS[per]] if slash else [text]
+                    found |= {w: (factor, f"{word}/{per}" if slash else word) for w in words}
+    if unit == "rad/s":
+        found["Hz"] = (2 * math.pi, unit)
+    return found
+
+
+class Quantities(list):
+    """Numbers in an option's own unit; `written` has the unit that each was given, or None."""
+
+    def __init__(self, numbers, written):
+        super().__init__(numbers)
+        self.written = tuple(written)
+
+
+def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
+    """The numbers of a text, such as "0.25", "34ms" or "0 -90 90 deg": a unit that stands apart is that of all numbers
+    before it that have none.
+
+    Args:
+      unit: the option's own, as for `units`; "1" where it has none.
+      Ts: the sampling time [s], by which times become samples.
+    Raises: ValueError, in words that follow "but", for what are no such numbers.
+    """
+    known, values, written = units(unit), [], []
+    for word in text.split():
+        found = _NUMBER.match(word)
+        mark = word[found.end() :] if found else word
+        if mark and mark not in known:
+            usual = f" (units: {', '.join(w for w in known if w.isascii())})" if known and found else ""
+            raise ValueError(f"is {text!r}{hint(text) or usual}")
+        if not found:
+            if None not in written:
+                raise ValueError(f"is {text!r}, with a unit and no number before it")
+            written = [mark if w is None else w for w in written]
+            continue
+        if mark and unit != "x" and any(w is None and v for v, w in zip(values, written, strict=True)):
+            raise ValueError(f"is {text!r}: write a unit behind each number, or once at the end, apart")
+        values.append(float(found[0]))
+        written.append(mark or None)
+    if not values:
+        raise ValueError(f"is {text!r}")
+    if unit != "x" and any(written) and any(w is None and v for v, w in zip(values, written, strict=True)):
+        raise ValueError(f"is {text!r}: write a unit behind each number, or once at the end, apart")
+    return Quantities([_in_own(v, w, known, Ts) for v, w in zip(values, written, strict=True)],
+                      [known[w][1] if w else None for w in written])  # fmt: skip
+
+
+def _in_own(value, mark, known, Ts):
+    factor, unit = known[mark] if mark else (1.0, None)
+    if unit == "s" and SAMPLES in known:
+        if not Ts or not Ts > 0:
+            raise ValueError(f"is {value:g} {mark}, a time, and no sampling time is given")
+        return round(value * factor / Ts, 9)  # 34 ms of 2 ms are 17 samples
+    return value * factor
+
+
+# --- said aloud ---------------------------------------------------------------------------------------
+
+
+def in_samples(samples: float, Ts: float) -> str:
+    """Dead time as "8 samples (80 ms)"."""
+    return f"{samples:g} sample{'s' * (samples != 1)} ({1e3 * samples * Ts:.4g} ms)"
