@@ -38,7 +38,8 @@ def test_files_hold_the_run(solved):
 def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
     main(["solve", "planar:1,1", "--method", "EE", "--N", "2", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "planar:1,1, tip end of the last link, task x y, N = 2 steps" in shown and "the gain is 0, so errors stay" in shown
+    assert "planar:1,1, tip end of the last link, task x y, N = 2 steps" in shown
+    assert "the gain is 0, so errors stay" in shown
 
 
 def test_steps_are_scaled_to_limits_by_options(tmp_path, capsys):

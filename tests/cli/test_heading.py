@@ -1,0 +1,67 @@
+"""What was asked stands above every answer: tip, dead time, start, target; what nobody gave is called default."""
+
+import warnings
+
+import pytest
+
+import cnclik as ck
+from cnclik import errors
+from cnclik.cli import main
+
+JAWED = """<robot name="hand"><link name="base"/><link name="arm"/><link name="wrist"/><link name="{jaw}"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+  <limit lower="-2" upper="2" velocity="3"/></joint>
+<joint name="j2" type="revolute"><parent link="arm"/><child link="wrist"/><origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>
+  <limit lower="-2" upper="2" velocity="3"/></joint>
+<joint name="{joint}" type="revolute"><parent link="wrist"/><child link="{jaw}"/><origin xyz="0.3 0 0"/>
+  <axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="3"/></joint></robot>"""
+VERBS = {
+    "solve": ["--no-figures", "--N", "5", "--out", "out"],
+    "stability": [],
+    "tune": ["--no-figures", "--N", "5", "--steps", "2", "--out", "out"],
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_what_nobody_gave_is_said_and_called_default(verb, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main([verb, "planar:1,1", "--method", "EE", *VERBS[verb]])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "tip end of the last link" in shown and "10 ms" in shown
+    assert "Start: q0 = [-1.0576, 1.5654] rad (default)." in shown
+    assert "Target x y = -0.20756 1.1731 m (default)." in shown  # every joint by 0.3 rad towards 0
+    main([verb, "planar:1,1", "--method", "EE", "--Ts", "0.004", "--q0", "0.5", "1", "--target", "0.3", "1.2",
+          "--alpha", "4", "--delay", "8", *VERBS[verb]])  # fmt: skip
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "8 samples (32 ms)" in shown and "default" not in shown
+    assert "q0 = [0.5, 1] rad." in shown and "Target x y = 0.3 1.2 m." in shown
+
+
+def test_the_gain_that_nobody_gave_is_no_gain_that_the_loop_has_now(capsys):
+    main(["stability", "planar:1,1"])
+    assert "by default" in capsys.readouterr().out
+    main(["stability", "planar:1,1", "--alpha", "3"])
+    shown = capsys.readouterr().out
+    assert "by default" not in shown and "now" in shown
+
+
+@pytest.mark.parametrize(
+    ("joint", "jaw"), [("gripper_joint", "tip"), ("j3", "left_finger"), ("jointGripper", "mover"), ("j3", "Jaw1")]
+)
+def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path, capsys):
+    file = tmp_path / "hand.urdf"
+    file.write_text(JAWED.format(joint=joint, jaw=jaw))
+    with pytest.warns(
+        errors.Remark, match=f"tip is '{jaw}', a gripper's jaw that joint '{joint}' moves. The tip 'wrist'"
+    ):
+        ck.load_urdf(file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ck.load_urdf(file, tip=jaw).n == 3 and ck.load_urdf(file, tip="wrist").n == 2  # chosen
+    main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
+    said = capsys.readouterr()
+    assert said.err.count("gripper's jaw") == 1 and '"remarks": ["The tip is' in said.out
+    file.write_text(JAWED.format(joint="j3", jaw="flange"))
+    main(["reach", str(file), "--random", "2", "--task", "xy"])
+    said = capsys.readouterr()
+    assert not said.err and "hand, tip flange, task x y" in said.out
