@@ -8,6 +8,9 @@ later. With path time τ, which advances by s·Ts in a sample,
 so that f′ and f″, which are estimated from the steps as they come, say which s the path bears: a law that nears its
 target, f′ = −α f, has to be slowed down before the target as a turn before its apex. Time-optimal path following knows
 the same bounds (Bobrow, Dubowsky & Gibson 1985); here they are looked ahead by one order of the path.
+
+Where no share keeps the limits of acceleration and jerk, as after a jump of the target under way, the joints leave the
+path: each brakes, within its limits, towards the velocity that the law wants. The loop sees where it is and comes back.
 """
 
 import jax
@@ -29,7 +32,7 @@ CHAIN = "chain"
 
 @record
 class Pace:
-    """Limits that a loop keeps by going slower along its way.
+    """Limits that a loop keeps: it goes slower along its path, and leaves the path where that is not enough.
 
     Attributes:
       velocity: [rad/s, m/s], a number or one per joint (n,); "chain": the chain's own; None: none.
@@ -69,9 +72,10 @@ class Pacing:
     Attributes:
       velocity, acceleration: (n,) of the last sample, as it was paced [rad/s, rad/s²; m].
       asked: (n,) velocity that the loop asked for; turn, bend: (n,) its derivatives f′, f″ along the path.
-      share: s of the last step; a path that waits has advanced by share·Ts.
-      excess: the largest part of an acceleration or jerk limit that the step takes with the best share; beyond 1
-        where none keeps them all: after a corner, or a jump of the target.
+      share: s of the last step; a path that waits has advanced by share·Ts. Off the path: the share of what the loop
+        asked for that the joints made.
+      excess: the largest part of an acceleration or jerk limit that the step would take with the best share; beyond 1
+        where none keeps them all, after a corner or a jump of the target: the joints then braked and left the path.
       begun: whether a step was paced.
     """
 
@@ -86,8 +90,13 @@ class Pacing:
 
     @property
     def over(self):
-        """Whether the step breaks a limit of acceleration or jerk, by more than rounding."""
-        return self.excess > 1 + 1024 * jnp.finfo(self.excess.dtype).eps
+        """Whether the joints left the path in the step, as no share keeps the limits of acceleration and jerk."""
+        return self.excess > _whole(self.excess.dtype)
+
+
+def _whole(dtype):
+    """The whole of a limit, and rounding."""
+    return 1 + 1024 * jnp.finfo(dtype).eps
 
 
 def pace_at_rest(q: ArrayLike) -> Pacing:
@@ -99,7 +108,7 @@ def pace_at_rest(q: ArrayLike) -> Pacing:
 
 
 def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: ArrayLike | None = None, sharpness=1.0):
-    """One step of any loop, scaled to its limits: for a control loop of one's own. Pure.
+    """One step of any loop within its limits: for a control loop of one's own. Pure.
 
     Args:
       pace: its velocity limits as numbers.
@@ -109,7 +118,8 @@ def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: Arra
       stop: path time until the path stops or has a corner [s], where that is known ahead: it is slowed down before.
       sharpness: change of the path's velocity there, as a part of it.
 
-    Returns: (s·dq, state); `state.share` is s, `state.over` whether limits of acceleration or jerk are broken.
+    Returns: (dq, state): s·dq, `state.share` being s; or, where no s keeps the limits of acceleration and jerk, the
+      step that brakes the joints within them, and `state.over` is true.
     Raises: ArgumentError for shapes that do not fit.
     """
     dq = _vector("dq", dq)
@@ -154,7 +164,7 @@ def check_pace(pace, n: int, chain=None) -> Pace:
 @bounded_jit
 def _scaled(pace, state, dq, Ts, stop, sharpness):
     s, state = share(pace, state, dq / Ts, Ts, stop, sharpness)
-    return s * dq, state
+    return jnp.where(state.over, state.velocity * Ts, s * dq), state
 
 
 def _max(v):
@@ -168,7 +178,7 @@ def _largest(v):
 
 
 def share(pace, state, f, Ts, stop, sharpness):
-    """(s, the next state) for an asked velocity f (n,)."""
+    """(s, the next state) for an asked velocity f (n,); the velocity to take is the state's."""
     dtype, limits = f.dtype, (pace.velocity, pace.acceleration, pace.jerk)
     v, a, j = (None if w is None else jnp.broadcast_to(jnp.asarray(w, dtype), f.shape) for w in limits)
     v = None if v is None else jnp.maximum(v, 1e-12)  # a chain may forbid a joint to move
@@ -179,9 +189,16 @@ def share(pace, state, f, Ts, stop, sharpness):
     bend = (state.bend * Ts + (turn - state.turn)) / (passed + Ts)
 
     most = jnp.ones((), dtype) if v is None else 1 / jnp.maximum(1.0, _largest(f / v))
-    wanted = _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness)
-    s, excess = _nearest(a, j, state, f, Ts, most, jnp.minimum(wanted, most))
+    low, high, excess = _kept(a, j, state, f, Ts, most)
+    leaves = excess > _whole(dtype)
+    steep = _steepness(state, f, Ts)
+    turn, bend = jnp.where(leaves, -steep * f, turn), jnp.where(leaves, steep**2 * f, bend)
+    wanted = jnp.minimum(_borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness), most)
+    s = jnp.clip(jnp.maximum(low, jnp.minimum(wanted, high)), 0.0, most)
     velocity = s * f
+    if not (a is None and j is None):
+        velocity = jnp.where(leaves, _braked(v, a, j, state, wanted * f, Ts), velocity)
+        s = jnp.where(leaves, _along(velocity, f), s)
     return s, Pacing(
         velocity=velocity,
         acceleration=(velocity - state.velocity) / Ts,
@@ -237,8 +254,8 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
     )
 
 
-def _nearest(a, j, state, f, Ts, most, wanted):
-    """(s, excess): the share next to the wanted one of those in [0, most] that break a and j least.
+def _kept(a, j, state, f, Ts, most):
+    """(low, high, excess): the shares in [0, most] that break a and j least, and by which part of a limit.
 
     Each limit of each joint says |s g − b| ≤ 1. Intervals on a line have a point in common if any two of them do
     (Helly), so that the least μ for which all |s g − b| ≤ μ can be kept is found from pairs.
@@ -251,7 +268,7 @@ def _nearest(a, j, state, f, Ts, most, wanted):
         g.append(f / (j * Ts**2))
         b.append((state.velocity + Ts * state.acceleration) / (j * Ts**2))
     if not g:
-        return wanted, jnp.zeros_like(most)
+        return jnp.zeros_like(most), most, jnp.zeros_like(most)
     g, b = jnp.concatenate(g), jnp.concatenate(b)
     size = jnp.abs(g)
     both = size[:, None] + size
@@ -265,4 +282,34 @@ def _nearest(a, j, state, f, Ts, most, wanted):
     reach = jnp.maximum(excess, 1.0) / safe
     low = _max(jnp.where(still, -jnp.inf, middle - reach))
     high = -_max(jnp.where(still, -jnp.inf, -middle - reach))
-    return jnp.clip(jnp.maximum(low, jnp.minimum(wanted, high)), 0.0, most), excess
+    return low, high, excess
+
+
+# --- off the path -------------------------------------------------------------------------------------
+
+
+def _braked(v, a, j, state, wanted, Ts):
+    """The velocity (n,) nearest to the wanted one that each joint reaches within its limits."""
+    gap = wanted - state.velocity
+    if j is None:
+        return state.velocity + jnp.clip(gap, -a * Ts, a * Ts)
+    # As the share: the acceleration has gone when the wanted velocity is reached.
+    size = jnp.abs(gap)
+    change = 2 * EASING * gap / (sp.safe_sqrt((EASING * Ts) ** 2 + 2 * EASING * size / j) + EASING * Ts)
+    change = jnp.clip(change, state.acceleration - j * Ts, state.acceleration + j * Ts)
+    if a is not None:
+        change = jnp.clip(change, -a, a)
+    return state.velocity + Ts * change
+
+
+def _steepness(state, f, Ts):
+    """By how much f falls per unit of motion [1/s], where the last step was off the path: what f′ = −α f is of α."""
+    moved = Ts * sp.safe_sqrt(jnp.sum(state.velocity**2))
+    found = sp.safe_sqrt(jnp.sum((f - state.asked) ** 2)) / jnp.where(moved > 0, moved, 1.0)
+    return jnp.where(state.over & (moved > 0), found, 0.0)
+
+
+def _along(velocity, f):
+    """The share of f that a velocity makes."""
+    size = jnp.sum(f * f)
+    return jnp.where(size > 0, jnp.clip(jnp.sum(velocity * f) / jnp.where(size > 0, size, 1.0), 0.0, 1.0), 1.0)

@@ -24,7 +24,7 @@ class Status(enum.IntFlag):
     TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
     RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
     DIVERGED = 256  # joint values beyond any meaning, see `far`, though still finite
-    OVER_ACCELERATION = 512  # no share of a paced step keeps its limits of acceleration and jerk
+    OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
 
 
 _REMEDY = {
