@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -105,13 +106,15 @@ def run(args: Args) -> None:
     facts = page_rows(found, seconds)
     values = "; ".join(f"{name} = {text}" for name, text in facts[: len(found.parameters)])
     args.write_report(
-        f"Tuned: {made.name}",
+        f"{'Tuned' if found.satisfied else 'Not tuned'}: {made.name}",
         f"{found.why} {values}.",
         facts=[("asked", " ".join(heading)), *facts],
         figures=figures,
         captions=CAPTIONS,
         motions=functools.partial(_motions, args, found),
     )
+    if not found.satisfied:
+        sys.exit(1)
 
 
 def _motions(args, found):

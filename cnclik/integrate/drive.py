@@ -18,6 +18,8 @@ from cnclik.record import is_literal, leaf, record, replace
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
 MOST = 100  # samples of dead time and of a measurement's together: theory's matrices have as many rows
+LARGEST = 1e12  # a quantity of a drive, and its inverse: beyond, products of them are no numbers
+FASTEST = 5e4  # rates of a drive times Ts: what is faster is at rest within a sample, and as fast as this
 _ABSENT = ("lag", "joint_noise", "resolution")  # not there where they are 0
 _QUANTITIES = (  # of all joints or of each
     *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
@@ -144,9 +146,14 @@ def _none(value) -> bool:
 
 
 def _check(name, value, *, zero):
-    value = errors.array(name, value, (), (None,))
-    if errors.concrete(value) and np.any(np.asarray(value) < 0 if zero else np.asarray(value) <= 0):
-        raise errors.fail(name, "be at least 0" if zero else "be positive", f"is {float(np.asarray(value).min()):g}")
+    value = errors.array(name, value, (), (None,), most=LARGEST)
+    if not errors.concrete(value):
+        return
+    known = np.asarray(value, float)
+    if np.any(known < 0 if zero else known <= 0):
+        raise errors.fail(name, "be at least 0" if zero else "be positive", f"is {known.min():g}")
+    if not zero and np.any(known < 1 / LARGEST):
+        raise errors.fail(name, f"be at least {1 / LARGEST:g}", f"is {known.min():g}")
 
 
 def check_drive(drive, n: int) -> Drive:
@@ -206,7 +213,7 @@ def sampled(drive: Drive, Ts) -> Sampled:
         late = Ts * np.full(1, share) if share else None
         return Sampled(phi=np.ones((1, 1)), now=Ts * np.full(1, 1.0 - share), late=late, whole=whole)
     known = all(map(errors.concrete, jax.tree.leaves((drive, Ts))))
-    a, b = _continuous(drive, np if known else jnp)
+    a, b = _continuous(drive, Ts, np if known else jnp)
     phi, gamma = _held(a, b, Ts * (1.0 - share), known)
     if share == 0:
         return Sampled(phi=phi, now=gamma, late=None, whole=whole)
@@ -219,19 +226,24 @@ def moving(drive: Drive, Ts):
     return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
 
 
-def _continuous(drive, xp):
-    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis is that of the joints, if any."""
+def _continuous(drive, Ts, xp):
+    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis is that of the joints, if any.
+
+    G's own states are y = 1/(lag s + 1) u, or ẏ₀ = ω₀ y₁, ẏ₁ = ω₀ (u − y₀) − 2ζω₀ y₁, which no time scales badly.
+    """
     if drive.order == 1:
-        poles = [1.0 / xp.asarray(drive.lag)]
+        rate = xp.minimum(1.0 / xp.asarray(drive.lag), FASTEST / Ts)
+        rows, force = [[-rate]], [rate]
     else:
         w, zeta = xp.broadcast_arrays(xp.asarray(drive.natural_frequency), xp.asarray(drive.damping_ratio))
-        poles = [w * w, 2 * zeta * w]
-    size = len(poles) + (not drive.steps_positions)
-    zero, one = xp.zeros_like(poles[0]), xp.ones_like(poles[0])
-    last = [*[zero] * (size - len(poles)), *[-p for p in poles]]
-    rows = [[one if j == i + 1 else zero for j in range(size)] for i in range(size - 1)]
-    a = xp.stack([xp.stack(row, -1) for row in (*rows, last)], -2)
-    return a, xp.stack([*[zero] * (size - 1), poles[0]], -1)
+        slower = xp.minimum(1.0, FASTEST / (2 * zeta * w * Ts))  # of ω₀² and 2ζω₀: their ratio, the slow rate, stays
+        damping, w = slower * 2 * zeta * w, xp.minimum(xp.sqrt(slower) * w, FASTEST / Ts)
+        rows, force = [[0 * w, w], [-w, -damping]], [0 * w, w]
+    if not drive.steps_positions:  # q̇ = y₀
+        zero = 0 * force[0]
+        rows = [[zero, zero + 1.0, *[zero] * (len(rows) - 1)], *[[zero, *row] for row in rows]]
+        force = [zero, *force]
+    return xp.stack([xp.stack(row, -1) for row in rows], -2), xp.stack(force, -1)
 
 
 def _held(a, b, h, known):

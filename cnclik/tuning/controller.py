@@ -14,8 +14,11 @@ def controller_lines(tuned) -> dict:
     """Ready-to-use lines of a `Tuned`: {"rate": for one's own loop, "pink_mink": a gain per step}.
 
     pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], 1 − exp(−alpha·Ts) for an exponential method,
-    and add damping (λ²) to JᵀJ. Where they can't run the loop that was tuned, the second one says "no line" and why.
+    and add damping (λ²) to JᵀJ. Where they can't run the loop that was tuned, the second one says "no line" and why;
+    where it does not keep its constraints, both do.
     """
+    if not tuned.satisfied:
+        return dict.fromkeys(("rate", "pink_mink"), "no line: the constraints are not kept")
     return {"rate": _rate_line(tuned), "pink_mink": _pink_mink_line(tuned)}
 
 

@@ -16,7 +16,7 @@ from cnclik.law.law import check_loop
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
-from cnclik.stability.driven import delay_margin, noise_gain, own_drives, radius
+from cnclik.stability.driven import delay_margin, each_drive, noise_gain, radius
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
 from cnclik.tuning import linear
@@ -44,7 +44,7 @@ class Goal:
         the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) where that makes d samples: z ≤ 1/4 for explicit Euler and drives
         that follow at once.
       noise_gain: bound of the standard deviation of the motion per unit of white noise of what is measured.
-      ringing: lets go of both: what is made small is the loss alone, and with it the loop rings.
+      ringing: True lets go of both: what is made small is the loss alone, and with it the loop rings.
       margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
         at least by this factor per step. 1, stable, by default; 0.9 for a loop that may ring.
       velocity_limit: (n,) [rad/s, m/s], one number for all joints, "chain": the robot's own, or None.
@@ -64,6 +64,7 @@ class Goal:
     def __post_init__(self):
         errors.number("delay_margin", self.delay_margin, at_least=0)
         errors.number("noise_gain", self.noise_gain, positive=True)
+        object.__setattr__(self, "ringing", errors.truth("ringing", self.ringing))
         if self.margin is None:
             object.__setattr__(self, "margin", 0.9 if self.ringing else 1.0)
         if errors.number("margin", self.margin, positive=True) > 1:
@@ -115,7 +116,7 @@ class LoopObjective:
     horizon: object
     tolerance: object
     N: int
-    drive: object
+    drive: object  # where joints differ, each drive counts as one for all joints
     method: object
     stage: object
     contracts: bool  # whether the margin asks for more than the bound on corrections gives
@@ -123,7 +124,7 @@ class LoopObjective:
     @property
     def constraints(self) -> int:
         """How many constraints there are: known without tracing them."""
-        kinds = 1 + self.contracts + callable(self.loop.law.null_velocity)
+        kinds = 1 + self.contracts * len(each_drive(self.drive)) + callable(self.loop.law.null_velocity)
         return kinds * len(self.postures) + len(self.joints)
 
     def costs(self, correction: float) -> dict:
@@ -131,10 +132,13 @@ class LoopObjective:
         unknown = dict(noise_gain=np.inf, delay_margin=0.0)
         if not 0 < correction < np.inf:
             return unknown
-        steps, drive, Ts = np.array([[-correction]]), self.drive, float(self.loop.Ts)
-        if radius(steps[None], drive, Ts)[0] >= 1:
+        steps, drives, Ts = np.array([[-correction]]), each_drive(self.drive), float(self.loop.Ts)
+        if max(radius(steps[None], drive, Ts)[0] for drive in drives) >= 1:
             return unknown
-        return dict(noise_gain=noise_gain(steps, drive, Ts)[0], delay_margin=delay_margin(steps, drive, Ts))
+        return dict(
+            noise_gain=max(noise_gain(steps, drive, Ts)[0] for drive in drives),
+            delay_margin=min(delay_margin(steps, drive, Ts) for drive in drives),
+        )
 
     def _runs(self, loop):
         def run(scenario):
@@ -182,8 +186,9 @@ class LoopObjective:
         correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
         constraints = [correction / self.largest_correction - 1.0]
         if self.contracts:
-            radius = jax.vmap(linear.radius_bound)(linear.driven_map(maps, self.drive, self.loop.Ts))
-            constraints.append(radius / self.margin - 1.0)
+            for drive in each_drive(self.drive):
+                radius = jax.vmap(linear.radius_bound)(linear.driven_map(maps, drive, self.loop.Ts))
+                constraints.append(radius / self.margin - 1.0)
         if callable(self.loop.law.null_velocity):
             constraints.append(jax.vmap(linear.radius_estimate)(staying(across, jnp.asarray(self.growths))) - 1.0)
         if self.joints:
@@ -225,7 +230,8 @@ class LoopObjective:
             flows, rows = (v.reshape(-1, *v.shape[-2:]) for v in seen["flows"])
             growths = np.reshape([*map(growing, flows, rows)], across.shape)
             across = staying(across, growths)
-        radius = told(linear.measured_radius(linear.driven_map(maps, self.drive, float(self.loop.Ts))))
+        driven = [linear.driven_map(maps, drive, float(self.loop.Ts)) for drive in each_drive(self.drive)]
+        radius = told(np.max([*map(linear.measured_radius, driven)], axis=0))
         null_radius, correction = (told(linear.measured_radius(v)) for v in (across, _corrections(maps, np)))
         speed = told(seen["speed"])
         ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
@@ -277,8 +283,6 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
     runs = scenarios(law, reference, q0, longest, goal.conditions)
     joints, limits = _limits(law.chain, goal.velocity_limit)
     drive = check_drive(goal.conditions.drive, law.chain.n)
-    if own_drives(drive):
-        raise errors.fail("drive", "be one for all joints to tune with, such as the slowest", "has several numbers")
     if drive.order and any(p.name == "Ts" for p in parameters):
         raise errors.fail("over", "not hold Ts where the drive has a lag", "holds it")
     most = np.inf if goal.ringing else linear.largest_share(drive, float(Ts), goal.delay_margin, goal.noise_gain)

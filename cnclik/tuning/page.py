@@ -27,10 +27,13 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     """
     method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
     loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {tuned.Ts:g} s."
-    text = [f"# Tuned: {name}", "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
+    text = [f"# {'Tuned' if tuned.satisfied else 'Not tuned'}: {name}", "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
     lines = controller_lines(tuned)
-    text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
-    if lines["pink_mink"].startswith("task"):
+    if tuned.satisfied:
+        text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
+    if not tuned.satisfied:
+        text += ["## Nothing for a controller", "", f"The constraints are {kept_in_words(tuned)}."]
+    elif lines["pink_mink"].startswith("task"):
         text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
     else:
         text += [f"pink and mink: {lines['pink_mink']}."]
@@ -57,7 +60,7 @@ def page_rows(tuned, seconds=None) -> list:
     if drive.delay:
         rows.append(("dead time", f"{drive.delay:g} samples"))
     if drive.order:
-        rows.append(("drive", f"{1e3 * drive.late_by(tuned.Ts):.3g} ms behind its command, order {drive.order}"))
+        rows.append(("drive", f"{1e3 * np.max(drive.late_by(tuned.Ts)):.3g} ms behind its command, order {drive.order}"))
     if np.isfinite(after.noise_gain):
         bears = "any" if np.isinf(after.delay_margin) else f"{after.delay_margin:.3g} samples"
         rows += [

@@ -17,7 +17,7 @@ _WHY = {
     "converged": "Converged: the loss no longer changes and every constraint is kept.",
     "steps": "Stopped after the given number of steps; every constraint is kept.",
     "stuck": "Stopped where no step descends; every constraint is kept.",
-    "infeasible": "No values were found that keep every constraint; these exceed them least.",
+    "infeasible": "No values were found that keep every constraint: none of them is for a robot.",
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
 
@@ -25,6 +25,10 @@ HELD = 0.01  # of a joint's velocity limit, within which a run is held back by i
 _NEARLY_NO_GAIN = (
     "The gain is hardly any: within the whole path it would not take back an error. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
+)
+_TOO_FAST = (
+    " The path itself takes {share:.3g} % of a joint's velocity limit, at hardly any gain. Make it slower or smaller. "
+    "This run lasts {horizon:.3g} s; a path without a period of its own (--period) passes once in that time."
 )
 _HELD_BACK = (
     "The gain is hardly any: within the whole path it would not take back an error. More would break the bound on "
@@ -82,6 +86,7 @@ class Tuned:
       margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
       front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what other gains
         cost, all else as tuned.
+      path_speed: |q̇| over its limit at hardly any gain (z = 0.01): what the path itself takes.
       before, after: `Performance` as given and as tuned.
       status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
       history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.
@@ -105,6 +110,7 @@ class Tuned:
     margin: float
     ringing: bool
     front: dict
+    path_speed: float
     before: Performance
     after: Performance
     status: str
@@ -132,7 +138,10 @@ class Tuned:
             little = _LITTLE_GAIN if not tuned else _HELD_BACK if held else _NEARLY_NO_GAIN
             return _WHY[self.status] + (f" {little}" if self.N * self.after.correction < 1 else "")
         worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"
-        return f"{_WHY[self.status]} Worst, the bound on {worst}."
+        cause = ""
+        if self.after.worst == "joint velocity" and self.path_speed > 1:
+            cause = _TOO_FAST.format(share=100 * self.path_speed, horizon=self.N * self.Ts)
+        return f"{_WHY[self.status]} Worst, the bound on {worst}.{cause}"
 
     def __str__(self):
         values = "; ".join(f"{p.name} = {in_words(self.values[p.name])}" + with_unit(p) for p in self.parameters)
@@ -180,7 +189,7 @@ def result(objective, values, before, after, others, *, goal, reference, q0, gra
       objective: `LoopObjective`. values: one per parameter. before, after: `Judged`.
       others: (values, `Judged`) of gains of other sizes.
       goal: `Goal`. reference, q0, gradient: as `tune` was given them.
-      ended: status, history, starts, evaluations of `Tuned`.
+      ended: path_speed, status, history, starts, evaluations of `Tuned`.
     """
     parameters = objective.parameters
     loop, own = (

@@ -78,7 +78,7 @@ def tune(
         nothing = {name: np.zeros(0) for name in ("loss", "violation", "accepted")}
         own = _values(objective, pm.free_of(parameters, own))
         ended = dict(status="non-finite", history=nothing, starts=np.full(1, np.inf), evaluations=0)
-        return result(objective, own, before, judge(objective, [own])[0], [], **ended, **asked)
+        return result(objective, own, before, judge(objective, [own])[0], [], path_speed=np.inf, **ended, **asked)
 
     anchor = pm.free_of(parameters, fallbacks[safe])
     along = judged[safe]
@@ -109,6 +109,7 @@ def tune(
         before,
         chosen.judged,
         _front(objective, values),
+        path_speed=float(judged[0].speed),
         status=done.why if chosen.judged.kept else "infeasible",
         history={name: history[winner] for name, history in done.history._asdict().items()},
         starts=starts,

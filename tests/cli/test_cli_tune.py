@@ -66,9 +66,34 @@ def test_a_gain_that_pink_and_mink_take(tmp_path, monkeypatch, capsys):
 
 
 def test_infeasible_margin_is_in_the_summary(tmp_path, capsys):
-    made = tuned(tmp_path, "--margin", 0.5, "--damping", 0.01, "--alpha-bounds", 0.1, 1, "--no-figures")
+    with pytest.raises(SystemExit) as stopped:
+        tuned(tmp_path, "--margin", 0.5, "--damping", 0.01, "--alpha-bounds", 0.1, 1, "--no-figures")
+    made, out = json.loads((tmp_path / "tuned.json").read_text()), capsys.readouterr().out
     assert not made["satisfied"] and made["status"] == "infeasible" and 0.7 < made["after"]["violation"] < 0.9
-    assert "NOT kept" in capsys.readouterr().out
+    assert stopped.value.code == 1 and "NOT kept" in out and "# Not tuned" in out
+    assert all(line.startswith("no line") for line in made["lines"].values()) and "qdot" not in out
+
+
+def test_a_path_that_no_gain_makes_slow_enough_is_the_cause(tmp_path, capsys):
+    """A metre in the 0.3 s of the run, at 1 rad/s: as told, whatever the gain; with a period of 9 s it is tuned."""
+    short = ["--N", "3", "--velocity-limit", "1", "--steps", "10", "--no-figures", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit) as stopped:
+        main([*ARM, *short])
+    out = capsys.readouterr().out
+    assert stopped.value.code == 1 and "Worst, the bound on joint velocity is exceeded by" in out
+    assert re.search(r"The path itself takes \d+ % of a joint's velocity limit, at hardly any gain", out)
+    assert "This run lasts 0.3 s" in out and "--period" in out and "For a controller" not in out
+    main([*ARM, *short, "--period", "9"])
+    assert "For a controller" in capsys.readouterr().out
+
+
+def test_a_drive_for_each_joint_as_a_fit_prints_it(tmp_path):
+    """The slowest joint decides, as where all are as slow."""
+    options = ["--delay", 1, "--command", "position", "--no-figures", "--lag"]
+    each, slow = (tuned(tmp_path, *options, *lags) for lags in ((0.05, 0.2), (0.2,)))
+    assert each["satisfied"] and each["after"]["z"] == pytest.approx(slow["after"]["z"], rel=1e-6)
+    assert each["after"]["delay_margin"] == pytest.approx(slow["after"]["delay_margin"], rel=1e-6)
+    assert each["after"]["radius"] >= slow["after"]["radius"] - 1e-9
 
 
 @pytest.mark.parametrize(

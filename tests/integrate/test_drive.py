@@ -22,12 +22,12 @@ SERVO = dict(natural_frequency=30.0, damping_ratio=0.4)
 
 
 def test_sampled_is_zero_order_hold():
-    """Against scipy.signal.cont2discrete."""
+    """Against scipy.signal.cont2discrete; the second state of a servo is a velocity over ω₀."""
     w, zeta = SERVO["natural_frequency"], SERVO["damping_ratio"]
-    servo, lag = [[0, 1], [-w * w, -2 * zeta * w]], -1 / 0.03
+    servo, lag = [[0, w], [-w, -2 * zeta * w]], -1 / 0.03
     for drive, a, b in (
-        (Drive(**SERVO, command="position"), servo, [0, w * w]),
-        (Drive(**SERVO), [[0, 1, 0], [0, 0, 1], [0, *servo[1]]], [0, 0, w * w]),
+        (Drive(**SERVO, command="position"), servo, [0, w]),
+        (Drive(**SERVO), [[0, 1, 0], [0, 0, w], [0, *servo[1]]], [0, 0, w]),
         (Drive(lag=0.03), [[0, 1], [0, lag]], [0, -lag]),
         (Drive(lag=0.03, command="position"), [[lag]], [-lag]),
     ):
@@ -37,6 +37,33 @@ def test_sampled_is_zero_order_hold():
         np.testing.assert_allclose(found.phi, phi, atol=1e-12)
         np.testing.assert_allclose(found.now, gamma[:, 0], atol=1e-12)
         assert found.late is None and found.whole == 0
+
+
+@pytest.mark.parametrize("command", ["velocity", "position"])
+def test_drives_of_any_speed_are_numbers_known_or_traced(command):
+    """From 1e-9 to 1e9: an error at rest stays at rest, nothing grows, and what is far faster than Ts acts at once."""
+    decades = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9])
+    w, zeta = (v.ravel() for v in np.meshgrid(decades, np.array([1e-4, 0.4, 1.0, 30.0, 1e6])))
+    several = dict(lag=decades), dict(natural_frequency=w, damping_ratio=zeta)
+    for step in (1e-4, 1.0):
+        for numbers in several:
+            known = sampled(Drive(command=command, **numbers), step)
+            traced = jax.jit(lambda numbers, step=step: sampled(Drive(command=command, **numbers), step))(numbers)
+            for found in (known, traced):
+                assert np.isfinite(found.phi).all() and np.isfinite(found.now).all()
+                assert np.abs(np.linalg.eigvals(np.asarray(found.phi))).max() < 1 + 1e-9
+                follows = np.eye(found.size)[0 if command == "position" else 1]  # a command that has long been held
+                moved = found.phi @ follows + found.now
+                wanted = follows if command == "position" else follows + step * np.eye(found.size)[0]
+                np.testing.assert_allclose(moved, np.broadcast_to(wanted, moved.shape), atol=1e-7 * max(step, 1.0))
+            for a, b in ((known.phi, traced.phi), (known.now, traced.now)):
+                np.testing.assert_allclose(b, a, atol=1e-7 * max(step, 1.0), rtol=1e-6)
+    assert sampled(Drive(lag=1e-9, command=command), 0.01).now[..., 0] == pytest.approx(
+        1.0 if command == "position" else 0.01, rel=1e-4
+    )
+    for name in ("lag", "natural_frequency"):
+        with pytest.raises(ArgumentError, match=f"`{name}` must be at least 1e-12, but is 1e-100"):
+            Drive(**{name: 1e-100}, command=command)
 
 
 def _plain(drive, alpha, N, feedback="measured", velocity=None):

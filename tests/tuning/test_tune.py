@@ -424,6 +424,7 @@ def test_panda_on_a_circle_does_not_ring():
         ({"over": "null_gain"}, "null_velocity"),
         ({"over": "schedule", "law": ck.replace(LAW, alpha=np.array([[5.0, 0.0], [3.0, 5.0]]))}, "symmetric matrix"),
         ({"margin": 1.5}, "margin"),
+        *(({"ringing": value}, "`ringing` must be True or False") for value in (-1, 2, "no", None, [True])),
         ({"bounds": {"alpha": (5, 1)}}, "increase"),
         ({"bounds": {"Ts": (1, 2)}}, "bounds"),
         ({"bounds": {"alpha": 3}}, "lower, upper"),
