@@ -27,7 +27,8 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     """
     method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
     loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {tuned.Ts:g} s."
-    text = [f"# {'Tuned' if tuned.satisfied else 'Not tuned'}: {name}", "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
+    title = f"# {'Tuned' if tuned.satisfied else 'Not tuned'}: {name}"
+    text = [title, "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
     lines = controller_lines(tuned)
     if tuned.satisfied:
         text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
@@ -60,7 +61,8 @@ def page_rows(tuned, seconds=None) -> list:
     if drive.delay:
         rows.append(("dead time", f"{drive.delay:g} samples"))
     if drive.order:
-        rows.append(("drive", f"{1e3 * np.max(drive.late_by(tuned.Ts)):.3g} ms behind its command, order {drive.order}"))
+        late = 1e3 * np.max(drive.late_by(tuned.Ts))
+        rows.append(("drive", f"{late:.3g} ms behind its command, order {drive.order}"))
     if np.isfinite(after.noise_gain):
         bears = "any" if np.isinf(after.delay_margin) else f"{after.delay_margin:.3g} samples"
         rows += [

@@ -17,7 +17,8 @@ START = np.array([0.3, 0.6, 0.4])
 
 def tuned(method, Ts=0.05):
     after = types.SimpleNamespace(z=30.0 * Ts)
-    return types.SimpleNamespace(law=LAW, Ts=Ts, schedule=None, method=ck.METHODS[method], stage=None, after=after, satisfied=True)
+    loop = dict(law=LAW, Ts=Ts, schedule=None, method=ck.METHODS[method], stage=None)
+    return types.SimpleNamespace(**loop, after=after, satisfied=True)
 
 
 @pytest.mark.parametrize("method", ["EXP-MIDPOINT", "EXP-AB2"])
