@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.reaching.result import Reached, ReachStatus
     from cnclik.record import replace
     from cnclik.robot.builtin import panda, ur5
-    from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_tool
+    from cnclik.robot.chain import Chain, from_dh, from_screws, planar_arm, with_base, with_tool
     from cnclik.robot.kinematics import Pose, jacobian, manipulability, pose
     from cnclik.robot.urdf import load_urdf
     from cnclik.show.run import plot
@@ -109,7 +109,7 @@ _ON_USE = {
     "reaching.result": "Reached ReachStatus",
     "record": "replace",
     "robot.builtin": "panda ur5",
-    "robot.chain": "Chain from_dh from_screws planar_arm with_tool",
+    "robot.chain": "Chain from_dh from_screws planar_arm with_base with_tool",
     "robot.kinematics": "Pose jacobian manipulability pose",
     "robot.urdf": "load_urdf",
     "show.run": "plot",
@@ -133,7 +133,7 @@ __all__ = [
     *("reachability", "reaching", "recommend", "replace", "require_ok", "resampled", "saturation", "settle"),
     *("show", "singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep"),
     *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints"),
-    *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_feedforward", "with_tool"),
+    *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_base", "with_feedforward", "with_tool"),
 ]
 
 

@@ -121,8 +121,14 @@ def array(name: str, value, *shapes, finite=True, most=None):
 
     try:
         found = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
+        if isinstance(found, np.ma.MaskedArray):
+            if found.mask.any():
+                raise fail(name, "hold no masked entries", f"has {int(found.mask.sum())} of them")
+            found = found.data
         if found.dtype.kind not in "iuf":
             raise TypeError
+    except ArgumentError:
+        raise
     except (TypeError, ValueError):
         raise fail(name, "be an array of real numbers", f"is {value!r}") from None
     if shapes and not any(_fits(found.shape, s) for s in shapes):

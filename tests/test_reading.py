@@ -104,13 +104,13 @@ def test_what_is_damaged_is_not_said_to_lack_targets(tmp_path):
             read_targets(tmp_path / f"{name}.npz", position())
 
 
-def test_quaternions_of_any_length():
+def test_quaternions_that_no_float_can_square():
     for size in (1e-300, 1e300):
-        rows, _ = targets.read(size * np.array([[1.0, 1.0, 0.0, 0.0]]), orientation())
-        np.testing.assert_allclose(rows[0, 3:].reshape(3, 3), [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
+        with pytest.raises(ck.ArgumentError, match=r"hold a unit quaternion w x y z, but has one of norm (0|inf)"):
+            targets.read(size * np.array([[1.0, 1.0, 0.0, 0.0]]), orientation())
     assert not np.isfinite(targets.read(np.array([[np.inf, 1.0, 0.0, 0.0]]), orientation())[0][0, 3:]).any()
 
 
 def test_rotations_too_wild_to_multiply():
-    with np.errstate(all="raise"), pytest.raises(ck.ArgumentError, match="hold rotations"):
+    with np.errstate(all="raise"), pytest.raises(ck.ArgumentError, match="hold a rotation"):
         targets.read(np.diag([1e308, 1e308, 1.0, 1.0]), orientation())

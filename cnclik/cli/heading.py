@@ -43,7 +43,7 @@ def _first_point(made, name) -> str:
     import numpy as np
 
     from cnclik.law.reference import controlled
-    from cnclik.robot.poses import quaternion
+    from cnclik.robot.poses import quaternions
 
     position, rotation = made.reference.curve(0.0)
     task, said = made.law.task, []
@@ -51,5 +51,5 @@ def _first_point(made, name) -> str:
         values = [float(v) for v in controlled(task, position)]
         said.append(f"{' '.join(task.position)} = {' '.join(f'{v:.5g}' for v in values)} m")
     if task.orientation:
-        said.append(f"quaternion w x y z = {' '.join(f'{v:.5g}' for v in quaternion(np.array(rotation, float)))}")
+        said.append(f"quaternion w x y z = {' '.join(f'{v:.5g}' for v in quaternions(np.array(rotation, float)))}")
     return f"{'Target' if name == 'hold' else f'Path {name}, from'} {', '.join(said)}"

@@ -14,6 +14,7 @@ from jax import lax
 from cnclik import errors
 from cnclik.hints import bounded_jit
 from cnclik.record import record
+from cnclik.robot import poses
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
 
@@ -241,25 +242,14 @@ def _running(xp, fn, state, rows):
 
 
 def quaternions_of(name, values, count: int):
-    """Unit quaternions (count, 4) of as many rotations (3, 3) or quaternions of any length but 0."""
+    """Unit quaternions (count, 4) of as many rotations (3, 3) or unit quaternions w, x, y, z."""
     values = errors.array(name, values, (count, 4), (count, 3, 3))
-    if errors.concrete(values):
-        known = np.asarray(values, float)
-        if known.ndim == 2 and not np.all(np.linalg.norm(known, axis=1) > 0):
-            raise errors.fail(name, "hold no quaternion of length 0", "holds one")
-        if known.ndim == 3:
-            off = np.abs(known @ known.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > 1e-3
-            if (off | (np.linalg.det(known) < 0)).any():
-                raise errors.fail(name, "hold rotation matrices", "holds one not orthogonal with determinant 1")
-    return quaternions(values)
+    return quaternions(poses.rotations(name, values))
 
 
 @bounded_jit
 def quaternions(rotations):
-    """Unit quaternions (K, 4) of rotations, each with the sign nearer to the one before."""
-    if rotations.shape[1:] == (4,):
-        q = rotations / jnp.linalg.norm(rotations, axis=1, keepdims=True)
-    else:
-        q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(rows(r))))(rotations)
+    """Unit quaternions (K, 4) of rotations (K, 3, 3), each with the sign nearer to the one before."""
+    q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(rows(r))))(rotations)
     flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]

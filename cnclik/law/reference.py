@@ -18,6 +18,7 @@ from cnclik.hints import bounded_jit
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of, rows, vector
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
+from cnclik.robot import poses
 from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
 
@@ -147,14 +148,14 @@ def hold(target: Target, rotation: ArrayLike | None = None) -> Reference:
     """Stay at one target: x_d(t) = target, velocity 0 (Case I of Drexler 2016).
 
     Args:
-      target: (d,) position [m], d ≤ 3; or a whole pose: a `Pose`, a (4, 4) homogeneous matrix, or an object with
-        `translation` and `rotation` such as Pinocchio's SE3; or None for an orientation alone.
+      target: (d,) position [m], d ≤ 3; or a whole pose: a `Pose`, a (4, 4) homogeneous matrix, [x, y, z, w, x, y, z],
+        or an object with `translation` and `rotation` such as Pinocchio's SE3; or None for an orientation alone.
       rotation: (3, 3) rotation, or a (4,) unit quaternion w, x, y, z.
     """
     target, rotation = _split("target", target, rotation)
     if target is None and rotation is None:
         raise errors.fail("target", "be a position or come with a `rotation`", "is None")
-    return Reference(curve=Hold(position=_position("target", target), rotation=rotation_matrix("rotation", rotation)))
+    return Reference(curve=Hold(position=target, rotation=rotation))
 
 
 def line(
@@ -176,12 +177,10 @@ def line(
       rotation, rotation_end: (3, 3) rotations or (4,) unit quaternions at start and end.
     """
     start, rotation = _split("start", start, rotation)
-    end, rotation_end = _split("end", end, rotation_end)
+    end, rotation_end = _split("end", end, rotation_end, "rotation_end")
     errors.number("duration", duration, positive=True)
-    start, end = _position("start", start), _position("end", end)
     if (start is None) != (end is None) or (start is not None and start.shape != end.shape):
         raise errors.fail("end", "have the shape of `start`", f"has shape {np.shape(end)}")
-    rotation, rotation_end = rotation_matrix("rotation", rotation), rotation_matrix("rotation_end", rotation_end)
     turn = None
     if rotation_end is not None:
         if rotation is None:
@@ -325,28 +324,22 @@ def _nonzero(name, value):
         raise errors.fail(name, "not be 0", "is 0")
 
 
-def _split(name, target, rotation):
-    """A target's position and rotation: those of a whole pose, or what is given as they are."""
-    if isinstance(target, Pose):
-        return target.position, target.rotation
-    if isinstance(target, (list, tuple)) and len(target) == 4 and all(np.ndim(row) == 1 for row in target):
-        target = errors.array(name, target)
-    if getattr(target, "shape", None) == (4, 4):
-        return target[:3, 3], target[:3, :3]
-    if hasattr(target, "translation") and hasattr(target, "rotation"):
-        if callable(target.rotation):
-            raise errors.fail(name, "be a position or a 4×4 matrix", f"is {type(target).__name__}")
-        return np.asarray(target.translation), np.asarray(target.rotation)
-    return target, rotation
+def _split(name, target, rotation, called="rotation"):
+    """A target's position and rotation: those of a whole pose, or what is given as they are; both checked."""
+    found = poses.whole(name, target)
+    if found is None:
+        return _position(name, target), rotation_matrix(called, rotation)
+    if rotation is not None:
+        raise errors.fail(called, f"be left out where `{name}` is a whole pose", "is given")
+    if found[0].ndim != 1:
+        raise errors.fail(name, "be one pose", f"holds {len(found[0])}")
+    return found
 
 
 def _position(name, value):
     if value is None:
         return None
     value = errors.array(name, value, (None,))
-    if value.shape[0] == 7:
-        must = "have at most 3 coordinates, with the orientation apart: rotation=[w, x, y, z]"
-        raise errors.fail(name, must, "has 7")
     if not 1 <= value.shape[0] <= 3:
         raise errors.fail(name, "have 1 to 3 coordinates", f"has {value.shape[0]}")
     return value
@@ -356,26 +349,10 @@ def rotation_matrix(name, value):
     """A (3, 3) rotation from a rotation or a (4,) unit quaternion."""
     if value is None:
         return None
-    value = errors.array(name, value, (3, 3), (4,))
-    if errors.concrete(value):
-        known = np.asarray(value, float)
-        if known.ndim == 1 and abs(np.linalg.norm(known) - 1) > 1e-3:
-            raise errors.fail(name, "be a unit quaternion", f"has norm {np.linalg.norm(known):.6g}")
-        if known.ndim == 2 and (np.abs(known @ known.T - np.eye(3)).max() > 1e-3 or np.linalg.det(known) < 0):
-            raise errors.fail(name, "be a rotation matrix", "is not orthogonal with determinant 1")
-    return _from_quaternion(value) if value.ndim == 1 else value
+    return poses.rotations(name, errors.array(name, value, (3, 3), (4,)))
 
 
-# Compiled as wholes: one by one, their many small operations would each be compiled on first use.
-
-
-@bounded_jit
-def _from_quaternion(q):
-    rows = sp.rotation_from_quaternion(vector(q / jnp.linalg.norm(q)))
-    return jnp.stack([jnp.stack(row) for row in rows])
-
-
-@bounded_jit
+@bounded_jit  # as a whole: one by one, its many small operations would each be compiled on first use
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
     return jnp.stack(sp.log_so3(rows(last @ first.T)))

@@ -11,6 +11,7 @@ from cnclik.law import reference as ref
 from cnclik.problem import words
 from cnclik.problem.names import fitting
 from cnclik.problem.tables import read_csv
+from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import arm_length
@@ -146,12 +147,7 @@ def _point(name, given, task, default):
     if len(values) not in fits:
         raise errors.fail(name, f"hold {' or '.join(map(str, fits))} numbers for this task", f"holds {len(values)}")
     if task.orientation and len(values) >= 4:
-        values, quaternion = values[:-4], values[-4:]
-        with np.errstate(over="ignore"):
-            norm = (np if errors.concrete(quaternion) else jnp).linalg.norm(quaternion)
-        if errors.concrete(norm) and abs(norm - 1) > 1e-2:
-            raise errors.fail(name, "end with a unit quaternion w x y z", f"has one of norm {norm:.6g}")
-        rotation = _known(ref.hold(None, quaternion / norm).curve.rotation)
+        values, rotation = values[:-4], poses.rotations(name, values[-4:])
     return (values if task.position else None), rotation
 
 

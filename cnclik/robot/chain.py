@@ -5,13 +5,13 @@ A joint is a fixed offset from the frame before it, then a rotation about (revol
 as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik.record`.
 """
 
-import contextlib
 import math
 
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.record import record
+from cnclik.record import record, replace
+from cnclik.robot import poses
 from cnclik.robot import spatial as sp
 from cnclik.robot.tree import MOST
 
@@ -152,7 +152,7 @@ def from_dh(
       theta: (n,) joint angle offsets [rad], 0 by default; the fixed angle of a prismatic joint.
       convention: "standard" or "modified".
       kinds: string such as "RRP", by default all revolute; for P, q adds to d.
-      base, tool: fixed 4×4 transforms before the first and after the last frame, or None.
+      base, tool: fixed poses before the first and after the last frame, such as 4×4 transforms, or None.
       joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
     """
     a, alpha, d = _scalars("a", a), _scalars("alpha", alpha), _scalars("d", d)
@@ -191,7 +191,7 @@ def from_screws(
     Args:
       points: (n, 3) a point on each joint's axis in the home configuration q = 0 [m].
       axes: (n, 3) the direction of each axis in the home configuration; normalised here.
-      home: (3,) tip position [m], or 4×4 tip pose, at q = 0.
+      home: (3,) tip position [m], or the tip's pose, such as a 4×4 transform, at q = 0.
       kinds: string such as "RRP", by default all revolute.
       joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
     """
@@ -236,12 +236,22 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
 
 
 def with_tool(chain: Chain, tool) -> Chain:
-    """The chain with a fixed tool after its tip: a (3,) offset [m] or a 4×4 transform."""
+    """The chain with a fixed tool after its tip: a (3,) offset [m], or a pose: a 4×4 transform, [x, y, z, w, x, y, z],
+    a `Pose`, or an object with translation and rotation such as Pinocchio's SE3.
+    """
     errors.kind("chain", chain, Chain)
-    offset = _offset("tool", tool, places=True)
-    from cnclik.record import replace
+    return replace(chain, tip=compose(chain.tip, _offset("tool", tool, places=True)))
 
-    return replace(chain, tip=compose(chain.tip, offset))
+
+def with_base(chain: Chain, base) -> Chain:
+    """The chain where it stands in the world: its base at a (3,) position [m] or a pose, as for `with_tool`.
+
+    Targets, Jacobians and the tip's pose are then in the world's frame.
+    """
+    errors.kind("chain", chain, Chain)
+    first, *rest = chain.joints
+    first = replace(first, origin=compose(_offset("base", base, places=True), first.origin))
+    return replace(chain, joints=(first, *rest))
 
 
 def compose(first: Offset, second: Offset) -> Offset:
@@ -303,27 +313,26 @@ def _kinds(kinds, n):
 
 
 def _offset(name, transform, places=False) -> Offset:
-    """Offset of a 4×4 homogeneous transform, or of a position (3,); None is the identity. Nested lists stay literal."""
+    """Offset of a pose, see `poses.whole`, or of a position (3,); None is the identity. Nested lists stay literal."""
     if transform is None:
         return Offset()
     if isinstance(transform, Offset):
         return transform
-    shape = None
-    with contextlib.suppress(ValueError):  # rows of several lengths
-        shape = np.shape(transform)
-    if places and shape is not None and len(shape) == 1:
+    found = poses.whole(name, transform)
+    if places and found is None and len(poses.shape_of(transform)) == 1:
         return Offset(position=_scalars(name, transform, 3))
-    if shape != (4, 4):
-        found = "has rows of several lengths" if shape is None else f"has shape {shape}"
-        raise errors.fail(name, "have shape (4, 4)", found)
-    rows = [_scalars(f"{name}[{i}]", transform[i], 4) for i in range(4)]
-    if all(errors.concrete(x) for row in rows for x in row):
-        r = np.array([[float(x) for x in row[:3]] for row in rows[:3]])
-        if np.abs(r @ r.T - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
-            raise errors.fail(name, "hold a rotation in its upper left 3×3 block", "does not")
-        if [float(x) for x in rows[3]] != [0.0, 0.0, 0.0, 1.0]:
-            raise errors.fail(name, "have the last row 0 0 0 1", f"has {' '.join(f'{float(x):g}' for x in rows[3])}")
-    return Offset(position=tuple(row[3] for row in rows[:3]), rotation=tuple(row[:3] for row in rows[:3]))
+    if found is None or np.ndim(found[0]) != 1:
+        must = "be one pose: " + poses.FORMS + ", or a position (3,)" * places
+        raise errors.fail(name, must, f"has shape {np.shape(found[0])}" if found else f"is {transform!r}")
+    position, rotation = found
+    if isinstance(transform, (list, tuple)):  # what is written in Python's numbers stays so, among traced ones too
+        written = [x for part in transform for x in (part if isinstance(part, (list, tuple)) else [part])]
+        if all(map(sp.is_number, written)):
+            position, rotation = position.tolist(), rotation.tolist()
+        elif len(transform) == 4:
+            rows = [_scalars(f"{name}[{i}]", transform[i], 4) for i in range(3)]
+            position, rotation = [row[3] for row in rows], [row[:3] for row in rows]
+    return Offset(position=_scalars(name, position, 3), rotation=tuple(_scalars(name, row, 3) for row in rotation))
 
 
 def _unit(name, axis):

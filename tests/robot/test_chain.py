@@ -184,7 +184,7 @@ BAD = [
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
     (
         lambda: ck.from_dh([1.0], [0.0], [0.0], base=np.eye(3)),
-        r"`base` must have shape \(4, 4\), but has shape \(3, 3\)",
+        r"`base` must be one pose: a 4×4 transform, .*, but is ",
     ),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], tool=2 * np.eye(4)), r"`tool` must hold a rotation"),
     (lambda: ck.with_tool(ck.planar_arm([1.0]), TOOL.T), r"`tool` must have the last row 0 0 0 1, but has"),
@@ -234,7 +234,7 @@ BAD = [
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=[[1]]), "`kinds` must be 1 letters R or P"),
     (
         lambda: ck.with_tool(ck.planar_arm([1.0]), [[1, 2], [3]]),
-        r"`tool` must have shape \(4, 4\), but has rows of sev",
+        r"`tool` must be one pose: .*, or a position \(3,\), but is \[\[1, 2\], \[3\]\]",
     ),
     (lambda: ck.manipulability(ck.planar_arm([1.0]), [0.0], type(ck.position())), "`task` must be a Task such as"),
     (lambda: ck.reachability(5, "xz"), "`chain` must be a Chain, but is int"),

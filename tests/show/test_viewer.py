@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 import cnclik as ck
 from cnclik.cli import main
 from cnclik.problem.build import problem_from
+from cnclik.robot.poses import quaternions
 from cnclik.robot.urdf import load_urdf
 from cnclik.show.viewer import body, files, live, look, meshes, motion, need, page, play, scene
 from cnclik.stability.linear import delayed_radius
@@ -99,8 +100,9 @@ def test_quaternions_are_scipys():
     turns = Rotation.concatenate(
         [turns, Rotation.from_rotvec([[np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi], [0, 0, 0]])]
     )
-    found, wanted = scene.quaternions(turns.as_matrix()), turns.as_quat(scalar_first=True)
+    found, wanted = quaternions(turns.as_matrix()), turns.as_quat(scalar_first=True)
     np.testing.assert_allclose(np.abs(np.sum(found * wanted, axis=1)), 1, atol=1e-12)
+    assert (found[:, 0] >= 0).all()
 
 
 # --- motions and files ------------------------------------------------------------------------------------

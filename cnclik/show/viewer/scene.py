@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cnclik.robot import poses
 from cnclik.robot.posture import arm_length, is_planar
 from cnclik.show import style
 from cnclik.show.viewer.body import GREY, parts_of, radius_of
@@ -15,24 +16,6 @@ BESIDE = (GREY, "#5A6066")  # links and joints of the second motion
 def rgb(color: str) -> tuple:
     """A colour of `style`, such as "#0072B2", as three bytes."""
     return tuple(bytes.fromhex(color.lstrip("#")))
-
-
-def quaternions(rotations) -> np.ndarray:
-    """(…, 4) w x y z of rotations (…, 3, 3), in NumPy: of the four products qᵢqⱼ the row of the largest."""
-    r = np.asarray(rotations, float)
-    (a, b, c), (d, e, f), (g, h, i) = (tuple(r[..., k, j] for j in range(3)) for k in range(3))
-    rows = np.stack(
-        [
-            np.stack([1 + a + e + i, h - f, c - g, d - b], -1),
-            np.stack([h - f, 1 + a - e - i, b + d, c + g], -1),
-            np.stack([c - g, b + d, 1 - a + e - i, f + h], -1),
-            np.stack([d - b, c + g, f + h, 1 - a - e + i], -1),
-        ],
-        -2,
-    )
-    largest = np.argmax(np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i], -1), -1)
-    found = np.take_along_axis(rows, largest[..., None, None], -2)[..., 0, :]
-    return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
 # Side by side as the camera sees it: it looks along −z at planar arms, and else along a corner.
@@ -128,7 +111,7 @@ class _Drawn:
 
     def put(self, motion):
         self.motion, scene = motion, self.server.scene
-        self.where, self.turned = motion.poses[:, :, :3, 3], quaternions(motion.poses[:, :, :3, :3])
+        self.where, self.turned = motion.poses[:, :, :3, 3], poses.quaternions(motion.poses[:, :, :3, :3])
         for old in self.marks:
             old.remove()
         self.marks = self._targets(motion) if motion.unit == "target" else self._ways(motion)

@@ -1,0 +1,170 @@
+"""Poses: every door takes the same forms with the same tolerances, and refuses the same in the same words."""
+
+import types
+
+import jax.numpy as jnp
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import cnclik as ck
+from cnclik.law.task import orientation, pose
+from cnclik.problem.build import problem_from
+from cnclik.reaching.targets import read
+from cnclik.robot import poses
+
+ARM = ck.planar_arm([0.5, 0.4])
+TURN = Rotation.from_rotvec([0.3, -1.1, 0.7])
+R, P = TURN.as_matrix(), np.array([0.3, -0.2, 0.5])
+W = TURN.as_quat(scalar_first=True)
+T = np.block([[R, P[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+def at_rest(reference):
+    return [np.array(v) for v in reference.curve(0.0)]
+
+
+def tip_of(chain):
+    made = ck.pose(chain, np.zeros(chain.n))
+    return [np.array(made.position), np.array(made.rotation)]
+
+
+def rows(found):
+    found = found[0][0]
+    return [found[:3], found[3:].reshape(3, 3)]
+
+
+def inverted(found):
+    """Where the targets' frame stands, from a target at the origin as the base sees it."""
+    place, turn = rows(found)
+    return [-turn.T @ place, turn.T]
+
+
+STRAIGHT = ck.from_dh([0.0], [0.0], [0.0])  # at 0 the tip is where the base is
+DOORS = {
+    "hold": lambda x: at_rest(ck.hold(x)),
+    "line": lambda x: at_rest(ck.line(x, [0.0, 0.0, 0.0], duration=1.0)),
+    "reach": lambda x: rows(read(x, pose())),
+    "base of reach": lambda x: inverted(read(np.eye(4), pose(), x)),
+    "base": lambda x: tip_of(ck.from_dh([0.0], [0.0], [0.0], base=x)),
+    "tool": lambda x: tip_of(ck.from_dh([0.0], [0.0], [0.0], tool=x)),
+    "with_tool": lambda x: tip_of(ck.with_tool(STRAIGHT, x)),
+    "with_base": lambda x: tip_of(ck.with_base(STRAIGHT, x)),
+    "home": lambda x: tip_of(ck.from_screws([[0, 0, 0]], [[0, 0, 1]], x)),
+}
+FORMS = {
+    "array": T,
+    "lists": T.tolist(),
+    "JAX": jnp.asarray(T),
+    "seven numbers": [*P, *W],
+    "Pose": ck.Pose(position=P, rotation=R),
+    "SE3": pin.SE3(R, P),
+    "an object with a quaternion": types.SimpleNamespace(translation=P, rotation=W),
+    "a quaternion of two decimals more": [*P, *(1.004 * W)],
+    "rounded to five decimals": np.round(T, 5),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("door", DOORS)
+def test_every_door_takes_every_form(door, form):
+    place, turn = DOORS[door](FORMS[form])
+    near = 1e-5 if form.startswith("rounded") else 2e-7 if form == "JAX" else 1e-14
+    np.testing.assert_allclose(place, P, atol=near)
+    np.testing.assert_allclose(turn, R, atol=near)
+    if form.startswith("rounded"):  # is made a rotation, however rough
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-14)
+
+
+SHEARED = T.copy()
+SHEARED[0, 1] += 0.01
+ENDS = T.copy()
+ENDS[3, 3] = 2
+MIRRORED = T @ np.diag([1.0, 1, -1, 1])
+SCALED = T @ np.diag([1.01, 1.01, 1.01, 1])
+WRONG = {
+    "transposed": (T.T, "must have the last row 0 0 0 1, but has 0.3 -0.2 0.5 1: the translation stands in the last "
+                   "row, so transpose it"),
+    "last row": (ENDS, "must have the last row 0 0 0 1, but has 0 0 0 2"),
+    "scaled": (SCALED, "must hold a rotation, with rows of length 1 at right angles, but holds one scaled by 1.01"),
+    "mirrored": (MIRRORED, "must hold a rotation, .* but holds a mirrored one, of determinant −1"),
+    "sheared": (SHEARED, "must hold a rotation, .* but holds another matrix"),
+    "a scaled Pose": (ck.Pose(position=P, rotation=2 * R), "must hold a rotation, .* but holds one scaled by 2"),
+    "quaternion": ([*P, *(185 * W)], "must hold a unit quaternion w x y z, but has one of norm 185"),
+    "no quaternion": ([*P, 0, 0, 0, 0], "must hold a unit quaternion w x y z, but has one of norm 0"),
+    "masked": (np.ma.array(T, mask=T[1, 1] == T), "must hold no masked entries, but has 1 of them"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", WRONG)
+@pytest.mark.parametrize("door", DOORS)
+def test_every_door_refuses_the_same(door, what):
+    value, told = WRONG[what]
+    with pytest.raises(ck.ArgumentError, match=told):
+        DOORS[door](value)
+
+
+def test_of_many_the_first_wrong_one_is_named():
+    many = np.stack([T] * 5)
+    for wrong, told in ((T.T, "last row"), (SCALED, "scaled by 1.01")):
+        many[3] = wrong
+        with pytest.raises(ck.ArgumentError, match=f"{told}.* at index 3"):
+            read(many, pose())
+    turns = np.stack([W] * 5)
+    turns[2] *= 1.02
+    for door in (
+        lambda q: ck.waypoints([0, 1, 2, 3, 4], None, q),
+        lambda q: ck.resampled([0, 1, 2, 3, 4], rotations=q),
+        lambda q: read(q, orientation()),
+        lambda q: read((np.zeros((5, 3)), q), pose()),
+    ):
+        with pytest.raises(ck.ArgumentError, match=r"hold unit quaternions .* norm 1\.02 at index 2"):
+            door(turns)
+    with pytest.raises(ck.ArgumentError, match=r"`target` must hold a unit quaternion .* norm 1\.02"):
+        problem_from("panda", target=[*P, *(1.02 * W)])
+
+
+def test_half_precision_is_read_as_it_is_written():
+    rough = np.array([0.1, 0.7, -0.3, 0.64], np.float16)
+    exact = Rotation.from_quat(rough.astype(float), scalar_first=True).as_matrix()
+    rows, _ = read((np.zeros((1, 3), np.float16), rough[None]), pose())
+    np.testing.assert_allclose(rows[0, 3:].reshape(3, 3), exact, atol=1e-15)
+    np.testing.assert_allclose(ck.hold([0, 0, 0], rough).curve.rotation, exact, atol=1e-15)
+    found = ck.reach(ck.ur5(), ([[0.3, 0.3, 0.4]], rough[None]))
+    turn = np.array(ck.pose(ck.ur5(), found.q[0]).rotation, float)
+    assert found.solved.all() and np.abs(turn - exact).max() < 5e-6
+
+
+def test_four_quaternions_are_no_transform_and_what_could_be_both_is_asked():
+    four = Rotation.random(4, random_state=0).as_quat(scalar_first=True)
+    rows, alone = read(four, orientation())
+    assert rows.shape == (4, 12) and not alone
+    assert read(T, orientation())[1]  # a translation tells
+    for both in (np.eye(4), np.block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])):
+        with pytest.raises(ck.ArgumentError, match=r"transform, T\[None\], or four quaternions.*, but could be both"):
+            read(both, orientation())
+    assert read((None, np.eye(4)), orientation())[0].shape == (4, 12)
+    assert read(np.eye(4)[None], orientation())[0].shape == (1, 12)
+    assert read(np.eye(4), pose())[1]  # a pose has one reading
+
+
+def test_positions_alone_name_their_task():
+    with pytest.raises(ck.ArgumentError, match="positions alone, which are for task position"):
+        ck.reach(ck.ur5(), np.zeros((5, 3)))
+
+
+def test_a_base_moves_the_world_and_nothing_else():
+    placed, q = ck.with_base(ck.ur5(), T), np.array([0.1, -1.0, 1.2, 0.3, 0.5, -0.4])
+    at, moved = ck.pose(ck.ur5(), q), ck.pose(placed, q)
+    np.testing.assert_allclose(moved.position, R @ np.array(at.position) + P, atol=1e-6)
+    np.testing.assert_allclose(moved.rotation, R @ np.array(at.rotation), atol=1e-6)
+    turned = np.kron(np.eye(2), R) @ np.array(ck.jacobian(ck.ur5(), q))
+    np.testing.assert_allclose(ck.jacobian(placed, q), turned, atol=1e-6)
+    assert ck.with_base(ck.ur5(), np.eye(4).tolist()).joints[0].origin.position == ck.ur5().joints[0].origin.position
+
+
+def test_quaternions_of_rotations_are_scipys():
+    turns = Rotation.random(20, random_state=1)
+    found = poses.quaternions(turns.as_matrix())
+    assert np.abs(np.abs((found * turns.as_quat(scalar_first=True)).sum(axis=1)) - 1).max() < 1e-14
