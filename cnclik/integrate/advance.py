@@ -11,6 +11,7 @@ from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
 from cnclik.integrate.status import Status, flags
 from cnclik.law.law import Law, evaluate, look, respond
+from cnclik.law.limits import within
 from cnclik.law.reference import tangent
 from cnclik.record import record
 from cnclik.robot import spatial as sp
@@ -58,6 +59,8 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
     else:
         one = over_history(law, told, q, at, mark(law, reference, at, t, q), t, Ts, method, history, begun)
     made = one.moved
+    if law.limits is not None:
+        made = made._replace(**dict(zip(("q", "qdot"), within(law, q, made.qdot, Ts), strict=True)))
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     if one.restarted is not None:
         status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)

@@ -32,6 +32,7 @@ from cnclik.integrate.history import (
 from cnclik.integrate.march import Moved, shift
 from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, answer, look, respond, weigh
+from cnclik.law.limits import within
 from cnclik.robot import spatial as sp
 
 TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
@@ -67,7 +68,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
         slope = sp.each(lambda a, b: jnp.where(turned, a, b), first.qdot, slope)
         left = jnp.where(turned, 0, count)
     if law.limits is not None:
-        alone = first.held | broken(law, slope, shift(q, Ts, (1.0,), (slope,)))
+        alone = first.held | broken(law, slope, q, Ts)
         slope = sp.each(lambda a, b: jnp.where(alone, a, b), first.qdot, slope)
         left = jnp.where(alone, -1, left)
     zero = jnp.zeros_like(q[0])
@@ -164,19 +165,11 @@ def _nothing(weight) -> bool:
     return sp.is_number(weight) and weight == 0
 
 
-def broken(law, qdot, q):
-    """Whether a velocity, or where it leads to, is beyond a limit that the law respects."""
-    chain = law.chain
+def broken(law, qdot, q, Ts):
+    """Whether a velocity, or where it leads to, is beyond a limit that the law respects, by more than rounding."""
     rounding = 64 * jnp.finfo(jnp.result_type(qdot[0])).eps
-    found = sp.some(sp.each(lambda v, most: jnp.abs(v) > most * (1 + rounding), qdot, _all(chain.velocity_limit, q)))
-    if not getattr(law.limits, "positions", True):
-        return found
-    low, high = _all(chain.lower, q), _all(chain.upper, q)
-    return found | sp.some(sp.each(lambda v, l, h: (v < l) | (v > h), q, low, high))
-
-
-def _all(limit, q):
-    return limit if sp.unrolled(q) else jnp.asarray(limit)
+    kept = within(law, q, qdot, Ts)[1]
+    return sp.some(sp.each(lambda v, k: jnp.abs(v - k) > rounding * jnp.abs(v), qdot, kept))
 
 
 def primed(law, reference, past, t, Ts, method, history: History) -> History:

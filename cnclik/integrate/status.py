@@ -88,13 +88,18 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     status |= jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
     outside, fast = first.held, too_fast(chain, qdot)
     if not unlimited(chain.lower, chain.upper):
-        outside |= sp.some(sp.each(lambda v, low, high: (v <= low) | (v >= high), q, chain.lower, chain.upper))
+        outside |= sp.some(sp.each(_at_limit, q, chain.lower, chain.upper))
     for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):
         if found is not False:
             status |= jnp.where(found, int(bit), 0)
     if law.task.m > chain.n:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
+
+
+def _at_limit(v, low, high):
+    """Whether a joint is at a limit, or beyond; one that has a single value is not where it has that."""
+    return ((v <= low) | (v >= high)) & ((v != low) | (v != high))
 
 
 def too_fast(chain, qdot):

@@ -20,11 +20,23 @@ from cnclik.robot import spatial as sp
 def gram(rows, shift):
     """Lower triangle of J Jᵀ + shift·I: row i has i + 1 entries; rolled, the whole matrix."""
     if not sp.unrolled(rows):
-        return sp.products(rows, rows) + shift * jnp.eye(len(rows), dtype=rows.dtype)
+        return shifted(sp.products(rows, rows), shift)
     return tuple(
         tuple(sp.add(sp.dot(rows[i], rows[j]), shift if i == j else 0.0) for j in range(i + 1))
         for i in range(len(rows))
     )
+
+
+def trace(lower):
+    """Trace of a matrix given as `gram` gives it."""
+    return sp.total(row[-1] for row in lower) if sp.unrolled(lower) else jnp.trace(lower)
+
+
+def shifted(lower, shift):
+    """The same with shift·I added."""
+    if not sp.unrolled(lower):
+        return lower + shift * jnp.eye(len(lower), dtype=lower.dtype)
+    return tuple((*row[:-1], sp.add(row[-1], shift)) for row in lower)
 
 
 def _eliminate(entries, left):

@@ -20,6 +20,7 @@ from cnclik.record import record
 from cnclik.robot import spatial as sp
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
+WIDE = 4 * math.pi  # [rad, m] a wider range, or one that is open, has limits that are felt as far as those of this one
 NOISE = 0.05  # relative, of two of `_beyond_reach`: each feels the rounding of J Jᵀ, some 1/64 of its shift
 
 
@@ -43,7 +44,7 @@ class Scaled:
 
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         factored = inverse(rows)
-        qdot, held = _slow_down(chain, _through(factored.apply, rows, velocity, wanted))
+        qdot, held = slowed(chain, _through(factored.apply, rows, velocity, wanted))
         return Limited(qdot=qdot, apply=factored.apply, least=factored.least, held=held)
 
 
@@ -56,7 +57,7 @@ def velocity_scaling() -> Scaled:
     return Scaled()
 
 
-def _slow_down(chain, qdot):
+def slowed(chain, qdot):
     """The velocities scaled to the slowest joint, and whether that changed them."""
     if unlimited(chain.velocity_limit):
         return qdot, False
@@ -100,40 +101,39 @@ class Weighted:
         roots = sp.each(_root, q, asked, chain.lower, chain.upper)
         made = inverse(sp.rescale(rows, roots))
         factored = Factored(lambda t: sp.each(sp.mul, roots, made.apply(t)), plain.least)
-        back = None if unlimited(chain.lower, chain.upper) else sp.each(self._back, q, chain.lower, chain.upper)
+        back = None
+        if not unlimited(chain.lower, chain.upper):
+            back = sp.each(lambda x, low, high: self.rate * (jnp.clip(x, low, high) - x), q, chain.lower, chain.upper)
         if wanted is not None:
             wanted = sp.each(lambda r, w: sp.mul(sp.mul(r, r), w), roots, wanted)
             back = wanted if back is None else sp.vadd(back, wanted)
-        qdot, slowed = _slow_down(chain, _through(factored.apply, rows, velocity, back))
-        # Held back: a joint four times as heavy as it would be in mid-range.
-        stopped = sp.some(sp.each(lambda r: False if sp.is_number(r) else r < 0.5, roots))
-        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=sp.some((slowed, stopped)))
-
-    def _back(self, q, low, high):
-        """The velocity that brings a joint back inside."""
-        if _between(low, high) is False:
-            return 0.0
-        return jnp.where(_between(low, high), self.rate * (jnp.clip(q, low, high) - q), 0.0)
-
-
-def _between(low, high):
-    """Whether a joint has two limits and room between them; known where they are numbers."""
-    return (high - low < math.inf) & (high > low)
+        qdot, late = slowed(chain, _through(factored.apply, rows, velocity, back))
+        # Held back: a joint four times as heavy as it would be in mid-range, unless it can't move at all.
+        stopped = sp.some(
+            sp.each(
+                lambda r, low, high: False if sp.is_number(r) else (r < 0.5) & (low < high),
+                roots,
+                chain.lower,
+                chain.upper,
+            )
+        )
+        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=sp.some((late, stopped)))
 
 
 @opaque
 def _root(q, qdot, low, high):
-    """Square root of a joint's inverse weight, 1/w = D/(D + N) with w = 1 + N/D = 1 + |∂H/∂q|."""
-    limited = _between(low, high)
-    if limited is False:
+    """Square root of a joint's inverse weight, 1/w = D/(D + N) with w = 1 + N/D = 1 + |∂H/∂q|; 0 for a fixed joint."""
+    if unlimited((low, high)):
         return 1.0
-    if limited is not True:  # a joint without limits is in the middle of what stands for them
-        low, high = jnp.where(limited, low, q - 1.0), jnp.where(limited, high, q + 1.0)
-    below, above = jnp.maximum(q - low, 0.0), jnp.maximum(high - q, 0.0)  # room on both sides
-    room, skew = high - low, (q - low) - (high - q)
-    half = 2.0 * below * above  # written so that there is no root of 0
-    root = half / jnp.sqrt(half * half + room * room * jnp.abs(skew))
-    return jnp.where(qdot * skew > 0, root, 1.0)
+    room = high - low
+    room = min(room, WIDE) if sp.is_number(room) else jnp.minimum(room, WIDE)
+    free = room > 0
+    room = jnp.where(free, room, 1.0)
+    below, above = (jnp.clip(gap, 0.0, 0.5 * room) for gap in (q - low, high - q))
+    near = jnp.minimum(below, above)
+    half = 2.0 * near * (room - near)  # written so that there is no root of 0
+    root = half / jnp.sqrt(half * half + room * room * (room - 2.0 * near))
+    return jnp.where(free, jnp.where(qdot * (below - above) > 0, root, 1.0), 0.0)
 
 
 def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
@@ -142,7 +142,9 @@ def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
     wᵢ = 1 + |∂H/∂qᵢ| for a joint that would move towards its nearer limit, else 1, with
     H = ¼ Σ (uᵢ − lᵢ)²/((uᵢ − qᵢ)(qᵢ − lᵢ)): a joint slows to rest at its limit and leaves it freely, while the
     others take its share. The law's own inverse is applied to J W^(−½), so damping works with it; where no
-    freedom is left the weighted J becomes singular, and damping is needed. Velocity limits by scaling.
+    freedom is left the weighted J becomes singular, and damping is needed. Velocity limits by scaling. Where a range
+    is wider than 4π rad (m), or open on one side, each limit is felt as one of a range of that width; a joint whose
+    limits are equal doesn't move.
 
     Args:
       rate: a joint outside its limits returns at rate · (distance), as far as the task leaves freedom [1/s].
@@ -181,11 +183,15 @@ class Saturated:
         # all of them false for NaN, so that no lane that is not finite passes for one at rest.
         zero = (sp.total(q) + sp.total(velocity)) * 0.0
         asked = sp.safe_norm(velocity)
-        reached = _beyond_reach(rows, velocity)
 
         def free(locked):
             """The rows without the locked joints' columns."""
             return sp.rescale(rows, sp.each(lambda gone: 1.0 - gone, locked))
+
+        fixed = sp.each(
+            lambda l, h: jnp.where(l < h, zero, zero + 1.0), low, high
+        )  # a joint with one value is no joint
+        reached = _beyond_reach(free(fixed), velocity)
 
         def one(at: _Pass, _):
             left = free(at.locked)
@@ -218,9 +224,10 @@ class Saturated:
 
         never = jnp.zeros_like(zero, bool)
         nothing = sp.each(lambda x: jnp.zeros_like(x) + zero, q)
+        wanted = nothing if wanted is None else sp.vadd(nothing, wanted)
         start = _Pass(
-            locked=nothing,
-            fixed=nothing if wanted is None else sp.vadd(nothing, wanted),
+            locked=fixed,
+            fixed=sp.each(lambda gone, bound, w: jnp.where(gone > 0, bound, w), fixed, low, wanted),
             done=never,
             best=zero - 1.0,
             qdot=nothing,
@@ -297,6 +304,30 @@ def saturation(rate: ArrayLike = 10.0) -> Saturated:
     nears its limit exponentially, and one outside comes back, whatever the task asks.
 
     Args:
-      rate: [1/s]; with rate·Ts ≤ 1 an explicit step does not cross a limit.
+      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
     """
     return Saturated(rate=positive("rate", rate))
+
+
+# --- what a step keeps, whatever the limit method and the method ----------------------------------------
+
+
+def within(law, q, qdot, Ts):
+    """(q after a step, its velocity) of a law with limits: as asked for, but across none of them.
+
+    What the law keeps at each of its evaluations, a combination of several, or a step that is too long, may not. All
+    velocities are scaled alike; a joint that would cross a position limit ends on it, and one that is outside doesn't
+    go farther out.
+    """
+    chain = law.chain
+    qdot, _ = slowed(chain, qdot)
+    after = sp.vadd(q, sp.scale(Ts, qdot))
+    if not getattr(law.limits, "positions", True) or unlimited(chain.lower, chain.upper):
+        return after, qdot
+    per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
+
+    def joint(x, v, end, low, high):
+        there = jnp.clip(end, jnp.minimum(low, x), jnp.maximum(high, x))
+        return there, jnp.where(there == end, v, (there - x) * per_time)
+
+    return sp.parts(joint, q, qdot, after, *(sp.like(q, limit) for limit in (chain.lower, chain.upper)))

@@ -115,3 +115,27 @@ def test_chatter_counts_what_is_taken_back():
     assert chatter(np.geomspace(1, 1e-9, 20)[:, None]) == 0
     assert chatter(alternating * [1, 0.5] + [0, 2]) == pytest.approx(1.0)  # only the first joint turns back
     assert chatter(np.ones((1, 3))) == 0
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32], ids=["double", "single"])
+def test_damping_below_rounding_is_no_division_by_zero(dtype):
+    """As small as it may be, with J of any rank and joints that a limit has taken out: finite, and near J#."""
+    eps = np.finfo(dtype).eps
+
+    @jax.jit
+    @jax.vmap
+    def act(j, t, damping):
+        rows = tuple(tuple(row) for row in j)
+        made = ck.damped(damping)(rows)
+        return jnp.stack(made.apply(tuple(t))), made.least
+
+    draw = np.random.default_rng(1)
+    j = np.concatenate([np.concatenate([matrices(6, 7) for _ in range(40)]), draw.normal(size=(40, 6, 7))])
+    j[np.arange(len(j)) % 3 == 0, :, :4] = 0.0  # rank 3
+    t = np.einsum("kmn,kn->km", j, draw.normal(size=(len(j), 7)))  # within reach
+    for damping in (1e-3, 1e-5, 1e-7, 1e-9, 1e-12, 1e-20):
+        q, least = act(*(np.asarray(v, dtype) for v in (j, t, np.full(len(j), damping))))
+        assert q.dtype == dtype and np.isfinite(q).all() and np.isfinite(least).all()
+        missed = np.linalg.norm(np.einsum("kmn,kn->km", j, q) - t, axis=1)
+        # Directions that stay damped are those of σ² near the shift.
+        assert np.all(missed <= 2 * max(damping, 20 * eps**0.5) * (1 + np.linalg.norm(t, axis=1)))

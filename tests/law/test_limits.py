@@ -112,7 +112,9 @@ def test_weighted_least_norm_is_chan_and_dubeys():
 def test_weighted_joints_stop_at_their_limits_and_return():
     q = np.array([-1.2, -1.0, -0.999, 0.0, 1.0, 1.2])
     outward, inward = (room._root(q, v, -1.0, 1.0) for v in (1.0, -1.0))
-    back = ck.weighted_least_norm(RATE)._back(q, -1.0, 1.0)
+    one = ck.replace(ck.planar_arm([1.0]), lower=(-1.0,), upper=(1.0,))
+    at_rest = [ck.weighted_least_norm(RATE)(ck.pseudoinverse(), one, (x,), ((0.0 * x,),), (0.0 * x,), None) for x in q]
+    back = np.array([made.qdot[0] for made in at_rest])
     np.testing.assert_allclose(outward[4:], 0, atol=1e-12)  # no way further out
     np.testing.assert_allclose(outward[:3], 1)  # free to come in
     np.testing.assert_allclose(back, [2.0, 0, 0, 0, 0, -2.0], atol=1e-12)

@@ -1,0 +1,179 @@
+"""Limits of every kind, kept by every limit method, method and stage, in both dtypes."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+
+INF = np.inf
+ARM = ck.planar_arm([0.5, 0.4, 0.3])
+Q0 = np.array([0.2, 0.9, -0.6])
+N, TS = 40, 0.05
+# Of the first and the second joint: lower and upper limits [rad].
+KINDS = {
+    "both": ([0.1, 0.5], [0.5, 1.1]),
+    "lower": ([0.1, -2.0], [INF, 2.0]),
+    "upper": ([-INF, -2.0], [0.3, 2.0]),
+    "lower, huge": ([0.1, -2.0], [1e16, 2.0]),
+    "upper, huge": ([-1e16, -2.0], [0.3, 2.0]),
+    "beyond single precision": ([-1e300, 0.5], [0.3, 1e300]),
+    "one value": ([0.2, -2.0], [0.2, 2.0]),
+    "both of one value": ([0.2, 0.9], [0.2, 0.9]),
+    "narrow": ([0.2 - 1e-3, -2.0], [0.2 + 1e-3, 2.0]),
+    "none": ([-INF, -INF], [INF, INF]),
+}
+LIMITS = {"scaling": ck.velocity_scaling(), "weights": ck.weighted_least_norm(), "saturation": ck.saturation()}
+# A tableau whose combination of slopes may be faster than each of them.
+EXTREME = ck.Method(name="EXTREME", A=((), (0.25,)), b=(-1.0, 2.0), c=(0.0, 0.25), order=2, source="b < 0")
+METHODS = {
+    "EE": ("EE", ck.picard(5)),
+    "MIDPOINT": ("MIDPOINT", ck.picard(5)),
+    "RK4": ("RK4", ck.picard(5)),
+    "EXTREME": (EXTREME, ck.picard(5)),
+    "IE picard": ("IE", ck.picard(2)),
+    "CN chord": ("CN", ck.chord(2)),
+    "IE newton": ("IE", ck.newton(2)),
+    "AB3": ("AB3", ck.picard(5)),
+    "ZNN4": ("ZNN4", ck.picard(5)),
+    "EXP-EE": ("EXP-EE", ck.picard(5)),
+    "EXP-MIDPOINT": ("EXP-MIDPOINT", ck.picard(5)),
+    "EXP-AB2": ("EXP-AB2", ck.picard(5)),
+}
+QUICK = {("weights", "EE"), ("saturation", "IE picard"), ("weights", "EXP-AB2"), ("saturation", "EXP-MIDPOINT")}
+QUICK |= {("scaling", "EXTREME"), ("weights", "ZNN4")}
+
+
+def law_of(limits, lower, upper, speed, arm=ARM, **more):
+    """With limits of the first two joints as arrays, which are parameters of a program."""
+    third = jnp.asarray([INF], lower.dtype)
+    lower, upper = jnp.concatenate([lower, -third]), jnp.concatenate([upper, third])
+    arm = ck.replace(arm, lower=lower, upper=upper, velocity_limit=jnp.stack([speed] * 3))
+    return ck.Law(arm, ck.position("xy"), alpha=8.0, inverse=ck.damped(0.01), limits=LIMITS[limits], **more)
+
+
+def cases(dtype):
+    """Limits, velocity limit, start and target of every kind: inside, on a limit, and a rounding outside."""
+    found = []
+    for low, high in KINDS.values():
+        low, high = (np.array(v).clip(-np.finfo(dtype).max, np.finfo(dtype).max) for v in (low, high))
+        low, high = (np.where(np.abs(v) < np.finfo(dtype).max, v, np.sign(v) * INF).astype(dtype) for v in (low, high))
+        on = np.where(np.abs(high) < 10, high, np.where(np.abs(low) < 10, low, Q0[:2])).astype(dtype)
+        beyond = np.where(on == high, np.nextafter(on, dtype(9)), np.where(on == low, np.nextafter(on, dtype(-9)), on))
+        for start in (np.clip(Q0[:2], low, high), on, beyond):
+            for target in ([0.9, -0.5], [-0.4, 0.6]):
+                q0 = np.append(start, Q0[2]).astype(dtype)
+                found.append((low, high, dtype(2.0), q0, np.array(target, dtype)))
+    return [np.stack(v) for v in zip(*found, strict=True)]
+
+
+def table():
+    for limits in LIMITS:
+        for name in METHODS:
+            for dtype in (np.float64, np.float32):
+                quick = (limits, name) in QUICK and (dtype == np.float64 or name == "EXP-MIDPOINT")
+                yield pytest.param(limits, name, dtype, marks=[] if quick else pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("limits", "name", "dtype"), list(table()))
+def test_kept(limits, name, dtype):
+    method, stage = METHODS[name]
+
+    def one(low, high, speed, q0, target):
+        return ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, N, method, stage)
+
+    made = cases(dtype)
+    run = jax.jit(jax.vmap(one))(*made)
+    low, high, _, q0, _ = made
+    q, qdot = np.asarray(run.q)[..., :2], np.asarray(run.qdot)
+    assert run.q.dtype == dtype and np.isfinite(run.q).all() and np.isfinite(run.e).all()
+    rounding = 100 * np.finfo(dtype).eps
+    assert np.all(np.abs(qdot) <= 2.0 * (1 + rounding))
+    np.testing.assert_allclose(np.diff(run.q, axis=1) / TS, qdot, atol=rounding * 10 / TS)
+    assert np.ptp(run.q, axis=1).max() > 0.5  # they move
+    if limits == "scaling":
+        return
+    bottom, top = np.minimum(low, q0[:, :2]), np.maximum(high, q0[:, :2])
+    assert np.all(q >= bottom[:, None]) and np.all(q <= top[:, None])
+    fixed = low == high
+    status = np.asarray(run.status) & ck.Status.AT_LIMIT
+    assert np.all(np.abs(q - low[:, None])[np.broadcast_to(fixed[:, None], q.shape)] <= np.finfo(dtype).eps)
+    assert status.any()
+
+
+URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
+<joint name="1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1e16" velocity="0"/></joint>
+<joint name="2" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/><origin xyz="0.5 0 0"/>
+<limit lower="-2" upper="2" velocity="3"/></joint>
+<joint name="3" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 0 1"/><origin xyz="0.5 0 0"/>
+<limit lower="0.5" upper="0.5" velocity="1"/></joint>
+<joint name="tip" type="fixed"><parent link="d"/><child link="e"/><origin xyz="0.5 0 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("limits", ["weights", "saturation"])
+def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
+    """One-sided, and a joint of one value: with the first passed, joint 1 went to −1.796."""
+    (tmp_path / "arm.urdf").write_text(URDF)
+    read = ck.load_urdf(str(tmp_path / "arm.urdf"), tip="e")
+    more = dict(lower=[0.0, -2.0, 0.5], upper=[INF, 2.0, 0.5], velocity_limit=[INF, 3.0, 1.0])
+    written = ck.from_dh([0.5] * 3, [0.0] * 3, [0.0] * 3, **more)
+    runs = []
+    for arm in (read, written):
+        law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.01), limits=LIMITS[limits])
+        runs.append(ck.solve(law, ck.hold([0.6, -1.0]), [0.2, 0.5, 0.5], 0.01, 300, "EE"))
+    q = np.asarray(runs[0].q)
+    np.testing.assert_allclose(q, runs[1].q, atol=1e-12)
+    assert q[:, 0].min() >= 0.0 and np.abs(q[:, 1]).max() <= 2.0 and np.all(q[:, 2] == 0.5)
+
+
+@pytest.mark.parametrize("limits", ["weights", "saturation"])
+def test_a_joint_of_one_value_is_no_joint(limits):
+    """The arm moves as one whose second joint is welded, and is not at a limit all the time."""
+    bend = 0.9
+    welded = ck.planar_arm([np.hypot(0.5 + 0.4 * np.cos(bend), 0.4 * np.sin(bend)), 0.3])
+    turned = np.arctan2(0.4 * np.sin(bend), 0.5 + 0.4 * np.cos(bend))  # of its first link, which is two
+    fixed = ck.replace(ARM, lower=(-INF, bend, -INF), upper=(INF, bend, INF))
+    runs = []
+    for arm, q0 in ((fixed, [0.2, bend, 0.7]), (welded, [0.2 + turned, 0.7 + bend - turned])):
+        law = ck.Law(arm, ck.position("xy"), alpha=8.0, inverse=ck.damped(0.01), limits=LIMITS[limits])
+        runs.append(ck.solve(law, ck.hold([0.3, 0.7]), q0, TS, N, "EE"))
+    assert np.all(np.asarray(runs[0].q)[:, 1] == bend) and np.linalg.norm(runs[0].e[-1]) < 1e-3
+    np.testing.assert_allclose(runs[0].e, runs[1].e, atol=1e-9)
+    ck.require_ok(runs[0])
+
+
+def mirrored(i):
+    """The arm with the axis of a joint turned round."""
+    axes = [[0.0, 0.0, -1.0 if j == i else 1.0] for j in range(3)]
+    return ck.from_screws([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.9, 0.0, 0.0]], axes, [1.2, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("method", ["EE", pytest.param("EXP-AB2", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("limits", ["weights", "saturation"])
+def test_a_mirrored_axis_gives_a_mirrored_run(limits, method):
+    def run(arm, low, high, speed, q0, target):
+        return ck.solve(law_of(limits, low, high, speed, arm), ck.hold(target), q0, TS, N, method).q
+
+    low, high, speed, q0, target = cases(np.float64)
+    plain = jax.jit(jax.vmap(functools.partial(run, mirrored(None))))(low, high, speed, q0, target)
+    for i in range(2):
+        sign = np.where(np.arange(3) == i, -1.0, 1.0)
+        low2, high2 = np.where(sign[:2] > 0, low, -high), np.where(sign[:2] > 0, high, -low)
+        other = jax.jit(jax.vmap(functools.partial(run, mirrored(i))))(low2, high2, speed, q0 * sign, target)
+        np.testing.assert_allclose(other * sign, plain, atol=1e-12)
+
+
+@pytest.mark.parametrize("limits", LIMITS)
+def test_gradients_are_finite(limits):
+    def loss(low, high, speed, q0, target):
+        run = ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, 10, "EE")
+        return jnp.sum(run.e[-1] ** 2) + jnp.sum(run.q[-1])
+
+    made = cases(np.float64)
+    found = jax.jit(jax.vmap(jax.grad(loss, argnums=(0, 1, 2, 3, 4))))(*made)
+    for value, name in zip(found, ("lower", "upper", "velocity", "start", "target"), strict=True):
+        assert np.isfinite(value).all(), name
