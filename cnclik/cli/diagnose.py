@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from cnclik import errors
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import Number
 from cnclik.cli.remarks import print_json
@@ -19,13 +20,13 @@ _TIMES = ("t", "time", "t [s]", "time [s]")  # what a column of times may be cal
 class Args(ComputeOptions):
     log: Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(metavar="LOG.csv")]
     """A recording: a row for each sample, a column for each joint, error or command."""
-    Ts: Number = None
+    Ts: Annotated[Number, Unit("s")] = None
     """Sampling time of loop and recording [s]; may be left out where a column t or time has it."""
-    alpha: Number = None
+    alpha: Annotated[Number, Unit("1/s")] = None
     """Gain of the loop [1/s]: then the gain that would end the ringing is told, else by how much to change it."""
     columns: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = None
     """Which columns, by name or number; all but times by default. With --step: the commands, then the motions."""
-    longest_period: Number = None
+    longest_period: Annotated[Number, Unit("s")] = None
     """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
     step: bool = False
     """Fit a drive to recorded commands and motion: columns named command..., position..., or the two there are."""

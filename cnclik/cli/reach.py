@@ -11,9 +11,10 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import robot_and_task
-from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions
+from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions, look_at_units
 from cnclik.cli.remarks import print_json
 
 
@@ -31,19 +32,19 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """Places of --map along each axis."""
     orientations: int = 24
     """Orientations of --map at each place."""
-    at: float = 0.0
+    at: Annotated[float, Unit("m")] = 0.0
     """Where on the third axis the plane of --map lies [m]."""
     seed: int = 0
     """Of --random and of the search."""
-    tolerance: tuple[float, float] = (1e-6, 1e-6)
+    tolerance: Annotated[tuple[float, float], Unit("m, rad")] = (1e-6, 1e-6)
     """Of position [m] and orientation [rad]."""
-    accept: Annotated[tuple[float, float] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    accept: Annotated[tuple[float, float] | None, tyro.conf.arg(help_behavior_hint=""), Unit("m, rad")] = None
     """A wider pair, within which an answer is ACCEPTED where the tolerance is not met."""
-    near: Numbers = None
+    near: Annotated[Numbers, Unit("q")] = None
     """Joint values to search from [rad, m], such as where the robot is now."""
     path: bool = False
     """Targets are a path: search each from the answer before it."""
-    jump: Number = None
+    jump: Annotated[Number, Unit("q")] = None
     """The most that any joint may be away from --near, or from the answer before [rad, m]."""
     solutions: int = 1
     """Different answers for each target."""
@@ -65,6 +66,7 @@ def run(args: Args) -> None:
     _check(args)
     chain, tip = robot_and_tip(args.robot, args.tip, args.base, args.lengths)
     task = task_from(args.task, chain)
+    look_at_units(args, {}, chain, task)
     if not args.json:
         print(robot_and_task(robot_name(args.robot, args.tip), tip, task))
     if args.map:

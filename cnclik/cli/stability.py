@@ -13,6 +13,7 @@ import tyro
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.advice import COLUMNS, escaped, gains_of, lines_of, name_of, or_any, title_of
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import (
@@ -33,9 +34,9 @@ from cnclik.problem.options import DRIVE
 class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
-    target: Numbers = None
+    target: Annotated[Numbers, Unit("x")] = None
     """Where the loop is to come to rest: position [m], for a pose optionally a quaternion w x y z."""
-    speed: float = 0.1
+    speed: Annotated[float, Unit("m/s")] = 0.1
     """Of the tip [m/s]: for lag, tracking error and joint velocities."""
     json: bool = False
     """Print the advice as JSON, and nothing else."""
@@ -51,9 +52,9 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     """Methods of --plane."""
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
     """Passes M of --plane; the strip over M goes up to the largest."""
-    alpha_range: tuple[float, float] | None = None
+    alpha_range: Annotated[tuple[float, float] | None, Unit("1/s")] = None
     """Gains of --map [1/s]; by default about --alpha and the linear boundary."""
-    Ts_range: tuple[float, float] | None = None
+    Ts_range: Annotated[tuple[float, float] | None, Unit("s")] = None
     """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""

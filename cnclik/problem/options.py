@@ -19,6 +19,7 @@ from cnclik.problem.words import (
     STAGES,
     TASKS,
 )
+from cnclik.quantities import SAMPLES
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -95,9 +96,10 @@ OPTIONS = {
 }  # fmt: skip
 
 DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`
-    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones.", must="at least 0"),
+    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones; 34ms is a time.",
+                    unit=SAMPLES, must="at least 0"),
     "measurement_delay": Option(INTEGER, "Whole samples by which what is measured is late, its time being known.",
-                                must="at least 0"),
+                                unit=SAMPLES, must="at least 0"),
     "lag": Option(NUMBERS, "Time constant of a first-order drive [s], one number or one per joint.", unit="s",
                   must="positive"),
     "natural_frequency": Option(NUMBERS, "ω₀ of a second-order drive [rad/s], in place of a lag: √(k_p/m) of a "

@@ -9,8 +9,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.problem import words
+from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.names import fitting
-from cnclik.problem.tables import read_csv
+from cnclik.problem.tables import read_poses
 from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import pose
@@ -155,10 +156,25 @@ def _point(name, given, task, default):
 
 
 def _waypoints(scene, file):
-    """Waypoints of a CSV file: time, position, optional quaternion w x y z."""
-    name, table = pathlib.Path(file).name, read_csv("reference", file)
+    """Waypoints of a CSV file: time, position, optional quaternion; by name, or without a header in this order."""
+    name, task = pathlib.Path(file).name, scene.task
+
+    def by_place(width):
+        turns = (0, 4) if task.orientation else (0,)
+        fits = {1 + len(some) + turn: some for some in {task.position, task.position and "xyz"} for turn in turns}
+        some = fits.get(width)
+        return None if some is None else (TIME, *some, *QUATERNION[: width - 1 - len(some)])
+
+    columns, table = read_poses("reference", file, by_place)
     if len(table) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(table)}")
+    if columns:
+        axes = [axis for axis in POSITION if axis in columns] if set(POSITION) <= set(columns) else [*task.position]
+        order = [TIME, *(axes if task.position else []), *(QUATERNION if task.orientation and "qw" in columns else ())]
+        lacking = [one for one in order if one not in columns]
+        if lacking:
+            raise errors.fail("reference", "have a column for each coordinate", f"{name} lacks {' '.join(lacking)}")
+        table = np.stack([columns[one] for one in order], 1)
     points = [_point(f"{name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
     late = ~(table[1:, 0] > table[:-1, 0])  # also where one is not finite
     if late.any():
