@@ -47,7 +47,7 @@ def parse(Args, argv, *, prog, description):
     try:
         with contextlib.redirect_stderr(said):
             made = tyro.cli(Args, args=argv, prog=prog, description=description)
-        made.written = written
+        object.__setattr__(made, "written", written)  # beside the fields, of frozen ones too
         return made
     except SystemExit as leaving:
         if not leaving.code:

@@ -75,11 +75,11 @@ def library(*arrays):
 
 
 def shape_of(value) -> tuple:
-    """The shape of an array or of nested sequences; () where rows have several lengths."""
-    try:
-        return np.shape(value)
-    except ValueError:
-        return ()
+    """The shape of an array or of nested sequences, of what is traced, too; () where rows have several lengths."""
+    if not isinstance(value, (list, tuple)):
+        return tuple(getattr(value, "shape", ()))
+    inner = set(map(shape_of, value))
+    return (len(value), *inner.pop()) if len(inner) == 1 else ()
 
 
 def _float(value):
