@@ -1,6 +1,5 @@
 """Axes as a spec writes them: lists, linspace, geomspace, range, samples."""
 
-import difflib
 import math
 
 import numpy as np
@@ -119,5 +118,4 @@ def unknown_key(where, key, names):
 
 def meant(found, names) -> str:
     """What an unknown name may have been meant to be, in words."""
-    near = difflib.get_close_matches(found, list(names), n=1, cutoff=0.4)
-    return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
+    return errors.nearest(found, names).strip(" ()") or f"known are {', '.join(names)}"
