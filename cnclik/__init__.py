@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.compilation import use_cache
     from cnclik.diagnosis.diagnose import diagnose
     from cnclik.diagnosis.fit import fit_drive
-    from cnclik.errors import ArgumentError, Remark
+    from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
     from cnclik.integrate.drive import Drive
     from cnclik.integrate.history import History
@@ -37,7 +37,6 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.law.task import Task, orientation, position
     from cnclik.law.task import pose as pose_task
     from cnclik.measure.dataset import to_dataset
-    from cnclik.measure.files import to_json
     from cnclik.measure.kept import check_limits
     from cnclik.measure.metrics import Metrics, measure_run
     from cnclik.problem.build import problem_from
@@ -82,7 +81,7 @@ _ON_USE = {
     "compilation": "use_cache",
     "diagnosis.diagnose": "diagnose",
     "diagnosis.fit": "fit_drive",
-    "errors": "ArgumentError Remark",
+    "errors": "ArgumentError",
     "hints": "use_form use_hints",
     "integrate.drive": "Drive",
     "integrate.history": "History",
@@ -102,7 +101,6 @@ _ON_USE = {
     "law.resampled": "resampled",
     "law.task": "Task orientation pose_task=pose position",
     "measure.dataset": "to_dataset",
-    "measure.files": "to_json",
     "measure.kept": "check_limits",
     "measure.metrics": "Metrics measure_run",
     "problem.build": "problem_from",
@@ -125,19 +123,7 @@ _ON_USE = {
 }
 __all__ = [
     *("ArgumentError", "CN", "Chain", "Drive", "EE", "HEUN", "History", "IE", "Law", "METHODS", "MIDPOINT"),
-    *(
-        "Method",
-        "Metrics",
-        "Multistep",
-        "Pace",
-        "Pacing",
-        "Pose",
-        "RK4",
-        "ReachStatus",
-        "Reached",
-        "Reference",
-        "Remark",
-    ),
+    *("Method", "Metrics", "Multistep", "Pace", "Pacing", "Pose", "RK4", "ReachStatus", "Reached", "Reference"),
     *("Status", "Step", "StepError", "TRAPEZOID", "Task", "Trajectory", "__version__", "bench", "calibrate"),
     *("causal", "check_limits", "chord", "circle", "damped", "diagnose", "diagnosis", "exponential", "export"),
     *("fit_drive", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
@@ -146,7 +132,7 @@ __all__ = [
     *("plot", "pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "reach"),
     *("reachability", "reaching", "recommend", "replace", "require_ok", "resampled", "saturation", "settle"),
     *("show", "singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep"),
-    *("sweeps", "to_dataset", "to_json", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints"),
+    *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints"),
     *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_base", "with_feedforward", "with_tool"),
 ]
 

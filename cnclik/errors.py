@@ -175,31 +175,8 @@ def ending(name: str, path, *endings) -> str:
 
 def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
-    plain = {_plain(name): name for name in reversed(list(names))}
-    asked = _plain(value)
-    near = [plain[word] for word in (asked, _plain(_USUAL.get(asked, ""))) if word in plain]
-    near = near or difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
     return f" (did you mean {near[0]!r}?)" if near else ""
-
-
-_USUAL = {  # what others call it
-    **dict.fromkeys(("dt", "timestep", "h", "samplingtime", "sampletime"), "Ts"),
-    **dict.fromkeys(("euler", "expliciteuler", "forwardeuler"), "EE"),
-    **dict.fromkeys(("impliciteuler", "backwardeuler"), "IE"),
-    **{"cranknicolson": "CN", "rungekutta": "RK4", "trapezoidal": "TRAPEZOID", "adamsbashforth": "AB2"},
-    **dict.fromkeys(("gain", "kp", "k", "lambda"), "alpha"),
-    **dict.fromkeys(("deadtime", "latency"), "delay"),
-    **dict.fromkeys(("tcp", "ee", "endeffector", "eelink", "endlink"), "tip"),
-    **dict.fromkeys(("baselink", "root"), "base"),
-    **dict.fromkeys(("dls", "levenberg"), "damped"),
-    **dict.fromkeys(("pinv", "moorepenrose"), "pseudoinverse"),
-    **{"exponential": "EXP-MIDPOINT", "nsteps": "N"},
-}
-
-
-def _plain(name) -> str:
-    """A name as people tell it from others: without case, dashes and underscores."""
-    return "".join(c for c in str(name).casefold() if c.isalnum())
 
 
 def _fits(shape, wanted):

@@ -68,13 +68,10 @@ def combine(arrays, literals: Literals):
     return jax.tree.unflatten(literals.treedef, leaves)
 
 
-def record(cls=None, *, kw_only=True, by_value=False):
-    """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above.
-
-    Args: by_value: whether two of the same numbers are equal, as of what users compare; else each equals itself alone.
-    """
+def record(cls=None, *, kw_only=True):
+    """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above."""
     if cls is None:
-        return lambda cls: record(cls, kw_only=kw_only, by_value=by_value)
+        return lambda cls: record(cls, kw_only=kw_only)
     checked = getattr(cls, "__post_init__", lambda self: None)
 
     def frozen(self):
@@ -118,21 +115,8 @@ def record(cls=None, *, kw_only=True, by_value=False):
         return {n: getattr(self, n) for n in names}
 
     cls.__getstate__ = fields_alone
-    if by_value:
-        cls.__eq__, cls.__hash__ = _same, lambda self: hash((cls, flatten(self)[1]))
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
-
-
-def _same(self, other):
-    """Whether two records are of one kind, and all their literals and arrays are equal; a traced one equals itself."""
-    if self is other or type(self) is not type(other):
-        return self is other
-    (mine, literals), (theirs, others) = partition(self), partition(other)
-    if literals != others:
-        return False
-    known = not any(isinstance(v, jax.core.Tracer) for v in (*mine, *theirs))
-    return known and all(map(np.array_equal, mine, theirs))
 
 
 def in_words(value, digits=5) -> str:

@@ -86,12 +86,6 @@ def _checked(Args, argv):
             raise errors.ArgumentError(f"Option `{name}` must be {_words(kind.hint)}, but is {' '.join(values)!r}.")
         Ts = quantities.number(values[0]) if name == "--Ts" else Ts
         tokens += [name, *values]
-    for field in dataclasses.fields(Args):
-        name = field.name.replace("_", "-")
-        if _is_required(field) and f"--{name}" in options and field.name not in units:
-            raise errors.ArgumentError(
-                f"Option `--{name}` must be given {_words(options[f'--{name}'].hint)}, but is not."
-            )
     most = sum(_most(hint) or len(loose) for hint, _, _ in positionals.values())
     if len(loose) > most:
         raise _unknown(options, loose[most])
@@ -142,8 +136,9 @@ def _fields(Args):
         marks = getattr(marked[field.name], "__metadata__", ())
         about = {key: v for m in marks for key in ("name", "metavar", "help") if (v := getattr(m, key, None))}
         if tyro.conf.Positional in marks:
+            required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
             name = about.get("metavar", field.name.upper())
-            positionals[name] = hints[field.name], _is_required(field), about.get("help", "").rstrip(".")
+            positionals[name] = hints[field.name], required, about.get("help", "").rstrip(".")
         else:
             append = tyro.conf.UseAppendAction in marks
             hint = hints[field.name]
@@ -151,10 +146,6 @@ def _fields(Args):
             unit = next((m.unit for m in marks if isinstance(m, Unit)), "1")
             options["--" + about.get("name", field.name).replace("_", "-")] = _Kind(hint, unit)
     return options, positionals
-
-
-def _is_required(field) -> bool:
-    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 # --- types --------------------------------------------------------------------------------------------

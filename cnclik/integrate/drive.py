@@ -26,7 +26,7 @@ _QUANTITIES = (  # of all joints or of each
 )
 
 
-@record(by_value=True)
+@record
 class Drive:
     """What a robot does with a command. As it is, the ideal: motion is what was commanded, and known at once.
 

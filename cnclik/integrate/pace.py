@@ -30,7 +30,7 @@ EASING = 0.5  # part of the jerk with which the share comes to rest at what the 
 CHAIN = "chain"
 
 
-@record(by_value=True)
+@record
 class Pace:
     """Limits that a loop keeps: it goes slower along its path, and leaves the path where that is not enough.
 

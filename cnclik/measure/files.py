@@ -2,14 +2,11 @@
 
 import csv
 import dataclasses
-import enum
 import math
 import os
 import pathlib
 
 import numpy as np
-
-from cnclik import errors
 
 
 def save_netcdf(data, path) -> None:
@@ -32,31 +29,13 @@ def markdown(header, rows, *, left=1) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in (header, rule, *rows))
 
 
-def to_json(found, **about) -> dict:
-    """An answer, such as advice, a diagnosis or a fitted drive, as nested tables of plain numbers, ready for `json`.
-
-    What is not finite is null, a complex number the list of its parts. Left out are whole runs and recordings behind
-    the numbers.
-
-    Args:
-      found: a record, such as `diagnose`, `fit_drive`, `recommend` or `stability.practice` return.
-      about: further entries, such as the robot's name.
-    """
-    if not dataclasses.is_dataclass(found) or isinstance(found, type):
-        raise errors.fail("found", "be an answer of this library", f"is {type(found).__name__}")
-    return plain(about) | plain(found)
-
-
-_BEHIND = ("run", "advice", "path", "modes")  # whole records, and recordings, that a record's numbers come from
-
-
 def plain(value):
     """For JSON: nested tables, lists, numbers and texts; what is not finite is null, a record a table of its fields.
 
-    A record's `_BEHIND` are left out.
+    A record's `run` and `advice`, which are whole records behind its numbers, are left out.
     """
     if dataclasses.is_dataclass(value):
-        kept = (f.name for f in dataclasses.fields(value) if f.name not in _BEHIND)
+        kept = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "advice"))
         value = {name: getattr(value, name) for name in kept}
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
@@ -66,10 +45,6 @@ def plain(value):
         return plain(np.asarray(value).tolist())
     if isinstance(value, os.PathLike):
         return os.fspath(value)
-    if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or isinstance(value, (str, int)):
-        return str(value) if isinstance(value, enum.StrEnum) else value
-    return str(value)
+    return value

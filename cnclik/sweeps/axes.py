@@ -1,5 +1,6 @@
 """Axes as a spec writes them: lists, linspace, geomspace, range, samples."""
 
+import difflib
 import math
 
 import numpy as np
@@ -118,4 +119,5 @@ def unknown_key(where, key, names):
 
 def meant(found, names) -> str:
     """What an unknown name may have been meant to be, in words."""
-    return errors.nearest(found, names).strip(" ()") or f"known are {', '.join(names)}"
+    near = difflib.get_close_matches(found, list(names), n=1, cutoff=0.4)
+    return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"

@@ -137,10 +137,6 @@ def _metrics(names):
 def _check_names(fixed, axes, bundles):
     """Every name is an option or used by an expression; every name used is defined, once, and not by itself."""
     tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
-    for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
-        for name in table:
-            if name in (*KEYS, *TABLES):
-                raise errors.fail(name, f"stand at the top of the file, not in [{where}]", "stands there")
     for where, table in {"fixed": fixed, **tables}.items():
         for name, value in table.items():
             if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):

@@ -238,19 +238,3 @@ def test_a_drive_that_does_not_fit_the_loop_is_refused():
         ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, "EE", t0=1.0, drive=Drive(delay=1))
     with pytest.raises(ArgumentError, match="`delay` must be a known number"):
         jax.jit(lambda d: Drive(delay=d).delay)(1.0)
-
-
-def test_drives_of_the_same_numbers_are_equal():
-    lag = np.array([0.01, 0.02])
-    one, same = ck.Drive(delay=3, lag=lag), ck.Drive(delay=3.0, lag=1.0 * lag)
-    assert one == same and hash(one) == hash(same) and len({one, same}) == 1 and ck.Drive(delay=3) == ck.Drive(delay=3)
-    for other in (ck.Drive(delay=4, lag=lag), ck.Drive(delay=3, lag=2 * lag), ck.Drive(delay=3), ck.Pace(), 3, None):
-        assert one != other and other != one
-    assert ck.Pace(velocity=1.0) == ck.Pace(velocity=1.0) != ck.Pace(velocity=2.0)
-    assert ck.replace(one, delay=5.0) != one == ck.replace(one)
-
-    def compared(x):
-        made = ck.Drive(lag=x)
-        return x * (made == made and made != ck.Drive(lag=2 * x))
-
-    assert jax.jit(compared)(2.0) == 2.0

@@ -82,24 +82,3 @@ def test_what_makes_no_dataset_is_named(scara, changes, told):
     with pytest.raises(ck.ArgumentError, match=told) as caught:
         to_dataset(given.pop("run"), given.pop("law"), **given)
     assert "\n" not in str(caught.value)
-
-
-def test_answers_are_plain_numbers_for_json():
-
-    arm = ck.planar_arm([1.0, 1.0])
-    law, target, q = ck.Law(arm, ck.position("xy"), alpha=5.0), ck.hold([0.3, 1.2]), [0.3, 0.9]
-    said = ck.stability.practice(law, target, ck.settle(law, target, q), Ts=0.01, drive=ck.Drive(delay=3))
-    k = np.arange(200)
-    for found in (said, ck.diagnose(0.1 * 0.98**k * np.cos(0.5 * k), 0.01), ck.verdict, ck.Drive(delay=3)):
-        if found is ck.verdict:
-            with pytest.raises(ck.ArgumentError, match="`found` must be an answer of this library, but is function"):
-                ck.to_json(found)
-            continue
-        made = ck.to_json(found, robot="arm")
-        assert json.loads(json.dumps(made, allow_nan=False)) == made and made["robot"] == "arm"
-    assert ck.to_json(said)["recommended_alpha"] == said.recommended_alpha
-    found = ck.diagnose(0.1 * 0.98**k * np.cos(0.5 * k), 0.01)
-    made = ck.to_json(found)
-    assert made["kind"] == str(found.kind) and made["growth"] == pytest.approx(0.98, abs=1e-3)
-    assert made["factors"][0] == pytest.approx([0.98 * np.cos(0.5), 0.98 * np.sin(0.5)], abs=1e-3)
-    assert ck.to_json(ck.Drive(lag=0.02))["lag"] == 0.02

@@ -226,8 +226,6 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"qestion": 1}, "`SPEC` must hold known keys, but holds 'qestion' (did you mean 'question'?)"),
         ({"question": None}, "`question` must be a sentence, but is missing"),
         ({"fixed__dampin": 0.1}, "holds 'dampin' (did you mean 'damping'?)"),
-        ({"fixed__metrics": ["rms_position_error"]}, "`metrics` must stand at the top of the file, not in [fixed]"),
-        ({"axes__tolerance": [1e-3]}, "`tolerance` must stand at the top of the file, not in [axes]"),
         ({"axes__alpah": [1.0]}, "holds 'alpah' (did you mean 'alpha'?)"),
         ({"fixed__alpha": "zz/Ts"}, "uses 'zz' (did you mean 'z'?)"),
         ({"fixed__alpha": "z/"}, "`alpha` must be a number or a short expression"),
