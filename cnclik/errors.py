@@ -6,6 +6,7 @@ is loaded for a message.
 
 import difflib
 import math
+import pathlib
 import sys
 import warnings
 
@@ -40,6 +41,17 @@ def in_a_line(error: Exception) -> str:
     """What an error says, and of which kind it is."""
     text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
     return text if len(text) <= 200 else text[:199] + "…"
+
+
+def path(name: str, value) -> pathlib.Path:
+    """A path that a file system may have."""
+    try:
+        found = pathlib.Path(value)
+    except TypeError:
+        raise fail(name, "be a path", f"is {value!r}") from None
+    if "\0" in str(found):
+        raise fail(name, "be a path", f"is {value!r}, with a NUL in it")
+    return found
 
 
 def concrete(value) -> bool:

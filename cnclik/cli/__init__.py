@@ -100,7 +100,7 @@ def _check_report(args, argv) -> None:
 
         from cnclik.writing import checked_file
 
-        checked_file("report", args.report, ".html")
+        checked_file("report", args.report, ".html", overwrite=args.overwrite)
         args.typed = shlex.join(argv)
 
 

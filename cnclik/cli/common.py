@@ -18,6 +18,8 @@ class CacheOption:
 class ComputeOptions(CacheOption):
     """For verbs that compute."""
 
+    overwrite: bool = False
+    """Write into a folder, or over a file, that is not cnclik's own, too."""
     timings: bool = False
     """Tell at the end how long importing, tracing, compiling, running and drawing took."""
 

@@ -48,7 +48,7 @@ def run(args: Args) -> None:
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
     if args.out is not None:
-        checked_folder("out", args.out)
+        checked_folder("out", args.out, overwrite=args.overwrite)
     names, table = read_columns("LOG", args.log, gaps=True)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")

@@ -86,7 +86,7 @@ def _check(args):
         from cnclik.measure.answers import ENDINGS
         from cnclik.writing import checked_file
 
-        checked_file("out", args.out, *ENDINGS)
+        checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
     if args.path and args.near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
 
@@ -254,7 +254,7 @@ def _map(args, chain, task):
     out = args.out or pathlib.Path("reach-out")
     count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
     begun = time.perf_counter()
-    with output_folder(out) as folder:
+    with output_folder(out, overwrite=args.overwrite) as folder:
         with progress.bar("targets", count) as report:
             found = reachability(
                 chain,

@@ -44,7 +44,7 @@ def run(args: Args) -> None:
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    with output_folder(args.out) as folder:
+    with output_folder(args.out, overwrite=args.overwrite) as folder:
         with progress.bar("steps") as report:
             trajectory, seconds = _march(made, report)
         from cnclik.measure.dataset import to_dataset

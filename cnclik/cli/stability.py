@@ -75,7 +75,7 @@ def run(args: Args) -> None:
         return
     load_ahead("cnclik.show.style")
     figures, advised = {}, None
-    with output_folder(args.out) as out:
+    with output_folder(args.out, overwrite=args.overwrite) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:

@@ -17,6 +17,7 @@ from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
+from cnclik.version import __version__
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
@@ -73,13 +74,13 @@ def run(args: Args) -> None:
 
     if args.figures:
         load_ahead("cnclik.show.style")
-    with output_folder(args.out) as folder:
+    with output_folder(args.out, overwrite=args.overwrite) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
             loop = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage)
             found = tuning.tune(made.law, made.reference, made.q0, **loop, progress=report, **asked)
         seconds = time.perf_counter() - begin
-        data = tuning.to_json(found, config=_config(args))
+        data = {"cnclik": __version__} | tuning.to_json(found, config=_config(args))
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     drawn = {}
     if args.figures or args.report:

@@ -51,8 +51,7 @@ def draw(rng):
 def _damage(folder, place, kind, other, seed):
     names = files(folder)
     one = folder / names[int(place * len(names))]
-    alike = [name for name in names if name.split("/")[:2] == one.relative_to(folder).as_posix().split("/")[:2]]
-    two = folder / alike[int(other * len(alike))]  # of the same array
+    two = folder / names[int(other * len(names))]
     data, rng = one.read_bytes(), np.random.default_rng(seed)
     match kind:
         case "flip" if data:
