@@ -42,7 +42,7 @@ def command() -> str:
     raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
 
 
-def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
+def build(sources, folder, *, flags=()) -> pathlib.Path:
     """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected,
     but for those by which NaN and infinity would mean nothing.
 
@@ -59,20 +59,30 @@ def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
     key = hashlib.sha256(
         "\0".join([*line, _processor()]).encode() + b"\0".join(texts + [h.read_bytes() for h in headers])
     )
-    name = f"{pathlib.Path(sources[0]).stem}-{key.hexdigest()[:16]}.so"
-    folder = pathlib.Path(folder)
-    if not os.access(folder, os.W_OK):
-        folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
-    library = folder / name
-    if not os.path.exists(library):
-        part = library.with_suffix(f".{os.getpid()}.part")
+    name, folder = f"{pathlib.Path(sources[0]).stem}-{key.hexdigest()[:16]}", pathlib.Path(folder)
+    library = next(filter(_whole, folder.glob(f"{name}-*.so")), None)
+    if library is None:
+        if not os.access(folder, os.W_OK):
+            folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
+        part = folder / f"{name}.{os.getpid()}.part"
         asked = [*line, "-o", str(part), *map(str, sources), "-lm"]
         done = subprocess.run(asked, capture_output=True, text=True)
         if done.returncode:
             said = next((w for w in done.stderr.splitlines() if "error" in w), done.stderr.strip()[:80])
             raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {said}")
+        library = folder / f"{name}-{_digest(part)}.so"
         part.replace(library)
     return library
+
+
+def _digest(library) -> str:
+    with open(library, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def _whole(library) -> bool:
+    """Whether a library is the one that was built: one that is cut off would end the process that loads it."""
+    return os.path.isfile(library) and library.stem.endswith(f"-{_digest(library)}")
 
 
 def _processor() -> str:

@@ -40,7 +40,7 @@ def native_source(chain, task, weighted) -> str:
     numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     defined = "".join(f"#define {name} {value}\n" for name, value in numbers.items())
     text = [prelude(np.float64, [*writers, writer]), defined, f"typedef struct {{\n{declared}\n}} Lanes;\n", *parts]
-    return "\n".join([*text, look, SEARCH]).replace("REAL", "double")
+    return "\n".join([*text, look, SEARCH]).replace("@REAL@", "double")
 
 
 def _look(chain, task, weighted):
