@@ -1,5 +1,6 @@
 """One look for every figure: colour-blind safe, readable at column width, the same line for a method everywhere."""
 
+import contextlib
 import pathlib
 from typing import NamedTuple
 
@@ -103,9 +104,14 @@ _RC = {
 }
 
 
+@contextlib.contextmanager
 def style():
     """Context manager: every figure made inside has the project's look."""
-    return matplotlib.rc_context(_RC)
+    with contextlib.ExitStack() as after, matplotlib.rc_context(_RC):
+        try:
+            yield
+        finally:  # a notebook's backend, which is loaded with the first figure, switches it on
+            after.callback(matplotlib.interactive, matplotlib.is_interactive())
 
 
 def line(method: str, **changes) -> dict:
