@@ -26,6 +26,7 @@ _form = jax.make_user_context(default_value=None)
 # Compiled or traced programs that a cache of this library keeps. Of `Recent` the least recently used one goes, a
 # `bounded_jit` begins anew.
 KEPT_PROGRAMS = 128
+KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
 
 
 def use_hints(on: bool):
@@ -190,7 +191,7 @@ def bounded_jit(fn=None, **options):
         if len(traced) > KEPT_PROGRAMS:
             jitted.clear_cache()
             traced.clear()
-        if len(_traced) > KEPT_PROGRAMS:
+        if len(_traced) > KEPT_TRACES:
             _forget_traces()
         return made
 
