@@ -10,6 +10,7 @@ import contextlib
 import functools
 import os
 import threading
+import weakref
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ _form = jax.make_user_context(default_value=None)
 # Compiled or traced programs that a cache of this library keeps. Of `Recent` the least recently used one goes, a
 # `bounded_jit` begins anew.
 KEPT_PROGRAMS = 128
+MOST_PROGRAMS = 64  # of all `bounded_jit` together, at some 6 MiB and 200 mappings of memory each
 KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
 
 
@@ -175,28 +177,54 @@ def bounded_jit(fn=None, **options):
     """
     if fn is None:
         return functools.partial(bounded_jit, **options)
-    traced = []  # once for each program, those within a gradient or a batch too, of which jit's own count knows nothing
+    programs = _Programs()
 
     @functools.wraps(fn)
     def counted(*args, **kwargs):
-        traced.append(None)
+        programs.traced += 1
         _traced.append(None)
         return fn(*args, **kwargs)
 
-    jitted = jax.jit(counted, **options)
+    jitted = programs.jitted = jax.jit(counted, **options)
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
+        before = programs.traced
         made = jitted(*args, **kwargs)
-        if len(traced) > KEPT_PROGRAMS:
-            jitted.clear_cache()
-            traced.clear()
-        if len(_traced) > KEPT_TRACES:
-            _forget_traces()
+        if programs.traced != before:
+            _bound(programs)
         return made
 
     call._cache_size = jitted._cache_size
     return call
+
+
+class _Programs:
+    """The programs of one function, once for each, those within a gradient or a batch too, of which jit's own count
+    knows nothing.
+    """
+
+    def __init__(self):
+        self.traced = 0
+        _bounded.add(self)
+
+    def forget(self):
+        self.jitted.clear_cache()
+        self.traced = 0
+
+
+_bounded = weakref.WeakSet()
+
+
+def _bound(programs):
+    """Forget what is too much: this function's programs, those of the function that has most, JAX's traces."""
+    if programs.traced > KEPT_PROGRAMS:
+        programs.forget()
+    every = list(_bounded)
+    while sum(p.traced for p in every) > MOST_PROGRAMS:
+        max(every, key=lambda p: p.traced).forget()
+    if len(_traced) > KEPT_TRACES:
+        _forget_traces()
 
 
 _traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten

@@ -18,7 +18,7 @@ _SIGNS = {  # what files of each kind have in them that cnclik wrote
     ".json": (b'"cnclik": "',),
     ".nc": (b"cnclik", b"orientation_error"),
     ".csv": (b"orientation_error",),
-    ".npz": (b"orientation_error",),
+    ".npz": (b"orientation_error", b"least_singular_value"),
     ".html": (b'content="cnclik"',),
 }
 _PARTIAL = ".partial-"

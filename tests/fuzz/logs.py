@@ -9,6 +9,7 @@ from cnclik.cli import main
 from tests.fuzz.judge import one_line
 from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 
+CLOCKS = ("time", "t", "timestamp", "__time", "/header/stamp", "header.stamp.sec", "Time", "time_ns", "stamp")
 OPTIONS = (["--step"], ["--alpha", "20"], ["--json"], ["--command", "velocity"], ["--kind", "lag"])
 
 
@@ -22,10 +23,15 @@ def draw(rng):
     if chance(rng, 0.3):
         values = (k > rows // 4) * rng.normal(size=columns) * (1 - np.exp(-np.maximum(k - rows // 4, 0) / 7))
     values = values + any_of(rng, (0.0, 1e-3, 1.0)) * rng.normal(size=(rows, columns)) + rng.normal(size=columns)
-    names = [any_of(rng, ("q1", "command", "position", "x", "t", "")) for _ in range(columns)]
+    names = [
+        any_of(rng, ("q1", "command", "position", "x", "t", "", "/joint_states/position[0]", "status", "mode"))
+        for _ in range(columns)
+    ]
     timed = chance(rng, 0.5)
     if timed:
-        values, names = np.hstack([0.01 * k + any_of(rng, (0.0, 1.7e9)), values]), ["time", *names]
+        clock = 0.01 * (k + any_of(rng, (0.0, 0.0, 0.04, 0.5)) * rng.normal(size=k.shape)) + any_of(rng, (0.0, 1.7e9))
+        clock = clock * any_of(rng, (1.0, 1.0, 1e3, 1e6, 1e9, -1.0, 0.0))
+        values, names = np.hstack([clock, values]), [any_of(rng, CLOCKS), *names]
     cells = [[f"{v:.9g}" for v in row] for row in values]
     if timed or chance(rng, 0.5):
         cells.insert(0, names)
