@@ -24,8 +24,7 @@ from cnclik.record import combine, partition
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
 _form = jax.make_user_context(default_value=None)
-# Compiled or traced programs that a cache of this library keeps. Of `Recent` the least recently used one goes, a
-# `bounded_jit` begins anew.
+# Programs that a cache keeps. Of `Recent` the least recently used one goes, a `bounded_jit` begins anew.
 KEPT_PROGRAMS = 128
 MOST_PROGRAMS = 64  # of all `bounded_jit` together, at some 6 MiB and 200 mappings of memory each
 KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
@@ -157,7 +156,7 @@ _probing = threading.Lock()  # two threads that ask at once would both try
 
 @functools.cache
 def _is_known(name, value, backend) -> bool:
-    program = jax.jit(_same, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
+    program = jax.jit(lambda x: x, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
     try:
         program.compile()
     except Exception:  # what a compiler raises for it differs between versions
@@ -165,64 +164,46 @@ def _is_known(name, value, backend) -> bool:
     return True
 
 
-def _same(x):
-    return x
-
-
 def bounded_jit(fn=None, **options):
-    """`jax.jit` that forgets its programs when there are more than KEPT_PROGRAMS. Decorator, with jit's arguments.
+    """`jax.jit` that forgets its programs when there are too many, see `_bound`. Decorator, with jit's arguments.
 
-    Numbers of steps, literals and lambdas are parts of a program: a process that meets new ones all day would keep
-    them all, at some 5 MiB each, and JAX what it traced on the way to them.
+    Numbers of steps, literals and lambdas are parts of a program: a process meets new ones all day.
     """
     if fn is None:
         return functools.partial(bounded_jit, **options)
-    programs = _Programs()
+    traced = []  # once for each program, those within a gradient or a batch too, of which jit's own count knows nothing
 
     @functools.wraps(fn)
     def counted(*args, **kwargs):
-        programs.traced += 1
+        traced.append(None)
         _traced.append(None)
         return fn(*args, **kwargs)
 
-    jitted = programs.jitted = jax.jit(counted, **options)
+    jitted = jax.jit(counted, **options)
+    _bounded[jitted] = traced
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
-        before = programs.traced
+        before = len(traced)
         made = jitted(*args, **kwargs)
-        if programs.traced != before:
-            _bound(programs)
+        if len(traced) != before:
+            _bound(jitted)
         return made
 
     call._cache_size = jitted._cache_size
     return call
 
 
-class _Programs:
-    """The programs of one function, once for each, those within a gradient or a batch too, of which jit's own count
-    knows nothing.
-    """
-
-    def __init__(self):
-        self.traced = 0
-        _bounded.add(self)
-
-    def forget(self):
-        self.jitted.clear_cache()
-        self.traced = 0
+_bounded = weakref.WeakKeyDictionary()  # {a function: its list of programs}
 
 
-_bounded = weakref.WeakSet()
-
-
-def _bound(programs):
-    """Forget what is too much: this function's programs, those of the function that has most, JAX's traces."""
-    if programs.traced > KEPT_PROGRAMS:
-        programs.forget()
-    every = list(_bounded)
-    while sum(p.traced for p in every) > MOST_PROGRAMS:
-        max(every, key=lambda p: p.traced).forget()
+def _bound(jitted):
+    """Forget what is too much: programs, of the function that has most; and JAX's traces."""
+    every = dict(_bounded)
+    while len(every[jitted]) > KEPT_PROGRAMS or sum(map(len, every.values())) > MOST_PROGRAMS:
+        most = max(every, key=lambda one: len(every[one]))
+        most.clear_cache()
+        every[most].clear()
     if len(_traced) > KEPT_TRACES:
         _forget_traces()
 
