@@ -3,13 +3,15 @@
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.advice import advice
+from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
+from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.fit import columns
-from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
-from cnclik.diagnosis.modes import find_modes
+from cnclik.diagnosis.judge import BEGUN, LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
+from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
 from cnclik.record import record
 
 LONGEST = 250  # samples of a period: what is slower is taken for a path
+WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
 STILL = 1e-12  # share of the largest value that is rounding
 
 
@@ -23,7 +25,10 @@ class Diagnosis:
       period: of the oscillation [samples]; growth: factor of its size per sample. Of a monotone decay growth alone.
       factors: (g,) complex, of all modes that were found, the dominant first; of each pair one.
       z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that.
-      lag: time constant [s], where alpha and the oscillation say that there is one; then d is no whole number.
+      lag: time constant [s], where there is one; then d is no whole number.
+      cause: "dead time", "lag" (with dead time), "turned frames" or "wrong sign".
+      angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn
+        the error by −angle.
       phase_delay: dead time that the dominant factor alone says, not a whole number.
       confidence: in d, 0 to 1. pure: whether gain and dead time explain all of the recording; else a drive lags as
         well, of which d is part.
@@ -43,6 +48,9 @@ class Diagnosis:
     z: float | None = None
     delay: float | None = None
     lag: float | None = None
+    cause: str | None = None
+    angle: float | None = None
+    axis: object = None
     phase_delay: float | None = None
     confidence: float | None = None
     pure: bool | None = None
@@ -104,8 +112,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
         return Diagnosis(kind=Kind.QUIET, path=y, modes=np.zeros_like(y), amplitude=still, noise=still, **given)
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
     scaled = (y - y[0]) / size
-    first, last = looked_at(scaled[:, moving], longest)
-    first, found = _explained(scaled[first:last, moving], first, longest)
+    first, last, found = _found(scaled[:, moving], longest)
     seen = scaled[first:last, moving]
     kind, chosen, own = judged(seen, found, longest)
     if kind in (Kind.GROWING, Kind.RINGING) and len(seen) >= 4 * LEAST:  # what it has come to, if that stays
@@ -114,10 +121,21 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
         later, of_late, own_late = judged(seen[half:], late, longest)
         if later is Kind.SUSTAINED and np.any(spans(late.parts[of_late]) > 0.1 * spans(found.parts)):
             first, seen, found, kind, chosen, own = first + half, seen[half:], late, later, of_late, own_late
-    made = given | {"kind": kind, "first": first}
+    made, whole = given | {"kind": kind, "first": first}, True
+    shape = shape_of(seen, found, chosen[0]) * size[moving] if len(chosen) else None
     if kind in OSCILLATING:
         loop = seen - found.path - found.parts[~own].sum(0)
-        made |= advice(kind, found.factors[chosen[0]], loop, found.noise, alpha, Ts)
+        made |= advice(kind, found.factors[chosen[0]], shape, loop, found.noise, alpha, Ts)
+        whole = made.pop("whole", True)
+        if periods := _wandering(scaled[:last, moving], first, longest):
+            made = {name: made.get(name) for name in ("Ts", "alpha", "kind", "first", "period", "growth")} | {
+                "note": f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another "
+                "path, not of a loop: no gain is named."
+            }
+    if kind is Kind.NOISE or not whole:
+        made |= _noise_driven(seen, alpha, Ts)
+    if kind is Kind.DIVERGING:
+        made |= growth_without_end(found.factors[chosen[0]], shape, len(seen), alpha, Ts)
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)
     rest = [i for i in range(len(found.factors)) if i not in chosen]
@@ -138,6 +156,18 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
     )
 
 
+def _found(y, longest):
+    """(first row, last row, its modes) of what is looked at. What grows was small for long: none of that is rest."""
+    first, begun, last = looked_at(y, longest)
+    if begun > first:
+        found = find_modes(y[first:last], longest)
+        grown = np.abs(found.factors) ** (last - first) > 1 / BEGUN
+        if grown.any() and explained(y[first:last], found) and found.score < polynomials(y[first:last]):
+            return first, last, found
+    begun, found = _explained(y[begun:last], begun, longest)
+    return begun, last, found
+
+
 def _explained(seen, first, longest):
     """(first row, its modes) of as much as modes explain: a large motion is no linear loop's, its last part is.
 
@@ -156,6 +186,34 @@ def _explained(seen, first, longest):
     return at, found
 
 
+def _wandering(y, first, longest):
+    """Periods (2,) of an oscillation that differ between two parts of a recording; None of one that keeps its own.
+
+    The parts are what is looked at, from row `first` on, and as much before it; or else its halves.
+    """
+    N = len(y) - first
+    parts = (y[first - N : first], y[first:]) if first >= N else (y[first : first + N // 2], y[first + N // 2 :])
+    periods = []
+    for part in parts:
+        if len(part) < 2 * LEAST or not np.all(np.ptp(part, axis=0) > STILL):
+            return None
+        found = find_modes(part, longest)
+        kind, chosen, _ = judged(part, found, longest)
+        if kind not in OSCILLATING:
+            return None
+        periods.append(float(2 * np.pi / np.abs(np.angle(found.factors[chosen[0]]))))
+    return periods if max(periods) > WANDERS * min(periods) else None
+
+
+def _noise_driven(seen, alpha, Ts) -> dict:
+    """Fields of a loop that noise keeps swinging, if there is one."""
+    if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
+        return {}
+    basis, _ = np.linalg.qr(trend(len(seen)))
+    loops = excited(seen - basis @ (basis.T @ seen), Ts)
+    return advice_excited(loops, alpha, Ts) if loops else {}
+
+
 def _monotone(slowest, alpha, Ts) -> dict:
     note = f"A real factor leaves the dead time open; without any, z is 1 − {slowest:.4g} = {1 - slowest:.4g}"
     gain = "" if alpha is None else f", where alpha·Ts is {alpha * Ts:.4g}"
@@ -172,7 +230,13 @@ def _sentence(d: Diagnosis) -> str:
         return f"no oscillation above noise with a standard deviation of {np.max(d.noise):.3g}"
     if d.kind is Kind.MONOTONE:
         return f"the error shrinks × {d.growth:.4g} per sample and never returns"
+    if d.kind is Kind.DIVERGING and d.cause == "wrong sign":
+        return f"the error grows × {d.growth:.6g} per sample and never returns"
+    if d.kind in OSCILLATING and d.z is None:
+        return f"period {d.period:.4g} samples ({d.period_seconds:.4g} s) at last, × {d.growth:.4g} per sample"
     said = f"period {d.period:.4g} samples ({d.period_seconds:.4g} s), × {d.growth:.4g} per sample"
+    if d.cause == "turned frames":
+        return said
     more = "at least " if d.kind is Kind.SUSTAINED else ""
     said += f", as of a loop with z = {more}{d.z:.4g} and {d.delay:.4g} samples ({d.delay_seconds:.4g} s) of dead time"
     said += "" if d.lag is None else f" and a lag of {d.lag:.3g} s"

@@ -5,7 +5,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.diagnosis import Kind, diagnose
-from cnclik.diagnosis.advice import pure_limits
+from cnclik.diagnosis.advice import limits_of
+from cnclik.diagnosis.late import Loop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import solve_driven
@@ -155,7 +156,7 @@ def test_a_drive_that_lags_is_found_by_the_gain():
 
 def test_limits_of_dead_time_alone_are_those_of_the_theory():
     for d in (0, 1, 5):
-        ours, theirs = pure_limits(d), driven_limits("EE", Ts=TS, drive=Drive(delay=d))
+        ours, theirs = limits_of(Loop(d, 0.0, 0.1), TS), driven_limits("EE", Ts=TS, drive=Drive(delay=d))
         assert (ours.stable, ours.recommended) == pytest.approx((theirs.stable, theirs.recommended), rel=1e-3)
 
 
