@@ -123,14 +123,16 @@ def _alike(likely, best, whole, gain, Ts) -> list:
             return ["Dead time and lag are those that alpha and the oscillation say; a recorded step tells more "
                     "(--step)."]  # fmt: skip
         return []
-    other = next((one for one in likely if bool(one.lag) != bool(best.lag)), None)
-    if other is None:
+    late, slow = max(likely, key=lambda one: one.delay), min(likely, key=lambda one: one.delay)
+    if late.delay - slow.delay <= max(0.5, CLOSE * late.delay):
         return []
-    late, slow = (other, best) if best.lag else (best, other)
-    return [
-        f"Dead time alone ({late.delay:.3g} samples) and {slow.delay:.2g} samples with a lag of {slow.lag:.2g} s are "
-        f"both possible: the gain suits both, {BOTH}."
-    ]
+    return [f"{_words(late)} and {_words(slow)} are both possible, and what lies between: the gain suits most, {BOTH}."]
+
+
+def _words(loop) -> str:
+    """A loop's dead time and lag."""
+    lag = f" with a lag of {1e3 * loop.lag:.2g} ms" if loop.lag else " alone"
+    return f"Dead time of {loop.delay:.2g} samples{lag}"
 
 
 def _said_turned(kind, factor, turned, round_, alpha, Ts) -> dict:

@@ -5,13 +5,14 @@ import numpy as np
 from cnclik import errors
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.excited import excited
-from cnclik.diagnosis.fit import columns
+from cnclik.diagnosis.recording import columns
 from cnclik.diagnosis.judge import BEGUN, LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
 from cnclik.record import record
 
 LONGEST = 250  # samples of a period: what is slower is taken for a path
 WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
+FADED = 0.3  # size of an oscillation in one part as a share of the other's, below which they aren't compared
 STILL = 1e-12  # share of the largest value that is rounding
 
 
@@ -193,7 +194,7 @@ def _wandering(y, first, longest):
     """
     N = len(y) - first
     parts = (y[first - N : first], y[first:]) if first >= N else (y[first : first + N // 2], y[first + N // 2 :])
-    periods = []
+    periods, sizes = [], []
     for part in parts:
         if len(part) < 2 * LEAST or not np.all(np.ptp(part, axis=0) > STILL):
             return None
@@ -201,8 +202,10 @@ def _wandering(y, first, longest):
         kind, chosen, _ = judged(part, found, longest)
         if kind not in OSCILLATING:
             return None
+        sizes.append(spans(found.parts[chosen]).max())
         periods.append(float(2 * np.pi / np.abs(np.angle(found.factors[chosen[0]]))))
-    return periods if max(periods) > WANDERS * min(periods) else None
+    faded = min(sizes) < FADED * max(sizes)  # then noise may have a part in one of them
+    return periods if max(periods) > WANDERS * min(periods) and not faded else None
 
 
 def _noise_driven(seen, alpha, Ts) -> dict:

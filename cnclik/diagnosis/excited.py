@@ -8,7 +8,7 @@ import itertools
 
 import numpy as np
 
-from cnclik.diagnosis.late import Loop
+from cnclik.diagnosis.late import TEMPER, Loop
 
 DEAD = 60  # samples of dead time, at most
 LAGS = (0.7, 1.5, 3.0, 5.0, 8.0, 13.0, 20.0)  # in samples
@@ -16,7 +16,6 @@ COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
 FREE = (1, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete
 PENALTY = 1.0  # on the logarithm of the number of rows, for each number
 MODEL = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
-TEMPER = 0.25  # in place of a half: no real loop is one of these exactly
 BETTER = 10.0  # by which a loop must be likelier
 SWINGS = 1.25  # times the gain without overshoot from which on a loop swings
 

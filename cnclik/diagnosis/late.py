@@ -19,6 +19,8 @@ PERIODS = 12  # of a recording that is looked at
 SHORT = 150  # rows of a recording in which other dead times are tried as well where none of these explains it:
 WIDE = 12  # so many, and twice as many as the phase gives
 LAGS = 8  # dead times with a lag that are tried
+LITTLE = 0.2  # samples of a lag that is none
+TEMPER = 0.25  # in place of a half: no real loop is one of these exactly
 SIMPLE = 0.03  # share of the likeliest loop's probability from which on dead time alone is told first
 USUAL = 0.05  # [s] of a lag, up to about which drives of robots lag
 LONGEST = 0.2  # [s] of a lag: what is slower is no robot's drive
@@ -109,10 +111,11 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
     if _explained(tried, fit, noise):
         lagging = sum(1 for one in tried if one.lag)
         best = min(one.score for one in tried)
-        odds = [np.exp(0.5 * (best - one.score)) * one.usual / (lagging if one.lag else 1) for one in tried]
+        odds = [np.exp(TEMPER * (best - one.score)) * one.usual / (lagging if one.lag else 1) for one in tried]
         found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
         found = sorted(found, key=lambda one: -one.share)
-        simple = [one for one in found if not one.lag and one.share > SIMPLE * found[0].share]
+        hardly = found[0].lag < LITTLE * Ts
+        simple = [one for one in found if not one.lag and (one.share > SIMPLE * found[0].share or hardly)]
         return [*simple[:1], *(one for one in found if one is not (simple or [None])[0])], True
     alone = Loop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
     lagging = _family(factor, phase, Ts)
