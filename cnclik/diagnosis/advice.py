@@ -19,6 +19,7 @@ LIKELY = 0.02  # share of the likeliest loop's probability from which on another
 CAREFUL = 0.25  # share of the probability of loops for which a gain may be too much
 CLOSE = 0.15  # share of the whole lateness by which dead times are the same
 OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do the same
+FOLDS = 3.0  # by e, over which what grows or shrinks is seen
 MUCH = 20.0  # factor over all rows from which on growth is none of a path
 WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
 BOTH = "--alpha or a recorded step (--step) decides"
@@ -28,9 +29,10 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     """Fields of a `Diagnosis` about the loop that a factor belongs to.
 
     Args:
-      kind: what its oscillation does ("whole": whether the loop explains the recording). shape: (k,) complex, of the columns. y: (N, k) the recording without its path.
+      kind: what its oscillation does. shape: (k,) complex, of the columns. y: (N, k) the recording without its path.
+    Returns: beside the fields, "whole": whether the loop explains the recording.
     """
-    turned = turned_of(shape, factor) if len(shape) > 1 and kind is not Kind.SUSTAINED else None
+    turned = turned_of(shape, factor) if len(shape) > 1 else None
     if turned is not None:
         return _said_turned(kind, factor, turned, together(shape), alpha, Ts)
     gain = None if alpha is None or kind is Kind.SUSTAINED else alpha * Ts
@@ -39,7 +41,11 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     if whole and kind is not Kind.SUSTAINED:
         own = best.slowest(Ts)
         factor = own if np.angle(own) else factor  # a loop so calm doesn't swing, and the recording does
-    made = _about(kind, factor, phase_delay(factor)) | {"delay": best.delay, "whole": whole, "pure": whole and not best.lag}
+    made = _about(kind, factor, phase_delay(factor)) | {
+        "delay": best.delay,
+        "whole": whole,
+        "pure": whole and not best.lag,
+    }
     made |= {"confidence": _confidence(loops, whole)}
     if best.delay > LATEST:
         return made | {"z": gain_of(factor, best.delay), "note": "So late is no robot: this may be a path."}
@@ -88,9 +94,13 @@ def advice_excited(loops, alpha, Ts) -> dict:
         notes.append(f"alpha·Ts is {alpha * Ts:.4g}: what is measured or driven changes the gain by "
                      f"{best.z / (alpha * Ts):.3g}.")  # fmt: skip
     made |= {"delay": best.delay, "z": best.z, "pure": not best.lag, "cause": "lag" if best.lag else "dead time"}
-    made |= {"lag": best.lag} if best.lag else {}
+    made |= {"lag": best.lag or None}
     made |= {"stable": limits.stable, "monotone": limits.monotone, "recommended": share * best.z, "factor": share}
-    made |= {"confidence": min(_confidence(loops, True), WHOLE), "note": " ".join(notes)}
+    sure = min(_confidence(loops, True), WHOLE)
+    if made.get("period", 0.0) > SLOW:
+        sure = min(sure, OTHER)
+        notes.append("A path may have this period, too (--longest-period).")
+    made |= {"confidence": sure, "note": " ".join(notes)}
     return made | ({} if alpha is None else {"recommended_alpha": alpha * share})
 
 
@@ -126,25 +136,35 @@ def _alike(likely, best, whole, gain, Ts) -> list:
     late, slow = max(likely, key=lambda one: one.delay), min(likely, key=lambda one: one.delay)
     if late.delay - slow.delay <= max(0.5, CLOSE * late.delay):
         return []
-    return [f"{_words(late)} and {_words(slow)} are both possible, and what lies between: the gain suits most, {BOTH}."]
+    return [
+        f"Dead time of {_words(late)} and of {_words(slow)} are both possible, and what lies between: the gain suits "
+        f"most, {BOTH}."
+    ]
 
 
 def _words(loop) -> str:
     """A loop's dead time and lag."""
-    lag = f" with a lag of {1e3 * loop.lag:.2g} ms" if loop.lag else " alone"
-    return f"Dead time of {loop.delay:.2g} samples{lag}"
+    return f"{loop.delay:.3g} samples" + (f" with a lag of {1e3 * loop.lag:.3g} ms" if loop.lag else " alone")
 
 
 def _said_turned(kind, factor, turned, round_, alpha, Ts) -> dict:
-    axis = "xyz"[int(np.argmax(np.abs(turned.axis)))] if np.max(np.abs(turned.axis)) > 0.99 else np.round(turned.axis, 2)
+    axis = (
+        "xyz"[int(np.argmax(np.abs(turned.axis)))] if np.max(np.abs(turned.axis)) > 0.99 else np.round(turned.axis, 2)
+    )
     note = (
         f"Error and Jacobian are in frames that are turned by {abs(turned.degrees):.3g}° against each other, about "
         f"{axis}: no gain mends that. Turn the error by {-turned.degrees:.3g}° before J#, or give both in one frame."
     )
     if alpha is not None and not 1 / NEAR < alpha * Ts / turned.z < NEAR:
         note += f" alpha·Ts is {alpha * Ts:.4g}, and z here {turned.z:.4g}."
-    made = _about(kind, factor, None) | {"cause": "turned frames", "z": turned.z, "delay": 0, "note": note}
-    return made | {"angle": turned.degrees, "axis": turned.axis, "confidence": WHOLE * (1 - round_ / 4)}
+    made = _about(kind, factor, None) | {"cause": "turned frames", "z": turned.z, "delay": 0}
+    sure = WHOLE * (1 - round_ / 4)
+    if np.abs(np.angle(factor)) * FOLDS < np.pi * np.abs(np.log(np.abs(factor))):  # less than half a turn is seen
+        sure = min(sure, OTHER)
+    known = alpha is not None and 1 / NEAR < alpha * Ts / turned.z < NEAR
+    if kind is Kind.SUSTAINED and not known:
+        sure, note = min(sure, OTHER), note + " A path that is a circle looks alike: record the loop at rest, pushed."
+    return made | {"angle": turned.degrees, "axis": turned.axis, "confidence": sure, "note": note}
 
 
 def growth_without_end(factor, shape, N, alpha, Ts) -> dict:
@@ -153,7 +173,10 @@ def growth_without_end(factor, shape, N, alpha, Ts) -> dict:
     if turned is not None:
         return _said_turned(Kind.DIVERGING, factor, turned, together(shape), alpha, Ts)
     factor = float(np.abs(factor))
-    note = "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain ends that."
+    note = (
+        "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain ends "
+        "that."
+    )
     more = factor - 1
     if alpha is not None and more > NEAR * alpha * Ts:
         note += f" It grows by {more:.3g} a sample and alpha·Ts is {alpha * Ts:.3g}: something else pushes as well."

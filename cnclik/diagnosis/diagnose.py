@@ -5,14 +5,15 @@ import numpy as np
 from cnclik import errors
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.excited import excited
-from cnclik.diagnosis.recording import columns
-from cnclik.diagnosis.judge import BEGUN, LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
+from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
+from cnclik.diagnosis.recording import columns
 from cnclik.record import record
 
 LONGEST = 250  # samples of a period: what is slower is taken for a path
 WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
 FADED = 0.3  # size of an oscillation in one part as a share of the other's, below which they aren't compared
+NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
 STILL = 1e-12  # share of the largest value that is rounding
 
 
@@ -87,7 +88,7 @@ class Diagnosis:
         return f"{self.kind}: {_sentence(self)}." + (f" {self.note}" if self.note else "")
 
 
-def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
+def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -> Diagnosis:
     """Whether a recording rings, how late the robot is by that, and which gain would end it.
 
     The recording may begin at rest, have an offset, drift, follow a slow path, and be noisy. Several columns, as of
@@ -97,6 +98,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
       signal: (N,) or (N, k): joint values, errors, or steps commanded.
       Ts: sampling time [s]. alpha: gain of the loop [1/s], if known.
       longest: period [samples] from which on motion is taken for that of a path.
+      progress: progress(done, total, note) is called as parts of the work are done.
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
@@ -111,30 +113,39 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
     if not moving.any():
         still = np.zeros(y.shape[1])
         return Diagnosis(kind=Kind.QUIET, path=y, modes=np.zeros_like(y), amplitude=still, noise=still, **given)
+    report = progress or (lambda *_: None)
+    report(0, 4, "modes")
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
     scaled = (y - y[0]) / size
     first, last, found = _found(scaled[:, moving], longest)
     seen = scaled[first:last, moving]
     kind, chosen, own = judged(seen, found, longest)
+    report(1, 4, "what it has come to")
     if kind in (Kind.GROWING, Kind.RINGING) and len(seen) >= 4 * LEAST:  # what it has come to, if that stays
         half = len(seen) // 2
         late = find_modes(seen[half:], longest)
         later, of_late, own_late = judged(seen[half:], late, longest)
         if later is Kind.SUSTAINED and np.any(spans(late.parts[of_late]) > 0.1 * spans(found.parts)):
             first, seen, found, kind, chosen, own = first + half, seen[half:], late, later, of_late, own_late
-    made, whole = given | {"kind": kind, "first": first}, True
+    report(2, 4, "the loop behind it")
+    made, whole, periods = given | {"kind": kind, "first": first}, True, None
     shape = shape_of(seen, found, chosen[0]) * size[moving] if len(chosen) else None
     if kind in OSCILLATING:
         loop = seen - found.path - found.parts[~own].sum(0)
         made |= advice(kind, found.factors[chosen[0]], shape, loop, found.noise, alpha, Ts)
         whole = made.pop("whole", True)
-        if periods := _wandering(scaled[:last, moving], first, longest):
-            made = {name: made.get(name) for name in ("Ts", "alpha", "kind", "first", "period", "growth")} | {
-                "note": f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another "
-                "path, not of a loop: no gain is named."
-            }
-    if kind is Kind.NOISE or not whole:
-        made |= _noise_driven(seen, alpha, Ts)
+        periods = _wandering(scaled[:last, moving], first, longest)
+    report(3, 4, "noise")
+    noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
+    if kind is Kind.NOISE or not whole or periods or noisy:
+        driven = _noise_driven(scaled[max(last - MOST, 0) : last, moving], longest, alpha, Ts)
+        if periods and not driven:
+            made = {name: made[name] for name in ("Ts", "alpha", "kind", "first", "period", "growth")}
+            made["note"] = (
+                f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
+                "not of a loop: no gain is named."
+            )
+        made |= driven
     if kind is Kind.DIVERGING:
         made |= growth_without_end(found.factors[chosen[0]], shape, len(seen), alpha, Ts)
     elif kind is Kind.MONOTONE:
@@ -208,11 +219,11 @@ def _wandering(y, first, longest):
     return periods if max(periods) > WANDERS * min(periods) and not faded else None
 
 
-def _noise_driven(seen, alpha, Ts) -> dict:
+def _noise_driven(seen, longest, alpha, Ts) -> dict:
     """Fields of a loop that noise keeps swinging, if there is one."""
     if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
         return {}
-    basis, _ = np.linalg.qr(trend(len(seen)))
+    basis, _ = np.linalg.qr(trend(len(seen), longest if len(seen) > 3 * longest else None))
     loops = excited(seen - basis @ (basis.T @ seen), Ts)
     return advice_excited(loops, alpha, Ts) if loops else {}
 

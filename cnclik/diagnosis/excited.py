@@ -16,8 +16,11 @@ COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
 FREE = (1, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete
 PENALTY = 1.0  # on the logarithm of the number of rows, for each number
 MODEL = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
-BETTER = 10.0  # by which a loop must be likelier
-SWINGS = 1.25  # times the gain without overshoot from which on a loop swings
+MAIN, LITTLE = (
+    3,
+    0.3,
+)  # parts of the columns that are looked at, at most, and share of the largest of a part that is none
+SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
 
 
 def excited(y, Ts) -> list:
@@ -25,7 +28,8 @@ def excited(y, Ts) -> list:
 
     Args: y: (N, k) without offset and path.
     """
-    N, k = y.shape
+    y = _main(y)
+    N = len(y)
     most = min(DEAD, N // 8)
     floor = MODEL**2 * np.var(np.diff(y, axis=0), axis=0) + np.finfo(float).tiny
     tried = []
@@ -37,14 +41,31 @@ def excited(y, Ts) -> list:
             for c in ([1.0, -colour], np.convolve([1.0, -colour], [1.0, -keep])) if lag else ([1.0, -colour],):
                 tried += _over_dead_times(y, a, b, c, Loop(0.5 * half, lag * Ts, 0.0), most, floor)
     rows = N - most - 3
-    free = min(_autoregression(y, p, most + 3, floor) + PENALTY * np.log(rows) * p for p in FREE if p < min(rows // 4, most + 3))
+    free = min(
+        _autoregression(y, p, most + 3, floor) + PENALTY * np.log(rows) * p
+        for p in FREE
+        if p < min(rows // 4, most + 3)
+    )
     best = min(tried, key=lambda one: one.score)
-    if best.score + PENALTY * np.log(rows) * 3 > free - BETTER * (best.delay > 0) or best.z <= 0:
+    if best.score + PENALTY * np.log(rows) * 3 > free or best.z <= 0:
         return []
     odds = np.array([np.exp(TEMPER * (best.score - one.score)) * one.usual for one in tried])
     found = [one._replace(share=float(o / odds.sum())) for one, o in zip(tried, odds, strict=True) if one.z > 0]
     found = sorted((one for one in found if one.share > 1e-3), key=lambda one: -one.share)
-    return found if found and found[0].z > SWINGS * found[0].calm(Ts) else []
+    return found if found and _left(found[0].slowest(Ts)) > SWINGS else []
+
+
+def _left(factor) -> float:
+    """Share of an oscillation that is left after a period; 0 of what doesn't swing."""
+    turn = abs(np.angle(factor))
+    return float(np.abs(factor) ** (2 * np.pi / turn)) if turn else 0.0
+
+
+def _main(y):
+    """(N, c) of the main parts of columns: joints share a loop, and what excites it."""
+    y = y / np.maximum(np.std(y, axis=0), np.finfo(float).tiny)
+    _, size, parts = np.linalg.svd(y, full_matrices=False)
+    return y @ parts[: min(int(np.sum(size > LITTLE * size[0])), MAIN)].T
 
 
 def _drive(lag):

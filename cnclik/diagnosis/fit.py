@@ -2,7 +2,7 @@
 
 A row of a recording is a sample: motion that is measured at t[k], and the command that is sent then. Before the first
 row the first command holds. Each joint has an offset, and where the recording asks for them a gain and a drift: motion
-= gain · (drive's motion) + offset + drift · t. These are linear, and left out of what is searched (Golub & Pereyra 1973).
+= gain · (drive's motion) + offset + drift · t. These are linear: the search leaves them out (Golub & Pereyra 1973).
 """
 
 import itertools
@@ -70,7 +70,12 @@ class DriveFit:
             value = _said(getattr(self.drive, name)).replace(" ", ", ")
             said.append(f"{name.replace('_', ' ')} {value} ± {deviation:.1g}{units[name]}")
         left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
-        return f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}." + (f" {self.note}" if self.note else "")
+        more = [] if self.largest_stable_alpha is None else [
+            "With measured joints explicit Euler becomes unstable at an alpha of {:.4g} to {:.4g} 1/s.".format(
+                *self.largest_stable_alpha
+            )
+        ]  # fmt: skip
+        return " ".join([f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}.", *more, self.note]).strip()
 
 
 def _said(value) -> str:
@@ -106,7 +111,9 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
     if t is not None and len(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {len(t)}")
     log = _Log(command, motion, Ts)
-    found = [one for order in orders for one in _fits(Shape(start=Drive(command=command_kind), Ts=Ts, order=order), log)]
+    found = [
+        one for order in orders for one in _fits(Shape(start=Drive(command=command_kind), Ts=Ts, order=order), log)
+    ]
     found.sort(key=lambda one: one.count)
     best = found[0]
     for other in found[1:]:
@@ -156,7 +163,7 @@ def _notes(gain, structured, k, why) -> list:
         said.append(f"Motion is {span} times what is commanded{where}: alpha acts as that many times alpha.")
     if structured:
         said.append(
-            "What is left has a structure: friction, play, a limit or a higher order is in the drive, which the numbers "
+            "What is left has a structure: the drive has friction, play, a limit or a higher order, which the numbers "
             "leave out."
         )
     return [*said, *([why] if why else [])]
@@ -216,7 +223,6 @@ class Fit:
 
     def deviations(self, log):
         """(k, p) standard deviations of the values, of white noise."""
-        N, k = log.motion.shape
         here = log.left(self.shape, self.values, self.parts)
         power = np.mean(here**2, axis=0) + EXACT**2
         slopes = []
@@ -254,7 +260,9 @@ def _fits(shape, log):
 
 def _common(shape, values, log, parts) -> float:
     """Dead time of all joints, by its precision in each."""
-    certain = 1 / (Fit(shape=shape, values=values, parts=parts, own=True, score=0.0, count=0).deviations(log)[:, 0] ** 2 + 1e-12)
+    certain = 1 / (
+        Fit(shape=shape, values=values, parts=parts, own=True, score=0.0, count=0).deviations(log)[:, 0] ** 2 + 1e-12
+    )
     return float(np.sum(certain * values[:, 0]) / np.sum(certain))
 
 

@@ -4,7 +4,7 @@ import enum
 
 import numpy as np
 
-from cnclik.diagnosis.modes import Modes, polynomials
+from cnclik.diagnosis.modes import Modes, polynomials, roughness
 
 MOST = 2000  # rows that are looked at: those that move most
 LEAST = 16  # rows
@@ -102,9 +102,9 @@ def _grows(y, found, i, swinging) -> bool:
     span = np.ptp(found.parts[i], axis=0)
     most = np.max(span / np.ptp(y, axis=0))
     other = np.max(spans(found.parts[swinging]) / np.ptp(y, axis=0)) if len(swinging) else 0.0
-    step = np.abs(np.diff(y, axis=0))
-    late = len(step) - max(len(step) // 10, 3)  # a growth is fastest at its end
-    if np.all(step[late:].max(0) < step[:late].max(0)):
+    tenths = np.stack([part.mean(0) for part in np.array_split(y, 10)])
+    step = np.abs(np.diff(tenths, axis=0))
+    if np.all(step[-1] < step[:-1].max(0)):  # a growth is fastest at its end
         return False
     return bool(most > max(other, WAVES) and explained(y, found) and found.score < polynomials(y) - BETTER)
 
@@ -112,18 +112,13 @@ def _grows(y, found, i, swinging) -> bool:
 def explained(y, found: Modes) -> bool:
     """Whether what path and modes leave of y (N, k) is noise, or hardly anything."""
     left = y - found.path - found.parts.sum(0)
-    return bool(np.all(found.noise <= np.maximum(BENT * _roughness(left), LITTLE * np.ptp(y, axis=0))))
-
-
-def _roughness(left):
-    """(k,) of white noise its standard deviation, of what is smooth next to nothing."""
-    return np.std(np.diff(left, 3, axis=0), axis=0) / np.sqrt(20)
+    return bool(np.all(found.noise <= np.maximum(BENT * roughness(left), LITTLE * np.ptp(y, axis=0))))
 
 
 def _is_there(y, found, part, angle) -> bool:
     """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits a path's bends."""
     left = y - found.path - found.parts.sum(0)
-    rough = _roughness(left)
+    rough = roughness(left)
     many = len(y) * angle > 2 * np.pi * OFTEN
     large = (np.ptp(part, axis=0) > WAVES * np.ptp(y, axis=0)) & (many | (np.std(part, axis=0) > ABOVE * found.noise))
     clean = found.noise <= np.maximum(BENT * rough, CLEAN * np.std(part, axis=0))

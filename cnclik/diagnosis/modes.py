@@ -14,6 +14,7 @@ ORDER = 12  # factors of a recording, at most
 GROWTH = 4.0  # per sample, at most
 DEGREE = 9  # of the polynomials that a path is compared with
 WINDOWS = 8192  # columns of the Hankel matrices, at most: of a long recording with many columns every few
+CLEAN = 0.1  # share of what it varies by which a clean column is measured: the others tell less
 EXACT = 1e-8  # share of a column that is rounding
 PENALTY = 2.0  # on the logarithm of the number of samples, for each number that is fitted: modes are searched for
 
@@ -87,9 +88,14 @@ def _candidates(y, basis):
 
 
 def _size(y):
-    """(k,) of each column: what it varies."""
-    size = np.std(y, axis=0)
+    """(k,) of each column: what it varies, of one that is mostly noise ten times as much as of a clean one."""
+    size = np.maximum(CLEAN * np.std(y, axis=0), roughness(y))
     return np.where(size > 0, size, 1.0)
+
+
+def roughness(y):
+    """(k,) of white noise its standard deviation, of what is smooth next to nothing."""
+    return np.std(np.diff(y, 3, axis=0), axis=0) / np.sqrt(20)
 
 
 def columns_of(factors, N: int):

@@ -8,15 +8,15 @@ from cnclik import errors
 
 LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
 MISSING = 0.6  # of a step, by which stamps must fall behind for good where a row is missing
-AROUND = 8  # rows on either side of such a place
+AROUND = 12  # rows on either side of such a place
 APART = 0.02  # by which a Ts that is given may differ from the stamps' without a word
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
 _NAMED = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
 _NAMED |= {"nsec": "ns", "nanosec": "ns", "nanos": "ns", "nsecs": "ns", "nanosecs": "ns", "nanoseconds": "ns"}
 _TIMES = ("time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock")
-_STATUS = ("status", "state", "mode", "flag", "flags", "error", "code", "id", "seq", "sequence", "counter", "index")
-_STATUS += ("enabled", "fault", "valid", "running", "row", "sample", "k", "step", "iteration", "safety")
-_EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))  # stamps since 1970 from that size on
+_STATUS = ("status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index")
+_STATUS += ("enabled", "fault", "valid", "running", "row", "iteration", "safety")
+_EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # stamps of these decades, since 1970, are of about that size
 _STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # steps from that size on: no loop takes more than 0.5 s
 
 
@@ -36,24 +36,28 @@ def sampling_time(t, Ts) -> float:
     usual = float(np.median(step)) if len(step) else 0.0
     if usual <= 0:
         raise errors.fail("t", "increase", f"has a median step of {usual:g} s")
-    mean = float(t[-1] - t[0]) / len(step)
+    mean, apart = float(t[-1] - t[0]) / len(step), max(len(t) // 4, 1)
     if np.unique(step).size < 4 and abs(usual / mean - 1) > APART:
         found = f"are {usual:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
         raise errors.fail("t", "be times that are equally far apart", found)
+    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # jitter has less of a part in it than in one step
     gap = _gap(t, step, usual)
     if gap is not None:
-        raise errors.fail("t", f"have a row every {usual:g} s", f"row {gap + 2} comes {step[gap]:.4g} s after the one before")
+        raise errors.fail(
+            "t", f"have a row every {usual:g} s", f"row {gap + 2} comes {step[gap]:.4g} s after the one before"
+        )
     return mean
 
 
 def _gap(t, step, usual):
     """The step after which stamps are late for good; None where none is: a late stamp alone is jitter."""
     late = t - t[0] - usual * np.arange(len(t))
+    found = {}
     for k in np.flatnonzero(step > (1 + MISSING) * usual):
         before, after = late[max(k + 1 - AROUND, 0) : k + 1], late[k + 1 : k + 1 + AROUND]
-        if np.median(after) - np.median(before) > MISSING * usual * max(1.0, len(after) < 3):
-            return int(k)
-    return None
+        found[int(k)] = float(np.median(after) - np.median(before)) / usual
+    worst = max(found, key=found.get, default=None)
+    return worst if worst is not None and found[worst] > MISSING else None
 
 
 # --- which column is what -----------------------------------------------------------------------------
@@ -96,8 +100,8 @@ def _unit_of(t) -> str:
     """Of stamps, by their size since 1970, or by their steps: a loop takes 0.1 ms to 0.5 s."""
     with np.errstate(invalid="ignore"):
         size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
-    return next((unit for least, unit in (*(p for p in _EPOCHS if size >= p[0]),
-                                          *(p for p in _STEPS if step >= p[0]))), "s")  # fmt: skip
+    since = [unit for least, unit in _EPOCHS if least <= size < 4 * least and 1e-5 <= step * UNITS[unit] <= 1.0]
+    return next(iter(since), None) or next((unit for least, unit in _STEPS if step >= least), "s")
 
 
 def no_motion(names, table) -> list:

@@ -54,7 +54,8 @@ def stable_range(fit, deviations, gain, structured, command) -> tuple:
         off = deviations * rng.uniform(-WIDE, WIDE, deviations.shape if fit.own else deviations[:1].shape) * (i > 0)
         each = [fit.shape.drive(v) for v in fit.values + off]
         found.append(min(largest_stable(d, fit.shape.Ts) / max(abs(g), 1e-3) for d, g in zip(each, gain, strict=True)))
-    return (min(found) * (1 - MODEL) / fit.shape.Ts, max(found) * (1 + MODEL) / fit.shape.Ts), ""
+    low, high = min(found) / fit.shape.Ts, max(found) / fit.shape.Ts
+    return (float(low * (1 - MODEL)), float(high * (1 + MODEL))), ""
 
 
 def _at_once(command) -> bool:

@@ -1,7 +1,7 @@
 """Turned: what no smaller gain ends. Error and Jacobian in frames turned against each other, and a wrong sign.
 
-Turned by θ about an axis n a step leaves R(n, −θ)-weighted parts: across the axis e[k+1] = (1 − z e^{iθ}) e[k], a spiral
-in which one coordinate follows another by a quarter turn. Dead time alone lets all coordinates swing together.
+Turned by θ about an axis, a step leaves e[k+1] = (1 − z e^{iθ}) e[k] of what lies across the axis: a spiral, in which
+one coordinate follows another by a quarter turn. Dead time alone lets all coordinates swing together.
 """
 
 from typing import NamedTuple

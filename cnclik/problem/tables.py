@@ -16,7 +16,7 @@ def read_columns(argument: str, file, *, gaps=False) -> tuple:
 
     A header and # comments are no rows.
 
-    Args: gaps: whether cells may be empty; they are NaN.
+    Args: gaps: whether cells may be empty, and columns hold texts alone; both are NaN.
     Raises: ArgumentError, naming the argument, for a file that can't be read, or rows that don't fit.
     """
     names, rows = _cells(argument, file)
@@ -68,9 +68,15 @@ def _is_slip(rows) -> bool:
     return any(quantities.hint(cell) or ";" in cell for cell in rows[0])
 
 
+def _is_meant(cell) -> bool:
+    """Whether a cell is a number, or is meant to be one."""
+    return bool(cell.strip()) and (quantities.number(cell) is not None or bool(quantities.hint(cell)))
+
+
 def _numbers(argument, file, rows, gaps):
     if gaps:
-        rows = [[cell if cell.strip() else "nan" for cell in row] for row in rows]
+        meant = {j for row in rows for j, cell in enumerate(row) if _is_meant(cell)}
+        rows = [[cell if j in meant and cell.strip() else "nan" for j, cell in enumerate(row)] for row in rows]
     table = []
     for k, row in enumerate(rows):
         values = [quantities.number(cell) for cell in row]

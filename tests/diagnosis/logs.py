@@ -1,4 +1,4 @@
-"""`python -m tests.diagnosis.logs 500`: simulated logs of loops whose truth is known, and how often `diagnose` is right.
+"""`python -m tests.diagnosis.logs 500`: simulated logs of loops, and how often `diagnose` is right about them.
 
 Loops late by dead time, and by a lag as well, pushed or excited by noise; a wrong sign; frames turned against each
 other; ramps, sweeps and healthy loops. Each answer is put to the test: the gain, sign or frame that it names goes into
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis import Kind, diagnose
+from cnclik.diagnosis import diagnose
 from tests.diagnosis.recordings import monotone, stable
 
 TS = 0.004
@@ -53,11 +53,9 @@ def limits(delay, lag):
     if lag == 0 and delay == round(delay):
         return stable(delay), monotone(delay)
     w = np.linspace(1e-4, np.pi, 100_000)
-    s = 1j * w
     phase = -np.pi / 2 - w * (delay + 0.5) - np.arctan(w * lag)
     at = w[np.argmax(phase < -np.pi)]
     most = at * np.hypot(1, at * lag)
-    del s
     low, high = 0.0, most
     for _ in range(12):
         middle = 0.5 * (low + high)
