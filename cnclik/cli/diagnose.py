@@ -53,24 +53,21 @@ def run(args: Args) -> None:
     t, times, unit = clock(names, table)
     if t is None and args.Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
-    if args.Ts is not None:
-        Ts, rows = sampling_time(None, args.Ts), len(table) - 1
-        stamped = Ts if t is None or rows < 1 else (t[-1] - t[0]) / rows
-        if abs(stamped / Ts - 1) > APART:
-            errors.remark(f"--Ts {Ts:g} s is used; the column {names[times[0]]} says {stamped:.4g} s.")
-    else:
-        Ts = sampling_time(t, None)
-        if unit != "s":
-            errors.remark(f"{names[times[0]]} is read in {unit}: Ts = {1e3 * Ts:.4g} ms.")
+    Ts, stamps = sampling_time(t, args.Ts), "--Ts"
+    if args.Ts is None:
+        stamps = f"{names[times[0]]}, read in {unit}"
+    elif t is not None and len(t) > 1 and abs((t[-1] - t[0]) / (len(t) - 1) / Ts - 1) > APART:
+        stamps = f"--Ts, though {names[times[0]]} says {1e3 * (t[-1] - t[0]) / (len(t) - 1):.4g} ms"
     left_out = {*times, *no_motion(names, table)}
-    (_step if args.step else _diagnose)(args, names, table, left_out, Ts)
+    (_step if args.step else _diagnose)(args, names, table, left_out, (Ts, stamps))
 
 
-def _diagnose(args, names, table, left_out, Ts):
+def _diagnose(args, names, table, left_out, of):
     from cnclik.cli import progress
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
     from cnclik.measure.files import plain
 
+    Ts, stamps = of
     chosen = _chosen(args.columns, names) or _usual(names, left_out)
     if not chosen:
         raise errors.fail("LOG", "have a column besides the times", "has none")
@@ -81,10 +78,11 @@ def _diagnose(args, names, table, left_out, Ts):
     with progress.bar("parts") as report:
         found = diagnose(signal, Ts, alpha=args.alpha, longest=longest, progress=report)
     if args.json:
-        print_json(plain(_fields(found)))
+        print_json(plain(_fields(found) | {"Ts_from": stamps}))
     else:
         print(found)
         _tell(found, [names[i] for i in chosen])
+        print(f"Ts = {1e3 * Ts:.4g} ms ({stamps}).")
     if args.out is not None:
         from cnclik.show.diagnosis import oscillation
 
@@ -144,12 +142,13 @@ def _fields(found) -> dict:
     return made | {"amplitude": list(found.amplitude), "noise": list(found.noise), "note": found.note}
 
 
-def _step(args, names, table, left_out, Ts):
+def _step(args, names, table, left_out, of):
     from cnclik.diagnosis.fit import fit_drive
     from cnclik.measure.files import plain
 
     if args.alpha is not None:
         raise errors.fail("alpha", "be left out with --step", "is given")
+    Ts, stamps = of
     sent, moved = _pairs(args.columns, names, left_out)
     import numpy as np
 
@@ -159,7 +158,8 @@ def _step(args, names, table, left_out, Ts):
     if args.json:
         drive = fit.drive
         print_json(plain({
-            "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "command": drive.command,
+            "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "Ts_from": stamps,
+            "command": drive.command,
             "delay": drive.delay,
             "lag": _plain(drive.lag) if drive.order == 1 else None,
             "natural_frequency": _plain(drive.natural_frequency) if drive.order == 2 else None,
@@ -171,6 +171,7 @@ def _step(args, names, table, left_out, Ts):
     else:
         print(fit.options)
         print(fit)
+        print(f"Ts = {1e3 * Ts:.4g} ms ({stamps}).")
     if args.out is not None:
         from cnclik.show.diagnosis import drive as figure
 

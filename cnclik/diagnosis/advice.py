@@ -20,7 +20,6 @@ CAREFUL = 0.25  # share of the probability of loops for which a gain may be too 
 CLOSE = 0.15  # share of the whole lateness by which dead times are the same
 OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do the same
 FOLDS = 3.0  # by e, over which what grows or shrinks is seen
-MUCH = 20.0  # factor over all rows from which on growth is none of a path
 WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
 BOTH = "--alpha or a recorded step (--step) decides"
 
@@ -159,7 +158,9 @@ def _said_turned(kind, factor, turned, round_, alpha, Ts) -> dict:
         note += f" alpha·Ts is {alpha * Ts:.4g}, and z here {turned.z:.4g}."
     made = _about(kind, factor, None) | {"cause": "turned frames", "z": turned.z, "delay": 0}
     sure = WHOLE * (1 - round_ / 4)
-    if np.abs(np.angle(factor)) * FOLDS < np.pi * np.abs(np.log(np.abs(factor))):  # less than half a turn is seen
+    if np.abs(np.angle(factor)) * FOLDS < 0.5 * np.pi * np.abs(
+        np.log(np.abs(factor))
+    ):  # less than a quarter turn is seen
         sure = min(sure, OTHER)
     known = alpha is not None and 1 / NEAR < alpha * Ts / turned.z < NEAR
     if kind is Kind.SUSTAINED and not known:
@@ -167,8 +168,8 @@ def _said_turned(kind, factor, turned, round_, alpha, Ts) -> dict:
     return made | {"angle": turned.degrees, "axis": turned.axis, "confidence": sure, "note": note}
 
 
-def growth_without_end(factor, shape, N, alpha, Ts) -> dict:
-    """Fields of a `Diagnosis` of what grows by a factor a sample, for N samples, and never returns."""
+def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
+    """Fields of a `Diagnosis` of what grows by a factor a sample and never returns; clear: as no path does."""
     turned = turned_of(shape, factor) if len(shape) > 1 else None
     if turned is not None:
         return _said_turned(Kind.DIVERGING, factor, turned, together(shape), alpha, Ts)
@@ -180,8 +181,8 @@ def growth_without_end(factor, shape, N, alpha, Ts) -> dict:
     more = factor - 1
     if alpha is not None and more > NEAR * alpha * Ts:
         note += f" It grows by {more:.3g} a sample and alpha·Ts is {alpha * Ts:.3g}: something else pushes as well."
-    sure = WHOLE if N * np.log(factor) > np.log(MUCH) else OTHER
-    if sure < WHOLE:
+    sure = WHOLE if clear else OTHER
+    if not clear:
         note += " A path that starts slowly may look alike: record the loop at rest, pushed."
     return {"growth": factor, "z": -more, "cause": "wrong sign", "confidence": sure, "note": note}
 
