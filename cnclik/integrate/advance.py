@@ -11,7 +11,7 @@ from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
 from cnclik.integrate.status import Status, flags
 from cnclik.law.law import Law, evaluate, look, respond
-from cnclik.law.limits import within
+from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
 from cnclik.record import record
 from cnclik.robot import spatial as sp
@@ -75,6 +75,17 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         history=one.history,
     )
     return step, made.first.least
+
+
+def summed(law, q, step, lost):
+    """q + step and what a rounding lost there, to be added with the next step (Kahan 1965); `lost`: with the last.
+
+    In single precision steps below half a spacing of q would else come to nothing: the loop would stop short of its
+    target by ulp(q)/2/(alpha·Ts). Without derivatives: what is lost has none.
+    """
+    step = sp.vadd(step, lost)
+    after = inside(law, q, sp.vadd(q, step))
+    return after, jax.lax.stop_gradient(sp.vsub(step, sp.vsub(after, q)))
 
 
 def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:
