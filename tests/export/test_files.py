@@ -264,3 +264,8 @@ def test_the_pages_example_is_built_and_runs(tmp_path):
     line = f"{build} -Wall -Wextra -Werror -pedantic && ./loop"
     done = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0 and np.allclose([float(v) for v in done.stdout.split()], 0, atol=1e-6), done.stderr
+
+
+def test_the_readme_tells_where_a_step_in_single_precision_stops(folders):
+    told = {folder.name: "stops short of its target" in (folder / "README.md").read_text() for folder in folders}
+    assert {name for name, found in told.items() if found} == {"memory"}
