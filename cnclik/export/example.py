@@ -84,9 +84,9 @@ def _copy(place, table, field) -> str:
     return f"    {place} = {table}[0];"
 
 
-_SINGLE = """In single precision a joint stops short of its target by half a spacing of `q` over alpha·Ts: by 1.2e-5 rad at 2 rad,
-10 1/s and 1 kHz, as smaller steps are rounded away. To go on, keep the joint values in double precision outside:
-`q += Ts * output->qdot`, one step a call, and hand them in rounded.
+_SINGLE = """In single precision a joint stops short of its target by half a spacing of `q` over alpha·Ts: by 1.2e-5 rad
+at 2 rad, 10 1/s and 1 kHz, as smaller steps are rounded away. To go on, keep the joint values in double precision
+outside: `q += Ts * output->qdot`, one step a call, and hand them in rounded.
 """
 
 
