@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from cnclik import errors
 from cnclik.problem.words import (
+    BEGINS,
     COMMANDS,
     FEEDBACKS,
     FUTURES,
@@ -93,6 +94,8 @@ OPTIONS = {
     "manipulability": Option(NUMBER, "Gain of climbing the manipulability in the null space.", must="positive"),
     "q0": Option(NUMBERS, "Joint values at the start [rad, m]; a posture inside the limits, away from singularities, "
                  "by default.", unit="q"),
+    "begin": Option(NAME, f"Where the loop begins: {_listed(BEGINS)}; on-path is where the path begins, with the joint "
+                    "values nearest to q0.", "q0"),
 }  # fmt: skip
 
 DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`

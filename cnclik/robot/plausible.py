@@ -14,7 +14,7 @@ def remark_on_robot(chain) -> None:
     places = [(f"joint {chain.joint_names[j.coordinate]!r}", j.origin) for j in chain.joints] + [("the tip", chain.tip)]
     for what, origin in places:
         away = max((abs(x) for x in origin.position if type(x) is float), default=0.0)
-        if away > LONG:
+        if LONG < away < math.inf:
             errors.remark(f"{what[0].upper()}{what[1:]} is {away:g} m from the joint before it: lengths are in metres.")
             break
     for what, limits, (least, most), unit in (
@@ -31,6 +31,6 @@ def remark_on_robot(chain) -> None:
 
 def remark_on_angles(what: str, angles) -> None:
     """A remark where an angle of several [rad] is more than a turn. Args: what: whose angles they are."""
-    most = max((a for a in angles if type(a) is float), key=abs, default=0.0)
+    most = max((a for a in angles if type(a) is float and math.isfinite(a)), key=abs, default=0.0)
     if abs(most) > 2 * math.pi:
         errors.remark(f"{what} is {most:g} rad: angles are in radians.")
