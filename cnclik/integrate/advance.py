@@ -19,9 +19,17 @@ from cnclik.robot import spatial as sp
 
 @record
 class Step:
-    """One step of the loop: q after it, x and e before it. Fields as in `Trajectory`, without the time axis.
+    """One step of the loop, as a record without the time axis of a `Trajectory`.
 
-    `history` is what a multistep method wants back with its next step; None for one-step methods.
+    Attributes:
+      q: (n,) joint values after the step [rad, m].
+      x: (m,) task coordinates of the tip before it [m, rad].
+      e: (m,) error before it, x_d − x [m, rad].
+      qdot: (n,) joint velocity held during it [rad/s, m/s].
+      residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
+      contraction: ratio of its last two changes; at 1 or more it diverges.
+      status: bits of `Status`.
+      history: what a multistep method wants back with its next step; None for one-step methods.
     """
 
     q: jax.Array

@@ -38,8 +38,8 @@ class Reached:
     evaluations: object  # (B,) looks at a posture (forward kinematics, Jacobian, step) that the target took
     at_limit: object  # (B, n) true for joints at a limit
     distance: object  # (B,) largest joint's distance from `near` [rad, m]; NaN without it
-    chain: object  # the `Chain` and the `Task` that were asked of
-    task: object
+    chain: object  # the `Chain` that was asked of
+    task: object  # the `Task` that was asked of
 
     @property
     def solved(self):

@@ -43,12 +43,12 @@ class Joint:
 class Chain:
     """A serial robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]."""
 
-    joints: tuple
-    tip: Offset
-    joint_names: tuple
-    lower: tuple  # [rad or m], −inf where unlimited
-    upper: tuple
-    velocity_limit: tuple  # [rad/s or m/s], inf where unlimited
+    joints: tuple  # of `Joint`, from the base to the tip; mimic joints share a coordinate with the one they follow
+    tip: Offset  # where the tip is, as seen from the last joint
+    joint_names: tuple  # (n,) of the joint coordinates
+    lower: tuple  # (n,) lower limits [rad or m], −inf where unlimited
+    upper: tuple  # (n,) upper limits [rad or m], inf where unlimited
+    velocity_limit: tuple  # (n,) [rad/s or m/s], inf where unlimited
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
