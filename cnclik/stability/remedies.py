@@ -16,6 +16,7 @@ from cnclik.stability.reasons import REVERSING
 
 MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
 ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
+INSIDE = 0.97  # of the way to the edge of what can be reached, where a target is brought to
 SMALL = 0.05  # joint step that is gentle [rad, m]
 ARRIVES = math.log(1e3)  # time constants in which an error is gone
 
@@ -159,10 +160,14 @@ def nearer(case) -> tuple:
     """The nearest target in reach, or a loop that stops quietly before this one."""
     made, m, n = case.reached, *case.rows.shape
     if m > n:
-        return (Remedy(change={"task": "position"}, words="ask for fewer coordinates"),)
+        fewer = "".join(case.law.task.names[:n])
+        return (Remedy(change={"task": fewer}, words=f"ask for fewer coordinates, such as {fewer}"),)
     found = []
     if made is not None and np.isfinite(made.q).all():
         tip = np.asarray(pose(case.law.chain, made.q).position, float)
+        if reasons.beyond(case) > 0 and not case.law.task.orientation:  # a little inside: the edge itself is singular
+            base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
+            tip = base + INSIDE * (tip - base)
         found.append(
             _shifted(case, tip)
             if case.moving

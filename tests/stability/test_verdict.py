@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.problem.build import problem_from
+from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, verdict
 from cnclik.stability.practice import practice
 
@@ -294,3 +296,42 @@ def test_a_loop_that_stops_at_the_rounding_of_its_joint_values_says_so():
     assert found.kind == Behaviour.STALLED and "rounding of q in float32" in found.sentence, found.sentence
     assert found.remedies[0].change == {"dtype": "float64"}
     assert "rounding" not in judge(law(5.0), NEAR, 100).sentence
+
+
+def test_fewer_coordinates_are_named():
+    """Three coordinates of two joints: the remedy is a task that the arm has joints for, and it settles."""
+    made = ck.Law(TWO, ck.pose_task("xy", "z"), alpha=5.0, inverse=ck.damped(0.1))
+    target = ck.hold(np.asarray(ck.pose(TWO, Q2).position[:2]) - 0.1, np.eye(3))
+    (one,) = judge(made, target, 200, Q2).remedies
+    assert one.change == {"task": "xy"}
+    assert judge(ck.Law(TWO, task_from("xy", TWO), alpha=5.0), target, 200, Q2).kind == Behaviour.SETTLED
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        (dict(robot="panda", reference="circle", Ts=0.002, N=200, alpha=0.5), "too short to tell"),
+        (dict(robot="panda", reference="circle", Ts=0.001, N=20), "too short to tell"),
+        (dict(robot="ur5", N=1000), "settled"),
+    ],
+)
+def test_short_runs_of_real_arms_invent_nothing(options, kind):
+    """They were "ringing", at 6.6 µm of error, and "diverging … out of reach"; a settled one had a radius of 1.01."""
+    made = problem_from(options.pop("robot"), **options)
+    told = verdict(made.law, made.reference, made.run(), Ts=made.Ts, method=made.method, stage=made.stage)
+    assert told.kind == kind and told.radius < 1, told.sentence
+    if kind == "too short to tell":
+        assert told.remedies[-1].mends == "verdict" and told.remedies[-1].change["N"] > made.N
+        assert "educe alpha" not in told.sentence and "reach" not in told.sentence
+
+
+def test_a_run_that_leaves_a_singularity_is_told_how_to_leave_it_gently():
+    """It was told to run for more steps, at 4,500 rad/s."""
+    table = dict(q0=[0.0] * 6, N=50)
+    made = problem_from("ur5", **table)
+    told = verdict(made.law, made.reference, made.run(), Ts=made.Ts, method=made.method, stage=made.stage)
+    assert [one.mends for one in told.remedies][:2] == ["velocity", "velocity"], told.sentence
+    for one in told.remedies[:2]:
+        gentle = problem_from("ur5", **table | one.change)
+        share = np.abs(gentle.run().qdot) / np.array(gentle.law.chain.velocity_limit)
+        assert share.max() < 1.05
