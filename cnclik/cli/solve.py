@@ -34,7 +34,7 @@ def run(args: Args) -> None:
 
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
-    from cnclik.measure.files import save_csv, save_netcdf
+    from cnclik.measure.files import plain, save_csv, save_netcdf
     from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
     from cnclik.writing import output_folder
@@ -64,7 +64,7 @@ def run(args: Args) -> None:
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
     if args.json:
         asked_of = {"asked": [title, loop, *where], "facts": dict(facts)}
-        print_json(asked_of | {"verdict": told.to_json() | {"sentence": answer}, "out": str(args.out)})
+        print_json(asked_of | {"verdict": plain(told) | {"sentence": answer}, "out": str(args.out)})
     else:
         print("\n".join([title, loop, *where]))
         Console().print(_shown(facts))

@@ -79,13 +79,6 @@ class Verdict:
         """The remedies in words; empty where there are none."""
         return _in_words(self.remedies)
 
-    def to_json(self) -> dict:
-        """The verdict as plain data, each remedy with the options it changes."""
-        known = ((name, getattr(self, name)) for name in ("radius", "null_radius", "error"))
-        numbers = {name: value if np.isfinite(value) else None for name, value in known}
-        told = [{"change": one.change, "mends": one.mends, "words": one.words} for one in self.remedies]
-        return {"kind": str(self.kind), "sentence": self.sentence, "remedies": told, **numbers}
-
 
 def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> Verdict:
     """What a run did, why, and what to do about it: pure description, nothing is run again. In float64.
