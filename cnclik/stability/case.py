@@ -15,7 +15,7 @@ from cnclik.record import replace
 from cnclik.stability.driven import each_drive, modes_of, overshoot
 from cnclik.stability.local import Instant, maps, radii, resting, targets
 from cnclik.stability.observed import Observed, observe, rms
-from cnclik.stability.spectrum import directions, growing, null_flow_of_numbers, of_error, spectrum_of, staying
+from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_numbers, of_error, spectrum_of, staying
 
 UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
@@ -89,6 +89,11 @@ class Case:
         q = self.end.q
         ulp = float(np.spacing(np.abs(q).max().astype(self.seen.dtype)))
         return np.linalg.norm(self.rows, 2) * np.sqrt(len(q)) * ulp / 2 * self.fold
+
+    @property
+    def null_fold(self):
+        """Steps in which the null space of a law that lets it pull at the task settles e-fold; 0 of another law."""
+        return 1 / max(-np.log(self.null_radius), 1 / SLOWEST) if leaky(self.law) and 0 < self.null_radius < 1 else 0.0
 
     @property
     def null_unstable(self):

@@ -59,7 +59,11 @@ def _steps(case, spans, mends, words):
     fall = math.log(max(float(np.median(seen.before)) / size, 1.0)) / max(len(seen.late), 1)
     # The run's own, where limits or a clamp make it slower than its step is at rest.
     slower = 1 / fall if seen.shrinks and seen.largest > 0.1 * seen.size[0] and fall > 0 else 0.0
-    steps = max(MARGIN * spans * max(case.fold, slower), LEAST) + max(case.steps, math.ceil(case.path / Ts)) + case.dead
+    steps = (
+        max(MARGIN * spans * max(case.fold, case.null_fold, slower), LEAST)
+        + max(case.steps, math.ceil(case.path / Ts))
+        + case.dead
+    )
     steps = max(steps, 2 * case.steps)
     digit = 10 ** max(math.floor(math.log10(steps)) - 1, 0)
     N = digit * math.ceil(steps / digit)  # to two digits, from above

@@ -163,12 +163,15 @@ def _radius(case):
 
 
 def _pulled(case, error):
+    if case.steps < PLENTY * case.null_fold:
+        return _undecided(case, error)
     return Behaviour.STALLED, f"{error} and stays: {reasons.PULLED}", remedies.less_pull(case)
 
 
 def _held(case, error):
     seen = case.seen
-    if seen.still and seen.largest <= 2 * case.rounding:
+    # A loop that carries what it rounds away would have moved by now.
+    if seen.still and 4 * case.rounding / len(seen.late) < seen.largest <= 2 * case.rounding:
         return _rounded(case, error)
     if seen.arrived:
         return _arrived(case, error)
@@ -301,6 +304,8 @@ def _unstable(case, error):
 def _shrinking(case, error):
     if case.spans < ENOUGH and not _fallen(case):
         return _undecided(case, error)
+    if _shakes(case) and case.seen.largest > 0.8 * case.seen.before.max():
+        return _shaking(case, error)
     if reasons.leaks(case):
         return _pulled(case, error)
     if case.seen.largest > 0.1 * case.seen.size[0] and reasons.unreachable(case):

@@ -290,8 +290,9 @@ def test_a_loop_that_stops_at_the_rounding_of_its_joint_values_says_so():
     q = np.array(ck.reach(TWO, [1.05, 0.95, 0.0], task="position", tolerance=(1e-6, 1e-6)).q) + 1e-4
     # As a loop in float32 that doesn't carry what it rounds away: every q is the first one.
     with jax.enable_x64(False):
-        run = ck.solve(slow, goal, np.float32(q), 1 / 8000, 40, "EE")
-        run = ck.replace(run, q=jnp.tile(run.q[0], (41, 1)), e=jnp.tile(run.e[0], (41, 1)), qdot=0 * run.qdot)
+        run = ck.solve(slow, goal, np.float32(q), 1 / 8000, 400, "EE")
+        assert "rounding" not in verdict(slow, goal, run, **fast).sentence
+        run = ck.replace(run, q=jnp.tile(run.q[0], (401, 1)), e=jnp.tile(run.e[0], (401, 1)), qdot=0 * run.qdot)
         found = verdict(slow, goal, run, **fast)
     assert found.kind == Behaviour.STALLED and "rounding of q in float32" in found.sentence, found.sentence
     assert found.remedies[0].change == {"dtype": "float64"}
