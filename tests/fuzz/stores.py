@@ -32,7 +32,7 @@ def whole():
     """(the spec, the folder of its finished run, its data, its first program's outputs)."""
     folder = pathlib.Path(_place().name)
     (folder / "a.toml").write_text(TEXT, encoding="utf-8")
-    read = spec.read(folder / "a.toml")
+    read, folder = spec.read(folder / "a.toml"), folder / "whole"
     assert store.run(read, folder)
     _, first = program.fit(read.study, read.grid())
     return read, folder, store.read(folder).load(), first
