@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import types
 
@@ -394,3 +395,13 @@ def test_a_name_that_is_too_long_is_refused_in_a_line(capsys):
     with pytest.raises(SystemExit) as left:
         main(["view", "x" * 5000, "--html", "out.html"])
     assert left.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("typed", "shown"), [(6, 1.0), (-2, 0.0), (0.5, 0.5), (1e300, 1.0)])
+def test_any_number_in_the_box_of_the_time_is_a_time(problem, run, typed, shown):
+    player, shares = object.__new__(play.Player), []
+    made = motion.motion_of(run, problem.law, name="arm")
+    player._busy, player.told = threading.Lock(), types.SimpleNamespace(content="")
+    player.scene = types.SimpleNamespace(motions=[made], show=shares.append)
+    player._show(typed)
+    assert shares == [shown] and "arm" in player.told.content
