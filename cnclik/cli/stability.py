@@ -157,7 +157,9 @@ def _as_table(found, said) -> dict:
 
     margin = said.advice.margin
     about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0)
-    about |= dict(method=str(found.method), Ts=found.Ts)
+    late = None if found.drive is None else found.drive.lumped.delay
+    about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
+    about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
     return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}

@@ -1,5 +1,6 @@
 """What was asked stands above every answer: tip, dead time, start, target; what nobody gave is called default."""
 
+import json
 import warnings
 
 import numpy as np
@@ -98,3 +99,11 @@ def test_a_loop_begins_on_its_path_for_any_task(task):
     run = made.run()
     assert np.abs(np.array(run.e[0])).max() < 1e-5
     assert np.abs(np.array(made.q0) - q0).max() < 1.0  # near it
+
+
+@pytest.mark.parametrize(("delay", "samples", "ms"), [(["--delay", "34ms"], 8.5, 34.0), ([], None, None)])
+def test_json_has_the_dead_time_in_samples_and_ms(delay, samples, ms, capsys):
+    main(["stability", "planar:1,1", "--method", "EE", "--Ts", "4ms", *delay, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert (told["dead_time_samples"], told["dead_time_ms"]) == (samples, pytest.approx(ms))
+    assert told["tip"] == "end of the last link" and len(told["q0"]) == 2 and told["remarks"] == []
