@@ -14,7 +14,7 @@ LONGEST = 250  # samples of a period: what is slower is taken for a path
 WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
 FADED = 0.3  # size of an oscillation in one part as a share of the other's, below which they aren't compared
 NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
-MUCH, CLEAR = 10.0, 60.0  # factor over all rows, and likelihood, from which on growth is none of a path
+MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
 STILL = 1e-12  # share of the largest value that is rounding
 
 
@@ -150,7 +150,10 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
             made |= driven
     if kind is Kind.DIVERGING:
         factor = found.factors[chosen[0]]
-        clear = len(seen) * np.log(np.abs(factor)) > np.log(MUCH) and found.score < polynomials(seen) - CLEAR
+        most = np.max(spans(found.parts[chosen]) / np.ptp(seen, axis=0))
+        clear = (
+            most > ALL and len(seen) * np.log(np.abs(factor)) > np.log(MUCH) and found.score < polynomials(seen) - CLEAR
+        )
         made |= growth_without_end(factor, shape, clear, alpha, Ts)
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)

@@ -27,6 +27,7 @@ EXPLAINED = 0.5  # share of a motion below which a command has nothing to do wit
 EXACT = 1e-5  # share of a motion that is rounding
 EVALUATIONS = 15  # of a fit from one start, for each number
 OFF = 0.02  # by which a gain differs from 1 that is worth a word
+OTHER_UNIT = 5.0  # factor from which on a gain is none: degrees for radians, another joint, a wrong sign
 STRUCTURE = 4.0  # samples over which what is left hangs together, from which on a drive is more than its model
 SEEN = 2e-3  # or share of a motion's range that is left, below which that is worth no word
 PARTS = (("gain", "drift"), ("gain",), ())  # what a joint has besides its offset
@@ -129,6 +130,10 @@ def _made(fit, log) -> DriveFit:
     explained = 1.0 - float(np.sum(left**2 / np.var(motion, axis=0)) / motion.size)
     if explained < EXPLAINED:
         raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
+    odd = np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))
+    if len(odd):
+        found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, or other units"
+        raise errors.fail("motion", "move by about what is commanded", found)
     length = np.array([correlated(c) for c in left.T])  # what hangs together tells less
     deviations = fit.deviations(log) * np.sqrt(length)[:, None]
     numbers = [fit.shape.numbers(values) for values in fit.values]
@@ -282,7 +287,7 @@ def _begin(shape, log, most=2):
             before = made[0, j] - slope[j] * np.arange(delays - 1, 0, -1)
             late = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, made[:, j]]), N)[::-1] / log.size[j]
             power = np.sum(late**2, 1) - np.sum(late, 1) ** 2 / N
-            left += np.sum(wanted[:, j] ** 2) - np.maximum(late @ wanted[:, j], 0.0) ** 2 / np.maximum(power, 1e-300)
+            left += np.sum(wanted[:, j] ** 2) - (late @ wanted[:, j]) ** 2 / np.maximum(power, 1e-300)
         tried += [(left[d], d, numbers) for d in range(delays)]
     tried.sort(key=lambda one: one[0])
     begun, chosen = set(), []
