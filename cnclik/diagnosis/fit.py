@@ -165,7 +165,10 @@ def _notes(gain, structured, k, why) -> list:
         where = "" if k == 1 else f" (joint {', '.join(str(i + 1) for i in off)})"
         least, most = gain[off].min(), gain[off].max()
         span = f"{least:.3g}" if most - least < 5e-3 else f"{least:.3g} to {most:.3g}"
-        said.append(f"Motion is {span} times what is commanded{where}: alpha acts as that many times alpha.")
+        said.append(
+            f"Motion is {span} times what is commanded{where}, and a loop has as many times its alpha: divide the "
+            f"gains that are recommended for this drive by {gain.max():.3g}."
+        )
     if structured:
         said.append(
             "What is left has a structure: the drive has friction, play, a limit or a higher order, which the numbers "
