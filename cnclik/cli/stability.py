@@ -144,7 +144,7 @@ def _tell(args, advised):
     for row in gains_of(found, said, table(args)):
         shown.add_row(*row)
     asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
-    for note in (*asked, *said.notes):  # what the numbers can't say comes before them
+    for note in (*asked, *filter(None, [said.assumption]), *said.notes):  # what the numbers can't say comes before them
         console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
     for line in lines_of(found, said, table(args)):
