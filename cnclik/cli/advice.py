@@ -23,14 +23,15 @@ def gains_of(found, said, given) -> list:
         ("recommended", "recommended_alpha"),
     ):
         value, euler = getattr(said, name), said.explicit_euler[name]
-        told = tuple(map(or_any, (value, value * found.Ts, euler)))
-        if name == "largest_stable_alpha" and not exact(found.drive):
-            between = said.largest_stable_range
-            told = ("not known", "", "") if between is None else (
-                f"{between[0]:.3g} to {between[1]:.3g}", f"{between[0] * found.Ts:.3g} to {between[1] * found.Ts:.3g}", ""
-            )  # fmt: skip
-        rows.append((row, *told))
+        known = name != "largest_stable_alpha" or exact(found.drive)
+        rows.append((row, *(map(or_any, (value, value * found.Ts, euler)) if known else ("not known", "", ""))))
     return [*rows, (_present(given), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
+
+
+_NOT_KNOWN = (
+    "The largest stable gain is not known from a lag or servo alone: joints that move together are heavier. A recorded "
+    "step of all joints says between which gains it lies (cnclik diagnose LOG.csv --step)."
+)
 
 
 def exact(drive) -> bool:
@@ -42,7 +43,8 @@ def lines_of(found, said, given) -> list:
     """What the numbers mean, in sentences."""
     now, eigen = said.advice.margin, said.advice.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
-    lines.append(f"At alpha {_present(given)}: {_margin(now, said)}")
+    lines += [_NOT_KNOWN] * (not exact(found.drive))
+    lines.append(f"At alpha {_present(given)}: {_margin(now, said, found.drive)}")
     if said.advice.times is not None:
         times = said.advice.times
         edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
@@ -71,7 +73,7 @@ def or_any(value) -> str:
     return "none" if value == 0 else f"{value:.4g}" if value < math.inf else "any"
 
 
-def _margin(now, said) -> str:
+def _margin(now, said, drive) -> str:
     own, assumed = said.now, said.assumed_dead_time is not None
     if now.margin <= 1:
         return f"UNSTABLE: {now.margin:.4g} of it would be stable; {now.limit}."
@@ -79,6 +81,7 @@ def _margin(now, said) -> str:
         return "UNSTABLE on the assumed drives; it is stable only where drives follow at once."
     margin = own.gain_margin if assumed else now.margin
     beyond = "any gain is stable" if margin == math.inf else f"gain margin {margin:.4g}"
+    beyond = beyond if exact(drive) else f"it leaves {100 * now.radius:.4g} % of an error each step"
     if assumed:
         beyond = f"on the assumed drives, {beyond}"
     late = "" if own.delay_margin == math.inf else f", {own.delay_margin:.3g} samples of dead time more"
@@ -88,7 +91,7 @@ def _margin(now, said) -> str:
         else "no overshoot"
     )
     rest = "" if assumed else f"; {now.limit}"
-    error = "" if assumed else f"error × {now.radius:.4g} per step, "
+    error = "" if assumed or not exact(drive) else f"error × {now.radius:.4g} per step, "
     return f"stable: {beyond}{late}; {error}{over}{rest}."
 
 
@@ -101,9 +104,8 @@ def _costs(said, found) -> list:
         f"{gain.delay_margin:.3g} samples ({1e3 * gain.delay_margin * Ts:.3g} ms) of dead time more"
     )  # fmt: skip
     drive, margin = found.drive, gain.gain_margin
-    if not exact(drive):
-        margin = said.largest_stable_range[0] / said.recommended_alpha if said.largest_stable_range else None
-    more = "" if margin is None else ", or any gain" if margin == math.inf else f", or {margin:.3g} times the gain"
+    more = ", or any gain" if margin == math.inf else f", or {margin:.3g} times the gain"
+    more = more if exact(drive) else ""
     lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}{more}."]
     own = drive is not None and drive.feedback == "commanded"
     noise = (

@@ -25,15 +25,13 @@ from cnclik.stability.driven import (
     until_settled,
 )
 from cnclik.stability.linear import first_above
-from cnclik.stability.recommend import Advice, advice_of, largest_stable, loop_at_rest, recommendation_of
+from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
 from cnclik.stability.settings import MOST_Z, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
 # Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
 # the MuJoCo menagerie lag by k_v/k_p = 0.1 s, some by 0.2 s. Measured so: results/loops.
 ASSUMED_DELAY, ASSUMED_LAG = 0.03, 0.1  # [s]
-LIGHTER, HEAVIER = 0.4, 1.6  # times the fitted time constants: inertia that moves together, see results/loops
-WIDE = 4.0  # ratio of a range's ends from which on it says nothing
 SPEED = 0.1  # [m/s] of the tip, where none is given
 KEPT = 1e-3  # share of a speed up to which a lag is settled
 
@@ -75,10 +73,9 @@ class Practice:
     Attributes:
       largest_stable_alpha, fastest_monotone_alpha, recommended_alpha: [1/s] of the loop's method: the largest that is
         stable, that has no overshoot, and that would have none if the dead time were a sample longer. The first two
-        are of the drive exactly as given, or, where nothing is known, of drives that follow at once.
-      largest_stable_range: (low, high) [1/s] between which a robot's largest stable gain lies where its drive has a lag
-        or is a servo: what is measured of one leaves a sample of dead time and the coupled inertia open. None where the
-        model is exact (dead time alone, the loop's own commands), or where nothing can be said.
+        are of the drive exactly as given, or, where nothing is known, of drives that follow at once. On a robot whose
+        drives lag the largest stable gain may be several times less or more: its joints' inertia is coupled, and what
+        a drive does within a sample counts. A recorded step says between which gains it lies (`fit_drive`).
       assumed_dead_time, assumed_lag: [s] under which a gain is recommended where nothing is known of the drives; else
         None.
       assumption: what is assumed of the drives, and how to measure them, in words; "" where all is given.
@@ -97,7 +94,6 @@ class Practice:
     largest_stable_alpha: float
     fastest_monotone_alpha: float
     recommended_alpha: float
-    largest_stable_range: tuple | None
     assumed_dead_time: float | None
     assumed_lag: float | None
     assumption: str
@@ -142,12 +138,10 @@ def practice(
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
-    between = _range(loop, Ts)
     return Practice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
         recommended_alpha=chosen / Ts,
-        largest_stable_range=between,
         assumed_dead_time=safe.delay * Ts if drive is None else None,
         assumed_lag=ASSUMED_LAG if drive is None else None,
         assumption=_assumption(loop, drive, safe, chosen, Ts),
@@ -177,32 +171,6 @@ def shares(delay: float, lag: float, Ts: float) -> tuple:
     """Shares of an error that a step may take back through dead time [samples] and a lag [s]: stable, recommended."""
     found = driven_limits("EE", Ts=Ts, drive=Drive(delay=delay, lag=lag))
     return found.stable, min(found.recommended, MOST_Z)
-
-
-def _range(loop, Ts):
-    """See `Practice.largest_stable_range`: of the slowest and the quickest of the drives that a fit may stand for."""
-    drive = loop.drive
-    if drive.order == 0 or drive.feedback == "commanded":
-        return None
-    ends = []
-    for samples, factor in ((1.0, HEAVIER), (-1.0, LIGHTER)):
-        limits = []
-        for one in each_drive(drive):
-            late = float(np.clip(one.delay + samples, 0.0, MOST - one.measurement_delay))
-            limits.append(largest_stable(loop._replace(drive=replace(slower(one, factor), delay=late)), Ts) / Ts)
-        ends.append(min(limits))
-    low, high = ends
-    return (low, high) if 0 < low <= high < WIDE * low else None
-
-
-def slower(drive, factor: float) -> Drive:
-    """A drive on so many times the inertia: of a lag, or of ω₀² and 2ζω₀."""
-    if drive.order == 1:
-        return replace(drive, lag=drive.lag * factor)
-    root = np.sqrt(factor)
-    return replace(
-        drive, natural_frequency=drive.natural_frequency / root, damping_ratio=drive.damping_ratio / root
-    )
 
 
 def _no_gain(loop, gains, Ts):
