@@ -9,7 +9,7 @@ from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.stability.driven import (
     POINTS,
     SPARE,

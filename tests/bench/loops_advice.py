@@ -5,12 +5,17 @@ commands that are not followed to the full; measured, commanded and rebased feed
 joints, fits the drive, asks `practice`, and runs what it recommends: from the fit, and with nothing said of the drives.
 """
 
+import functools
+
 import numpy as np
 
+import cnclik as ck
 from cnclik.diagnosis.fit import fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.record import replace
 from cnclik.stability.practice import practice
+from cnclik.stability.recommend import recommend
+from cnclik.stability.settings import MOST_Z
 from tests.bench.loops_arms import Servo, World
 from tests.bench.loops_mujoco import SHIFT, Setup, growth, run, step_responses
 
@@ -39,8 +44,8 @@ EACH = 17  # cells of an arm
 STEP = 20 * SHIFT  # of the target: 1 cm and 20 mrad
 STEPPED = {"position": 0.1, "velocity": 0.2}  # [rad, rad/s] of the recorded step
 LEAD = 10  # rows before it
-RECORDED, ROWS = 1.2, 240  # [s] of a record, and its rows at most
-SECONDS = 4.0  # of a run
+RECORDED, ROWS = 1.2, 200  # [s] of a record, and its rows at most
+SECONDS = 3.0  # of a run
 CALM, MUCH, LEFT = 0.01, 0.05, 0.02  # overshoot that is none, that is too much; share of an error that is no swing
 GRID = np.geomspace(0.4, 6.0, 9)  # times the recommended gain: where the best one is looked for
 
@@ -96,24 +101,30 @@ def best(alphas, over) -> float:
     return float(alphas[first - 1] * (alphas[first] / alphas[first - 1]) ** share)
 
 
+@functools.cache
+def unknown(Ts) -> float:
+    """What is recommended where nothing is said of the drives: of any arm with an exact inverse."""
+    arm = ck.planar_arm([1.0, 1.0])
+    law = ck.Law(arm, ck.position("xy"), alpha=1.0)
+    return practice(law, None, np.array([0.3, 1.2]), Ts=Ts, method="EE").recommended_alpha
+
+
 def measure(arm, servo, rate, delay, world, feedback) -> dict:
     """One cell."""
     Ts = 1.0 / rate
     setup = Setup(arm, SERVOS[servo], Ts, feedback, min(Ts, 2e-3 if rate <= 250 else 1e-3), WORLDS[world])
     row = dict(robot=arm.name, servo=servo, rate=rate, delay=delay, world=world, feedback=feedback)
-    asked = dict(Ts=Ts, method="EE")
-    unknown = practice(arm.law, None, arm.q, **asked)
-    alphas = {"unknown": unknown.recommended_alpha}
+    alphas = {"unknown": unknown(Ts)}
     try:
         fit = fit_drive(None, *recorded(setup, delay), Ts, command_kind=setup.servo.command)
     except ArgumentError as refused:
         return row | {"refused": str(refused)}
     drive = replace(fit.drive, feedback=feedback) if feedback != "rebased" or fit.drive.order else fit.drive
-    said = practice(arm.law, None, arm.q, drive=drive, **asked)
-    alphas["recommended"] = said.recommended_alpha
+    said = recommend(arm.law, None, arm.q, Ts=Ts, method="EE", drive=drive)
+    alphas["recommended"] = min(float(said.recommended), MOST_Z / Ts)  # as `practice`
     ends = fit.largest_stable_alpha
     alphas |= dict(zip(("low", "high"), ends, strict=True)) if ends else {}
-    lanes = np.concatenate([list(alphas.values()), said.recommended_alpha * GRID])
+    lanes = np.concatenate([list(alphas.values()), alphas["recommended"] * GRID])
     N = int(SECONDS / Ts)
     made = run(setup, lanes, np.full(len(lanes), delay), N, STEP).e
     over, grows = beyond(made), unstable(made)
@@ -127,6 +138,7 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
 def figures(rows) -> dict:
     """The numbers that count: {name: value}."""
     told = [r for r in rows if "recommended" in r]
+
     def count(name, what):
         return sum(bool(what(r[name])) for r in told)
 

@@ -83,8 +83,10 @@ class Arm:
         return ET.tostring(robot, encoding="unicode")
 
     def model(self, servo: Servo, step=STEP, world=World()):
-        """MuJoCo's model: no weight or contact, a servo and ARMATURE on each joint, and of friction and limits of effort
-        what the world has. The second half of the actuators, if any, are the integral parts."""
+        """MuJoCo's model: no weight or contact, a servo and ARMATURE on each joint, friction and efforts of the world.
+
+        The second half of the actuators, if any, are the integral parts.
+        """
         spec = mujoco.MjSpec.from_string(self.text)
         spec.option.timestep = step
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -103,7 +105,9 @@ class Arm:
                 actuator.set_to_velocity(kv)
             actuator.ctrllimited = actuator.forcelimited = False
         for joint, kv in zip(joints if servo.ki else (), _each(servo.kv, self.n), strict=False):
-            actuator = spec.add_actuator(name=f"{joint.name} integral", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator = spec.add_actuator(
+                name=f"{joint.name} integral", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             actuator.set_to_intvelocity(kv * servo.ki)
             actuator.ctrllimited = actuator.forcelimited = actuator.actlimited = False
         model = spec.compile()
