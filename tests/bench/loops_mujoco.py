@@ -108,7 +108,7 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
             for b in alive:
                 seen(sent[b] if feedback == "commanded" else measured(qs[b]), b, True)
             told = error(k)
-        big = np.abs(e[k]).max(-1) > LOST * np.abs(SHIFT).max()
+        big = np.abs(e[k]).max(-1) > max(LOST * np.abs(SHIFT).max(), 10 * np.abs(shift).max())
         if big.any():
             alive = [b for b in alive if not big[b]]
             if not alive:
