@@ -4,8 +4,8 @@ Largest gains of pink's and mink's own loops; in MuJoCo three arms with position
 500 Hz, 0 to 17 samples of delay: largest stable gain, fastest without overshoot and lag behind a ramp, measured, and as
 models of growing detail predict them. What the advice is worth on four arms with friction, encoders and the like
 (`--only advice`), and each line of settings for another tool in that tool (`--only tools`; Placo where it is there).
-Into results/loops (20 minutes on one core); what is there already is kept unless --fresh, so a run that was stopped goes
-on. Needs the extra `peers`.
+Into results/loops (20 minutes on one core); what is there already is kept unless --fresh, so a run that was stopped
+goes on. Needs the extra `peers`.
 """
 
 import argparse
