@@ -35,7 +35,7 @@ _NOT_KNOWN = (
 
 
 def exact(drive) -> bool:
-    """Whether the largest stable gain is known to the digit: without a lag or servo, or where the loop knows of none."""
+    """Whether the largest stable gain is known: without a lag or servo, or where the loop knows of none."""
     return drive is None or drive.order == 0 or drive.feedback == "commanded"
 
 
