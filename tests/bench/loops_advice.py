@@ -40,7 +40,7 @@ WORLDS = {
 }
 FEEDBACKS = ("measured", "measured", "commanded", "measured", "measured", "rebased", "measured")
 RATES, DELAYS = (100, 250, 500, 1000), (0, 1, 3, 5, 8)
-EACH = 17  # cells of an arm
+EACH = 15  # cells of an arm
 STEP = 60 * SHIFT  # of the target: 3 cm and 60 mrad
 STEPPED = {"position": 0.03, "velocity": 0.2}  # [rad, rad/s] of the recorded step
 LEAD = 10  # rows before it
