@@ -159,7 +159,8 @@ def _error(case):
 
 
 def _radius(case):
-    return f"the loop's spectral radius at rest is {case.radius:.3g}"
+    digits = 3 if abs(case.radius - 1) > 0.005 else 6  # 1.0003 is not 1
+    return f"the loop's spectral radius at rest is {case.radius:.{digits}g}"
 
 
 def _pulled(case, error):
@@ -306,8 +307,8 @@ def _shrinking(case, error):
         return _undecided(case, error)
     if _shakes(case) and case.seen.largest > 0.8 * case.seen.before.max():
         return _shaking(case, error)
-    if reasons.leaks(case):
-        return _pulled(case, error)
+    if reasons.leaks(case):  # down to where gain and pull are even, wherever that is
+        return _undecided(case, error)
     if case.seen.largest > 0.1 * case.seen.size[0] and reasons.unreachable(case):
         return _out_of_reach(case, error)
     return Behaviour.CONVERGING, f"{error} and shrinking; {_radius(case)}", remedies.to_the_end(case)
