@@ -7,6 +7,7 @@ import os
 import pathlib
 import platform
 import shutil
+import signal
 import subprocess
 import tempfile
 import weakref
@@ -23,6 +24,7 @@ UNSAFE = (
     "-freciprocal-math",
     "-ffp-model",
 )
+LIMIT = 300.0  # [s] that a compiler may take; the largest exports take half a minute
 LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
 
 
@@ -42,7 +44,7 @@ def command() -> str:
     raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
 
 
-def build(sources, folder, *, flags=()) -> pathlib.Path:
+def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
     """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected,
     but for those by which NaN and infinity would mean nothing.
 
@@ -50,6 +52,7 @@ def build(sources, folder, *, flags=()) -> pathlib.Path:
       sources: C files of one folder.
       folder: where it is kept; in the system's temporary files where that can't be written to.
       flags: further ones.
+      limit: seconds that the compiler may take, `LIMIT` where nothing is said; then it is ended.
     """
     texts = [pathlib.Path(s).read_bytes() for s in sources]
     care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
@@ -66,9 +69,9 @@ def build(sources, folder, *, flags=()) -> pathlib.Path:
             folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
         part = folder / f"{name}.{os.getpid()}.part"
         asked = [*line, "-o", str(part), *map(str, sources), "-lm"]
-        done = subprocess.run(asked, capture_output=True, text=True)
-        if done.returncode:
-            said = next((w for w in done.stderr.splitlines() if "error" in w), done.stderr.strip()[:80])
+        code, said = _run(asked, limit or LIMIT)
+        if code:
+            said = next((w for w in said.splitlines() if "error" in w), said.strip()[:80])
             raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {said}")
         library = folder / f"{name}-{_digest(part)}.so"
         part.replace(library)
@@ -83,6 +86,20 @@ def _digest(library) -> str:
 def _whole(library) -> bool:
     """Whether a library is the one that was built: one that is cut off would end the process that loads it."""
     return os.path.isfile(library) and library.stem.endswith(f"-{_digest(library)}")
+
+
+def _run(line, limit):
+    """What a command returns and what it says; ended, with all that it has started, after so many seconds."""
+    group = {"start_new_session": True} if hasattr(os, "killpg") else {}
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **group) as process:
+        try:
+            _, said = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            raise errors.fail("compiler", f"be done within {limit:g} s", f"{line[0]} is not") from None
+        finally:  # an interrupt ends it, too
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+    return process.returncode, said
 
 
 def _processor() -> str:

@@ -11,7 +11,7 @@ from cnclik.reaching.asked import Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
 from cnclik.reaching.search import BLOCK, SMALLEST, Answers, Targets
-from cnclik.reaching.seeds import SETS
+from cnclik.reaching.seeds import SETS, starts
 from cnclik.reaching.single import along, each
 from cnclik.record import kept, replace
 from cnclik.threads import cores, side_by_side
@@ -22,6 +22,7 @@ MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unro
 # Targets, at most, that are sooner searched for one by one; rolled, also where none of them has an answer: more of
 # these take longer than to compile what `HARD` asks for.
 ONE_BY_ONE = {"unrolled": 128, "rolled": 512}
+ENDLESS = 1 << 40  # looks
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
 DRAWN = 12  # seeds for each solution asked for
@@ -45,7 +46,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             return each(asked, pose, near, progress)
     setup = search.setup_of(asked)
     made = Answers.empty(B, n)
-    beyond = np.zeros(B, bool)
+    sure, why = np.zeros(B, bool), np.zeros(B, int)
     targets = Targets(pose, asked.bounds(near), near)
     far = asked.too_far(pose)
     known, downhill = asked.finite(pose, near), asked.downhill
@@ -53,20 +54,24 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     def first(ids):
         made.put(ids, search.first_tries(setup, targets.part(ids)))
 
-    def later(ids, done=search.PLAIN, tries=setup.tries, downhill=downhill):
+    def later(ids, done=search.PLAIN, tries=setup.tries):
         mine = setup._replace(tries=min(tries, setup.tries))
-        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill, done))
+        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), done))
 
-    def free(ids):
-        mine, wider = setup._replace(tries=search.TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
-        found = search.first_tries(mine, wider)
-        beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
+    def nearest(ids):
+        made.put(ids, search.downhill(setup, targets.part(ids), made.part(ids)))
+
+    def free(status, bounds, tries, ids):
+        mine = setup._replace(tries=int(tries), budget=ENDLESS)
+        wider = targets.part(ids)._replace(bounds=bounds)
+        found = search.later_tries(mine, wider, search.first_tries(mine, wider)).found
+        why[ids[found]] = status
 
     with jax.enable_x64(True):
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
-            ids = np.flatnonzero(which & known & ~made.found)
+            ids = np.flatnonzero(which & known & ~made.found & (why == 0))
             size = max(min(BLOCK, -(-len(ids) // cores())), SMALLEST)
             parts = [ids[i : i + size] for i in range(0, len(ids), size)]
             with side_by_side(programs.workers(form())) as pool:
@@ -80,17 +85,19 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
                 with side_by_side() as pool:
                     list(pool.map(warm, ("float32", "float64")))
             on_all_cores(first, ~far | downhill)
-            on_all_cores(functools.partial(later, tries=EARLY, downhill=False), ~far)
+            on_all_cores(functools.partial(later, tries=EARLY), ~far)
         # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
         with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
             on_all_cores(functools.partial(later, done=EARLY), ~far)
+            sure = asked.sure(made.looks) & ~far
             if downhill:
                 on_all_cores(functools.partial(later, tries=TRIES_FAR), far)
-            if asked.beyond() is not None:
-                on_all_cores(free, ~far)
+                on_all_cores(nearest, ~made.found)
+            for status, bounds, tries in asked.beyond():
+                on_all_cores(functools.partial(free, status, bounds, tries), sure)
     if progress is not None:
         progress(B, B)
-    return asked.reached(pose, near, *made.as_asked(), beyond)
+    return asked.reached(pose, near, *made.as_asked(), sure, why)
 
 
 def path(asked: Asked, pose, progress=None) -> Reached:
@@ -136,12 +143,12 @@ def _several(asked, first, pose, near, solutions, copies) -> dict:
     each_of = np.arange(B)
     start = np.stack([search.drawn(setup, pose, k, np.full(B, k + setup.seed), each_of) for k in range(copies)], 1)
     mine = Targets(pose, asked.bounds(near), near).part(np.repeat(each_of, copies))
-    start = np.clip(search.turned(setup, start.reshape(-1, n), mine.near), *mine.bounds)
+    start = starts(start.reshape(-1, n), mine.near, setup.periods, setup.ends, *mine.bounds)
     if native := native_for(asked, True):
         found = native.from_starts(mine.pose, mine.near, start)
     else:
         found = search.from_starts(setup, mine, start).as_asked()
-    drawn = asked.reached(mine.pose, mine.near, *found, np.zeros(B * copies, bool))
+    drawn = asked.reached(mine.pose, mine.near, *found, *np.zeros((2, B * copies), int))
     rows = {name: v.reshape(B, copies, *v.shape[1:]) for name, v in fields(drawn).items()}
     both = {name: np.concatenate([first[name][:, None], v], 1) for name, v in rows.items()}
     around = setup.seeds.middle if near is None else near[:, None]

@@ -11,6 +11,7 @@ from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import Reached, fields
 from cnclik.reaching.single import traced
 from cnclik.reaching.targets import read
+from cnclik.reaching.units import inward, outward
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 
@@ -26,8 +27,8 @@ def reach(
     near: ArrayLike | None = None,
     jump: float | None = None,
     solutions: int = 1,
-    seeds: int = 256,
-    budget: int = 10_000,
+    seeds: int = 512,
+    budget: int = 25_000,
     limits: bool = True,
     explain: bool = True,
     base: ArrayLike | None = None,
@@ -87,14 +88,17 @@ def reach(
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
+    xp, around = np if known else jnp, None if previous else near
+    pose, inner, moved = inward(asked, pose, around, xp)
     if not known:
-        made = traced(asked, pose, near)
+        made = traced(asked, pose, inner)
     elif previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
     elif previous:
         made = path(asked, pose, progress)
     elif solutions > 1:
-        made = several(asked, pose, near, solutions, progress)
+        made = several(asked, pose, inner, solutions, progress)
     else:
-        made = many(asked, pose, near, progress)
+        made = many(asked, pose, inner, progress)
+    made = outward(asked, made, chain, around, moved, xp)
     return replace(made, **{name: v[0] for name, v in fields(made).items()}) if alone else made

@@ -17,15 +17,15 @@ from cnclik.robot.rolled import roll
 _FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
 
 
-def arm_length(chain: Chain):
-    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm.
+def arm_length(chain: Chain, least=1e-3):
+    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
 
     A float; traced where the chain's geometry is.
     """
     offsets = [*(joint.origin.position for joint in chain.joints[1:]), chain.tip.position]
     if all(errors.concrete(x) for p in offsets for x in p):
-        return max(sum(math.hypot(*map(float, p)) for p in offsets), 1e-3)
-    return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), 1e-3)
+        return max(sum(math.hypot(*map(float, p)) for p in offsets), least)
+    return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), least)
 
 
 def is_planar(chain: Chain) -> bool:
