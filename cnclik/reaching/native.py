@@ -150,12 +150,14 @@ class Native:
             if done < count:
                 found = self._told(made[done : done + 1], pose[k : k + 1], at)
 
-    def from_starts(self, pose, near, start):
-        """One careful search from each of (B, n) postures: what `Asked.reached` takes."""
+    def from_starts(self, pose, near, start, free=False):
+        """One careful search from each of (B, n) postures, `free` of all bounds or not: what `Asked.reached` takes."""
         made = np.zeros(len(pose), self.made)
         made["places"][:, 0], made["costs"][:, 1:], made["cost"], made["squares"] = start, np.inf, np.inf, np.inf
         made["steep"], roots = np.nan, np.ones(self.asked.task.m)
-        self._run(made, pose, near, downhill=1, tries=1, steps=CAREFUL, roots=roots)
+        wide = np.full(self.asked.chain.n, np.inf)
+        bounds = {"low": -wide, "high": wide, "jump": wide} if free else {}
+        self._run(made, pose, near, downhill=1, tries=1, steps=CAREFUL, roots=roots, **bounds)
         return self._answers(made)
 
     def _told(self, made, pose, near, report=None) -> Reached:
