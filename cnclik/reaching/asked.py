@@ -21,6 +21,7 @@ FREE = 128  # tries of the search without limits
 SURE = (
     256  # tries: of a million targets with an answer one or two have none after so many, for the worst of eight robots
 )
+CLOSE, LONGER = 0.1, 4  # [rad, units]: a target missed by less is searched for with so many times the seeds and budget
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
 
 
@@ -93,6 +94,10 @@ class Asked:
     def sure(self, looks):
         """Whether so many looks (...,) at tries within the bounds were enough to say that there is no answer."""
         return (self.seeds >= SURE) & (looks < self.budget)
+
+    def close(self, squares):
+        """Whether what is missed (..., 2) is so little that there may be an answer which is hard to find."""
+        return (squares.sum(axis=-1) < CLOSE**2) & (self.seeds >= SURE)
 
     def too_far(self, pose, xp=np):
         """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""

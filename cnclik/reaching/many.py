@@ -7,7 +7,7 @@ import numpy as np
 
 from cnclik.hints import as_here, form, use_form
 from cnclik.reaching import programs, search
-from cnclik.reaching.asked import Asked
+from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
 from cnclik.reaching.search import BLOCK, SMALLEST, Answers, Targets
@@ -57,7 +57,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         made.put(ids, search.first_tries(setup, targets.part(ids)))
 
     def later(ids, done=search.PLAIN, tries=setup.tries):
-        mine = setup._replace(tries=min(tries, setup.tries))
+        mine = setup._replace(tries=tries, budget=ENDLESS if tries > setup.tries else setup.budget)
         made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), done))
 
     def nearest(ids):
@@ -87,14 +87,17 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
                 with side_by_side() as pool:
                     list(pool.map(warm, ("float32", "float64")))
             on_all_cores(first, ~far | downhill)
-            on_all_cores(functools.partial(later, tries=EARLY), ~far)
+            on_all_cores(functools.partial(later, tries=min(EARLY, setup.tries)), ~far)
         # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
         with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
             on_all_cores(functools.partial(later, done=EARLY), ~far)
             sure = asked.sure(made.looks) & ~far
             if downhill:
-                on_all_cores(functools.partial(later, tries=TRIES_FAR), far)
+                on_all_cores(functools.partial(later, tries=min(TRIES_FAR, setup.tries)), far)
                 on_all_cores(nearest, ~made.found)
+            if asked.explain:
+                longer = functools.partial(later, done=setup.tries, tries=LONGER * setup.tries)
+                on_all_cores(longer, sure & asked.close(made.squares))
             for status, bounds, tries in asked.beyond():
                 on_all_cores(functools.partial(free, status, bounds, tries), sure)
     if progress is not None:

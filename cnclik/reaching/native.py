@@ -14,7 +14,7 @@ import numpy as np
 
 from cnclik.hints import hints_on
 from cnclik.native.compiler import build, can_build, closed_after, opened
-from cnclik.reaching.asked import Asked
+from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
 from cnclik.reaching.search import BLOCK, CAREFUL, DOWNHILL, PLACES, SMALLEST, setup_of
@@ -180,6 +180,10 @@ class Native:
         if asked.downhill:
             made["cost"][made["found"] == 0] = np.inf
             ids, part = more(known & (made["found"] == 0), still, downhill=1, tries=PLACES)
+            made[ids] = part
+        if asked.explain:
+            hard = sure & (made["found"] == 0) & asked.close(made["squares"])
+            ids, part = more(hard, still, done=self.tries, tries=LONGER * self.tries, budget=ENDLESS)
             made[ids] = part
         for status, bounds, tries in asked.beyond():
             wide = dict(zip(("low", "high", "jump"), (*bounds, np.full(asked.chain.n, np.inf)), strict=True))

@@ -17,7 +17,7 @@ from cnclik.hints import SMALL_ARRAYS, as_here, few_lanes, form, one_function, q
 from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
-from cnclik.reaching.asked import TOUCHING
+from cnclik.reaching.asked import LONGER, TOUCHING
 from cnclik.reaching.programs import filled, workers
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans, starts, turned
@@ -182,12 +182,16 @@ def _search(asked, pose, near, postures, to):
         first = postures[nearest_each(to, pose, TOGETHER, asked.seed)]
     task, roots = asked.unweighted(jnp)
     roots = None if roots is None else roots.astype(dtype)
-    most = jnp.where(far, ROUNDS_FAR, _rounds(asked.seeds)), asked.budget, asked.seed
+    rounds = jnp.where(far, ROUNDS_FAR, _rounds(asked.seeds))
+    most = rounds, (LONGER - 1) * rounds if asked.explain else 0 * rounds, asked.budget, asked.seed
 
     def placed(seed, low, high):
         return starts(seed, near, asked.periods, ends, low, high, jnp)
 
-    made = outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, placed, first, most, roots)
+    def hard(squares, tried):
+        return asked.close(squares) & asked.sure(tried) & ~far
+
+    made = outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, placed, first, most, hard, roots)
     return made, bounds, asked.sure(made.tried)
 
 
@@ -207,7 +211,7 @@ class Outcome(NamedTuple):
     why: object  # the status of the bounds that an answer was found in when there was none within the first; else 0
 
 
-def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, first, most, roots) -> Outcome:
+def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, first, most, hard, roots) -> Outcome:
     """Search for a target (12,).
 
     Args:
@@ -215,12 +219,13 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
         answer.
       postures: (K, n) to start later rounds from, by placed(posture, low, high). first: (TOGETHER, n) to start from.
       roots: of the weights by which the nearest pose is the nearest, or None.
-      most: rounds of seeds; looks; and the number of the first seeds.
+      most: rounds of seeds, and of others where hard(squared errors, looks) is true; looks; number of the first seeds.
     """
     dtype = target.dtype
     chain = cast(in_form(chain, first[0])[0], dtype)
-    rounds, budget, seed = most
-    last = rounds + DOWNHILL
+    rounds, longer, budget, seed = most
+    bottom = rounds + DOWNHILL
+    last = bottom + longer
     phases = [(0, bounds, last, last)]  # status, bounds, and where they begin and end
     for status, own, count in beyond:
         phases.append((int(status), own, phases[-1][-1], phases[-1][-1] + count))
@@ -235,7 +240,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
     def again(carry):
         r, kept, _, _ = carry
         wide = r >= last
-        down = (r >= rounds) & ~wide
+        down = (r >= rounds) & (r < bottom)
         low, high = (phase(r, [jnp.asarray(own[side], dtype) for _, own, _, _ in phases]) for side in (0, 1))
         number = (r * 37 + seed * 41) * TOGETHER % (len(postures) - TOGETHER)
         others = lax.dynamic_slice_in_dim(postures, number, TOGETHER)
@@ -248,13 +253,14 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
         q = sp.packed(at.best, axis=-1)
         k = jnp.argmin(jnp.where(at.arrived, -1.0, jnp.where(jnp.isfinite(at.cost), at.cost, jnp.inf)))
         new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
-        better = ~wide & ((new[2] < kept[2]) | at.arrived[k] | (r == rounds))
+        better = ~wide & ((r < bottom) & (new[2] < kept[2]) | at.arrived[k] | (r == rounds))
         looks = kept[4] + jnp.sum(at.looks)
         kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), looks)
         kept = (*kept, jnp.where(r < rounds, looks, kept[-1]))
         spent = (r < rounds) & (looks >= budget)
         why = jnp.where(at.arrived[k], phase(r, [jnp.int32(status) for status, *_ in phases]), 0)
-        return jnp.where(spent, rounds, r + 1), kept, at.arrived[k] & ~wide, why
+        easy = (r == bottom - 1) & ~hard(kept[1], kept[-1])
+        return jnp.where(spent, rounds, jnp.where(easy, last, r + 1)), kept, at.arrived[k] & ~wide, why
 
     far, none = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)
     start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, none, none
