@@ -22,6 +22,7 @@ SURE = (
     256  # tries: of a million targets with an answer one or two have none after so many, for the worst of eight robots
 )
 CLOSE, LONGER = 0.1, 4  # [rad, units]: a target missed by less is searched for with so many times the seeds and budget
+MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
 
 
@@ -86,7 +87,7 @@ class Asked:
         lower, upper = self.limited()
         some = []
         if self.jump is not None:
-            some.append((ReachStatus.JUMP, (lower, upper), self.seeds))
+            some.append((ReachStatus.JUMP, (lower, upper), LONGER * self.seeds))
         if (np.isfinite(lower) | np.isfinite(upper)).any():
             some.append((ReachStatus.AT_LIMIT, (np.full_like(lower, -np.inf), np.full_like(upper, np.inf)), FREE))
         return tuple(some) if self.explain else ()
@@ -123,8 +124,9 @@ class Asked:
         at_limit = (q <= lower + TOUCHING) | (q >= upper - TOUCHING)
         rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
         status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
+        missed = (position > MISSED * self.tolerance[0]) | (turn > MISSED * self.tolerance[1])
         told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1)
-        status = xp.where(told & sure, why, status)
+        status = xp.where(told & sure & missed, why, status)
         if self.accept is not None:
             near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])
             status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)

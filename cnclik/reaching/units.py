@@ -17,7 +17,7 @@ from cnclik.robot.posture import arm_length
 
 BASE = 16.0
 SMALLEST = 1e-5  # [m]: a shorter arm has no size of its own
-FAR = 1e9  # units that a target is searched for at, at most: squares of more overflow
+FAR = 1e4  # units: farther off the nearest pose is the same to rounding, and squares overflow in the end
 
 
 def in_units(chain: Chain):
