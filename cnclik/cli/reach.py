@@ -49,8 +49,8 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     solutions: int = 1
     """Different answers for each target."""
     seeds: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    """Postures to start from, at most, for each target; 256, of --map 32."""
-    budget: int = 10_000
+    """Postures to start from, at most, for each target; 512, of --map 32."""
+    budget: int = 25_000
     """Evaluations for each target, at most, while there is no answer."""
     limits: bool = True
     """Keep the joint limits."""
@@ -229,8 +229,8 @@ def _tell(made, summary, seconds):
 _MEANING = {
     "SOLVED": "within the tolerance",
     "ACCEPTED": "within --accept, not the tolerance",
-    "AT_LIMIT": "the arm would get there, its joint limits don't let it; the nearest pose is given",
-    "OUT_OF_REACH": "too far; the nearest pose is given",
+    "AT_LIMIT": "answers were found beyond the joint limits alone; the nearest pose is given",
+    "OUT_OF_REACH": "no answer was found, without limits either; the nearest pose is given",
     "JUMP": "only by a jump; no joint values are given",
     "OUT_OF_BUDGET": "not found, and not shown to be out of reach: try more --seeds or a larger --budget",
     "NON_FINITE": "the target is not finite",

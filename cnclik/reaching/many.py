@@ -25,7 +25,7 @@ ONE_BY_ONE = {"unrolled": 128, "rolled": 512}
 ENDLESS = 1 << 40  # looks
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
-DRAWN, MOST_DRAWN = 8, 64  # seeds of a round that looks for other solutions, of which each has twice as many
+DRAWN, MOST_DRAWN = 4, 64  # seeds of a round that looks for other solutions, of which each has twice as many
 EDGE = 1e-3  # [rad, m] beyond a bound: there may be an answer at it
 PATIENCE = 64  # seeds without another solution, and twice as many as there were before, after which there is none
 

@@ -52,16 +52,18 @@ def reach(
       task: "pose", "position", "orientation" or a `Task`, of which weights count for the nearest pose.
       tolerance: of position [m] and orientation [rad], to search for.
       accept: a wider pair: what is within it is ACCEPTED where the tolerance is not met.
-      near: joint values (n,) or (B, n) to search from, such as where the arm is now; "previous" for a path: each
-        target from the answer before it, the first from a posture of its own.
+      near: joint values (n,) or (B, n) to search from, such as where the arm is now, within the limits or not;
+        "previous" for a path: each target from the answer before it, the first from a posture of its own.
       jump: the most that any joint may be away from `near` [rad, m]; where there are answers, but none so near, the
         status is JUMP.
-      solutions: how many different ones are wanted for each target; the record's arrays get an axis for them, the
-        nearest to `near`, or to the middle of the limits, first.
-      seeds: postures to start from, at most, for each target. Few are needed where there is an answer; where there is
-        none, all are tried before that is said, so that 32 answer ten times as soon, and are wrong in 1 of 1,000.
+      solutions: how many different ones are wanted for each target: by 0.1 rad or m in some joint, whole turns apart,
+        or by 0.5 of a redundant arm. The record's arrays get an axis for them; of those found the nearest to `near`, or
+        to the middle of the limits, is first. Two take some 15 times as long as one, more than there are 400 times.
+      seeds: postures to start from, at most, for each target. Few are needed where there is an answer. Where none is
+        found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is said; with fewer it is OUT_OF_BUDGET.
       budget: evaluations for each target, at most, while there is no answer.
-      limits: whether to keep the chain's joint limits. A joint without any is given within half a turn of `near` or 0.
+      limits: whether to keep the chain's joint limits. A joint that may turn more than once is given in the
+        turn that is nearest to `near` or 0.
       explain: whether to find out, where there is no answer, why, and what the nearest pose is: most of the time that
         such a target takes. Else its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without a q.
       base: (4, 4) or (B, 4, 4), where the chain's base stands in the frame of the targets.
