@@ -18,9 +18,7 @@ from cnclik.robot.posture import arm_length
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
 FREE = 128  # tries of the search without limits
-SURE = (
-    256  # tries: of a million targets with an answer one or two have none after so many, for the worst of eight robots
-)
+SURE = 256  # tries, at least, before it is said that there is no answer
 CLOSE, LONGER = 0.1, 4  # [rad, units]: a target missed by less is searched for with so many times the seeds and budget
 MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
@@ -185,9 +183,7 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         chain=own,
         unit=unit,
         task=task_of(task),
-        tolerance=np.array(
-            [tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]
-        ),  # what is looked at is a chord
+        tolerance=np.array([tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # of a chord, as looked at
         accept=None if accept is None else _pair("accept", accept) / np.array([unit, 1.0]),
         jump=leaf(jump),
         seeds=np.int32(seeds),

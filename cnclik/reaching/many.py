@@ -187,9 +187,8 @@ def _drawn(asked, setup, targets, numbers) -> dict:
         made[-1][:] &= beyond <= 0
         if len(edge := np.flatnonzero((beyond > 0) & (beyond < EDGE))):  # by a rounding, perhaps
             some = mine._replace(bounds=(low, high)).part(edge)
-            for whole, part in zip(
-                made, _searched(asked, setup, some, np.clip(made[0][edge], *some.bounds), False), strict=True
-            ):
+            again = _searched(asked, setup, some, np.clip(made[0][edge], *some.bounds), False)
+            for whole, part in zip(made, again, strict=True):
                 whole[edge] = part
     made = asked.reached(mine.pose, mine.near, *made, *np.zeros((2, B * K), int))
     return {name: v.reshape(B, K, *v.shape[1:]) for name, v in fields(made).items()}
