@@ -199,7 +199,7 @@ _bounded = weakref.WeakKeyDictionary()  # {a function: its list of programs}
 
 def _bound(jitted):
     """Forget what is too much: programs, of the function that has most; and JAX's traces."""
-    every = dict(_bounded)
+    every = {one: _bounded[one] for ref in _bounded.keyrefs() if (one := ref()) is not None}
     while len(every[jitted]) > KEPT_PROGRAMS or sum(map(len, every.values())) > MOST_PROGRAMS:
         most = max(every, key=lambda one: len(every[one]))
         most.clear_cache()
