@@ -188,9 +188,8 @@ class Saturated:
             """The rows without the locked joints' columns."""
             return sp.rescale(rows, sp.each(lambda gone: 1.0 - gone, locked))
 
-        fixed = sp.each(
-            lambda l, h: jnp.where(l < h, zero, zero + 1.0), low, high
-        )  # a joint with one value is no joint
+        # A joint with a single value is no joint: out from the first pass on.
+        fixed = sp.each(lambda l, h: jnp.where(l < h, zero, zero + 1.0), low, high)
         reached = _beyond_reach(free(fixed), velocity)
 
         def one(at: _Pass, _):
