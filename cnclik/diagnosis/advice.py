@@ -19,6 +19,7 @@ LIKELY = 0.02  # share of the likeliest loop's probability from which on another
 CAREFUL = 0.25  # share of the probability of loops for which a gain may be too much
 CLOSE = 0.15  # share of the whole lateness by which dead times are the same
 OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do the same
+HALF_TURN = 3.5  # radians of an oscillation that must be seen, to be none of a path
 FOLDS = 3.0  # by e, over which what grows or shrinks is seen
 WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
 BOTH = "--alpha or a recorded step (--step) decides"
@@ -62,6 +63,8 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     if made["period"] > SLOW and (gain is None or not 1 / NEAR < gain / z < NEAR):
         made["confidence"] = min(made["confidence"], OTHER)
         notes.append("A path may have this period, too (--longest-period).")
+    if np.abs(np.angle(factor)) * FOLDS < HALF_TURN * np.abs(np.log(np.abs(factor))):  # bends of a path do as much
+        made["confidence"] = min(made["confidence"], OTHER)
     if made["period"] < 2.01:
         notes.append("Values return every second sample: z is above 1.")
     notes += _alike(likely, best, whole, gain, Ts)

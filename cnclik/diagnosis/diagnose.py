@@ -231,7 +231,7 @@ def _noise_driven(seen, longest, alpha, Ts) -> dict:
     if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
         return {}
     basis, _ = np.linalg.qr(trend(len(seen), longest if len(seen) > 3 * longest else None))
-    loops = excited(seen - basis @ (basis.T @ seen), Ts)
+    loops = excited(seen - basis @ (basis.T @ seen), Ts, None if alpha is None else alpha * Ts)
     return advice_excited(loops, alpha, Ts) if loops else {}
 
 

@@ -23,10 +23,10 @@ MAIN, LITTLE = (
 SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
 
 
-def excited(y, Ts) -> list:
+def excited(y, Ts, z=None) -> list:
     """Loops, the likeliest first, that noise keeps swinging; empty where none explains the recording.
 
-    Args: y: (N, k) without offset and path.
+    Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain where it is known.
     """
     y = _main(y)
     N = len(y)
@@ -49,8 +49,9 @@ def excited(y, Ts) -> list:
     best = min(tried, key=lambda one: one.score)
     if best.score + PENALTY * np.log(rows) * 3 > free or best.z <= 0:
         return []
-    odds = np.array([np.exp(TEMPER * (best.score - one.score)) * one.usual for one in tried])
-    found = [one._replace(share=float(o / odds.sum())) for one, o in zip(tried, odds, strict=True) if one.z > 0]
+    tried = [one for one in tried if one.z > 0]
+    odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) for one in tried]
+    found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
     found = sorted((one for one in found if one.share > 1e-3), key=lambda one: -one.share)
     return found if found and _left(found[0].slowest(Ts)) > SWINGS else []
 

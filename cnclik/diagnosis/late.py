@@ -51,6 +51,10 @@ class Loop(NamedTuple):
         """How usual its lag is among robots."""
         return 1.0 / (1.0 + (self.lag / USUAL) ** 2)
 
+    def as_known(self, z) -> float:
+        """How well its gain fits a known one, if there is one: at most 1."""
+        return 1.0 if z is None else float(np.exp(-0.5 * min((np.log(self.z / z) / KNOWN) ** 2, FAR)))
+
     def factors(self, Ts):
         """All factors of the loop."""
         if self.lag or self.delay != round(self.delay):
@@ -121,7 +125,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         return [*simple[:1], *(one for one in found if one is not (simple or [None])[0])], True
     alone = Loop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
     lagging = _family(factor, phase, Ts)
-    return [alone, *(one._replace(share=fit.as_known(one) * one.usual / len(lagging)) for one in lagging)], False
+    return [alone, *(one._replace(share=one.as_known(z) * one.usual / len(lagging)) for one in lagging)], False
 
 
 def _explained(loops, fit, noise) -> bool:
@@ -143,11 +147,6 @@ class _Fit(NamedTuple):
     def has_room(self, delay) -> bool:
         return delay + 1 + self.basis.shape[1] < len(self.y) // 2
 
-    def as_known(self, loop) -> float:
-        """How well its gain fits the known one: at most 1."""
-        off = 0.0 if self.z is None else min((np.log(loop.z / self.z) / KNOWN) ** 2, FAR)
-        return float(np.exp(-0.5 * off))
-
     def scored(self, loop: Loop) -> Loop:
         """A loop with its criterion: what is left when all its motions are projected out, and its gain."""
         N = len(self.y)
@@ -156,7 +155,7 @@ class _Fit(NamedTuple):
         left = self.y - q @ (q.T @ self.y)
         power = np.sum(left**2, axis=0) / max(N - q.shape[1], 1)
         floor = MODEL**2 * np.var(self.y, axis=0) + np.finfo(float).tiny
-        off = -2 * np.log(self.as_known(loop))
+        off = -2 * np.log(loop.as_known(self.z))
         return loop._replace(score=float(N * np.sum(np.log(power + floor))) + off, power=power)
 
     def whole(self, delay, factor, phase) -> Loop:
