@@ -26,6 +26,7 @@ MOST_SECONDS = 10.0  # of processor time that one input may take
 MOST_WAIT = 120.0  # and of the clock, where it waits for something
 MOST_BYTES = 1 << 30  # that the process may grow by
 MOST_CHARACTERS = 1000  # of a refusing line
+_PROGRESS = re.compile(r"[\d,]+ of [\d,]+ [^\n]*\n")  # a line of `cnclik.cli.progress`
 _QUIET = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)  # which nobody gets to see
 
 
@@ -98,9 +99,9 @@ def is_remark(warned) -> bool:
 def one_line(code, said: str) -> None:
     """Of a command that has left: raise ArgumentError for a refusal as it should be, AssertionError for another.
 
-    Remarks, each a line, may stand before it, or alone.
+    Remarks, each a line, may stand before it, or alone; so may progress, which a slow machine is told of.
     """
-    lines = said.splitlines(keepends=True)
+    lines = [line for line in said.splitlines(keepends=True) if not _PROGRESS.match(line)]
     assert all(line.startswith("cnclik: ") and len(line) <= MOST_CHARACTERS for line in lines), f"{said!r} on stderr"
     if code in (0, None):
         return
