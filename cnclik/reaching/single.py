@@ -255,8 +255,8 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
         new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
         better = ~wide & ((r < bottom) & (new[2] < kept[2]) | at.arrived[k] | (r == rounds))
         looks = kept[4] + jnp.sum(at.looks)
-        kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), looks)
-        kept = (*kept, jnp.where(r < rounds, looks, kept[-1]))
+        tried = jnp.where(r < rounds, looks, kept[5])
+        kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), looks, tried)
         spent = (r < rounds) & (looks >= budget)
         why = jnp.where(at.arrived[k], phase(r, [jnp.int32(status) for status, *_ in phases]), 0)
         easy = (r == bottom - 1) & ~hard(kept[1], kept[-1])
