@@ -37,7 +37,8 @@ def beyond(case) -> float:
         return -np.inf
     base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
     base = base if len(case.target) == 3 else base[list(case.law.task.linear)]
-    return float(np.linalg.norm(case.target - base) - arm_length(case.law.chain))
+    away = float(np.linalg.norm(case.target - base) - arm_length(case.law.chain))
+    return away if abs(away) > case.seen.floor else 0.0
 
 
 def too_many(case) -> bool:
