@@ -73,6 +73,8 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     r"\(feedforward=1\)": "(--feedforward 1)",
     r"pseudoinverse\(\)": "--inverse pseudoinverse",
     r"N = (\d+) steps": r"--N \1",
+    r"period = (\S+) s": r"--period \1",
+    r"limits saturation\(\)": "--limits saturation",
 }
 
 
