@@ -110,5 +110,6 @@ def _in_own(value, mark, known, Ts):
 
 
 def in_samples(samples: float, Ts: float) -> str:
-    """Dead time as "8 samples (80 ms)"."""
-    return f"{samples:g} sample{'s' * (samples != 1)} ({1e3 * samples * Ts:.4g} ms)"
+    """A time in samples as "8 samples (80 ms)"."""
+    count = f"{samples:.4g}"
+    return f"{count} sample{'s' * (count != '1')} ({1e3 * samples * Ts:.4g} ms)"

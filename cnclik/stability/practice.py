@@ -9,6 +9,7 @@ from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
+from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.stability.driven import (
     POINTS,
@@ -258,7 +259,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
     if drive.order or drive.feedback == "commanded":
         return ""
     late = drive.lumped.delay
-    said = f"Assumed: after {late:g} samples ({1e3 * late * Ts:.3g} ms) of dead time the drives follow at once"
+    said = f"Assumed: after {in_samples(late, Ts)} of dead time the drives follow at once"
     if not late:
         return "Assumed: the drives follow at once, without dead time, lag or servo."
     lagging = min(chosen, taking_back(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts

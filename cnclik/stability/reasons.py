@@ -6,7 +6,7 @@ from cnclik.integrate.status import Status
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.posture import arm_length
+from cnclik.robot.posture import beyond_arm
 from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky
 
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
@@ -63,9 +63,8 @@ def beyond(case) -> float:
     """By how much the target lies beyond the stretched arm [m]; negative where it doesn't, or that isn't known."""
     if case.target is None:
         return -np.inf
-    base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
-    base = base if len(case.target) == 3 else base[list(case.law.task.linear)]
-    away = float(np.linalg.norm(case.target - base) - arm_length(case.law.chain))
+    axes = (0, 1, 2) if len(case.target) == 3 else case.law.task.linear
+    away = float(beyond_arm(case.law.chain, np.asarray(case.target), axes))
     return away if abs(away) > case.seen.floor else 0.0
 
 

@@ -112,6 +112,15 @@ def test_out_of_reach():
     assert "can get no nearer than 0.55 m" in loud.sentence
 
 
+@pytest.mark.parametrize(("N", "kind"), [(30, "too short to tell"), (60, "converging"), (400, "settled")])
+def test_a_gantry_reaches_as_far_as_its_slides(N, kind):
+    """Its joints are all in one place at q = 0: an arm without any length."""
+    gantry = ck.from_dh([0.0] * 3, [np.pi / 2, np.pi / 2, 0.0], [0.0] * 3, kinds="PPP", lower=[-2] * 3, upper=[2] * 3)
+    target = ck.hold(np.asarray(ck.pose(gantry, np.ones(3)).position))
+    found = judge(ck.Law(gantry, ck.position(), alpha=0.5), target, N, q=np.zeros(3))
+    assert found.kind == Behaviour(kind) and "stretched arm" not in found.sentence
+
+
 def test_more_coordinates_than_joints():
     task = ck.pose_task("xy", "z")
     made = ck.Law(TWO, task, alpha=5.0, inverse=ck.damped(0.1))
