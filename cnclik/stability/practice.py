@@ -271,7 +271,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
 
 def _reason(gains, chosen, drive) -> str:
     if drive is None:
-        return "the largest without overshoot on the assumed drives, also were the dead time a sample longer"
+        return "the largest gain that does not overshoot on the assumed drives, even with one more sample of dead time"
     if drive.feedback == "commanded":
         return (
             "no overshoot, of the commands not even if the loop looked at them a sample late; it knows its own "
@@ -280,7 +280,7 @@ def _reason(gains, chosen, drive) -> str:
     if chosen < gains.z_recommended:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
     late = drive.lumped.delay
-    return f"the largest without overshoot, also were the dead time a sample longer than {late:g}"
+    return f"the largest gain that does not overshoot, even with one more sample of dead time than the {late:g} given"
 
 
 def _left(loop, now) -> tuple:

@@ -82,7 +82,7 @@ def test_numbers_that_are_not_finite_are_drawn_around():
 
 def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
     space = ck.from_dh([0.0, 1.0], [np.pi / 2, 0.0], [0.5, 0.0])  # turns about z, then lifts
-    law = ck.Law(space, ck.pose_task("xz", ""), alpha=1.0)
+    law = ck.Law(space, ck.position("xz"), alpha=1.0)
     made = run()
     way = np.array([ck.pose(space, q).position for q in made.q])
     made = ck.replace(made, x=way[:, [0, 2]], e=[0.1, -0.2] - 0 * way[:, :2])
@@ -90,7 +90,7 @@ def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
     np.testing.assert_allclose(np.transpose(tip.get_data_3d()), way, atol=1e-12)
     np.testing.assert_allclose(np.transpose(target.get_data_3d()), np.add(way, [0.1, 0.0, -0.2]), atol=1e-12)
     np.testing.assert_allclose(np.transpose(start.get_data_3d()), way[:1], atol=1e-12)
-    flat = ck.Law(ck.planar_arm([1.0, 0.8]), ck.pose_task("xy", ""), alpha=1.0)
+    flat = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=1.0)
     assert pictures.plot(run(), flat, "tip").axes[0].name != "3d"
 
 
