@@ -85,8 +85,6 @@ def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
                 raise ValueError(f"is {text!r}, with a unit and no number before it")
             written = [mark if w is None else w for w in written]
             continue
-        if mark and unit != "x" and any(w is None and v for v, w in zip(values, written, strict=True)):
-            raise ValueError(f"is {text!r}: write a unit behind each number, or once at the end, apart")
         values.append(float(found[0]))
         written.append(mark or None)
     if not values:
