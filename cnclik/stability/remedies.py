@@ -186,7 +186,7 @@ def nearer(case) -> tuple:
             found.append(_shifted(case, tip))
         elif not turns or case.reach_to(tip).solved:  # turned as it is wanted, which the nearest posture is not
             found.append(Remedy(change={"target": tip.tolist()}, words=f"bring the target to {_point(tip)}"))
-    if case.seen.visible and case.seen.reversing > REVERSING:
+    if case.seen.visible and case.seen.reversing > REVERSING and not case.seen.shrinks:
         found += gentle(case, "motion")
     return tuple(found)
 
