@@ -120,7 +120,7 @@ def test_a_disk_that_is_full_at_any_write_loses_no_file(solved, tmp_path, monkey
         else:
             break
         assert not list(tmp_path.rglob(".partial-*"))
-    assert failing == 8  # a probe of the room and two files of data, a probe and four figures: each failed once
+    assert failing == 9  # a probe of the room and two files of data, a probe and five figures: each failed once
     assert {p.name for p in out.iterdir()} == names
 
 
