@@ -233,7 +233,7 @@ def slower_joints(case) -> tuple:
         return *found, *(replace(one, mends="velocity") for one in less_null(case, share=0.5 / within))
     if excess <= 1 or law.null_velocity is not None or not case.loop[-1].prompt:  # drives move as they will
         return tuple(found)
-    if case.moving:  # where it is not the path that is too fast, gain and path have a share in it
+    if case.path:  # where it is not the path that is too fast, gain and path have a share in it
         return *(() if case.seen.by_error else slower_path(case, 0.8 / excess, "velocity")), *found
     words = f"reduce {_words(law, 0.9 / excess, 'to')}"
     return *found, Remedy(change={"alpha": _gain(law, 0.9 / excess)}, words=words, mends="velocity")
