@@ -107,7 +107,7 @@ def lower(case) -> tuple:
             words = "use method EXP-MIDPOINT, which has no such limit"
             made.append(Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion"))
         return tuple(made)
-    if leaky(law):  # more damping lets it pull more
+    if leaky(law) and case.radius <= 1:  # more damping lets it pull more
         return less_null(case)
     return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
 
