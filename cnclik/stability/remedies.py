@@ -102,7 +102,8 @@ def lower(case) -> tuple:
         if solved:
             words = "solve the stage with chord(2)"
             made.append(Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion"))
-        astray = case.moving and case.seen.size.max() > 10 * case.seen.largest  # there is more to it than the gain
+        astray = case.moving and case.seen.size.max() > 10 * case.seen.largest
+        astray = astray or reasons.beyond(case) > 0  # there is more to it than the gain
         if not (method.exponential or solved or astray or not drive.prompt or isinstance(law.inverse, Transpose)):
             words = "use method EXP-MIDPOINT, which has no such limit"
             made.append(Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion"))
