@@ -160,7 +160,8 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
     t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
     last = 0 if wild else len(run.residual)
-    some = np.linspace(max(last - len(seen.late) + 1, 0), last, LOOKED_AT).round().astype(int)
+    until = 0 if seen.bad is not None else len(run.residual)
+    some = np.linspace(max(until - len(seen.late) + 1, 0), until, LOOKED_AT).round().astype(int)
     wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some])]
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)

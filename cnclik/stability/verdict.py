@@ -190,7 +190,7 @@ def _held(case, error):
     if case.spans >= ENOUGH and (at := reasons.at_limits(case)):
         found = remedies.elsewhere(case) or remedies.nearer(case)
         return Behaviour.AT_LIMIT, f"{at}, and {error}", found
-    if not (case.stays or case.crawls) and _fallen(case) and np.all(np.diff(seen.late) < 0):
+    if not (case.stays or reasons.open_ended(case)) and _fallen(case) and np.all(np.diff(seen.late) < 0):
         found = (*remedies.raised(case), *remedies.to_the_end(case))
         return Behaviour.CONVERGING, f"slowly; {error}; {_radius(case)}", found
     if not case.stays:

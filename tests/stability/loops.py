@@ -319,7 +319,7 @@ def falsehood(loop, said, run, whole, of):
             return f"{finally_:.2g} later"
         if kind == "settled with lag" and path and finally_ < 0.2 * claimed:
             return f"the lag is {finally_:.2g} later"
-    if kind == "settled" and not calm(whole) and reverses(whole) > 0.15:
+    if kind == "settled" and not moving(loop, N) and not calm(whole) and reverses(whole) > 0.15:
         return "it shakes later"
     if kind == "converging" and finally_ > max((0.9 if "slowly" in said.sentence else 0.5) * claimed, floor):
         return f"{finally_:.2g} later"
@@ -425,7 +425,7 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
         least = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
         better = chatter(after) < 0.5 * chatter(run) or min(least) < 0.5
         calmer = better or calm(whole_after) or arrived(whole_after)
-        return calmer and late(whole_after) < max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]))
+        return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]))
     if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
         return True
     return late(after) < (0.3 if "N" in remedy.change else 0.95) * late(run) or arrived(after)
