@@ -394,7 +394,8 @@ def mended(loop, of, remedy):
 def excess(law, run):
     """Joint velocity over its limit, at most; 0 where no step is told to be too fast."""
     fast = np.any(run.status & int(Status.OVER_VELOCITY) != 0)
-    return fast * float(np.max(np.abs(run.qdot) / np.array(law.chain.velocity_limit, float)))
+    ratio = np.max(np.abs(run.qdot) / np.array(law.chain.velocity_limit, float))
+    return fast * float(max(ratio, 1.0))  # through a drive they may not have moved yet
 
 
 def outside(law, run):
