@@ -447,7 +447,7 @@ def grouped(pairs):
     groups = {}
     for loop, of, *more in pairs:
         N = SHORT * LONG if loop.N <= SHORT * LONG else MOST
-        key = str((jax.tree.structure((loop.law, loop.reference)), of.method, of.stage, N))
+        key = jax.tree.structure((loop.law, loop.reference)), of.method, str(of.stage)
         groups.setdefault((key, N), []).append((loop, of, *more))
     for (_, N), group in groups.items():
         of = group[0][1]
