@@ -27,7 +27,7 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.linear import first_above
 from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
-from cnclik.stability.settings import MOST_Z, settings
+from cnclik.stability.settings import MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
 # Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
@@ -317,5 +317,10 @@ def _notes(drive, steps) -> tuple:
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
         said.append(
             "Limits, noise and resolution of the drives have no part in this linear answer: `solve` shows them."
+        )
+    if drive is not None and drive.feedback == "rebased":
+        said.append(
+            f"Each position command begins at the measured joints: {REBASED}. Begin each command at the last one "
+            "(feedback commanded), or send velocities."
         )
     return tuple(said)

@@ -14,6 +14,7 @@ OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(
 LOOKAHEAD = 0.03  # [s], the least that a UR's servoj takes: a lag of its own
 UR = 0.03  # [s] of dead time, where nothing is known
 UNKNOWN = 0.25  # k_val where nothing is known: then a servo of ζ = 0.4 does as one of ζ = 0.8
+REBASED = "servos with ζ below 0.71 and dead time may swing or run away at any gain"  # measured: results/loops
 MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
 
 
@@ -39,7 +40,7 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     if rebased:
         made["Isaac Lab"] = (
             f'DifferentialIKControllerCfg(ik_method="pinv", ik_params={{"k_val": {rebased:.4g}}}): each position '
-            f"target begins at the measured joints{_settles(_rebased(safe), rebased, Ts)}"
+            f"target begins at the measured joints{_settles(_rebased(safe), rebased, Ts)}; {REBASED}"
         )
     if measured:
         made["MoveIt Servo"] = (

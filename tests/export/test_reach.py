@@ -157,7 +157,7 @@ def test_seeds_are_counted_and_options_checked(tmp_path):
 
 def test_from_the_command_line(tmp_path, capsys):
     main(["export", "ur5", "--what", "reach", "--seeds", "8", "--out", str(tmp_path / "made")])
-    assert "ur5: reach in double" in capsys.readouterr().out
+    assert "ur5, tip tool flange, task x y z rx ry rz: reach in double" in capsys.readouterr().out
     assert json.loads((tmp_path / "made" / "export.json").read_text())["what"] == "reach"
     chain = ck.ur5()
     q, (position,), (rotation,) = drawn(chain, 1)
