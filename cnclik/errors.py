@@ -4,8 +4,10 @@ Shapes are always checked; values only where they are concrete (never a tracer).
 is loaded for a message.
 """
 
+import contextlib
 import difflib
 import math
+import os
 import pathlib
 import sys
 import warnings
@@ -53,9 +55,10 @@ def path(name: str, value) -> pathlib.Path:
         found = pathlib.Path(value)
     except TypeError:
         raise fail(name, "be a path", f"is {value!r}") from None
-    if "\0" in str(found):
-        raise fail(name, "be a path", f"is {value!r}, with a NUL in it")
-    return found
+    with contextlib.suppress(UnicodeEncodeError):
+        if b"\0" not in os.fsencode(found):
+            return found
+    raise fail(name, "be a path", f"is {str(found)!r}, with a character that no path has")
 
 
 def concrete(value) -> bool:

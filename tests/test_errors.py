@@ -106,3 +106,9 @@ def test_a_message_is_one_short_line_whatever_it_speaks_of():
     for error in (errors.fail("n" * 10**6, "be", "is\n\x1b[31m"), ArgumentError("a\nb \x1b[2J" + "c" * 10**6)):
         said = str(error)
         assert len(said) <= 800 and said.isprintable() and "\\x1b" in said
+
+
+@pytest.mark.parametrize("path", ["a\0b", "\ud800"])
+def test_what_no_file_system_can_name_is_one_line(path):
+    with pytest.raises(errors.ArgumentError, match=r"Argument `out` must be a path, but is .*no path has"):
+        errors.path("out", path)
