@@ -67,7 +67,7 @@ class Observed(NamedTuple):
         """That joints are too fast, in words; empty where they are not."""
         if not self.too_fast:
             return ""
-        most = f", by up to {self.excess:.3g} times" if self.excess > 1 else ""  # a drive may not have moved so fast
+        most = f", up to {self.excess:.3g} times it" if self.excess > 1 else ""  # a drive may not have moved so fast
         steps = f"{self.too_fast} of {len(self.size) - 1} steps"
         return f"{steps} ask for more than a joint's velocity limit{most}"
 

@@ -164,7 +164,7 @@ def gentle(case, mends="error") -> tuple:
     rate = float(np.max(np.abs(np.asarray(law.alpha, float))))
     damping = max(0.1 * size, 3 * float(np.max(np.asarray(getattr(law.inverse, "damping", 0.0)))))
     most = min(float(np.min(np.array(law.chain.velocity_limit, float))), SMALL / Ts)
-    clamp = float(f"{min(0.1 * size, 1.4 * damping * most / rate):.2g}")
+    clamp = float(f"{min(0.1 * size, 1.4 * damping * most / rate if rate else np.inf):.2g}")
     words = f"use damped({damping:.2g}) with an error_clamp of ({clamp:.2g}, {clamp:.2g})"
     change = {"damping": float(f"{damping:.2g}"), "error_clamp": [clamp, clamp]}
     return (Remedy(change=change, words=words, mends=mends),)

@@ -164,6 +164,15 @@ def test_what_asks_for_more_than_joints_can_is_told_how_to_ask_for_less():
     assert moving.kind == Behaviour.SETTLED and moving.remedy.startswith("follow a slower path")
 
 
+def test_feed_forward_alone_past_a_singularity():
+    """alpha = 0 asks for nothing of an error: what is too fast is so by the path, and damping ends it."""
+    chain, q = ck.replace(TWO, velocity_limit=(1.0, 1.0)), np.array([0.3, 0.05])
+    tip = np.asarray(ck.pose(chain, q).position[:2])
+    found = judge(law(0.0, chain), ck.line(tip, np.array([1.0, 1.9]), duration=1.0), 100, q, 0.01)
+    assert found.kind == Behaviour.STALLED and "velocity limit" in found.sentence
+    assert "damped(" in found.remedy and "raise alpha" in found.remedy.lower()
+
+
 def test_following_a_line():
     """Without feed-forward the loop lags by v/alpha; with it, it follows."""
     path = ck.line(TIP, TIP + 0.7 * INWARD, duration=2.0)
