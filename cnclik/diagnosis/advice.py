@@ -40,7 +40,8 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     best = loops[0]
     if whole and kind is not Kind.SUSTAINED:
         own = best.slowest(Ts)
-        factor = own if np.angle(own) else factor  # a loop so calm doesn't swing, and the recording does
+        if np.angle(own):  # else a loop so calm doesn't swing, and the recording does
+            factor, kind = own, Kind.GROWING if np.abs(own) > 1 else Kind.RINGING
     made = _about(kind, factor, phase_delay(factor)) | {
         "delay": best.delay,
         "whole": whole,
@@ -89,7 +90,7 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
 def advice_excited(loops, alpha, Ts) -> dict:
     """Fields of a `Diagnosis` of a loop that noise keeps swinging."""
     best, factor = loops[0], loops[0].slowest(Ts)
-    made = _about(Kind.RINGING, factor, phase_delay(factor)) if factor.imag else {"kind": Kind.RINGING}
+    made = _about(Kind.RINGING, factor, phase_delay(factor))
     limits, share = limits_of(best, Ts), _careful(loops, Ts)
     notes = ["Noise excites it again and again.", *_alike(loops, best, False, None, Ts)]
     if alpha is not None and not 1 / NEAR < alpha * Ts / best.z < NEAR:
@@ -99,7 +100,7 @@ def advice_excited(loops, alpha, Ts) -> dict:
     made |= {"lag": best.lag or None}
     made |= {"stable": limits.stable, "monotone": limits.monotone, "recommended": share * best.z, "factor": share}
     sure = min(_confidence(loops, True), WHOLE)
-    if made.get("period", 0.0) > SLOW:
+    if made["period"] > SLOW:
         sure = min(sure, OTHER)
         notes.append("A path may have this period, too (--longest-period).")
     made |= {"confidence": sure, "note": " ".join(notes)}

@@ -13,13 +13,12 @@ from cnclik.diagnosis.late import TEMPER, Loop
 DEAD = 60  # samples of dead time, at most
 LAGS = (0.7, 1.5, 3.0, 5.0, 8.0, 13.0, 20.0)  # in samples
 COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
-FREE = (1, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete
+FREE = (2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: one of order 1 that swings
+# is a loop without dead time
 PENALTY = 1.0  # on the logarithm of the number of rows, for each number
 MODEL = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
-MAIN, LITTLE = (
-    3,
-    0.3,
-)  # parts of the columns that are looked at, at most, and share of the largest of a part that is none
+MAIN = 3  # parts of the columns that are looked at, at most
+LITTLE = 0.3  # share of the largest part, below which a part is none
 SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
 
 
@@ -31,23 +30,23 @@ def excited(y, Ts, z=None) -> list:
     y = _main(y)
     N = len(y)
     most = min(DEAD, N // 8)
+    rows = N - most - 3
+    number = PENALTY * np.log(rows)
     floor = MODEL**2 * np.var(np.diff(y, axis=0), axis=0) + np.finfo(float).tiny
-    tried = []
+    tried, least = [], np.inf
     for lag, half in ((0.0, 0), *itertools.product(LAGS, (0, 1))):
         keep, b = _drive(lag)
         b = np.convolve(b, [0.5, 0.5]) if half else b  # half a sample more
         a = np.convolve([1.0, -1.0], [1.0, -keep]) if lag else np.array([1.0, -1.0])
         for colour in COLOURS:
             for c in ([1.0, -colour], np.convolve([1.0, -colour], [1.0, -keep])) if lag else ([1.0, -colour],):
-                tried += _over_dead_times(y, a, b, c, Loop(0.5 * half, lag * Ts, 0.0), most, floor)
-    rows = N - most - 3
-    free = min(
-        _autoregression(y, p, most + 3, floor) + PENALTY * np.log(rows) * p
-        for p in FREE
-        if p < min(rows // 4, most + 3)
-    )
+                made = _over_dead_times(y, a, b, c, Loop(0.5 * half, lag * Ts, 0.0), most, floor)
+                # Its gain is a number, and so are a lag and a colour; its dead time is what an order is to the other.
+                least = min(least, min(one.score for one in made) + number * (1 + (lag > 0) + (colour > 0)))
+                tried += made
+    free = min(_autoregression(y, p, most + 3, floor) + number * p for p in FREE if p < min(rows // 4, most + 3))
     best = min(tried, key=lambda one: one.score)
-    if best.score + PENALTY * np.log(rows) * 3 > free or best.z <= 0:
+    if least > free or best.z <= 0:
         return []
     tried = [one for one in tried if one.z > 0]
     odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) for one in tried]

@@ -57,6 +57,7 @@ def _pink_mink_line(tuned) -> str:
     z = min(z, 1.0)
     line = f"task = FrameTask(..., gain={z:.6g})"
     line += f"; solve_ik(..., dt={tuned.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
+    line += "; a PostureTask takes this gain, too (1 if left out)"
     if tuned.method.name != EE.name:
         euler = abs(float(amplification("EE", None, z)))
         line += f"; they step by explicit Euler: the error shrinks by {euler:.4g} per step there"

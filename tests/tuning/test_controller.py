@@ -38,4 +38,5 @@ def test_pink_and_mink_let_an_error_decay_as_an_exponential_method_does():
     gain = float(re.search(r"gain=([\d.]+)", line)[1])
     assert gain == pytest.approx(1 - math.exp(-1.5), abs=1e-6)
     assert f"shrinks by {math.exp(-1.5):.4g} per step" in line
+    assert "PostureTask takes this gain, too" in line
     assert controller_lines(tuned("HEUN"))["pink_mink"].startswith("no line: z = 1.5")
