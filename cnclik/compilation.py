@@ -73,7 +73,7 @@ def machine() -> str:
 def cut(folder: pathlib.Path, most_bytes: int) -> None:
     """Remove the programs in a folder that were used longest ago, until the rest fits, and nothing else."""
     found = []
-    for path in folder.glob("jaxlib-*/*-cache"):
+    for path in (*folder.glob("jaxlib-*/*-cache"), *folder.glob("jaxlib-*/*.so")):
         with contextlib.suppress(OSError):  # another process may be at it, too
             if os.path.isfile(path):
                 about = path.stat()

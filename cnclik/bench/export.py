@@ -24,7 +24,7 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.solve import step as jax_step
 from cnclik.integrate.stage import picard
 from cnclik.law.reference import hold
-from cnclik.native.compiler import build, opened
+from cnclik.engine.compiler import build, opened
 from cnclik.record import placed
 
 CALLS = 1_000_000

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from cnclik.hints import in_kernel
-from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, each, known, moved, walk
+from cnclik.engine.cells import CALLS, array_of, called, consts_and_carry, each, known, moved, walk
 
 TILE = 128  # lanes per program, four warps
 

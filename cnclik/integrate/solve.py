@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
+from cnclik.hints import alone, bounded_jit, checkpointed, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance, advanced
 from cnclik.integrate.drive import Drive, check_drive
@@ -218,7 +218,7 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
             made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
             return (made.q, made.history), replace(made, q=q, history=None)
 
-        one = jax.checkpoint(one, prevent_cse=False, static_argnums=0)
+        one = checkpointed(one)
         state = start, memory.blank(law, start, method)
         steps, last = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
         return last if end else (steps, last)

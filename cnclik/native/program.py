@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from cnclik.hints import few_lanes, use_form, use_hints
-from cnclik.integrate.cells import array_of
+from cnclik.engine.cells import array_of
 from cnclik.native.graph import REAL, Graph
 from cnclik.native.reader import Reader, repeats
 
