@@ -158,7 +158,7 @@ def _logic(absorbing):
 def _pow(g, args, params, dtype):
     """As XLA does: by squaring."""
     y, x, out = abs(params), args[0], None
-    if not 1 <= y <= EXPANDED or dtype.kind != "f" and params < 0:
+    if not 1 <= y <= EXPANDED or (dtype.kind != "f" and params < 0):
         return None
     while y:
         if y & 1:

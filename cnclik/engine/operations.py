@@ -13,7 +13,7 @@ TYPES = {  # of NumPy: (a vector of lanes, a number)
     **{f"uint{b}": (f"U{b}", f"uint{b}_t") for b in (8, 16, 32, 64)},
     "bool": ("M", "uint8_t"),
 }
-COST = dict.fromkeys("sin cos tan exp log atan2 expm1 log1p pow tanh asin acos sinh cosh exp2 logistic".split(), 30)
+COST = dict.fromkeys(["sin", "cos", "tan", "exp", "log", "atan2", "expm1", "log1p", "pow", "tanh", "asin", "acos", "sinh", "cosh", "exp2", "logistic"], 30)
 COST |= {"div": 6, "sqrt": 8, "rsqrt": 10, "rem": 10}
 
 _BINARY = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -24,8 +24,8 @@ _TRUTH = {  # operations on masks
     **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
 }
 LIBRARY = {  # functions of C's library, called lane by lane: how many arguments they have
-    **dict.fromkeys("tan exp log expm1 log1p tanh asin acos sinh cosh floor ceil atan cbrt erf exp2".split(), 1),
-    **dict.fromkeys("asinh acosh atanh".split(), 1),
+    **dict.fromkeys(["tan", "exp", "log", "expm1", "log1p", "tanh", "asin", "acos", "sinh", "cosh", "floor", "ceil", "atan", "cbrt", "erf", "exp2"], 1),
+    **dict.fromkeys(["asinh", "acosh", "atanh"], 1),
     **{"pow": 2, "fmod": 2, "nextafter": 2, "round": 1},
 }
 

@@ -75,7 +75,7 @@ def _is_plain(item) -> bool:
     """Whether an item may be part of a function of its own: it reads scalars and arguments alone."""
     if not isinstance(item, Node) or item.shape:
         return False
-    return is_operation(item) or item.op == "pick" or item.op == "index" and item.args[0].op == "input"
+    return is_operation(item) or item.op == "pick" or (item.op == "index" and item.args[0].op == "input")
 
 
 def _is_inline(group) -> bool:

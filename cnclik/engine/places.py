@@ -101,7 +101,7 @@ def _put(g, out, number, inside, update, combine):
 
 def _start(g, index, most, mode):
     """(a start within bounds, whether it was so; None: it is)."""
-    if mode == _Mode.PROMISE_IN_BOUNDS or index.known and 0 <= int(index.value) <= most:
+    if mode == _Mode.PROMISE_IN_BOUNDS or (index.known and 0 <= int(index.value) <= most):
         return index, None
     held = _held(g, index, most)
     return held, None if mode == _Mode.CLIP else g.op("eq", held, index)

@@ -49,7 +49,7 @@ def _scan(reader, eqn, *inputs):
     outside, g.block = g.block, r.block
     made = reader.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *_unflat(r.carries, carried), *rows])
     r.then = _flat(reader, made[:nk])
-    deep = [type(v) is Rows and all(not c.shape or c.op == "stacked" and c.block is r.block for c in v.cells.flat)
+    deep = [type(v) is Rows and all(not c.shape or (c.op == "stacked" and c.block is r.block) for c in v.cells.flat)
             for v in made[nk:]]  # fmt: skip
     for v, is_deep in zip(made[nk:], deep, strict=True):
         r.ys += list(v.cells.flat) if is_deep else list(reader.cells(v).flat)

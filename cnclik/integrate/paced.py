@@ -1,6 +1,5 @@
 """solve with a pace: the loop in time, whose steps are scaled to limits, and whose path waits."""
 
-import jax
 import jax.numpy as jnp
 
 from cnclik.hints import checkpointed, keeps_history
