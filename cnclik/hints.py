@@ -23,7 +23,6 @@ from cnclik.record import combine, partition
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
 _form = jax.make_user_context(default_value=None)
-_read = jax.make_user_context(default_value=False)  # whether what is traced is read by the engine
 # Compiled or traced programs that a cache of this library keeps. Of `Recent` the least recently used one goes, a
 # `bounded_jit` begins anew.
 KEPT_PROGRAMS = 128
@@ -88,24 +87,7 @@ def as_here(fn):
 
 def _around():
     """All that tracing depends on besides arguments and JAX's settings."""
-    return _context.value, _lanes.value, _form.value, _read.value
-
-
-@contextlib.contextmanager
-def to_be_read():
-    """Context manager: what is traced inside is read by `cnclik.engine`: numbers written out, without any hint."""
-    with _context(False), _form("unrolled"), _lanes(0), _read(True):
-        yield
-
-
-def is_read() -> bool:
-    """Whether what is traced is read by the engine."""
-    return _read.value
-
-
-def checkpointed(step):
-    """`jax.checkpoint` of a loop's step, which XLA needs; the engine itself finds what a gradient should store."""
-    return step if _read.value else jax.checkpoint(step, prevent_cse=False, static_argnums=0)
+    return _context.value, _lanes.value, _form.value
 
 
 def on_cpu() -> bool:

@@ -46,7 +46,8 @@ def native(fn):
 class Function:
     """A function of flat arrays with its programs, and the functions of its derivatives.
 
-    `linear` is how many of the last arguments it is linear in; `of` then is (what it is the derivative of, by which).
+    `linear` is how many of the last arguments it is linear in; `of` then is (what it is the derivative of, by which of
+    its arguments, which of its results are real).
     """
 
     def __init__(self, fn, linear=0, of=None):
@@ -75,19 +76,20 @@ class Function:
         """
         key = "jvp", by, real
         if key not in self.derivatives:
-            self.derivatives[key] = Function(functools.partial(_pushed, self._flat, by, real), len(by), (self, by, real))
+            made = functools.partial(_pushed, self._flat, by, real)
+            self.derivatives[key] = Function(made, len(by), (self, by, real))
         return self.derivatives[key]
 
     def transposed(self):
         """The cotangents of the last, linear arguments, as a function of the others and of the results' cotangents."""
         if "vjp" not in self.derivatives:
-            made = _pulled if self.of is None else functools.partial(_pulled_back, self.of[0]._flat, *self.of[1:])
-            self.derivatives["vjp"] = Function(made)
+            of, by, real = self.of
+            self.derivatives["vjp"] = Function(functools.partial(_pulled_back, of._flat, by, real))
         return self.derivatives["vjp"]
 
 
-def _pushed(fn, by, real, *args):
-    args, tangents = args[: len(args) - len(by)], args[len(args) - len(by) :]
+def _restricted(fn, by, real, args):
+    """A function of the arguments numbered `by`, the others fixed, to its real results; and those arguments."""
 
     def of_some(*some):
         full = list(args)
@@ -95,20 +97,18 @@ def _pushed(fn, by, real, *args):
             full[i] = x
         return [x for x, wanted in zip(fn(*full), real, strict=True) if wanted]
 
-    return jax.jvp(of_some, tuple(args[i] for i in by), tuple(tangents))[1]
+    return of_some, [args[i] for i in by]
+
+
+def _pushed(fn, by, real, *args):
+    first = len(args) - len(by)
+    return jax.jvp(*_restricted(fn, by, real, args[:first]), list(args[first:]))[1]
 
 
 def _pulled_back(fn, by, real, *args):
-    count = sum(real)
-    args, cotangents = args[: len(args) - count], args[len(args) - count :]
-
-    def of_some(*some):
-        full = list(args)
-        for i, x in zip(by, some, strict=True):
-            full[i] = x
-        return [x for x, wanted in zip(fn(*full), real, strict=True) if wanted]
-
-    return jax.vjp(of_some, *(args[i] for i in by))[1](list(cotangents))
+    first = len(args) - sum(real)
+    of_some, some = _restricted(fn, by, real, args[:first])
+    return jax.vjp(of_some, *some)[1](list(args[first:]))
 
 
 native_p = Primitive("cnclik_native")
@@ -194,12 +194,16 @@ def _is_real(aval):
     return np.issubdtype(aval.dtype, np.floating)
 
 
+def _nothing(primal):
+    return ad.Zero(jax.typeof(primal).to_tangent_aval())
+
+
 def _jvp(primals, tangents, *, function, batched):
     made = native_p.bind(*primals, function=function, batched=batched)
     by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
     real = tuple(_is_real(x) for x in made)
     if not by or not any(real):
-        return made, [ad.Zero(jax.typeof(x).to_tangent_aval()) for x in made]
+        return made, list(map(_nothing, made))
     found = iter(
         native_p.bind(
             *primals,
@@ -208,7 +212,7 @@ def _jvp(primals, tangents, *, function, batched):
             batched=(*batched, *(batched[i] for i in by)),
         )
     )
-    return made, [next(found) if r else ad.Zero(jax.typeof(x).to_tangent_aval()) for x, r in zip(made, real, strict=True)]
+    return made, [next(found) if r else _nothing(x) for x, r in zip(made, real, strict=True)]
 
 
 def _transpose(cotangents, *args, function, batched):

@@ -13,7 +13,8 @@ TYPES = {  # of NumPy: (a vector of lanes, a number)
     **{f"uint{b}": (f"U{b}", f"uint{b}_t") for b in (8, 16, 32, 64)},
     "bool": ("M", "uint8_t"),
 }
-COST = dict.fromkeys(["sin", "cos", "tan", "exp", "log", "atan2", "expm1", "log1p", "pow", "tanh", "asin", "acos", "sinh", "cosh", "exp2", "logistic"], 30)
+_COSTLY = "sin cos tan exp log atan2 expm1 log1p pow tanh asin acos sinh cosh exp2 logistic"
+COST = dict.fromkeys(_COSTLY.split(" "), 30)
 COST |= {"div": 6, "sqrt": 8, "rsqrt": 10, "rem": 10}
 
 _BINARY = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -23,11 +24,9 @@ _TRUTH = {  # operations on masks
     **{"eq": "~({0} ^ {1})", "ne": "{0} ^ {1}", "lt": "~{0} & {1}", "le": "~{0} | {1}", "gt": "{0} & ~{1}"},
     **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
 }
-LIBRARY = {  # functions of C's library, called lane by lane: how many arguments they have
-    **dict.fromkeys(["tan", "exp", "log", "expm1", "log1p", "tanh", "asin", "acos", "sinh", "cosh", "floor", "ceil", "atan", "cbrt", "erf", "exp2"], 1),
-    **dict.fromkeys(["asinh", "acosh", "atanh"], 1),
-    **{"pow": 2, "fmod": 2, "nextafter": 2, "round": 1},
-}
+_LIBRARY = "tan exp log expm1 log1p tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
+# Functions of C's library, called lane by lane: how many arguments they have.
+LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextafter": 2}
 
 
 def vector(dtype) -> str:
@@ -132,7 +131,8 @@ def _converted(x, old, new):
         top = old.type(2.0**about.bits if new.kind == "u" else 2.0 ** (about.bits - 1))
         below, low = number(np.nextafter(top, old.type(0)), old), number(about.min, old)
         held = f"held_{S}({x}, {low}, {below})"
-        return f"select_{T}(MASK({x} >= {number(top, old)}), splat_{T}({number(about.max, new)}), __builtin_convertvector({held}, {T}))"
+        most, inside = f"splat_{T}({number(about.max, new)})", f"__builtin_convertvector({held}, {T})"
+        return f"select_{T}(MASK({x} >= {number(top, old)}), {most}, {inside})"
     return f"__builtin_convertvector({x}, {T})"
 
 

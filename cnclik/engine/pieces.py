@@ -11,7 +11,7 @@ _ARGUMENTS = "(char *restrict env, const void *const *in, const int64_t *stride,
 
 
 def in_pieces(writer, items, ending):
-    """Writes the items of a block as functions of at most `writer.piece` statements; loops and branches stay outside."""
+    """Writes the items of a block as functions of some statements each; loops and branches stay outside."""
     groups = _groups(items, writer.piece)
     home = {n.number: k for k, group in enumerate(groups) for n in group if isinstance(n, Node) and len(group) > 1}
     home |= {n.number: k for k, group in enumerate(groups) for n in group if isinstance(n, Node)}

@@ -11,7 +11,8 @@ from cnclik.engine.compiler import CompilerError, build_text, can_build, closed_
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.reader import read
 from cnclik.engine.source import write
-from cnclik.hints import Recent, to_be_read
+from cnclik.engine.tracing import to_be_read
+from cnclik.hints import Recent
 from cnclik.threads import side_by_side
 
 MOST_WORK = 64 << 20  # bytes of a tile's memory

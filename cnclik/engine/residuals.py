@@ -17,7 +17,7 @@ ALWAYS = 1 << 20
 
 
 def computed_anew(g, r, rows) -> dict:
-    """{number of a row that another scan stacks up: its node inside the scan `r`, from as little as is worth storing}."""
+    """{number of a row that another scan stacks up: its node inside the scan `r`}."""
     sources = {}
     for c in rows:
         if c.shape and c.op == "stacked" and isinstance(c.value[0], Scan) and c.value[0].length == r.length:

@@ -38,7 +38,7 @@ def needed_rows(graph, needed, others) -> set:
 
 
 def places_needed(graph, needed) -> set:
-    """Numbers of the rows that are computed into memory, because they are read at other rounds than they are made in."""
+    """Numbers of the rows that are computed into memory: they are read at other rounds than they are made in."""
     found = set()
 
     def placed(n):

@@ -13,6 +13,7 @@ from cnclik.engine.to_c import Writer
 FOLDER = pathlib.Path(__file__).parent / "c"
 LONG = 20_000  # operations from which on a program is written in pieces
 PIECE = 1_000
+_TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *work"
 _REAL = {"float32": ("S32", "int32_t", "f"), "float64": ("S64", "int64_t", "")}
 
 
@@ -39,9 +40,7 @@ def write(graph, given, outs, shapes) -> tuple:
     size = main.itemsize
     text = [f"#define MAIN {size}", header("vectors.h"), *_types(writer, main)]
     text += [f"#define WORK ((int64_t){writer.work})", *writer.tables, *(body for _, body in writer.parts)]
-    text += [
-        "static void tile(int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *work)"
-    ]
+    text += [f"static void tile({_TILE})"]
     text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes), header("handler.h")]
     return "\n".join(text) + "\n", writer.operations
 

@@ -201,7 +201,7 @@ def _slice(g, eqn, x):
     cuts = list(zip(p["start_indices"], p["limit_indices"], strides, strict=True))
     start, _, stride = cuts[0]
     length = eqn.outvars[0].aval.shape[0]
-    inner = Rows(x.cells[tuple(slice(*cut) for cut in cuts[1:])], x.length)
+    inner = Rows(x.cells[(..., *(slice(*cut) for cut in cuts[1:]))], x.length)
     return [_each(inner, lambda c: slid(g, c, start, stride, length), length)]
 
 

@@ -349,7 +349,7 @@ def _direct(outs) -> dict:
     found = {}
     for k, out in enumerate(outs):
         cells = cells_of(out)
-        if isinstance(out, Rows) and cells and all(c.op == "stacked" and len(c.shape) == 1 for c in cells):
-            if len({id(c.value[0]) for c in cells}) == 1 and cells[0].block.parent is None:
-                found[k] = out
+        whole = isinstance(out, Rows) and cells and all(c.op == "stacked" and len(c.shape) == 1 for c in cells)
+        if whole and len({id(c.value[0]) for c in cells}) == 1 and cells[0].block.parent is None:
+            found[k] = out
     return found

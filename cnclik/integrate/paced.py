@@ -2,7 +2,8 @@
 
 import jax.numpy as jnp
 
-from cnclik.hints import checkpointed, keeps_history
+from cnclik.engine.tracing import checkpointed
+from cnclik.hints import keeps_history
 from cnclik.integrate.advance import advance
 from cnclik.integrate.history import blank
 from cnclik.integrate.pace import check_pace, pace_at_rest, share

@@ -12,7 +12,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import alone, bounded_jit, checkpointed, few_lanes, keeps_history, one_function, quick_jit
+from cnclik.engine.tracing import checkpointed
+from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance, advanced
 from cnclik.integrate.drive import Drive, check_drive

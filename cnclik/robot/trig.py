@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.hints import is_read, on_cpu, opaque
+from cnclik.engine.tracing import is_read
+from cnclik.hints import on_cpu, opaque
 
 RANGE = 1e4
 
