@@ -16,7 +16,7 @@ REDUCTIONS = {
     **{"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or"},
     **{"reduce_prod": "mul", "reduce_xor": "xor"},
 }
-_RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 MOST_SORTED = 48
 
 
@@ -37,7 +37,7 @@ def empty(g, eqn):
 
 
 def _running(g, eqn, x):
-    axis, back, op = eqn.params["axis"], eqn.params["reverse"], functools.partial(g.op, _RUNNING[eqn.primitive.name])
+    axis, back, op = eqn.params["axis"], eqn.params["reverse"], functools.partial(g.op, RUNNING[eqn.primitive.name])
     x = np.moveaxis(np.flip(x, axis) if back else x, axis, -1)
     rows = [cell for row in x.reshape(-1, x.shape[-1]) for cell in itertools.accumulate(row, op)] if x.size else []
     found = np.moveaxis(array_of(rows, x.shape), -1, axis)
@@ -149,7 +149,7 @@ def _before(g, pairs):
 
 ARRAYS = {
     **dict.fromkeys(REDUCTIONS, _reduce),
-    **dict.fromkeys(_RUNNING, _running),
+    **dict.fromkeys(RUNNING, _running),
     **{"iota": _concrete, "platform_index": _platform, "split": _split, "pad": _pad, "dot_general": _dot_general},
     **{"argmax": _arg("gt"), "argmin": _arg("lt"), "sort": _sort},
 }

@@ -9,8 +9,9 @@ import numpy as np
 from jax.interpreters import partial_eval
 
 from cnclik.engine import stacks
-from cnclik.engine.arrays import ARRAYS, REDUCTIONS
+from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
 from cnclik.engine.cells import CALLS, MOVES, array_of, called, walk
+from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
 from cnclik.engine.places import PLACES, out_of_whole
@@ -69,6 +70,8 @@ class Reader:
             return self.run(*called(eqn.params), inputs)
         if name in _PASSED_ON:
             return list(inputs)
+        if name == model_p.name:
+            return [self._of_the_model(*inputs)]
         if name in REGIONS:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
@@ -84,6 +87,12 @@ class Reader:
         if sum(v.aval.size for v in eqn.outvars) > LIMIT:
             raise UnsupportedError(f"`{name}` makes an array of {eqn.outvars[0].aval.size} entries")
         return self._of_cells(name, eqn, cells)
+
+    def _of_the_model(self, x):
+        """The same, with what is known marked."""
+        if not is_cells(x):
+            return x
+        return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
 
     def _of_cells(self, name, eqn, cells):
         if name in MOVES:
@@ -117,6 +126,8 @@ class Reader:
             return stacks.elementwise(self.g, eqn, rows, params_of(eqn), _SAME.get(name, name))
         if name in REDUCTIONS and isinstance(rows[0], Rows):
             return [stacks.reduced(self.g, rows[0], eqn.params["axes"], REDUCTIONS[name], eqn.outvars[0].aval.dtype)]
+        if name in RUNNING and (found := stacks.running(self.g, eqn, rows[0], RUNNING[name])) is not None:
+            return found
         if name in stacks.OVER_ROWS and (found := stacks.OVER_ROWS[name](self.g, eqn, *rows)) is not None:
             return found
         return stacks.moved(self.g, eqn, rows[0]) if name in MOVES and len(rows) == 1 else None

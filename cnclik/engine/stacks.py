@@ -313,12 +313,13 @@ def reduced(g, x, axes, name, dtype):
 
 def _over_rounds(g, rows, length, name):
     """One node for each row: all its entries put together by an operation."""
-    if not rows:
-        return []
-    r = Scan(g.block, length)
-    r.xs = list(rows)
-    shapes = [((), c.dtype) for c in rows]
-    r.first = [_start(g, name, c) for c in rows]
+    return _loop(g, rows, length, name).outs if rows else []
+
+
+def _loop(g, rows, length, name, *, reverse=False) -> Scan:
+    """A loop that puts the entries of rows together by an operation."""
+    r, shapes = Scan(g.block, length, reverse), [((), c.dtype) for c in rows]
+    r.xs, r.first = list(rows), [_start(g, name, c, length - 1 if reverse else 0) for c in rows]
     r.carries = g.nodes(r, "carry", shapes, r.block)
     r.rows = g.nodes(r, "row", shapes, r.block)
     outside, g.block = g.block, r.block
@@ -326,12 +327,22 @@ def _over_rounds(g, rows, length, name):
     g.block = outside
     outside.items.append(r)
     r.outs = g.nodes(r, "end", shapes, outside)
-    return r.outs
+    return r
 
 
-def _start(g, name, row):
+def running(g, eqn, x, name):
+    """A running reduction over axis 0 of rows: cumsum and its kin; None over another axis."""
+    if eqn.params["axis"] != 0:
+        return None
+    moving = [c if c.shape else g.shared("list", (c,) * x.length, None, (x.length,), c.dtype) for c in x.cells.flat]
+    r = _loop(g, moving, x.length, name, reverse=eqn.params["reverse"])
+    r.ys = list(r.then)
+    return [Rows(array_of([stacked_node(g, r, i) for i in range(len(r.ys))], x.cells.shape), x.length)]
+
+
+def _start(g, name, row, k):
     if name in ("max", "min"):
-        return entry(g, row, 0)
+        return entry(g, row, k)
     return g.const({"add": 0, "mul": 1, "or": 0, "xor": 0, "and": -1 if row.dtype.kind in "iu" else 1}[name], row.dtype)
 
 
