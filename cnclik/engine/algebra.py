@@ -150,6 +150,8 @@ def _logic(absorbing):
         for x, y in (args, args[::-1]):
             if x.known and dtype.kind == "b":
                 return x if bool(x.value) is absorbing else y
+            if _is(x, 0) and dtype.kind in "iu":
+                return x if absorbing is False else y
         return args[0] if args[0] is args[1] else None
 
     return simpler

@@ -6,7 +6,6 @@ Each is called with the graph, the equation and its inputs as arrays of scalar n
 import functools
 import itertools
 
-import jax
 import numpy as np
 
 from cnclik.engine.cells import array_of
@@ -42,13 +41,6 @@ def _running(g, eqn, x):
     rows = [cell for row in x.reshape(-1, x.shape[-1]) for cell in itertools.accumulate(row, op)] if x.size else []
     found = np.moveaxis(array_of(rows, x.shape), -1, axis)
     return [np.flip(found, axis) if back else found]
-
-
-def _concrete(g, eqn):
-    """A primitive without inputs, by itself."""
-    with jax.ensure_compile_time_eval():
-        value = np.asarray(eqn.primitive.bind(**eqn.params))
-    return [array_of([g.const(v, value.dtype) for v in value.ravel()], value.shape)]
 
 
 def _platform(g, eqn):
@@ -150,6 +142,6 @@ def _before(g, pairs):
 ARRAYS = {
     **dict.fromkeys(REDUCTIONS, _reduce),
     **dict.fromkeys(RUNNING, _running),
-    **{"iota": _concrete, "platform_index": _platform, "split": _split, "pad": _pad, "dot_general": _dot_general},
+    **{"platform_index": _platform, "split": _split, "pad": _pad, "dot_general": _dot_general},
     **{"argmax": _arg("gt"), "argmin": _arg("lt"), "sort": _sort},
 }

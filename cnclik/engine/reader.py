@@ -4,6 +4,8 @@ What is small is taken apart into scalars, so that moving data about costs nothi
 (`stacks`); loops stay loops (`regions`). A primitive that has no rule raises UnsupportedError, which names it.
 """
 
+from typing import NamedTuple
+
 import jax
 import numpy as np
 from jax.interpreters import partial_eval
@@ -14,6 +16,7 @@ from cnclik.engine.cells import CALLS, MOVES, array_of, called, walk
 from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
+from cnclik.engine.operations import TYPES
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.stacks import Deep, Rows, is_cells
@@ -40,20 +43,25 @@ def params_of(eqn):
     return None if key is None else int(eqn.params[key])
 
 
+class Opaque(NamedTuple):
+    """What is known and no array of numbers: a key of random numbers."""
+
+    value: object
+
+
 class Reader:
-    """Reads jaxprs into a graph. Values are cells, rows or whole arrays, see `stacks`."""
+    """Reads jaxprs into a graph. Values are cells, rows or whole arrays, see `stacks`, or opaque."""
 
     def __init__(self, graph: Graph):
         self.g = graph
 
     def constant(self, value, aval=None):
         """A known array."""
-        dtype = getattr(aval, "dtype", None)
-        value = np.asarray(value) if dtype is None else np.asarray(value, dtype)
+        if _is_extended(getattr(value, "dtype", None)):
+            return Opaque(value)
+        value = np.asarray(value, getattr(aval, "dtype", None))
         check_dtype(value.dtype)
-        if value.size > LIMIT or (value.ndim and len(value) >= stacks.MANY):
-            return stacks.columns(self.g, self.g.array(value))
-        return array_of([self.g.const(v, value.dtype) for v in value.ravel()], value.shape)
+        return stacks.constant(self.g, value, LIMIT)
 
     def cells(self, x):
         """Any value as cells."""
@@ -76,6 +84,8 @@ class Reader:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
             return list(inputs)
+        if any(isinstance(x, Opaque) for x in inputs) or any(_is_extended(v.aval.dtype) for v in eqn.outvars):
+            return self._by_jax(eqn, inputs)
         for v in eqn.outvars:
             check_dtype(v.aval.dtype)
         inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
@@ -104,8 +114,19 @@ class Reader:
             return [self._elementwise(eqn, cells)]
         rule = RULES.get(name)
         if rule is None:
-            raise UnsupportedError(f"the operation `{name}` has no C form")
+            return self._by_jax(eqn, cells)
         return rule(self.g, eqn, *cells)
+
+    def _by_jax(self, eqn, inputs):
+        """What has no C form, where all that it needs is known: by JAX, now."""
+        values = [x.value if isinstance(x, Opaque) else stacks.known_value(x) for x in inputs]
+        if any(v is None for v in values):
+            raise UnsupportedError(f"the operation `{eqn.primitive.name}` has no C form")
+        for i, v in enumerate(eqn.invars):
+            values[i] = values[i] if isinstance(inputs[i], Opaque) else values[i].astype(v.aval.dtype)
+        with jax.ensure_compile_time_eval():
+            made = eqn.primitive.bind(*values, **eqn.params)
+        return [self.constant(x) for x in (made if eqn.primitive.multiple_results else [made])]
 
     def _elementwise(self, eqn, inputs):
         (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
@@ -148,15 +169,12 @@ class Reader:
 
 def check_dtype(dtype):
     """Raise UnsupportedError where numbers of a type have no C form."""
-    if jax.dtypes.issubdtype(dtype, jax.dtypes.extended) or np.dtype(dtype).kind not in "fiub":
-        raise UnsupportedError(f"numbers of type {dtype} have no C form")
-    if np.dtype(dtype).name not in KINDS:
+    if _is_extended(dtype) or np.dtype(dtype).name not in TYPES:
         raise UnsupportedError(f"numbers of type {dtype} have no C form")
 
 
-KINDS = frozenset([
-    *("bool", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
-])  # fmt: skip
+def _is_extended(dtype) -> bool:
+    return dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.extended)
 
 
 def read(fn, *avals):

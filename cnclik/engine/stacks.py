@@ -82,6 +82,25 @@ def entry(g, row, k):
     return g.shared("index", (row,), (k,), (), row.dtype)
 
 
+def constant(g, value, limit):
+    """A known array: as cells, or as rows where it is long."""
+    if value.size > limit or (value.ndim and len(value) >= MANY):
+        return columns(g, g.array(value))
+    return array_of([g.const(v, value.dtype) for v in value.ravel()], value.shape)
+
+
+def known_value(x):
+    """The array of numbers that a value is; None where it isn't known."""
+    if is_cells(x):
+        return np.array([c.value for c in x.flat]).reshape(x.shape) if all(c.known for c in x.flat) else None
+    if isinstance(x, Node):
+        return x.value if x.op == "array" else None
+    if isinstance(x, Deep) or not all(c.known or c.op == "array" for c in x.cells.flat):
+        return None
+    flat = [np.broadcast_to(c.value, x.length) for c in x.cells.flat]
+    return np.stack(flat, 1).reshape(x.shape)
+
+
 def columns(g, node) -> Rows:
     """A whole array as rows."""
     N, *inner = node.shape

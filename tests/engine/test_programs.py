@@ -148,6 +148,7 @@ def test_odd_arguments_and_results():
     case = {"x": batch(2, 2), "k": np.arange(SIZE, dtype=np.int64) - 3}
     check(fn, case, batch(4) > 0)
     check(lambda x: (x, (x > 0, None)), batch(dtype="float32"))
+    check(lambda x: x + jax.random.normal(jax.random.key(3), (4,)), batch(4))
 
 
 @pytest.mark.parametrize("size", [1, 2, 15, 16, 17, 130])
@@ -197,7 +198,7 @@ def test_zeros_of_a_model_vanish_and_others_stay():
     ("fn", "name"),
     [
         (lambda x: jnp.linalg.svd(x.reshape(2, 2))[1], "svd"),
-        (lambda x: jax.random.normal(jax.random.key(0), (4,)) + x, "key"),
+        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int)), (4,)) + x, "random_seed"),
         (lambda x: x + 1j, "complex"),
         (lambda x: jnp.sort(jnp.concatenate([x] * 20)), "sorting"),
         (lambda x: jnp.broadcast_to(x, (200, 100, 4)).swapaxes(0, 1)[3], "entries"),
