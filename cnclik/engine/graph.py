@@ -178,10 +178,32 @@ class Graph:
         simpler = SIMPLER.get(name)
         if simpler is not None and (found := simpler(self, args, params, dtype)) is not None:
             return found
+        if (found := self._through_select(name, args, dtype, params)) is not None:
+            return found
         if name in COMMUTES and args[0].number > args[1].number:
             args = args[::-1]
         shape = max((a.shape for a in args), key=len)
         return self.shared(name, tuple(args), params, shape, dtype)
+
+    def _through_select(self, name, args, dtype, params):
+        """An operation on a choice that lies in a loop for its condition alone: a choice of two results, made before it.
+
+        The length of a step, for one: it is Ts but in the last round, where nothing moves, and exp(−alpha Ts) with it.
+        """
+        which = next((a.args[0] for a in args if _is_choice(a)), None)
+        if which is None or any(a.shape for a in args) or not which.block.depth:
+            return None
+        no, yes = (tuple(self._given(which, value, a) for a in args) for value in (False, True))
+        if max(a.block.depth for a in (*no, *yes)) >= which.block.depth:
+            return None
+        no, yes = (self.apply(name, several, dtype, params) for several in (no, yes))
+        return self.select(which, yes, no)
+
+    def _given(self, which, value, node):
+        """A node where it is known whether `which` holds."""
+        if node is which or (node.op == "not" and node.args[0] is which):
+            return self.const(value is (node is which), bool)
+        return node.args[1 + value] if _is_choice(node) and node.args[0] is which else node
 
     def op(self, name, *args) -> Node:
         """An operation whose dtype is that of its arguments, or bool for a comparison."""
@@ -194,6 +216,11 @@ class Graph:
     def nodes(self, region, what, shapes, block) -> list:
         """Nodes of a region: its carries, rows or results, of (shape, dtype) each."""
         return [self.new(what, (), None, s, d, (region, what, i), block) for i, (s, d) in enumerate(shapes)]
+
+
+def _is_choice(node) -> bool:
+    """Whether a node is one of two others, by a condition."""
+    return node.op == "select_n" and node.args[0].dtype.kind == "b"
 
 
 def live(outputs) -> set:
