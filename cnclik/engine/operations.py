@@ -13,6 +13,7 @@ TYPES = {  # of NumPy: (a vector of lanes, a number)
     **{f"uint{b}": (f"U{b}", f"uint{b}_t") for b in (8, 16, 32, 64)},
     "bool": ("M", "uint8_t"),
 }
+_BY_DTYPE = {np.dtype(name): both for name, both in TYPES.items()}
 _COSTLY = "sin cos tan exp log atan2 expm1 log1p pow tanh asin acos sinh cosh exp2 logistic"
 COST = dict.fromkeys(_COSTLY.split(" "), 30)
 COST |= {"div": 6, "sqrt": 8, "rsqrt": 10, "rem": 10}
@@ -31,12 +32,12 @@ LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextaft
 
 def vector(dtype) -> str:
     """The name in C of a vector of lanes."""
-    return TYPES[np.dtype(dtype).name][0]
+    return _BY_DTYPE[dtype][0]
 
 
 def scalar(dtype) -> str:
     """The name in C of one lane's number, as it lies in arguments and results."""
-    return TYPES[np.dtype(dtype).name][1]
+    return _BY_DTYPE[dtype][1]
 
 
 def number(value, dtype) -> str:

@@ -80,6 +80,8 @@ class Reader:
             return list(inputs)
         if name == model_p.name:
             return [self._of_the_model(*inputs)]
+        if name == "iota":
+            return [self.constant(_counted(eqn))]
         if name in REGIONS:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
@@ -165,6 +167,13 @@ class Reader:
         for axis, size in zip(where, x.shape, strict=True):
             sizes[axis - 1] = size
         return [Rows(np.broadcast_to(x.reshape(sizes), out.shape[1:]), out.shape[0])]
+
+
+def _counted(eqn):
+    """What an iota gives."""
+    params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
+    sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
+    return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)
 
 
 def check_dtype(dtype):

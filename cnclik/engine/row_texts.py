@@ -126,7 +126,7 @@ class RowTexts:
     def table(self, values, k) -> str:
         """An entry of a known row."""
         T, N = vector(values.dtype), scalar(values.dtype)
-        self.dtypes.add(values.dtype.name)
+        self.dtypes.add(values.dtype)
         if values.dtype.kind in "iu" and len(values) > 1:
             gap = int(values[1]) - int(values[0])
             if all(int(v) == int(values[0]) + gap * i for i, v in enumerate(values)):

@@ -54,7 +54,7 @@ def _written(graph, given, outs, main, piece):
 
 def _types(writer, main):
     """What the vectors that are used have."""
-    used = {name for name in writer.dtypes if name != "bool"} | {main.name}
+    used = {dtype.name for dtype in writer.dtypes if dtype.kind != "b"} | {main.name}
     for name in TYPES:
         if name not in used:
             continue

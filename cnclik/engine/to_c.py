@@ -47,12 +47,12 @@ class Writer(RowTexts):
 
     def type(self, node) -> str:
         """The vector type of a node."""
-        self.dtypes.add(np.dtype(node.dtype).name)
+        self.dtypes.add(node.dtype)
         return vector(node.dtype)
 
     def of(self, node, plain=False) -> str:
         """A node in an expression; a plain constant as a number."""
-        self.dtypes.add(np.dtype(node.dtype).name)
+        self.dtypes.add(node.dtype)
         if node.known:
             return f"({number(node.value, node.dtype)})" if plain else splat(node)
         return self.names[node.number]
@@ -85,7 +85,7 @@ class Writer(RowTexts):
     def applied(self, node, of) -> str:
         """An operation; what it uses of C's library is remembered."""
         for a in (*node.args, node):
-            self.dtypes.add(np.dtype(a.dtype).name)
+            self.dtypes.add(a.dtype)
         if node.op in ("sin", "cos"):
             return self.sincos(node, of)
         self.functions.add((node.op, vector(node.args[0].dtype), getattr(node, "params", None)))
@@ -233,7 +233,7 @@ class Writer(RowTexts):
             elif node.number in self.where:
                 stores.append((y, node))
             elif node.number in self.stored:
-                groups.setdefault(np.dtype(node.dtype).name, []).append((y, node))
+                groups.setdefault(node.dtype, []).append((y, node))
         for dtype, some in groups.items():
             base, T = self.room(dtype, len(some) * r.length), vector(dtype)
             for i, (y, node) in enumerate(some):
