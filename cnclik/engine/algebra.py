@@ -42,6 +42,22 @@ def _rounded(value, method):
     return np.round(value) if method == 1 else np.copysign(np.floor(np.abs(value) + 0.5), value)
 
 
+def _shifted(value, by, name):
+    """As XLA: by more bits than there are nothing is left but, arithmetically, the sign."""
+    bits, by = 8 * value.itemsize, int(by)
+    far = not 0 <= by < bits
+    if name == "shift_right_arithmetic":
+        return value >> np.asarray(bits - 1 if far else by, value.dtype)
+    plain = int(value) % (1 << bits)
+    return _wrapped(0 if far else plain << by if name == "shift_left" else plain >> by, value.dtype)
+
+
+def _wrapped(value, dtype):
+    """A whole number in as many bits as its type has."""
+    bits = 8 * dtype.itemsize
+    return np.asarray(int(value) % (1 << bits), f"uint{bits}").astype(dtype)
+
+
 _FOLDED = {
     **{"add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt},
     **{"max": np.maximum, "min": np.minimum, "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp},
@@ -58,13 +74,15 @@ def folded(name, values, dtype, params):
     """The result of an operation on known numbers; None where it is left to run time."""
     with np.errstate(all="ignore"):
         if name == "div":
-            return values[0] / values[1] if dtype.kind == "f" else _whole_division(*values)
+            return values[0] / values[1] if dtype.kind == "f" else _wrapped(_whole_division(*values), dtype)
         if name == "convert_element_type":
             return _converted(values[0], dtype)
         if name == "integer_pow":
             return None if dtype.kind != "f" and params < 0 else values[0] ** dtype.type(params)
         if name == "round":
             return _rounded(values[0], params)
+        if name.startswith("shift_"):
+            return _shifted(*values, name)
         fold = _FOLDED.get(name)
         return None if fold is None else fold(*values)
 

@@ -186,7 +186,7 @@ class Graph:
         return self.shared(name, tuple(args), params, shape, dtype)
 
     def _through_select(self, name, args, dtype, params):
-        """An operation on a choice that lies in a loop for its condition alone: a choice of two results, made before it.
+        """An operation on a choice that lies in a loop for its condition alone: a choice of two results from before it.
 
         The length of a step, for one: it is Ts but in the last round, where nothing moves, and exp(−alpha Ts) with it.
         """

@@ -194,6 +194,8 @@ def read(fn, *avals):
 
 def read_jaxpr(closed):
     """(graph, input nodes, output values) of a closed jaxpr of one lane."""
+    if closed.effects:
+        raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
     g = Graph()
     reader, given, values = Reader(g), [], []

@@ -199,6 +199,7 @@ def test_zeros_of_a_model_vanish_and_others_stay():
     [
         (lambda x: jnp.linalg.svd(x.reshape(2, 2))[1], "svd"),
         (lambda x: jax.random.normal(jax.random.key(x[0].astype(int)), (4,)) + x, "random_seed"),
+        (lambda x: (jax.debug.print("here"), x)[1], "effects"),
         (lambda x: x + 1j, "complex"),
         (lambda x: jnp.sort(jnp.concatenate([x] * 20)), "sorting"),
         (lambda x: jnp.broadcast_to(x, (200, 100, 4)).swapaxes(0, 1)[3], "entries"),
