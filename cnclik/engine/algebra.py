@@ -47,7 +47,7 @@ def _shifted(value, by, name):
     bits, by = 8 * value.itemsize, int(by)
     far = not 0 <= by < bits
     if name == "shift_right_arithmetic":
-        return value >> np.asarray(bits - 1 if far else by, value.dtype)
+        return (value.view(f"int{bits}") >> np.asarray(bits - 1 if far else by, f"int{bits}")).astype(value.dtype)
     plain = int(value) % (1 << bits)
     return _wrapped(0 if far else plain << by if name == "shift_left" else plain >> by, value.dtype)
 

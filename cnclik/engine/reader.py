@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.interpreters import partial_eval
 
-from cnclik.engine import stacks
+from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
 from cnclik.engine.cells import CALLS, MOVES, array_of, called, walk
 from cnclik.engine.constants import model_p
@@ -146,14 +146,14 @@ class Reader:
         if not any(isinstance(x, Rows) for x in rows):
             return None
         if name in ELEMENTWISE:
-            return stacks.elementwise(self.g, eqn, rows, params_of(eqn), _SAME.get(name, name))
+            return over_rows.elementwise(self.g, eqn, rows, params_of(eqn), _SAME.get(name, name))
         if name in REDUCTIONS and isinstance(rows[0], Rows):
-            return [stacks.reduced(self.g, rows[0], eqn.params["axes"], REDUCTIONS[name], eqn.outvars[0].aval.dtype)]
-        if name in RUNNING and (found := stacks.running(self.g, eqn, rows[0], RUNNING[name])) is not None:
+            return [over_rows.reduced(self.g, rows[0], eqn.params["axes"], REDUCTIONS[name], eqn.outvars[0].aval.dtype)]
+        if name in RUNNING and (found := over_rows.running(self.g, eqn, rows[0], RUNNING[name])) is not None:
             return found
-        if name in stacks.OVER_ROWS and (found := stacks.OVER_ROWS[name](self.g, eqn, *rows)) is not None:
+        if name in over_rows.OVER_ROWS and (found := over_rows.OVER_ROWS[name](self.g, eqn, *rows)) is not None:
             return found
-        return stacks.moved(self.g, eqn, rows[0]) if name in MOVES and len(rows) == 1 else None
+        return over_rows.moved(self.g, eqn, rows[0]) if name in MOVES and len(rows) == 1 else None
 
     def _repeated(self, eqn, inputs):
         """Cells broadcast along a new axis 0 that is long: rows that are the same at all instants."""

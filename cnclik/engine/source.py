@@ -46,8 +46,7 @@ def write(graph, given, outs, shapes) -> tuple:
 
 
 def _written(graph, given, outs, main, piece):
-    writer = Writer(graph, given, outs, piece=piece)
-    writer.main = main
+    writer = Writer(graph, given, outs, main, piece=piece)
     writer.statements()
     return writer
 

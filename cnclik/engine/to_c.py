@@ -21,9 +21,14 @@ ALIGNED = 256  # bytes
 class Writer(RowTexts):
     """Writes the statements of a graph."""
 
-    def __init__(self, graph, given, outs, *, piece=0):
-        """given: input nodes. outs: results, cells, rows or nodes. piece: statements of one function, 0: all in one."""
-        self.graph, self.given, self.outs, self.piece = graph, given, outs, piece
+    def __init__(self, graph, given, outs, main, *, piece=0):
+        """
+        Args:
+          given: input nodes. outs: results: cells, rows or nodes.
+          main: the type that decides on how many lanes a vector has.
+          piece: statements of one function; 0: all in one.
+        """
+        self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
         self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
@@ -79,8 +84,6 @@ class Writer(RowTexts):
         """Bytes of a vector, at most: with as many lanes as AVX-512 has."""
         dtype = np.dtype(dtype)
         return 64 * max(1, (self.main.itemsize if dtype.kind == "b" else dtype.itemsize) // self.main.itemsize)
-
-    main = np.dtype("float32")
 
     def applied(self, node, of) -> str:
         """An operation; what it uses of C's library is remembered."""
