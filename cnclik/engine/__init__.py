@@ -3,5 +3,5 @@
 `reader` reads the trace into a `graph` of scalars, simplified by `algebra`; its rules are in `arrays`, `matrices`,
 `places` and `regions`, in `stacks` and `over_rows` for what scans stack up, and in `residuals` for what gradients need
 of it. `to_c` writes the graph on vectors of lanes (`operations`, `row_texts`, `pieces`), `source` the whole file with
-the C of the folder `c`; `compiler` builds it, and `program` runs it: for a batch, or, by `native`, inside a JAX program.
+the C of the folder `c`; `compiler` builds it, and `program` runs it for a batch, `native` inside a JAX program.
 """

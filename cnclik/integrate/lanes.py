@@ -40,8 +40,8 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
 
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
-      tile: lanes per tile, by default 64, on a GPU 128 (there a power of 2).
-      block: lanes per call, a multiple of `tile`; by default 32768, on a GPU 2**20.
+      tile: lanes per tile of XLA's programs, by default 64, on a GPU 128 (there a power of 2). C has its own.
+      block: lanes per call of them, a multiple of `tile`; by default 32768, on a GPU 2**20.
       cores: how many cores of a CPU may work at once, by default all this process may use.
       quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
         slower.
