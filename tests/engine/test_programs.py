@@ -126,8 +126,12 @@ def test_while_loops_end_for_each_lane_at_its_own_time():
         def up(y):  # never ends where y < 0: jax.vmap runs it there too, C does not
             return lax.while_loop(lambda v: (v < 3) & (guard | (y > 0)), lambda v: v + jnp.maximum(y, -1), 0.0)
 
+        def down(a):  # the inner loop never ends for lanes that are through with the outer one
+            return up(a - 0.5) * 0 + a / 2
+
         whole = lax.while_loop(lambda s: (s[0] < y) & (s[1] < 9), body, (x, 0.0, jnp.int32(0)))
-        return halved(jnp.abs(x) * 100), whole, lax.cond(y > 0, up, lambda y: y, y)
+        deep = lax.while_loop(lambda a: a > 0.5, down, jnp.abs(x) + 0.6)
+        return deep, halved(jnp.abs(x) * 100), whole, lax.cond(y > 0, up, lambda y: y, y)
 
     check(fn, batch(), np.where(np.abs(y := batch(seed=1)) < 0.1, 0.1, y), by=lambda x, y: fn(x, y, False))
 
