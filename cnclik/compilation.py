@@ -9,6 +9,7 @@ import hashlib
 import os
 import pathlib
 import platform
+import stat
 import sys
 import warnings
 
@@ -71,13 +72,16 @@ def machine() -> str:
 
 
 def cut(folder: pathlib.Path, most_bytes: int) -> None:
-    """Remove the programs in a folder that were used longest ago, until the rest fits, and nothing else."""
+    """Remove the programs in a folder that were used longest ago, until the rest fits, and what is no file where a
+    program's should be: a link may lead to a device without an end."""
     found = []
     for path in (*folder.glob("jaxlib-*/*-cache"), *folder.glob("jaxlib-*/*.so")):
         with contextlib.suppress(OSError):  # another process may be at it, too
-            if os.path.isfile(path):
-                about = path.stat()
+            about = path.lstat()
+            if stat.S_ISREG(about.st_mode):
                 found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
+            elif not stat.S_ISDIR(about.st_mode):
+                path.unlink()
     total = sum(size for _, size, _ in found)
     for _, size, path in sorted(found):
         if total <= most_bytes:

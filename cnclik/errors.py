@@ -6,6 +6,7 @@ is loaded for a message.
 
 import difflib
 import math
+import pathlib
 import sys
 import warnings
 
@@ -16,9 +17,13 @@ class ArgumentError(ValueError):
     """An argument that cannot be used; the message is one line fit for a terminal, whatever it speaks of."""
 
     def __init__(self, message: str):
-        line = " ".join(_shortened(message, 2 * _MOST).split())
-        line = line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
-        super().__init__(_shortened(line, _MOST))
+        super().__init__(_one_line(message))
+
+
+def _one_line(message: str) -> str:
+    line = " ".join(_shortened(message, 2 * _MOST).split())
+    line = line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    return _shortened(line, _MOST)
 
 
 def _shortened(text, most):
@@ -40,6 +45,17 @@ def in_a_line(error: Exception) -> str:
     """What an error says, and of which kind it is."""
     text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
     return text if len(text) <= 200 else text[:199] + "…"
+
+
+def path(name: str, value) -> pathlib.Path:
+    """A path that a file system may have."""
+    try:
+        found = pathlib.Path(value)
+    except TypeError:
+        raise fail(name, "be a path", f"is {value!r}") from None
+    if "\0" in str(found):
+        raise fail(name, "be a path", f"is {value!r}, with a NUL in it")
+    return found
 
 
 def concrete(value) -> bool:
@@ -200,4 +216,4 @@ def remark(text: str) -> None:
     depth, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "cnclik":
         depth, frame = depth + 1, frame.f_back
-    warnings.warn(text, Remark, stacklevel=depth)
+    warnings.warn(_one_line(text), Remark, stacklevel=depth)

@@ -10,6 +10,7 @@ import contextlib
 import functools
 import os
 import threading
+import weakref
 
 import jax
 import jax.numpy as jnp
@@ -23,9 +24,10 @@ from cnclik.record import combine, partition
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
 _form = jax.make_user_context(default_value=None)
-# Compiled or traced programs that a cache of this library keeps. Of `Recent` the least recently used one goes, a
-# `bounded_jit` begins anew.
+# Programs that a cache keeps. Of `Recent` the least recently used one goes, a `bounded_jit` begins anew.
 KEPT_PROGRAMS = 128
+MOST_PROGRAMS = 64  # of all `bounded_jit` together, at some 6 MiB and 200 mappings of memory each
+KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
 
 
 def use_hints(on: bool):
@@ -154,7 +156,7 @@ _probing = threading.Lock()  # two threads that ask at once would both try
 
 @functools.cache
 def _is_known(name, value, backend) -> bool:
-    program = jax.jit(_same, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
+    program = jax.jit(lambda x: x, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
     try:
         program.compile()
     except Exception:  # what a compiler raises for it differs between versions
@@ -162,15 +164,10 @@ def _is_known(name, value, backend) -> bool:
     return True
 
 
-def _same(x):
-    return x
-
-
 def bounded_jit(fn=None, **options):
-    """`jax.jit` that forgets its programs when there are more than KEPT_PROGRAMS. Decorator, with jit's arguments.
+    """`jax.jit` that forgets its programs when there are too many, see `_bound`. Decorator, with jit's arguments.
 
-    Numbers of steps, literals and lambdas are parts of a program: a process that meets new ones all day would keep
-    them all, at some 5 MiB each, and JAX what it traced on the way to them.
+    Numbers of steps, literals and lambdas are parts of a program: a process meets new ones all day.
     """
     if fn is None:
         return functools.partial(bounded_jit, **options)
@@ -183,19 +180,32 @@ def bounded_jit(fn=None, **options):
         return fn(*args, **kwargs)
 
     jitted = jax.jit(counted, **options)
+    _bounded[jitted] = traced
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
+        before = len(traced)
         made = jitted(*args, **kwargs)
-        if len(traced) > KEPT_PROGRAMS:
-            jitted.clear_cache()
-            traced.clear()
-        if len(_traced) > KEPT_PROGRAMS:
-            _forget_traces()
+        if len(traced) != before:
+            _bound(jitted)
         return made
 
     call._cache_size = jitted._cache_size
     return call
+
+
+_bounded = weakref.WeakKeyDictionary()  # {a function: its list of programs}
+
+
+def _bound(jitted):
+    """Forget what is too much: programs, of the function that has most; and JAX's traces."""
+    every = {one: _bounded[one] for ref in _bounded.keyrefs() if (one := ref()) is not None}
+    while len(every[jitted]) > KEPT_PROGRAMS or sum(map(len, every.values())) > MOST_PROGRAMS:
+        most = max(every, key=lambda one: len(every[one]))
+        most.clear_cache()
+        every[most].clear()
+    if len(_traced) > KEPT_TRACES:
+        _forget_traces()
 
 
 _traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten

@@ -12,6 +12,7 @@ WIDTH, HEIGHT = 420, 170  # of a plot [px]
 _LEFT, _RIGHT, _TOP, _BELOW = 52, 8, 8, 34
 _LEAST = 1e-15  # an error below this is none
 MOST_POINTS = 400
+GENERATOR = '<meta name="generator" content="cnclik">'  # in pages, which are known again by it
 
 
 def escaped(text) -> str:

@@ -25,6 +25,7 @@ import jax
 import numpy as np
 
 from cnclik.compilation import machine
+from cnclik.reading import read_bytes
 
 _BEGUN = time.time()  # sources that are younger are not what this process runs
 _NUMBERS = (bool, int, float, complex)
@@ -175,11 +176,16 @@ def _made(key, leaves, make, options):
         whole = pickle.dumps((serialize_executable.serialize(program), results), protocol=5)
         beside = _place / f".{key}-{os.getpid()}{ENDING}"
         try:
-            beside.write_bytes(hashlib.sha256(whole).digest() + whole)
+            beside.write_bytes(_seal(key, whole) + whole)
             beside.replace(_place / f"{key}{ENDING}")
         finally:
             beside.unlink(missing_ok=True)
     return program, results
+
+
+def _seal(key, whole) -> bytes:
+    """What stands before an entry: it is whole, and of no other program."""
+    return hashlib.sha256(key.encode() + whole).digest()
 
 
 @functools.cache
@@ -192,8 +198,8 @@ def _read(key):
     """(program, results) as `_made`, or None where there is none that is whole."""
     begun = time.time()
     try:
-        whole = memoryview((_place / f"{key}{ENDING}").read_bytes())
-        if hashlib.sha256(whole[32:]).digest() != whole[:32]:
+        whole = memoryview(read_bytes("cache", _place / f"{key}{ENDING}", "a program"))
+        if _seal(key, whole[32:]) != whole[:32]:
             return None
         from jax.experimental import serialize_executable
 

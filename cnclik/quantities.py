@@ -16,8 +16,12 @@ SAMPLES = "samples"
 
 def number(text: str) -> float | None:
     """The number that a text is, in ASCII digits with a decimal point; None for anything else, such as 1_0 or 0,25."""
-    text = text.strip(" \t\r\n")
-    return float(text) if _NUMBER.fullmatch(text) else None
+    if "_" in text or not text.isascii():  # which Python takes
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def hint(text: str) -> str:
@@ -71,10 +75,10 @@ def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
     """
     known, values, written = units(unit), [], []
     for word in text.split():
-        found = _NUMBER.match(word)
+        found = None if word in known else _NUMBER.match(word)
         mark = word[found.end() :] if found else word
         if mark and mark not in known:
-            usual = f" (units: {', '.join(w for w in known if w.isascii())})" if known and found else ""
+            usual = f" (units: {', '.join(w for w in known if w.isascii())})" if known and (found or values) else ""
             raise ValueError(f"is {text!r}{hint(text) or usual}")
         if not found:
             if None not in written:

@@ -9,15 +9,18 @@ from cnclik import errors
 MOST_BYTES = 100 << 20  # of a robot, a spec or a table
 
 
-def read_bytes(argument: str, path, what: str) -> bytes:
+def read_bytes(argument: str, path, what: str, *, most: int | None = None) -> bytes:
     """What a file holds.
 
     Args:
       argument: what the user calls it, and `what` it must name, such as "a URDF file".
+      most: bytes that it may have, whole MiB; 100 MiB by default.
 
     Raises: ArgumentError, one line, for what is not there, no regular file, too large, or can't be read.
     """
-    name = os.fspath(path)
+    if not isinstance(path, (str, bytes, os.PathLike)):
+        raise errors.fail(argument, f"name {what}", f"is {path!r}")
+    name, most = os.fspath(path), most or MOST_BYTES
     shown = pathlib.Path(name).name[:80] or name[:80]
     try:
         about = os.stat(name)
@@ -25,10 +28,11 @@ def read_bytes(argument: str, path, what: str) -> bytes:
             raise errors.fail(argument, f"name {what}", f"{name[:80]!r} is a folder")
         if not stat.S_ISREG(about.st_mode):
             raise errors.fail(argument, f"name {what}", f"{shown!r} is a device, pipe or socket")
-        if about.st_size > MOST_BYTES:
-            raise errors.fail(argument, f"name {what} of at most {MOST_BYTES >> 20} MiB", f"{shown!r} is larger")
         with open(name, "rb") as file:
-            return file.read(MOST_BYTES + 1)
+            text = file.read(most + 1)
+        if len(text) > most:
+            raise errors.fail(argument, f"name {what} of at most {most >> 20} MiB", f"{shown!r} is larger")
+        return text
     except errors.ArgumentError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it

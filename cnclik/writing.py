@@ -1,4 +1,6 @@
-"""Files of results: nothing half-written looks whole, and what was computed is not lost where it can't be written."""
+"""Files of results: nothing half-written looks whole, what was computed is not lost where it can't be written, and
+what others wrote stays.
+"""
 
 import contextlib
 import errno
@@ -10,13 +12,25 @@ import time
 
 from cnclik import errors
 
+OWN = ".cnclik"  # a file in each store of a sweep
+_SIGNS = {  # what files of each kind have in them that cnclik wrote
+    ".png": (b"Software\0cnclik",),
+    ".json": (b'"cnclik": "',),
+    ".nc": (b"cnclik", b"orientation_error"),
+    ".csv": (b"orientation_error",),
+    ".npz": (b"orientation_error", b"least_singular_value"),
+    ".html": (b'content="cnclik"',),
+}
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
 
 
-def checked_file(name, file, *endings) -> pathlib.Path:
-    """The path of a file to write; raises ArgumentError unless it has one of the endings, in a folder that is there."""
-    file = pathlib.Path(file)
+def checked_file(name, file, *endings, overwrite=True) -> pathlib.Path:
+    """The path of a file to write; raises ArgumentError unless it has one of the endings, in a folder that is there.
+
+    Args: overwrite: whether it may be there, and not be cnclik's.
+    """
+    file = errors.path(name, file)
     errors.ending(name, file, *endings)
     size = len(file.name.encode(errors="replace"))
     if size > 250:
@@ -26,13 +40,43 @@ def checked_file(name, file, *endings) -> pathlib.Path:
         fits = os.path.isdir(file.parent) and not os.path.isdir(file)
     if not fits:
         raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
+    if os.path.lexists(file) and not (overwrite or _is_own(file)):
+        raise errors.fail(name, "be a new file, or one of cnclik's own", f"{file.name[:60]!r} is not ({_OVERWRITE})")
     return file
 
 
-def checked_folder(name, path) -> None:
+def checked_folder(name, path, *, overwrite=True) -> None:
     """Raise ArgumentError unless `path` is, or can become, a folder that can be written into; nothing is left there."""
-    with output_folder(path, name=name):
+    with output_folder(path, name=name, overwrite=overwrite):
         pass
+
+
+_OVERWRITE = "--overwrite writes there all the same"
+
+
+def check_own(name, folder, of="cnclik's own") -> None:
+    """Raise ArgumentError for a folder with files, none of which cnclik wrote. Args: of: what it may be, in words."""
+    there = []
+    with contextlib.suppress(OSError):
+        there = sorted(file for file in pathlib.Path(folder).iterdir() if not file.name.startswith("."))
+    if there and not any(map(_is_own, there)):
+        found = f"{there[0].name[:30]} in {str(folder)[-40:]!r} is not ({_OVERWRITE})"
+        raise errors.fail(name, f"be a new folder, or one of {of}", found)
+
+
+def _is_own(path) -> bool:
+    """Whether cnclik wrote a file, or a sweep's store, as that says of itself."""
+    signs, most = _SIGNS.get(path.suffix.lower(), ()), 1 << 20
+    if os.path.isdir(path):
+        return os.path.isfile(path / OWN)
+    if not signs or not os.path.isfile(path):
+        return False
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        text = file.read(most)
+        file.seek(max(os.path.getsize(path) - most, 0))
+        text += file.read(most)
+        return any(sign in text for sign in signs)
+    return False
 
 
 class Folder:
@@ -133,7 +177,7 @@ def _write(path, make):
 
 
 @contextlib.contextmanager
-def output_folder(path, *, name="out"):
+def output_folder(path, *, name="out", overwrite=True):
     """A `Folder` whose files are moved into `path` when the block ends well.
 
     `path` is created if need be, and found unwritable before any work is done. On an error or an interrupt
@@ -142,12 +186,15 @@ def output_folder(path, *, name="out"):
     Args:
       path: where the results shall be.
       name: what the user calls it, for the message.
+      overwrite: whether it may hold files, and none of cnclik's.
 
     Yields: the `Folder`, with `write(file, make)`.
-    Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into; and at the end where
-      it did not take all, naming the folder that the files are kept in.
+    Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into, or is one of others;
+      and at the end where it did not take all, naming the folder that the files are kept in.
     """
-    path = pathlib.Path(path)
+    path = errors.path(name, path)
+    if not overwrite:
+        check_own(name, path)
     with contextlib.ExitStack() as stack:
         try:
             created = [p for p in (path, *path.parents) if not os.path.exists(p)]

@@ -2,7 +2,7 @@
 
 Every round has a robot, a path and functions that nobody has asked for before, as literals where that is how users
 write them. What the process holds is looked at after each round. So that half an hour shows what a day does, caches of
-programs hold 16 in place of 128.
+programs hold 16 in place of 128, and all functions together in place of 64.
 
     python -m tests.soak                      # 30 minutes
     python -m tests.soak --minutes 3
@@ -113,7 +113,7 @@ def main():
     parser.add_argument("--only", nargs="*", help="names of calls, such as lanes")
     parser.add_argument("--kept", type=int, default=16, help="programs that a cache keeps")
     args = parser.parse_args()
-    hints.KEPT_PROGRAMS = args.kept
+    hints.KEPT_PROGRAMS = hints.MOST_PROGRAMS = args.kept
     rng, begun, held, calls, spent = np.random.default_rng(args.seed), time.time(), [], {}, {}
     with tempfile.TemporaryDirectory() as name, bar("minutes") as report:
         folder, out = pathlib.Path(name), sys.stdout

@@ -157,6 +157,24 @@ def test_what_is_damaged_is_made_again(folder):
         assert len(file.read_bytes()) > 1000  # and kept once more
 
 
+def test_an_entry_in_anothers_place_is_made_again(folder):
+    first, other = asked(), asked(N=7)
+    one, two = folder.iterdir()
+    texts = one.read_bytes(), two.read_bytes()
+    one.write_bytes(texts[1])
+    two.write_bytes(texts[0])
+    programs._held.clear()
+    np.testing.assert_array_equal(asked().q, first.q)
+    np.testing.assert_array_equal(asked(N=7).q, other.q)
+    for file in (one, two):
+        file.unlink()
+        file.symlink_to("/dev/zero")
+    programs._held.clear()
+    np.testing.assert_array_equal(asked().q, first.q)
+    np.testing.assert_array_equal(asked(N=7).q, other.q)
+    assert not one.is_symlink() and not two.is_symlink()
+
+
 def test_many_programs_of_one_function_stand_side_by_side(folder):
     """What was loaded once, from JAX's cache or from here, can't be kept: functions are missing then."""
     wanted = {N: asked(N=N).q for N in (2, 3, 4, 5)}

@@ -10,7 +10,7 @@ import cnclik as ck
 from cnclik import reading
 from cnclik.cli import main
 from cnclik.law.task import orientation, position
-from cnclik.problem.tables import read_csv, read_targets
+from cnclik.problem.tables import read_columns, read_targets
 from cnclik.reaching import targets
 
 
@@ -58,7 +58,7 @@ def test_csv_fields_and_bytes_that_are_no_text(tmp_path):
     (tmp_path / "latin.csv").write_bytes(b"0,\xff\n")
     for name, told in (("long.csv", "field larger than field limit"), ("latin.csv", "is no text")):
         with pytest.raises(ck.ArgumentError, match=told):
-            read_csv("reference", tmp_path / name)
+            read_columns("reference", tmp_path / name)
 
 
 def test_numbers_too_wild_for_a_spline():

@@ -4,11 +4,14 @@
 """
 
 import ast
+import dataclasses
+import importlib.util
 import os
 import pathlib
 import re
 import subprocess
 import sys
+import textwrap
 import types
 
 import pytest
@@ -60,6 +63,33 @@ def test_the_api_has_every_public_name():
     rooms = {name for name in ck.__all__ if isinstance(getattr(ck, name), types.ModuleType)}
     assert not {f"cnclik.{name}" for name in ck.__all__ if name not in rooms} - set(NAMED)
     assert set(ROOMS) == rooms
+
+
+def described(kind, name, obj):
+    """A docstring as autodoc's listeners, Napoleon among them, make it."""
+    napoleon = pytest.importorskip("sphinx.ext.napoleon")
+    at = importlib.util.spec_from_file_location("docstrings", DOCS / "_ext" / "docstrings.py")
+    docstrings = importlib.util.module_from_spec(at)
+    at.loader.exec_module(docstrings)
+    lines = textwrap.dedent("    " + (obj.__doc__ or "")).splitlines()
+    app = types.SimpleNamespace(config=napoleon.Config(napoleon_numpy_docstring=False))
+    docstrings.plain(app, kind, name, obj, None, lines)
+    napoleon._process_docstring(app, kind, name, obj, None, lines)
+    docstrings.whole(app, kind, name, obj, None, lines)
+    return "\n".join(lines)
+
+
+RECORDS = [n for n in ck.__all__ if isinstance(getattr(ck, n), type) and dataclasses.is_dataclass(getattr(ck, n))]
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_the_api_explains_every_field_and_no_property_has_a_sentence_for_a_type(name):
+    cls = getattr(ck, name)
+    text = described("class", f"cnclik.{name}", cls)
+    assert not [f.name for f in dataclasses.fields(cls) if not re.search(rf"\b{f.name}\b", text)]
+    for key, value in vars(cls).items():
+        if isinstance(value, property) and value.__doc__ and not key.startswith("_"):
+            assert ":type:" not in described("property", f"cnclik.{name}.{key}", value)
 
 
 @pytest.mark.parametrize("room", ROOMS)

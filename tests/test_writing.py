@@ -11,13 +11,17 @@ import sys
 import tempfile
 import time
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray
 
+import cnclik as ck
 from cnclik import writing
 from cnclik.errors import ArgumentError
+from cnclik.measure import answers
 from cnclik.measure.files import save_netcdf
+from cnclik.show import report, style
 from cnclik.writing import output_folder
 
 
@@ -41,6 +45,67 @@ def test_replaces_its_own_files_and_keeps_others(tmp_path):
         folder.write_text("one.txt", "new")
     assert (tmp_path / "one.txt").read_text() == "new" and (tmp_path / "other.txt").read_text() == "kept"
     assert files(tmp_path) == ["one.txt", "other.txt"]
+
+
+def test_a_folder_of_others_is_refused_before_any_work(tmp_path):
+    (tmp_path / ".hidden").write_text("")
+    with output_folder(tmp_path, overwrite=False):
+        pass
+    for name, text in FOREIGN.items():
+        place = tmp_path / name.partition(".")[0]
+        place.mkdir()
+        (place / name).write_text(text)
+        with (
+            pytest.raises(
+                ArgumentError, match=f"`out` must be a new folder, or one of cnclik's own, but {name} in.*--ov"
+            ),
+            output_folder(place, overwrite=False),
+        ):
+            raise AssertionError
+        assert os.listdir(place) == [name] and (place / name).read_text() == text
+
+
+FOREIGN = {
+    **{"README.md": "I use cnclik", "export.json": '{"mine": 1}', "error.png": "\x89PNG cnclik", "a.csv": "q1,q2"},
+    **{"b.html": "cnclik", "data.zarr": "", "clik_step.c": "/* cnclik */", "tuned.json": '"cnclik"'},
+}
+
+
+@pytest.mark.parametrize("name", ["png", "json", "nc", "csv", "npz", "html", "zarr"])
+def test_what_cnclik_wrote_is_known_again(tmp_path, name):
+    """By what files of version 0.2 say of themselves, too; results of others may lie beside."""
+    (tmp_path / "README.md").write_text("mine")
+    file = tmp_path / f"a.{name}"
+    found = ck.reach(ck.planar_arm([1.0, 1.0]), [[1.0, 0.5, 0.0]], task=ck.position("xy"))
+    match name:
+        case "png":
+            style.save(plt.figure(), file, {})
+        case "json":
+            file.write_text('{"digest": "…", "cnclik": "0.2.0"}')
+        case "html":
+            file.write_text(report.page(report.Report(title="a", answer="b")))
+        case "zarr":
+            file.mkdir()
+            (file / writing.OWN).write_text("1")
+        case _:
+            answers.save(answers.answers(found, np.eye(4)[None]), file)
+    with output_folder(tmp_path, overwrite=False) as folder:
+        folder.write_text("one.txt", "1")
+    if name != "zarr":
+        assert writing.checked_file("out", file, f".{name}", overwrite=False) == file
+    (file / writing.OWN).unlink() if name == "zarr" else file.write_bytes(b"mine")
+    with pytest.raises(ArgumentError, match="README"), output_folder(tmp_path, overwrite=False):
+        pass
+
+
+def test_a_named_file_of_others_is_refused(tmp_path):
+    (tmp_path / "targets.csv").write_text("x,y\n1,2\n")
+    with pytest.raises(
+        ArgumentError, match=r"`out` must be a new file, or one of cnclik's own, but 'targets.csv' is not"
+    ):
+        writing.checked_file("out", tmp_path / "targets.csv", ".csv", overwrite=False)
+    assert writing.checked_file("out", tmp_path / "targets.csv", ".csv").exists()
+    assert writing.checked_file("out", tmp_path / "new.csv", ".csv", overwrite=False)
 
 
 @pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt, SystemExit])

@@ -8,7 +8,6 @@ import contextlib
 import gc
 import importlib
 import os
-import signal
 import sys
 import time
 
@@ -63,6 +62,8 @@ def _run(verb, *options) -> None:
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
         with remarks.listening(), _watched(args) as spans:
+            with _nothing_collected(), terminal.whole():
+                importlib.import_module("jax")
             if isinstance(args, common.ComputeOptions):
                 with _nothing_collected():
                     _prepare(args.cache)
@@ -73,24 +74,15 @@ def _run(verb, *options) -> None:
         _leave(2, error)
     except FigureError as error:
         _leave(1, error)
-    except KeyboardInterrupt:
-        _stopped(signal.SIGINT)
-    except terminal.Terminated:
-        _stopped(signal.SIGTERM)
     except Exception as error:
         if terminal.heard_now:
-            _stopped(terminal.heard_now[0])
+            raise terminal.STOPS[terminal.heard_now[0]] from None
         if isinstance(error, ImportError):  # of what draws: what was computed is written before that is loaded
             _leave(1, errors.in_a_line(error))
         if _has_platform():
             raise
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
         _leave(2, errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}"))
-
-
-def _stopped(sent) -> None:
-    word = "Interrupted" if sent == signal.SIGINT else "Terminated"
-    _leave(128 + sent, f"{word}; what was complete is kept.")
 
 
 def _check_report(args, argv) -> None:
@@ -100,7 +92,7 @@ def _check_report(args, argv) -> None:
 
         from cnclik.writing import checked_file
 
-        checked_file("report", args.report, ".html")
+        checked_file("report", args.report, ".html", overwrite=args.overwrite)
         args.typed = shlex.join(argv)
 
 

@@ -15,22 +15,36 @@ def gains_of(found, said, given) -> list:
     """Rows of COLUMNS. Args: given: what the user gave, as `cnclik.cli.problem.table` has it."""
     from cnclik.record import in_words
 
-    dead = f", {1e3 * said.assumed_dead_time:.3g} ms of dead time" if said.assumed_dead_time else ""
-    at_once = "*" if said.assumed_dead_time else ""
-    names = (f"largest stable{at_once}", f"fastest without overshoot{at_once}", f"recommended{dead}")
+    at_once = ", if drives followed at once" if said.assumed_dead_time else ""
     rows = []
-    for row, name in zip(names, ("largest_stable_alpha", "fastest_monotone_alpha", "recommended_alpha"), strict=True):
+    for row, name in (
+        (f"largest stable{at_once}", "largest_stable_alpha"),
+        (f"fastest without overshoot{at_once}", "fastest_monotone_alpha"),
+        ("recommended", "recommended_alpha"),
+    ):
         value, euler = getattr(said, name), said.explicit_euler[name]
-        rows.append((row, *map(or_any, (value, value * found.Ts, euler))))
+        known = name != "largest_stable_alpha" or exact(found.drive)
+        rows.append((row, *(map(or_any, (value, value * found.Ts, euler)) if known else ("not known", "", ""))))
     return [*rows, (_present(given), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
+
+
+_NOT_KNOWN = (
+    "The largest stable gain is not known from a lag or servo alone: joints that move together are heavier. A recorded "
+    "step of all joints says between which gains it lies (cnclik diagnose LOG.csv --step)."
+)
+
+
+def exact(drive) -> bool:
+    """Whether the largest stable gain is known: without a lag or servo, or where the loop knows of none."""
+    return drive is None or drive.order == 0 or drive.feedback == "commanded"
 
 
 def lines_of(found, said, given) -> list:
     """What the numbers mean, in sentences."""
     now, eigen = said.advice.margin, said.advice.spectrum
-    lines = ["* of drives that follow at once"] * bool(said.assumed_dead_time)
-    lines += [f"Recommended: {said.reason}.", *_costs(said, found)]
-    lines.append(f"At alpha {_present(given)}: {_margin(now, said)}")
+    lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
+    lines += [_NOT_KNOWN] * (not exact(found.drive))
+    lines.append(f"At alpha {_present(given)}: {_margin(now, said, found.drive)}")
     if said.advice.times is not None:
         times = said.advice.times
         edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
@@ -59,31 +73,40 @@ def or_any(value) -> str:
     return "none" if value == 0 else f"{value:.4g}" if value < math.inf else "any"
 
 
-def _margin(now, said) -> str:
+def _margin(now, said, drive) -> str:
+    own, assumed = said.now, said.assumed_dead_time is not None
     if now.margin <= 1:
         return f"UNSTABLE: {now.margin:.4g} of it would be stable; {now.limit}."
-    beyond = "any gain is stable" if now.margin == math.inf else f"gain margin {now.margin:.4g}"
-    own = said.now
+    if own is None:
+        return "UNSTABLE on the assumed drives; it is stable only where drives follow at once."
+    margin = own.gain_margin if assumed else now.margin
+    beyond = "any gain is stable" if margin == math.inf else f"gain margin {margin:.4g}"
+    beyond = beyond if exact(drive) else f"it leaves {100 * now.radius:.4g} % of an error each step"
+    if assumed:
+        beyond = f"on the assumed drives, {beyond}"
     late = "" if own.delay_margin == math.inf else f", {own.delay_margin:.3g} samples of dead time more"
     over = (
         f"a step overshoots by {100 * own.overshoot:.2g} % (ζ = {own.damping_ratio:.2g})"
         if own.overshoot > 1e-3
         else "no overshoot"
     )
-    return f"stable: {beyond}{late}; error × {now.radius:.4g} per step, {over}; {now.limit}."
+    rest = "" if assumed else f"; {now.limit}"
+    error = "" if assumed or not exact(drive) else f"error × {now.radius:.4g} per step, "
+    return f"stable: {beyond}{late}; {error}{over}{rest}."
 
 
 def _costs(said, found) -> list:
     """What the recommended gain does."""
-    from cnclik.stability.practice import OWN_COMMANDS
+    from cnclik.stability.settings import OWN_COMMANDS
 
     gain, Ts = said.recommended, found.Ts
     bears = "any dead time" if gain.delay_margin == math.inf else (
         f"{gain.delay_margin:.3g} samples ({1e3 * gain.delay_margin * Ts:.3g} ms) of dead time more"
     )  # fmt: skip
-    more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times the gain"
-    lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}, or {more}."]
-    drive = found.drive
+    drive, margin = found.drive, gain.gain_margin
+    more = ", or any gain" if margin == math.inf else f", or {margin:.3g} times the gain"
+    more = more if exact(drive) else ""
+    lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}{more}."]
     own = drive is not None and drive.feedback == "commanded"
     noise = (
         f"Noise: joints move by {gain.noise_gain:.3g} of what their measurement is off (RMS), commanded velocities by "

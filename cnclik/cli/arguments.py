@@ -1,6 +1,7 @@
 """Command line arguments into a verb's `Args`; whatever is wrong with them comes out as one line.
 
-The arguments are held against the dataclass before tyro reads them, so that no message depends on tyro's wording.
+The arguments are held against the dataclass before tyro reads them, so that no message depends on tyro's wording, and
+numbers with a unit become numbers in the option's own.
 """
 
 import contextlib
@@ -12,35 +13,56 @@ import typing
 
 import tyro
 
-from cnclik import errors
+from cnclik import errors, quantities
 
 _FRAME = re.compile("[^\x20-\u024f\u0370-\u03ff]+")  # what tyro draws around its messages
 _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
 
+@dataclasses.dataclass(frozen=True)
+class Unit:
+    """Mark of an option: the unit of its numbers, see `cnclik.quantities.units`."""
+
+    unit: str
+
+
+class _Kind(typing.NamedTuple):
+    """What an option takes: a type, and the unit of its numbers."""
+
+    hint: object
+    unit: str = "1"
+
+
 def parse(Args, argv, *, prog, description):
     """`argv` as an instance of the dataclass `Args`; `--help` prints and exits as tyro does.
 
+    Its attribute `written` has {option: the unit that each of its numbers was given in, or None}.
+
     Raises: ArgumentError naming the option, what it must be and what it is, or the nearest name.
     """
-    argv = [str(a) for a in argv]
+    argv, written = [str(a) for a in argv], {}
     if not {"-h", "--help"} & set(argv):
-        _check(Args, argv)
+        argv, written = _checked(Args, argv)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(Args, args=argv, prog=prog, description=description)
+            made = tyro.cli(Args, args=argv, prog=prog, description=description)
+        object.__setattr__(made, "written", written)  # beside the fields, of frozen ones too
+        return made
     except SystemExit as leaving:
         if not leaving.code:
             raise
     raise errors.ArgumentError(" ".join(_FRAME.sub(" ", said.getvalue()).split()))
 
 
-def _check(Args, argv):
-    """Raise ArgumentError for an unknown option, a value of the wrong kind, one too many or one missing."""
+def _checked(Args, argv):
+    """(argv with numbers in the options' own units, units as they were written).
+
+    Raises: ArgumentError for an unknown option, a value of the wrong kind, one too many or one missing.
+    """
     options, positionals = _fields(Args)
-    switches = {"--no-" + name[2:]: hint for name, hint in options.items() if hint is bool}
-    loose, queue = [], list(argv)
+    switches = {"--no-" + name[2:]: kind for name, kind in options.items() if kind.hint is bool}
+    loose, queue, given = [], list(argv), []
     while queue:
         token = queue.pop(0)
         if not _is_option(token):
@@ -48,22 +70,51 @@ def _check(Args, argv):
             continue
         written, equals, value = token.partition("=")
         name = "--" + written.lstrip("-").replace("_", "-")
-        hint = (options | switches).get(name)
-        if hint is None or not written.startswith("--"):
+        kind = (options | switches).get(name)
+        if kind is None or not written.startswith("--"):
             raise _unknown(options, written)
-        values = list(itertools.takewhile(lambda t: not _is_option(t), queue))[: _most(hint)]
-        values = [value] if equals else values
+        values = [value] if equals else _values(kind, queue)
         queue = queue if equals else queue[len(values) :]
-        if not values and _least(hint):
-            raise errors.ArgumentError(f"Option `{name}` must be given {_kind(hint)}, but has no value.")
-        if not _fits(hint, values):
-            raise errors.ArgumentError(f"Option `{name}` must be {_kind(hint)}, but is {' '.join(values)!r}.")
+        if not values and _least(kind.hint):
+            raise errors.ArgumentError(f"Option `{name}` must be given {_words(kind.hint)}, but has no value.")
+        given.append((name, kind, values))
+    given.sort(key=lambda one: one[1].unit == quantities.SAMPLES)  # a time is samples once the sampling time is known
+    Ts, units, tokens = next((f.default for f in dataclasses.fields(Args) if f.name == "Ts"), None), {}, []
+    for name, kind, values in given:
+        values, units[name[2:].replace("-", "_")] = _in_own_units(name, kind, values, Ts)
+        if not _fits(kind.hint, values):
+            raise errors.ArgumentError(f"Option `{name}` must be {_words(kind.hint)}, but is {' '.join(values)!r}.")
+        Ts = quantities.number(values[0]) if name == "--Ts" else Ts
+        tokens += [name, *values]
     most = sum(_most(hint) or len(loose) for hint, _, _ in positionals.values())
     if len(loose) > most:
         raise _unknown(options, loose[most])
     for name, (_, required, what) in list(positionals.items())[len(loose) :]:
         if required:
             raise errors.ArgumentError(f"Argument `{name}` must be given, but is not{': ' + what if what else ''}.")
+    return [*loose, *tokens], units
+
+
+def _values(kind, queue) -> list:
+    """The values at the head of a queue that an option takes, a unit that stands apart among them."""
+    values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
+    most = _most(kind.hint)
+    if most is not None and values[most : most + 1] and values[most] in quantities.units(kind.unit):
+        most += 1
+    return values[:most]
+
+
+def _in_own_units(name, kind, values, Ts):
+    """(values as numbers without units, the units that they had); what is no number passes, and fits nothing."""
+    if not _is_numeric(kind.hint) or values == ["None"] or not values:
+        return values, ()
+    try:
+        found = quantities.read(" ".join(values), kind.unit, Ts)
+    except ValueError as error:
+        raise errors.ArgumentError(f"Option `{name}` must be {_words(kind.hint)}, but {error}.") from None
+    if not any(found.written) and len(found) == len(values):
+        return values, found.written
+    return [f"{v:.0f}" if v.is_integer() and abs(v) < 1e15 else repr(v) for v in found], found.written
 
 
 def _is_option(token) -> bool:
@@ -78,7 +129,7 @@ def _unknown(options, found):
 
 
 def _fields(Args):
-    """({"--name": type}, {"NAME": (type, required, what it is)}): the options of a dataclass and its positionals."""
+    """({"--name": _Kind}, {"NAME": (type, required, what it is)}): the options of a dataclass and its positionals."""
     hints, marked = typing.get_type_hints(Args), typing.get_type_hints(Args, include_extras=True)
     options, positionals = {}, {}
     for field in dataclasses.fields(Args):
@@ -92,7 +143,8 @@ def _fields(Args):
             append = tyro.conf.UseAppendAction in marks
             hint = hints[field.name]
             hint = typing.get_args(hint)[0] if append else hint
-            options["--" + about.get("name", field.name).replace("_", "-")] = hint
+            unit = next((m.unit for m in marks if isinstance(m, Unit)), "1")
+            options["--" + about.get("name", field.name).replace("_", "-")] = _Kind(hint, unit)
     return options, positionals
 
 
@@ -131,14 +183,20 @@ def _fits(hint, values) -> bool:
         return len(each) == len(values) and all(_fits(kind, [v]) for kind, v in zip(each, values, strict=True))
     if origin:  # a union, such as `float | None`
         return values == ["None"] or any(_fits(kind, values) for kind in inner)
-    if hint in (int, float):
-        with contextlib.suppress(ValueError):
-            return hint(values[0]) is not None
+    if hint is int:
+        return re.fullmatch("[+-]?[0-9]+", values[0]) is not None
+    return hint is not float or quantities.number(values[0]) is not None
+
+
+def _is_numeric(hint) -> bool:
+    """Whether all that an option takes are numbers."""
+    origin, inner = _parts(hint)
+    if origin is typing.Literal:
         return False
-    return True
+    return all(map(_is_numeric, (a for a in inner if a is not ...))) if origin else hint in (int, float)
 
 
-def _kind(hint) -> str:
+def _words(hint) -> str:
     """A type in words: "an integer", "one of a, b", "3 numbers"."""
     words = {int: "an integer", float: "a number", str: "a text", bool: "True or False"}
     origin, inner = _parts(hint)
@@ -150,5 +208,5 @@ def _kind(hint) -> str:
         each = {int: "integers", float: "numbers"}.get(inner[0], "values")
         return f"{len(inner)} {each}" if _most(hint) else each
     if origin:
-        return " or ".join(_kind(a) for a in inner)
+        return " or ".join(_words(a) for a in inner)
     return f"a {getattr(hint, '__name__', hint)}".lower()

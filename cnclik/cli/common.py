@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import re
 from pathlib import Path
 
 
@@ -17,6 +18,8 @@ class CacheOption:
 class ComputeOptions(CacheOption):
     """For verbs that compute."""
 
+    overwrite: bool = False
+    """Write into a folder, or over a file, that is not cnclik's own, too."""
     timings: bool = False
     """Tell at the end how long importing, tracing, compiling, running and drawing took."""
 
@@ -62,20 +65,21 @@ class ReportOption:
 
 
 _OPTIONS = {  # what the library's remedies speak of, as it is written on the command line
-    "damped(...)": "--damping",
-    "error_clamp": "--error-clamp",
-    "limits saturation()": "--limits saturation",
-    "limits velocity_scaling()": "--limits velocity-scaling",
-    "the stage with chord(2)": "the stage with --stage chord --M 2",
+    r"damped\((.*?)\)": r"--damping \1",
+    r"an error_clamp of \((.*?), (.*?)\)": r"--error-clamp \1 \2",
+    r"limits velocity_scaling\(\)": "--limits velocity-scaling",
+    r"the stage with chord\(2\)": "the stage with --stage chord --M 2",
     "method EXP-MIDPOINT": "--method EXP-MIDPOINT",
-    "(feedforward=1)": "(--feedforward 1)",
+    r"\(feedforward=1\)": "(--feedforward 1)",
+    r"pseudoinverse\(\)": "--inverse pseudoinverse",
+    r"N = (\d+) steps": r"--N \1",
 }
 
 
 def as_options(sentence: str) -> str:
     """A remedy in the words of Python in those of the command line."""
     for word, option in _OPTIONS.items():
-        sentence = sentence.replace(word, option)
+        sentence = re.sub(word, option, sentence)
     return sentence
 
 

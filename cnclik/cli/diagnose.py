@@ -8,24 +8,23 @@ from typing import Annotated, Literal
 import tyro
 
 from cnclik import errors
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import Number
 from cnclik.cli.remarks import print_json
-
-_TIMES = ("t", "time", "t [s]", "time [s]")  # what a column of times may be called
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions):
     log: Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(metavar="LOG.csv")]
     """A recording: a row for each sample, a column for each joint, error or command."""
-    Ts: Number = None
-    """Sampling time of loop and recording [s]; may be left out where a column t or time has it."""
-    alpha: Number = None
-    """Gain of the loop [1/s]: then the gain that would end the ringing is told, else by how much to change it."""
+    Ts: Annotated[Number, Unit("s")] = None
+    """Sampling time of loop and recording [s]; of a column of times (time, timestamp, header.stamp, ...) by default."""
+    alpha: Annotated[Number, Unit("1/s")] = None
+    """Gain of the loop [1/s]: the answer then names the gain that ends the ringing, else by how much to change it."""
     columns: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = None
-    """Which columns, by name or number; all but times by default. With --step: the commands, then the motions."""
-    longest_period: Number = None
+    """Which columns, by name or number; all but times and status by default. With --step: commands, then motions."""
+    longest_period: Annotated[Number, Unit("s")] = None
     """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
     step: bool = False
     """Fit a drive to recorded commands and motion: columns named command..., position..., or the two there are."""
@@ -40,53 +39,62 @@ class Args(ComputeOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.diagnosis.fit import sampling_time
+    from cnclik.diagnosis.recording import APART, clock, no_motion, sampling_time
     from cnclik.problem.tables import read_columns
     from cnclik.writing import checked_folder
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
     if args.out is not None:
-        checked_folder("out", args.out)
+        checked_folder("out", args.out, overwrite=args.overwrite)
     names, table = read_columns("LOG", args.log, gaps=True)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
-    clock = next((i for i, name in enumerate(names) if name.lower() in _TIMES), None)
-    if clock is None and args.Ts is None:
-        raise errors.fail("Ts", "be given where no column is called t or time", "is not")
-    Ts = sampling_time(None if clock is None else table[:, clock], args.Ts)
-    (_step if args.step else _diagnose)(args, names, table, clock, Ts)
+    t, times, unit = clock(names, table)
+    if t is None and args.Ts is None:
+        raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
+    Ts, stamps = sampling_time(t, args.Ts), "--Ts"
+    if args.Ts is None:
+        stamps = f"{names[times[0]]}, read in {unit}"
+    elif t is not None and len(t) > 1 and abs((t[-1] - t[0]) / (len(t) - 1) / Ts - 1) > APART:
+        stamps = f"--Ts, though {names[times[0]]} says {1e3 * (t[-1] - t[0]) / (len(t) - 1):.4g} ms"
+    left_out = {*times, *no_motion(names, table)}
+    (_step if args.step else _diagnose)(args, names, table, left_out, (Ts, stamps))
 
 
-def _diagnose(args, names, table, clock, Ts):
+def _diagnose(args, names, table, left_out, of):
+    from cnclik.cli import progress
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
     from cnclik.measure.files import plain
 
-    chosen = _chosen(args.columns, names) or _usual(names, clock)
+    Ts, stamps = of
+    chosen = _chosen(args.columns, names) or _usual(names, left_out)
     if not chosen:
         raise errors.fail("LOG", "have a column besides the times", "has none")
     if args.longest_period is not None:
         errors.number("longest-period", args.longest_period, positive=True)
     longest = LONGEST if args.longest_period is None else max(args.longest_period / Ts, 2.0)
     signal = _whole(table[:, chosen])
-    found = diagnose(signal, Ts, alpha=args.alpha, longest=longest)
+    with progress.bar("parts") as report:
+        found = diagnose(signal, Ts, alpha=args.alpha, longest=longest, progress=report)
     if args.json:
-        print_json(plain(_fields(found)))
+        print_json(plain(_fields(found) | {"Ts_from": stamps}))
     else:
         print(found)
-        _tell(found)
+        _tell(found, [names[i] for i in chosen])
+        print(f"Ts = {1e3 * Ts:.4g} ms ({stamps}).")
     if args.out is not None:
         from cnclik.show.diagnosis import oscillation
 
         _draw(args, lambda: oscillation(signal, found, [names[i] for i in chosen]))
 
 
-def _usual(names, clock) -> list:
+def _usual(names, left_out) -> list:
     """Errors, else joints, of what `cnclik solve --csv` writes; else all columns but the times."""
     for kind in ("e_", "q_"):
         if found := [i for i, name in enumerate(names) if name.startswith(kind)]:
             return found
-    return [i for i in range(len(names)) if i != clock]
+    return [i for i in range(len(names)) if i not in left_out]
 
 
 def _whole(table):
@@ -100,7 +108,9 @@ def _whole(table):
     return table
 
 
-def _tell(found):
+def _tell(found, names):
+    if found.cause == "wrong sign":
+        print("Growing: " + ", ".join(name for name, a in zip(names, found.amplitude, strict=True) if a > 0))
     if found.stable is None:
         return
     print(f"z now {found.z:.4g}; at {found.delay:.4g} samples of dead time: stable below {found.stable:.4g}, "
@@ -118,6 +128,8 @@ def _fields(found) -> dict:
         "phase_delay",
         "confidence",
         "pure",
+        "cause",
+        "angle",
         "stable",
         "monotone",
         "recommended",
@@ -126,16 +138,18 @@ def _fields(found) -> dict:
     made |= {name: getattr(found, name) for name in (*plain, "factor", "alpha", "recommended_alpha")}
     made |= {"period_seconds": found.period_seconds, "delay_seconds": found.delay_seconds}
     made |= {"factors": [[float(f.real), float(f.imag)] for f in found.factors]}
+    made |= {"axis": None if found.axis is None else list(found.axis)}
     return made | {"amplitude": list(found.amplitude), "noise": list(found.noise), "note": found.note}
 
 
-def _step(args, names, table, clock, Ts):
+def _step(args, names, table, left_out, of):
     from cnclik.diagnosis.fit import fit_drive
     from cnclik.measure.files import plain
 
     if args.alpha is not None:
         raise errors.fail("alpha", "be left out with --step", "is given")
-    sent, moved = _pairs(args.columns, names, clock)
+    Ts, stamps = of
+    sent, moved = _pairs(args.columns, names, left_out)
     import numpy as np
 
     table = _whole(table[:, [*sent, *moved]])
@@ -144,16 +158,20 @@ def _step(args, names, table, clock, Ts):
     if args.json:
         drive = fit.drive
         print_json(plain({
-            "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "command": drive.command,
+            "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "Ts_from": stamps,
+            "command": drive.command,
             "delay": drive.delay,
             "lag": _plain(drive.lag) if drive.order == 1 else None,
             "natural_frequency": _plain(drive.natural_frequency) if drive.order == 2 else None,
             "damping_ratio": _plain(drive.damping_ratio) if drive.order == 2 else None,
             "uncertainty": fit.uncertainty, "rms": list(fit.rms), "explained": fit.explained, "options": fit.options,
+            "gain": list(fit.gain), "drift": list(fit.drift), "largest_stable_alpha": fit.largest_stable_alpha,
+            "note": fit.note,
         }))  # fmt: skip
     else:
         print(fit.options)
         print(fit)
+        print(f"Ts = {1e3 * Ts:.4g} ms ({stamps}).")
     if args.out is not None:
         from cnclik.show.diagnosis import drive as figure
 
@@ -169,7 +187,7 @@ def _chosen(columns, names):
     return [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
 
 
-def _pairs(columns, names, clock):
+def _pairs(columns, names, left_out):
     """Places of the commands and of the motions."""
     if columns:
         places = _chosen(columns, names)
@@ -177,7 +195,9 @@ def _pairs(columns, names, clock):
         lower = [name.lower() for name in names]
         sent = [i for i, name in enumerate(lower) if name.startswith(("command", "cmd"))]
         moved = [i for i, name in enumerate(lower) if name.startswith(("position", "motion"))]
-        places = sent + moved if sent and len(sent) == len(moved) else [i for i in range(len(names)) if i != clock]
+        places = (
+            sent + moved if sent and len(sent) == len(moved) else [i for i in range(len(names)) if i not in left_out]
+        )
         if not sent and len(places) != 2:
             raise errors.fail("columns", "name commands, then motions", f"is left out, and LOG has {', '.join(names)}")
     if len(places) % 2 or not places:

@@ -21,7 +21,7 @@ class Args(ComputeOptions, ProblemOptions):
     """What the function does: one step, N steps in one call, joint values for one target, forward kinematics, or the
     Jacobian."""
     name: str = "clik_step"
-    """Name of the function and of the files."""
+    """Name of the function and of the files; `clik_` is put before one that does not begin with it."""
     dtype: Literal["double", "float"] = "double"
     """Type of all numbers."""
     runtime: tuple[str, ...] | None = None
@@ -60,10 +60,11 @@ def run(args: Args) -> None:
             runtime=() if args.compiled_in else args.runtime,
             batch=args.batch,
             seeds=args.seeds,
+            overwrite=args.overwrite,
         )
     where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
     of = f", {made.method} {where}" if args.what in ("step", "solve") else ""
     print(f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}{of}")
-    files = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
-    print(f"Wrote {', '.join(sorted(files))} to {folder}/.")
-    print(f"Build and test: {BUILD.format(sources=f'{args.name}.c example.c')} && ./example")
+    told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    print(f"Wrote {', '.join(sorted([*told['files'], MANIFEST]))} to {folder}/.")
+    print(f"Build and test: {BUILD.format(sources=told['name'] + '.c example.c')} && ./example")

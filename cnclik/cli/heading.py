@@ -33,16 +33,18 @@ def start_and_target(made, given: dict) -> list:
 
     units = ", ".join(dict.fromkeys(made.law.chain.units))
     named = any(given.get(name) is not None for name in PATH) or str(given.get("reference")).lower().endswith(".csv")
+    begins = " (on the path)" if given.get("begin") == "on-path" else "" if "q0" in given else " (default)"
     return [
-        f"Start: q0 = {in_words(made.q0)} {units}{'' if 'q0' in given else ' (default)'}.",
-        f"{_first_point(made, given.get('reference', 'hold'))}{'' if named else ' (default)'}.",
+        f"Start: q0 = {in_words(made.q0)} {units}{begins}.",
+        f"{_first_point(made, given.get('reference', 'hold'), '' if named else ' (default)')}.",
     ]
 
 
-def _first_point(made, name) -> str:
+def _first_point(made, name, default) -> str:
     import numpy as np
 
     from cnclik.law.reference import controlled
+    from cnclik.robot.kinematics import pose
     from cnclik.robot.poses import quaternions
 
     position, rotation = made.reference.curve(0.0)
@@ -52,4 +54,11 @@ def _first_point(made, name) -> str:
         said.append(f"{' '.join(task.position)} = {' '.join(f'{v:.5g}' for v in values)} m")
     if task.orientation:
         said.append(f"quaternion w x y z = {' '.join(f'{v:.5g}' for v in quaternions(np.array(rotation, float)))}")
-    return f"{'Target' if name == 'hold' else f'Path {name}, from'} {', '.join(said)}"
+    if name == "hold":
+        return f"Target {', '.join(said)}{default}"
+    away = ""
+    if task.position:
+        here = controlled(task, [float(v) for v in pose(made.law.chain, made.q0).position])
+        jump = float(np.linalg.norm(np.subtract(values, here)))
+        away = f"; the start is {1e3 * jump:.3g} mm away from it (--begin on-path begins there)" if jump > 1e-3 else ""
+    return f"Path {name}, from {', '.join(said)}{default}{away}"

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from cnclik.cli.arguments import Unit
 from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
@@ -33,7 +34,7 @@ def _field(name):
         default = (default,)
     if keyword.iskeyword(name):
         about["name"] = name
-    marked = Annotated[kind, tyro.conf.arg(**about)]
+    marked = Annotated[kind, tyro.conf.arg(**about), Unit(option.unit)]
     return name + "_" * keyword.iskeyword(name), marked, dataclasses.field(default=default)
 
 
@@ -74,8 +75,21 @@ def problem(args):
     from cnclik.cli import progress
     from cnclik.problem.build import problem_from
 
+    given = table(args)
     with progress.bar("start and path"):
-        return problem_from(**table(args))
+        made = problem_from(**given)
+    look_at_units(args, given, made.law.chain, made.law.task, made.Ts)
+    return made
+
+
+def look_at_units(args, given: dict, chain, task, Ts=None) -> None:
+    """Whether the units that were written fit joints and task, and remarks on numbers that probably have another."""
+    from cnclik.problem.plausible import check_units, remark_on
+
+    written = getattr(args, "written", {})
+    check_units(chain, task, written)
+    remark_on(given | {name: v for name in ("near", "speed") if (v := getattr(args, name, None)) is not None},
+              chain, task, Ts, written)  # fmt: skip
 
 
 def drive_words(made) -> str:

@@ -11,9 +11,10 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import robot_and_task
-from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions
+from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions, look_at_units
 from cnclik.cli.remarks import print_json
 
 
@@ -31,25 +32,25 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """Places of --map along each axis."""
     orientations: int = 24
     """Orientations of --map at each place."""
-    at: float = 0.0
+    at: Annotated[float, Unit("m")] = 0.0
     """Where on the third axis the plane of --map lies [m]."""
     seed: int = 0
     """Of --random and of the search."""
-    tolerance: tuple[float, float] = (1e-6, 1e-6)
+    tolerance: Annotated[tuple[float, float], Unit("m, rad")] = (1e-6, 1e-6)
     """Of position [m] and orientation [rad]."""
-    accept: Annotated[tuple[float, float] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    accept: Annotated[tuple[float, float] | None, tyro.conf.arg(help_behavior_hint=""), Unit("m, rad")] = None
     """A wider pair, within which an answer is ACCEPTED where the tolerance is not met."""
-    near: Numbers = None
+    near: Annotated[Numbers, Unit("q")] = None
     """Joint values to search from [rad, m], such as where the robot is now."""
     path: bool = False
     """Targets are a path: search each from the answer before it."""
-    jump: Number = None
+    jump: Annotated[Number, Unit("q")] = None
     """The most that any joint may be away from --near, or from the answer before [rad, m]."""
     solutions: int = 1
     """Different answers for each target."""
     seeds: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    """Postures to start from, at most, for each target; 256, of --map 32."""
-    budget: int = 10_000
+    """Postures to start from, at most, for each target; 512, of --map 32."""
+    budget: int = 25_000
     """Evaluations for each target, at most, while there is no answer."""
     limits: bool = True
     """Keep the joint limits."""
@@ -65,6 +66,7 @@ def run(args: Args) -> None:
     _check(args)
     chain, tip = robot_and_tip(args.robot, args.tip, args.base, args.lengths)
     task = task_from(args.task, chain)
+    look_at_units(args, {}, chain, task)
     if not args.json:
         print(robot_and_task(robot_name(args.robot, args.tip), tip, task))
     if args.map:
@@ -84,7 +86,7 @@ def _check(args):
         from cnclik.measure.answers import ENDINGS
         from cnclik.writing import checked_file
 
-        checked_file("out", args.out, *ENDINGS)
+        checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
     if args.path and args.near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
 
@@ -227,8 +229,8 @@ def _tell(made, summary, seconds):
 _MEANING = {
     "SOLVED": "within the tolerance",
     "ACCEPTED": "within --accept, not the tolerance",
-    "AT_LIMIT": "the arm would get there, its joint limits don't let it; the nearest pose is given",
-    "OUT_OF_REACH": "too far; the nearest pose is given",
+    "AT_LIMIT": "answers were found beyond the joint limits alone; the nearest pose is given",
+    "OUT_OF_REACH": "no answer was found, without limits either; the nearest pose is given",
     "JUMP": "only by a jump; no joint values are given",
     "OUT_OF_BUDGET": "not found, and not shown to be out of reach: try more --seeds or a larger --budget",
     "NON_FINITE": "the target is not finite",
@@ -252,7 +254,7 @@ def _map(args, chain, task):
     out = args.out or pathlib.Path("reach-out")
     count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
     begun = time.perf_counter()
-    with output_folder(out) as folder:
+    with output_folder(out, overwrite=args.overwrite) as folder:
         with progress.bar("targets", count) as report:
             found = reachability(
                 chain,

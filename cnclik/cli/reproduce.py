@@ -22,7 +22,7 @@ class Args(ComputeOptions):
 def run(args: Args) -> None:
     shown = str(paper.reading(args.reading))
     with progress.bar("done") as report:
-        found = paper.reproduce(args.out, reading=shown, progress=report)
+        found = paper.reproduce(args.out, reading=shown, progress=report, overwrite=args.overwrite)
     _show(found)
     print(f"Wrote data, claims and figures to {args.out}/; read {args.out / 'claims.md'} first.")
 

@@ -10,6 +10,7 @@ from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options
 from cnclik.cli.heading import robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
+from cnclik.cli.remarks import print_json
 
 PIECE = 2000  # steps between two looks at the clock
 
@@ -24,6 +25,8 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
     """Also write trajectory.csv."""
     figures: bool = True
     """Draw joint paths, error, joint velocities and status."""
+    json: bool = False
+    """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedies as options."""
 
 
 def run(args: Args) -> None:
@@ -31,7 +34,7 @@ def run(args: Args) -> None:
 
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
-    from cnclik.measure.files import save_csv, save_netcdf
+    from cnclik.measure.files import plain, save_csv, save_netcdf
     from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
     from cnclik.writing import output_folder
@@ -41,7 +44,7 @@ def run(args: Args) -> None:
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    with output_folder(args.out) as folder:
+    with output_folder(args.out, overwrite=args.overwrite) as folder:
         with progress.bar("steps") as report:
             trajectory, seconds = _march(made, report)
         from cnclik.measure.dataset import to_dataset
@@ -59,15 +62,20 @@ def run(args: Args) -> None:
     where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
-    print("\n".join([title, loop, *where]))
-    Console().print(_shown(facts))
-    print(answer)
+    if args.json:
+        asked_of = {"asked": [title, loop, *where], "facts": dict(facts)}
+        print_json(asked_of | {"verdict": plain(told) | {"sentence": answer}, "out": str(args.out)})
+    else:
+        print("\n".join([title, loop, *where]))
+        Console().print(_shown(facts))
+        print(answer)
     written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
     figures = _figures(data, made) if args.figures or args.report else {}
     if args.figures:
         with args.figures_first(), progress.bar("figures") as report:
             written += draw(figures, args.out, progress=report)
-    print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
+    if not args.json:
+        print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
     args.write_report(
         title,
         answer,

@@ -13,6 +13,7 @@ import tyro
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.advice import COLUMNS, escaped, gains_of, lines_of, name_of, or_any, title_of
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import (
@@ -33,9 +34,9 @@ from cnclik.problem.options import DRIVE
 class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
-    target: Numbers = None
+    target: Annotated[Numbers, Unit("x")] = None
     """Where the loop is to come to rest: position [m], for a pose optionally a quaternion w x y z."""
-    speed: float = 0.1
+    speed: Annotated[float, Unit("m/s")] = 0.1
     """Of the tip [m/s]: for lag, tracking error and joint velocities."""
     json: bool = False
     """Print the advice as JSON, and nothing else."""
@@ -51,9 +52,9 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     """Methods of --plane."""
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
     """Passes M of --plane; the strip over M goes up to the largest."""
-    alpha_range: tuple[float, float] | None = None
+    alpha_range: Annotated[tuple[float, float] | None, Unit("1/s")] = None
     """Gains of --map [1/s]; by default about --alpha and the linear boundary."""
-    Ts_range: tuple[float, float] | None = None
+    Ts_range: Annotated[tuple[float, float] | None, Unit("s")] = None
     """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""
@@ -74,7 +75,7 @@ def run(args: Args) -> None:
         return
     load_ahead("cnclik.show.style")
     figures, advised = {}, None
-    with output_folder(args.out) as out:
+    with output_folder(args.out, overwrite=args.overwrite) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:
@@ -143,7 +144,7 @@ def _tell(args, advised):
     for row in gains_of(found, said, table(args)):
         shown.add_row(*row)
     asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
-    for note in (*asked, *said.notes):  # what the numbers can't say comes before them
+    for note in (*asked, *filter(None, [said.assumption]), *said.notes):  # what the numbers can't say comes before them
         console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
     for line in lines_of(found, said, table(args)):
@@ -156,7 +157,9 @@ def _as_table(found, said) -> dict:
 
     margin = said.advice.margin
     about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0)
-    about |= dict(method=str(found.method), Ts=found.Ts)
+    late = None if found.drive is None else found.drive.lumped.delay
+    about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
+    about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
     return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}

@@ -53,7 +53,7 @@ def run(args: Args) -> None:
     print(f"{spec.name}: {grid.size:,} loops, {grid}", flush=True)
     begun = time.perf_counter()
     with progress.bar("loops", quiet=place["process"] != 0) as report:
-        whole = store.run(spec, out, fresh=args.fresh, progress=report, **place)
+        whole = store.run(spec, out, fresh=args.fresh, overwrite=args.overwrite, progress=report, **place)
     if not whole:
         print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
         return

@@ -41,7 +41,8 @@ class Terminated(BaseException):
     """SIGTERM, so that what must be cleaned up is."""
 
 
-_STOPS = {signal.SIGTERM: Terminated, signal.SIGINT: KeyboardInterrupt}
+STOPS = {signal.SIGTERM: Terminated, signal.SIGINT: KeyboardInterrupt}
+_WORDS = {signal.SIGTERM: "Terminated", signal.SIGINT: "Interrupted"}
 heard_now = []  # signals that a command was sent: extensions that are being loaded make errors of their own of them
 _PATIENCE = 30.0  # [s] that cleaning up may take after a signal
 
@@ -88,7 +89,8 @@ def guarded(process: bool):
 
     Args:
       process: whether the command is all this process is for. Then it doesn't wait, when it leaves early, for threads
-        that are still loading or compiling something; Python would, and may crash or hang on them.
+        that are still loading or compiling something, those of compiled code among them, of which Python doesn't know:
+        it would wait, and may crash or hang on them.
     """
     own = sys.stdout, sys.stderr
     out, err = (_Stream(stream or io.StringIO()) for stream in own)  # none: it was closed from the beginning
@@ -99,6 +101,10 @@ def guarded(process: bool):
             yield
     except SystemExit as ended:
         leaving = ended
+    except tuple(STOPS.values()) as stopped:
+        sent = next(sent for sent, kind in STOPS.items() if isinstance(stopped, kind))
+        print(f"cnclik: {_WORDS[sent]}; what was complete is kept.", file=sys.stderr)
+        leaving = SystemExit(128 + sent)
     finally:
         out.flush()
         err.flush()
@@ -108,7 +114,7 @@ def guarded(process: bool):
                 with contextlib.suppress(OSError, ValueError):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     if leaving is not None and (leaving.code or out.problem is None):
-        if process and leaving.code and threading.active_count() > 1:
+        if process and leaving.code and (heard_now or threading.active_count() > 1):
             os._exit(leaving.code)
         raise leaving
     if isinstance(out.problem, BrokenPipeError):
@@ -118,6 +124,19 @@ def guarded(process: bool):
 
         print(f"cnclik: The output could not be written ({reason(out.problem)}); the work was done.", file=sys.stderr)
         sys.exit(1)
+
+
+@contextlib.contextmanager
+def whole():
+    """Context manager: signals wait for its end; JAX's modules, interrupted while they are loaded, end the process."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
@@ -136,10 +155,10 @@ def _stoppable(process):
         heard_now.append(sent)
         if process:
             faulthandler.dump_traceback_later(_PATIENCE, exit=True, file=nowhere)
-        raise _STOPS[sent]
+        raise STOPS[sent]
 
     def dropped(unraisable):
-        for sent, kind in _STOPS.items():
+        for sent, kind in STOPS.items():
             if isinstance(unraisable.exc_value, kind):
                 threading.Timer(0.05, _thread.interrupt_main, [sent]).start()
                 return
@@ -149,7 +168,7 @@ def _stoppable(process):
         yield
         return
     hook = sys.unraisablehook
-    heard = [sent for sent in _STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not of Python
+    heard = [sent for sent in STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not of Python
     before = {sent: signal.signal(sent, end) for sent in heard}
     sys.unraisablehook = dropped
     with open(os.devnull, "w") as nowhere:

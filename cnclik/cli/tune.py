@@ -12,9 +12,12 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import common
+from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
+from cnclik.quantities import SAMPLES
+from cnclik.version import __version__
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
@@ -31,7 +34,7 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """Gain to tune: scalar, per-axis, matrix (symmetric positive definite), or as --alpha is given."""
     loss: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[=WEIGHT] ...")] = ("tracking",)
     """tracking (RMS), worst, settling, effort, jerk, noise, delay; several with weights: tracking=1 jerk=1e-4."""
-    delay_margin: float = 1.0
+    delay_margin: Annotated[float, Unit(SAMPLES)] = 1.0
     """Further dead time [samples] with which a step must still not overshoot."""
     noise_gain: float = 0.5
     """Bound of how much of measurement noise the joints follow (standard deviations)."""
@@ -39,11 +42,11 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """Let go of both: the loss alone is made small, and the loop rings."""
     margin: Number = None
     """Bound of the spectral radius along the path, by which small errors shrink per step; 1, or 0.9 with --ringing."""
-    alpha_bounds: tuple[float, float] | None = None
+    alpha_bounds: Annotated[tuple[float, float] | None, Unit("1/s")] = None
     """Bounds of the gain [1/s]; z = alpha·Ts from 0.001 to 10 by default."""
-    Ts_bounds: tuple[float, float] | None = None
+    Ts_bounds: Annotated[tuple[float, float] | None, Unit("s")] = None
     """Bounds of the sampling time [s], where it is tuned; a factor 4 around --Ts by default."""
-    velocity_limit: Number = None
+    velocity_limit: Annotated[Number, Unit("q/s")] = None
     """Joint velocity limit [rad/s, m/s] for all joints in place of the robot's own; 0 for none."""
     model_error: float = 0.0
     """Relative error of the link lengths the law believes in."""
@@ -71,13 +74,13 @@ def run(args: Args) -> None:
 
     if args.figures:
         load_ahead("cnclik.show.style")
-    with output_folder(args.out) as folder:
+    with output_folder(args.out, overwrite=args.overwrite) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
             loop = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage)
             found = tuning.tune(made.law, made.reference, made.q0, **loop, progress=report, **asked)
         seconds = time.perf_counter() - begin
-        data = tuning.to_json(found, config=_config(args))
+        data = {"cnclik": __version__} | tuning.to_json(found, config=_config(args))
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     drawn = {}
     if args.figures or args.report:

@@ -40,7 +40,7 @@ def run(args: Args) -> None:
     need.require_viser()
     errors.integer("port", args.port, at_least=1, at_most=65_000)
     if args.html is not None:
-        checked_file("html", args.html, ".html")
+        checked_file("html", args.html, ".html", overwrite=args.overwrite)
     motions, live = _shown(args)
     if args.html is not None:
         print(f"Wrote {front.write_page(live.motions() if live else motions, args.html)}.")

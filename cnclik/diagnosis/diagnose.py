@@ -3,13 +3,18 @@
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.advice import advice
-from cnclik.diagnosis.fit import columns
-from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, explained, judged, looked_at, spans
-from cnclik.diagnosis.modes import find_modes
+from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
+from cnclik.diagnosis.excited import excited
+from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, Kind, explained, judged, looked_at, spans
+from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
+from cnclik.diagnosis.recording import columns
 from cnclik.record import record
 
 LONGEST = 250  # samples of a period: what is slower is taken for a path
+WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
+FADED = 0.3  # size of an oscillation in one part as a share of the other's, below which they aren't compared
+NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
+MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
 STILL = 1e-12  # share of the largest value that is rounding
 
 
@@ -23,7 +28,10 @@ class Diagnosis:
       period: of the oscillation [samples]; growth: factor of its size per sample. Of a monotone decay growth alone.
       factors: (g,) complex, of all modes that were found, the dominant first; of each pair one.
       z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that.
-      lag: time constant [s], where alpha and the oscillation say that there is one; then d is no whole number.
+      lag: time constant [s], where there is one; then d is no whole number.
+      cause: "dead time", "lag" (with dead time), "turned frames" or "wrong sign".
+      angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn
+        the error by −angle.
       phase_delay: dead time that the dominant factor alone says, not a whole number.
       confidence: in d, 0 to 1. pure: whether gain and dead time explain all of the recording; else a drive lags as
         well, of which d is part.
@@ -43,6 +51,9 @@ class Diagnosis:
     z: float | None = None
     delay: float | None = None
     lag: float | None = None
+    cause: str | None = None
+    angle: float | None = None
+    axis: object = None
     phase_delay: float | None = None
     confidence: float | None = None
     pure: bool | None = None
@@ -78,7 +89,7 @@ class Diagnosis:
         return f"{self.kind}: {_sentence(self)}." + (f" {self.note}" if self.note else "")
 
 
-def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
+def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -> Diagnosis:
     """Whether a recording rings, how late the robot is by that, and which gain would end it.
 
     The recording may begin at rest, have an offset, drift, follow a slow path, and be noisy. Several columns, as of
@@ -88,6 +99,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
       signal: (N,) or (N, k): joint values, errors, or steps commanded.
       Ts: sampling time [s]. alpha: gain of the loop [1/s], if known.
       longest: period [samples] from which on motion is taken for that of a path.
+      progress: progress(done, total, note) is called as parts of the work are done.
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
@@ -102,22 +114,47 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
     if not moving.any():
         still = np.zeros(y.shape[1])
         return Diagnosis(kind=Kind.QUIET, path=y, modes=np.zeros_like(y), amplitude=still, noise=still, **given)
+    report = progress or (lambda *_: None)
+    report(0, 4, "modes")
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
     scaled = (y - y[0]) / size
-    first, last = looked_at(scaled[:, moving], longest)
-    first, found = _explained(scaled[first:last, moving], first, longest)
+    first, last, found = _found(scaled[:, moving], longest)
     seen = scaled[first:last, moving]
     kind, chosen, own = judged(seen, found, longest)
+    report(1, 4, "what it has come to")
     if kind in (Kind.GROWING, Kind.RINGING) and len(seen) >= 4 * LEAST:  # what it has come to, if that stays
         half = len(seen) // 2
         late = find_modes(seen[half:], longest)
         later, of_late, own_late = judged(seen[half:], late, longest)
         if later is Kind.SUSTAINED and np.any(spans(late.parts[of_late]) > 0.1 * spans(found.parts)):
             first, seen, found, kind, chosen, own = first + half, seen[half:], late, later, of_late, own_late
-    made = given | {"kind": kind, "first": first}
+    report(2, 4, "the loop behind it")
+    made, whole, periods = given | {"kind": kind, "first": first}, True, None
+    shape = shape_of(seen, found, chosen[0]) * size[moving] if len(chosen) else None
     if kind in OSCILLATING:
         loop = seen - found.path - found.parts[~own].sum(0)
-        made |= advice(kind, found.factors[chosen[0]], loop, found.noise, alpha, Ts)
+        made |= advice(kind, found.factors[chosen[0]], shape, loop, found.noise, alpha, Ts)
+        whole = made.pop("whole", True)
+        periods = _wandering(scaled[:last, moving], first, longest)
+    report(3, 4, "noise")
+    noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
+    if kind is Kind.NOISE or not whole or periods or noisy:
+        driven = _noise_driven(scaled[max(last - MOST, 0) : last, moving], longest, alpha, Ts)
+        if periods and not driven:
+            made = {name: made[name] for name in ("Ts", "alpha", "kind", "first", "period", "growth")}
+            made["note"] = (
+                f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
+                "not of a loop: no gain is named."
+            )
+        if noisy or periods or driven.get("confidence", 0) > made.get("confidence", 0):
+            made |= driven
+    if kind is Kind.DIVERGING:
+        factor = found.factors[chosen[0]]
+        most = np.max(spans(found.parts[chosen]) / np.ptp(seen, axis=0))
+        clear = (
+            most > ALL and len(seen) * np.log(np.abs(factor)) > np.log(MUCH) and found.score < polynomials(seen) - CLEAR
+        )
+        made |= growth_without_end(factor, shape, clear, alpha, Ts)
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)
     rest = [i for i in range(len(found.factors)) if i not in chosen]
@@ -138,6 +175,18 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST) -> Diagnosis:
     )
 
 
+def _found(y, longest):
+    """(first row, last row, its modes) of what is looked at. What grows was small for long: none of that is rest."""
+    first, begun, last = looked_at(y, longest)
+    if begun > first:
+        found = find_modes(y[first:last], longest)
+        grown = np.abs(found.factors) ** (last - first) > 1 / BEGUN
+        if grown.any() and explained(y[first:last], found) and found.score < polynomials(y[first:last]):
+            return first, last, found
+    begun, found = _explained(y[begun:last], begun, longest)
+    return begun, last, found
+
+
 def _explained(seen, first, longest):
     """(first row, its modes) of as much as modes explain: a large motion is no linear loop's, its last part is.
 
@@ -156,6 +205,36 @@ def _explained(seen, first, longest):
     return at, found
 
 
+def _wandering(y, first, longest):
+    """Periods (2,) of an oscillation that differ between two parts of a recording; None of one that keeps its own.
+
+    The parts are what is looked at, from row `first` on, and as much before it; or else its halves.
+    """
+    N = len(y) - first
+    parts = (y[first - N : first], y[first:]) if first >= N else (y[first : first + N // 2], y[first + N // 2 :])
+    periods, sizes = [], []
+    for part in parts:
+        if len(part) < 2 * LEAST or not np.all(np.ptp(part, axis=0) > STILL):
+            return None
+        found = find_modes(part, longest)
+        kind, chosen, _ = judged(part, found, longest)
+        if kind not in OSCILLATING:
+            return None
+        sizes.append(spans(found.parts[chosen]).max())
+        periods.append(float(2 * np.pi / np.abs(np.angle(found.factors[chosen[0]]))))
+    faded = min(sizes) < FADED * max(sizes)  # then noise may have a part in one of them
+    return periods if max(periods) > WANDERS * min(periods) and not faded else None
+
+
+def _noise_driven(seen, longest, alpha, Ts) -> dict:
+    """Fields of a loop that noise keeps swinging, if there is one."""
+    if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
+        return {}
+    basis, _ = np.linalg.qr(trend(len(seen), longest if len(seen) > 3 * longest else None))
+    loops = excited(seen - basis @ (basis.T @ seen), Ts, None if alpha is None else alpha * Ts)
+    return advice_excited(loops, alpha, Ts) if loops else {}
+
+
 def _monotone(slowest, alpha, Ts) -> dict:
     note = f"A real factor leaves the dead time open; without any, z is 1 − {slowest:.4g} = {1 - slowest:.4g}"
     gain = "" if alpha is None else f", where alpha·Ts is {alpha * Ts:.4g}"
@@ -172,7 +251,13 @@ def _sentence(d: Diagnosis) -> str:
         return f"no oscillation above noise with a standard deviation of {np.max(d.noise):.3g}"
     if d.kind is Kind.MONOTONE:
         return f"the error shrinks × {d.growth:.4g} per sample and never returns"
+    if d.kind is Kind.DIVERGING and d.cause == "wrong sign":
+        return f"the error grows × {d.growth:.6g} per sample and never returns"
+    if d.kind in OSCILLATING and d.z is None:
+        return f"period {d.period:.4g} samples ({d.period_seconds:.4g} s) at last, × {d.growth:.4g} per sample"
     said = f"period {d.period:.4g} samples ({d.period_seconds:.4g} s), × {d.growth:.4g} per sample"
+    if d.cause == "turned frames":
+        return said
     more = "at least " if d.kind is Kind.SUSTAINED else ""
     said += f", as of a loop with z = {more}{d.z:.4g} and {d.delay:.4g} samples ({d.delay_seconds:.4g} s) of dead time"
     said += "" if d.lag is None else f" and a lag of {d.lag:.3g} s"

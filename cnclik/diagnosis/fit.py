@@ -1,7 +1,8 @@
 """Fit: the drive between recorded commands and the recorded motion, by least squares over its exact samples.
 
 A row of a recording is a sample: motion that is measured at t[k], and the command that is sent then. Before the first
-row the first command holds.
+row the first command holds. Each joint has an offset, and where the recording asks for them a gain and a drift: motion
+= gain · (drive's motion) + offset + drift · t. These are linear: the search leaves them out (Golub & Pereyra 1973).
 """
 
 import itertools
@@ -10,7 +11,10 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.judge import LEAST
-from cnclik.integrate.drive import COMMANDS, MOST, Drive, sampled
+from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
+from cnclik.diagnosis.response import Shape, names_of, response
+from cnclik.diagnosis.spread import correlated, stable_range
+from cnclik.integrate.drive import COMMANDS, Drive
 from cnclik.record import record, replace
 
 KINDS = ("delay", "lag", "second-order")  # by their order
@@ -21,8 +25,12 @@ RATIOS = (0.1, 0.3, 0.7, 1.0, 2.0, 4.0)  # ζ
 BETTER = 10.0  # by which another number must lower the information criterion
 EXPLAINED = 0.5  # share of a motion below which a command has nothing to do with it
 EXACT = 1e-5  # share of a motion that is rounding
-EVALUATIONS = 200  # of a fit from one start
-LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
+EVALUATIONS = 15  # of a fit from one start, for each number
+OFF = 0.02  # by which a gain differs from 1 that is worth a word
+OTHER_UNIT = 5.0  # factor from which on a gain is none: degrees for radians, another joint, a wrong sign
+STRUCTURE = 4.0  # samples over which what is left hangs together, from which on a drive is more than its model
+SEEN = 2e-3  # or share of a motion's range that is left, below which that is worth no word
+PARTS = (("gain", "drift"), ("gain",), ())  # what a joint has besides its offset
 
 
 @record
@@ -32,43 +40,56 @@ class DriveFit:
     Attributes:
       drive: a `Drive`; its numbers are of all joints, or of each where they differ by more than their uncertainty.
       uncertainty: {name: standard deviation} of its numbers; of a joint alike the largest.
+      gain: (k,) motion per commanded motion; drift: (k,) [rad/s, m/s] of what moves without a command.
       rms: (k,) what the fit leaves of each motion [rad, m]. explained: share of the motions' variance.
-      motion: (N, k) of the fit.
+      largest_stable_alpha: (low, high) [1/s] between which explicit Euler with measured joints becomes unstable, as far
+        as the fit knows; None where the recording doesn't say.
+      motion: (N, k) of the fit. note: what else is to be said.
     """
 
     drive: Drive
     uncertainty: object
+    gain: object
+    drift: object
     rms: object
     explained: float
+    largest_stable_alpha: object
     motion: object
+    note: str = ""
 
     @property
     def options(self) -> str:
         """As `cnclik stability` and `tune` take it."""
         drive = self.drive
-        numbers = {"delay": drive.delay}
-        if drive.order == 1:
-            numbers["lag"] = drive.lag
-        elif drive.order == 2:
-            numbers |= {"natural-frequency": drive.natural_frequency, "damping-ratio": drive.damping_ratio}
-        said = [f"--{name} " + " ".join(f"{v:.4g}" for v in np.ravel(value)) for name, value in numbers.items()]
+        said = [f"--{name.replace('_', '-')} {_said(getattr(drive, name))}" for name in self.uncertainty]
         return " ".join([*said, f"--command {drive.command}"])
 
     def __str__(self):
         units = {"delay": " samples", "lag": " s", "natural_frequency": " rad/s", "damping_ratio": ""}
         said = []
         for name, deviation in self.uncertainty.items():
-            value = ", ".join(f"{v:.4g}" for v in np.ravel(getattr(self.drive, name)))
+            value = _said(getattr(self.drive, name)).replace(" ", ", ")
             said.append(f"{name.replace('_', ' ')} {value} ± {deviation:.1g}{units[name]}")
         left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
-        return f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}."
+        more = [] if self.largest_stable_alpha is None else [
+            "With measured joints explicit Euler becomes unstable at an alpha of {:.4g} to {:.4g} 1/s.".format(
+                *self.largest_stable_alpha
+            )
+        ]  # fmt: skip
+        return " ".join([f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}.", *more, self.note]).strip()
+
+
+def _said(value) -> str:
+    """One number or several; what is below a millionth is none."""
+    return " ".join(f"{0.0 if abs(v) < 1e-6 else v:.4g}" for v in np.ravel(value))
 
 
 def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position") -> DriveFit:
     """The drive behind recorded commands and motion, as of a step: dead time, and a lag or a second-order servo.
 
-    Each order is fitted by least squares with the exactly sampled drive; the lowest is taken that none beats by much
-    in an information criterion (Schwarz 1978). The first command is taken to have held for long.
+    Each order is fitted by least squares with the exactly sampled drive, with and without a gain and a drift of each
+    joint; the simplest is taken that none beats by much in an information criterion (Schwarz 1978). The first command
+    is taken to have held for long.
 
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: what was sent at t,
@@ -90,164 +111,187 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
     Ts = sampling_time(t, Ts)
     if t is not None and len(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {len(t)}")
-    start = Drive(command=command_kind)
-    found = [_fit_order(start, order, command, motion, Ts) for order in orders]
+    log = _Log(command, motion, Ts)
+    found = [
+        one for order in orders for one in _fits(Shape(start=Drive(command=command_kind), Ts=Ts, order=order), log)
+    ]
+    found.sort(key=lambda one: one.count)
     best = found[0]
     for other in found[1:]:
-        if other[0] < best[0] - BETTER:
+        if other.score < best.score - BETTER:
             best = other
-    _, shape, values, deviations = best
-    made = _motion(shape, values, command, motion, Ts)
+    return _made(best, log)
+
+
+def _made(fit, log) -> DriveFit:
+    motion, k = log.motion, log.motion.shape[1]
+    made, gain, drift = log.motions(fit.shape, fit.values, fit.parts)
     left = motion - made
     explained = 1.0 - float(np.sum(left**2 / np.var(motion, axis=0)) / motion.size)
     if explained < EXPLAINED:
         raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
-    names = ("delay", *_names(shape.order))
+    odd = np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))
+    if len(odd):
+        found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, or other units"
+        raise errors.fail("motion", "move by about what is commanded", found)
+    length = np.array([correlated(c) for c in left.T])  # what hangs together tells less
+    deviations = fit.deviations(log) * np.sqrt(length)[:, None]
+    numbers = [fit.shape.numbers(values) for values in fit.values]
+    same = all(one == numbers[0] for one in numbers)
+    changes = {n: float(numbers[0][n]) if same else np.array([one[n] for one in numbers]) for n in numbers[0]}
+    drive = replace(fit.shape.start, **changes | {"delay": numbers[0]["delay"]})
+    rms = np.sqrt(np.mean(left**2, axis=0))
+    structured = bool(np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(motion, axis=0))))
+    scale = np.array([[1.0, *list(one.values())[1:]] for one in numbers])  # of a logarithm the relative deviation
+    stable, why = stable_range(fit, deviations, gain, structured, log.command)
+    uncertainty = dict(zip(numbers[0], (deviations * scale).max(0).tolist(), strict=True))
     return DriveFit(
-        drive=_joined([shape.at(values, j) for j in range(shape.joints)]),
-        uncertainty={
-            n: float(max(deviations[shape.place(i, j)] for j in range(shape.joints))) for i, n in enumerate(names)
-        },
-        rms=np.sqrt(np.mean(left**2, axis=0)),
+        drive=drive,
+        uncertainty=uncertainty,
+        gain=gain,
+        drift=drift,
+        rms=rms,
         explained=explained,
+        largest_stable_alpha=stable,
         motion=made,
+        note=" ".join(_notes(gain, structured, k, why)),
     )
 
 
-def sampling_time(t, Ts) -> float:
-    """Ts [s] of times (N,), which are one every Ts. Raises: ArgumentError where they aren't, or none is given."""
-    if t is None:
-        return float(errors.number("Ts", Ts, positive=True))
-    t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
-    step = np.diff(t)
-    usual = float(np.median(step)) if len(step) else 0.0
-    if usual <= 0:
-        raise errors.fail("t", "increase", f"has a median step of {usual:g} s")
-    if Ts is None:
-        Ts = float(t[-1] - t[0]) / len(step)
-        if abs(usual / Ts - 1) > 0.02:
-            found = f"are {usual:.6g} s apart in the median and {Ts:.6g} s in the mean (digits are missing, or rows)"
-            raise errors.fail("t", "be times that are equally far apart", found)
-    Ts = float(errors.number("Ts", Ts, positive=True))
-    if abs(usual / Ts - 1) > 0.02:
-        raise errors.fail("Ts", f"be that of the recording, {usual:.6g} s", f"is {Ts:g}")
-    off = np.abs(step - Ts) > 0.5 * Ts
-    if off.any():
-        k = int(np.argmax(off))
-        raise errors.fail("t", f"have a row every {Ts:g} s", f"row {k + 2} comes {step[k]:.4g} s after the one before")
-    return Ts
+def _notes(gain, structured, k, why) -> list:
+    said = []
+    off = np.flatnonzero(np.abs(gain - 1) > OFF)
+    if len(off):
+        where = "" if k == 1 else f" (joint {', '.join(str(i + 1) for i in off)})"
+        least, most = gain[off].min(), gain[off].max()
+        span = f"{least:.3g}" if most - least < 5e-3 else f"{least:.3g} to {most:.3g}"
+        said.append(
+            f"Motion is {span} times what is commanded{where}, and a loop has as many times its alpha: divide the "
+            f"gains that are recommended for this drive by {gain.max():.3g}."
+        )
+    if structured:
+        said.append(
+            "What is left has a structure: the drive has friction, play, a limit or a higher order, which the numbers "
+            "leave out."
+        )
+    return [*said, *([why] if why else [])]
 
 
-def columns(name, values):
-    """A recording (N,) or (N, k) as columns (N, k). Raises: ArgumentError for values not finite or beyond LARGEST."""
-    values = np.asarray(errors.array(name, values, (None,), (None, None), most=LARGEST), float)
-    return values[:, None] if values.ndim == 1 else values
+class _Log:
+    """A recording, and what of a motion a drive leaves."""
 
+    def __init__(self, command, motion, Ts):
+        self.command, self.motion, self.Ts = command, motion, Ts
+        self.size = np.std(motion, axis=0)
+        self.time = np.linspace(-1, 1, len(motion))
 
-# --- one order ----------------------------------------------------------------------------------------
+    def joint(self, j):
+        """The recording of one joint."""
+        return _Log(self.command[:, [j]], self.motion[:, [j]], self.Ts)
 
+    def moved(self, shape, values):
+        """(N, k) of drives by their values (k, p), without offsets."""
+        if np.all(values == values[0]):
+            return response(shape.drive(values[0]), self.command, self.Ts)
+        each = [response(shape.drive(v), self.command[:, [j]], self.Ts) for j, v in enumerate(values)]
+        return np.hstack(each)
 
-def _names(order):
-    return ((), ("lag",), ("natural_frequency", "damping_ratio"))[order]
+    def motions(self, shape, values, parts):
+        """((N, k) of the fit, gains (k,), drifts (k,) [1/s])."""
+        moved, k = self.moved(shape, values), self.motion.shape[1]
+        made, gain, drift = np.empty_like(moved), np.ones(k), np.zeros(k)
+        for j in range(k):
+            r = moved[:, j] - moved[:, j].mean()
+            fixed = r if "gain" not in parts else 0.0 * r
+            base = [np.ones(len(r))] + [r] * ("gain" in parts) + [self.time] * ("drift" in parts)
+            base = np.stack(base, 1)
+            weights = np.linalg.lstsq(base, self.motion[:, j] - fixed, rcond=1e-12)[0]
+            made[:, j] = fixed + base @ weights
+            if "gain" in parts:
+                gain[j] = weights[1]
+            if "drift" in parts:
+                drift[j] = weights[2] * 2 / ((len(r) - 1) * self.Ts)
+        return made, gain, drift
 
-
-_BOUNDS = {"lag": (1e-2, 1e4), "natural_frequency": (1e-4, 10.0), "damping_ratio": (1e-2, 30.0)}  # in samples
-_POWER = {"lag": 1, "natural_frequency": -1, "damping_ratio": 0}
+    def left(self, shape, values, parts):
+        """(N, k) of each motion, as shares of its standard deviation."""
+        return (self.motion - self.motions(shape, values, parts)[0]) / self.size
 
 
 @record
-class _Shape:
-    """Which numbers a drive has: dead time, then logarithms of the others, of all joints or of each in turn."""
+class Fit:
+    """A drive that was fitted: values (k, p) of the joints, alike where they share them, and the criterion."""
 
-    start: Drive
-    Ts: float
-    order: int
-    joints: int
-    own: bool  # whether joints have their own
+    shape: Shape
+    values: object
+    parts: tuple
+    own: bool
+    score: float
+    count: int  # of numbers
 
-    def place(self, number, joint):
-        """Where among all values a number of a joint stands."""
-        return number + self.order * joint * self.own if number else 0
-
-    def at(self, values, joint) -> Drive:
-        """The drive of one joint."""
-        rest = {}
-        for i, name in enumerate(_names(self.order), 1):
-            low, high = (bound * self.Ts ** _POWER[name] for bound in _BOUNDS[name])
-            rest[name] = float(np.clip(np.exp(values[self.place(i, joint)]), low, high))
-        return replace(self.start, delay=min(abs(float(values[0])), MOST), **rest)
-
-
-def _motion(shape, values, command, motion, Ts):
-    """(N, k) of the fit, from where each motion is on average."""
-    made = np.stack([response(shape.at(values, j), c, Ts) for j, c in enumerate(command.T)], 1)
-    return made + np.mean(motion - made, axis=0)
+    def deviations(self, log):
+        """(k, p) standard deviations of the values, of white noise."""
+        here = log.left(self.shape, self.values, self.parts)
+        power = np.mean(here**2, axis=0) + EXACT**2
+        slopes = []
+        for i in range(self.values.shape[1]):
+            moved = self.values + 1e-4 * (np.arange(self.values.shape[1]) == i)
+            slopes.append((log.left(self.shape, moved, self.parts) - here) / (1e-4 * np.sqrt(power)))
+        slope = np.stack(slopes, -1)  # (N, k, p)
+        each = np.einsum("nki,nkj->kij", slope, slope)
+        each = each if self.own else np.broadcast_to(each.sum(0), each.shape)
+        made = np.sqrt(np.abs(np.stack([np.diag(np.linalg.pinv(one)) for one in each])))
+        return np.minimum(made, 1e3)  # of a number that hardly acts
 
 
-def response(drive: Drive, command, Ts):
-    """(N,) motion of a drive after commands (N,) that go on from rest at the first; of a velocity from 0 on."""
-    model, N, begin = sampled(drive, Ts), len(command), command[0]
-    u = command - begin  # what the first command does is added below
-    if drive.command == "position" and not drive.steps_positions:
-        u = np.diff(u, prepend=0.0) / Ts
-    phi = model.phi.reshape(model.size, -1)
-    rows = np.eye(1, model.size)  # x₀ of Φ^k x, for k = 0, 1, ...
-    while len(rows) < N:
-        rows, phi = np.concatenate([rows, rows @ phi]), phi @ phi
-    impulse = np.zeros(N + model.whole + 2)
-    impulse[model.whole + 1 : -1] += rows[:N] @ model.now.reshape(-1)
-    if model.late is not None:
-        impulse[model.whole + 2 :] += rows[:N] @ model.late.reshape(-1)
-    made = _convolved(u, impulse[:N])
-    return made + begin if drive.command == "position" else made + begin * Ts * np.arange(N)
+def _fits(shape, log):
+    """The drives of an order: for each of PARTS with numbers of all joints, and with numbers of each where better."""
+    starts = _begin(shape, log)
+    k = log.motion.shape[1]
+    own = [_begin(shape, log.joint(j), most=1) for j in range(k)] if k > 1 and shape.order else None
+    for parts in PARTS:  # each is part of the one before, and begins there
+        least = _least(shape, starts, log, parts)
+        starts, values = [least], np.tile(least, (k, 1))
+        fit = _scored(shape, values, log, parts, own=False)
+        if own is not None:
+            each = [_least(shape, begin, log.joint(j), parts) for j, begin in enumerate(own)]
+            delay = _common(shape, np.array(each), log, parts)
+            own = [[v] for v in each]
+            each = [_least(shape, [v], log.joint(j), parts, delay) for j, v in enumerate(each)]
+            other = _scored(shape, np.array(each), log, parts, own=True)
+            if other.score < fit.score - BETTER:
+                fit = other
+            else:
+                own = None  # nor with fewer parts
+        yield fit
 
 
-def _convolved(u, impulse):
-    """The first N of a convolution of two rows (N,)."""
-    N = len(u)
-    if N < 1000:
-        return np.convolve(u, impulse)[:N]
-    return np.fft.irfft(np.fft.rfft(u, 2 * N) * np.fft.rfft(impulse, 2 * N), 2 * N)[:N]
+def _common(shape, values, log, parts) -> float:
+    """Dead time of all joints, by its precision in each."""
+    certain = 1 / (
+        Fit(shape=shape, values=values, parts=parts, own=True, score=0.0, count=0).deviations(log)[:, 0] ** 2 + 1e-12
+    )
+    return float(np.sum(certain * values[:, 0]) / np.sum(certain))
 
 
-def _fit_order(start, order, command, motion, Ts):
-    """(criterion, shape, values, their standard deviations) of the best drive of an order."""
-    k = motion.shape[1]
-    size = np.std(motion, axis=0)
-    together = _Shape(start=start, Ts=Ts, order=order, joints=k, own=False)
-    values = _least(together, _begin(together, command, motion, Ts), command, motion, Ts, size)
-    found = _scored(together, values, command, motion, Ts, size)
-    if k == 1 or order == 0:
-        return found
-    own = _Shape(start=start, Ts=Ts, order=order, joints=k, own=True)
-    one = _Shape(start=start, Ts=Ts, order=order, joints=1, own=False)
-    each = []
-    for j in range(k):
-        sent, moved = command[:, [j]], motion[:, [j]]
-        each.append(_least(one, _begin(one, sent, moved, Ts), sent, moved, Ts, size[[j]]))
-    begin = np.concatenate([[np.median([v[0] for v in each])], *[v[1:] for v in each]])
-    values = _least(own, [begin], command, motion, Ts, size)
-    other = _scored(own, values, command, motion, Ts, size)
-    return other if other[0] < found[0] - BETTER else found
-
-
-def _begin(shape, command, motion, Ts, most=2):
+def _begin(shape, log, most=2):
     """The best few of a grid of dead times and of the other numbers: values to begin from."""
-    grid = [()] if shape.order == 0 else [(tau,) for tau in np.log(TIMES * Ts)]
+    grid = [()] if shape.order == 0 else [(tau,) for tau in np.log(TIMES * log.Ts)]
     if shape.order == 2:
         grid = [(-tau, np.log(zeta)) for (tau,), zeta in itertools.product(grid, RATIOS)]
-    delays = range(min(_latest(command, motion), len(motion) // 2, DELAYS) + 1)
-    size, tried = np.std(motion, axis=0), []
-    wanted = motion - motion.mean(0)
+    N = len(log.motion)
+    delays = min(_latest(log.command, log.motion), N // 2, DELAYS) + 1
+    wanted, tried = (log.motion - log.motion.mean(0)) / log.size, []
     for numbers in grid:
-        values = np.array([0.0, *numbers])
-        made = np.stack([response(shape.at(values, j), c, Ts) for j, c in enumerate(command.T)], 1)
-        slope = (command[0] if shape.start.command == "velocity" else 0.0 * command[0]) * Ts
-        for delay in delays:
-            before = made[0] - slope * np.arange(delay, 0, -1)[:, None]
-            late = np.concatenate([before, made[: len(made) - delay]])
-            left = wanted - (late - late.mean(0))
-            tried.append((float(np.sum((left / size) ** 2)), delay, numbers))
+        made = response(shape.drive(np.array([0.0, *numbers])), log.command, log.Ts)
+        slope = (made[1] - made[0]) if shape.start.command == "velocity" else 0.0 * made[0]
+        left = np.zeros(delays)
+        for j in range(made.shape[1]):
+            before = made[0, j] - slope[j] * np.arange(delays - 1, 0, -1)
+            late = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, made[:, j]]), N)[::-1] / log.size[j]
+            power = np.sum(late**2, 1) - np.sum(late, 1) ** 2 / N
+            left += np.sum(wanted[:, j] ** 2) - (late @ wanted[:, j]) ** 2 / np.maximum(power, 1e-300)
+        tried += [(left[d], d, numbers) for d in range(delays)]
     tried.sort(key=lambda one: one[0])
     begun, chosen = set(), []
     for _, delay, numbers in tried:  # the best dead time of each of the other numbers
@@ -264,47 +308,31 @@ def _latest(command, motion) -> int:
     return max(int(moved - sent), 0)
 
 
-def _least(shape, starts, command, motion, Ts, size):
-    """Values of least squares, from several starts; dead time is the size of the first."""
+def _least(shape, starts, log, parts, delay=None):
+    """Values (p,) of least squares, from several starts, at a dead time if it is given."""
     from scipy.optimize import least_squares
 
-    def left(values):
-        return ((motion - _motion(shape, values, command, motion, Ts)) / size).ravel()
+    k = log.motion.shape[1]
+    held = [] if delay is None else [delay]
+    if shape.order == 0 and delay is None:  # between whole samples motion is a straight line of the dead time: no slope
+        starts = [[side] for side in sorted({max(v[0] + s, 0.0) for v in starts for s in (-0.5, 0.5)})]
 
-    if shape.order == 0:  # between whole samples the motion is a straight line of the dead time: no slope to follow
-        sides = sorted({max(values[0] + side, 0.0) for values in starts for side in (-0.5, 0.5)})
-        starts = [np.array([side]) for side in sides]
+    def left(free):
+        return log.left(shape, np.tile([*held, *free], (k, 1)), parts).ravel()
+
     made = [
-        least_squares(left, values, method="lm", x_scale=0.1, xtol=1e-9, ftol=1e-11, max_nfev=EVALUATIONS)
+        least_squares(left, values[len(held) :], method="lm", x_scale=0.1, xtol=1e-8, ftol=1e-9,
+                      max_nfev=EVALUATIONS * len(values))
         for values in starts
-    ]
+    ]  # fmt: skip
     best = min(made, key=lambda one: one.cost).x
-    return np.concatenate([np.abs(best[:1]), best[1:]])
+    return np.concatenate([np.abs([*held, *best][:1]), [*held, *best][1:]])
 
 
-def _scored(shape, values, command, motion, Ts, size):
-    """(criterion, shape, values, their standard deviations)."""
-    N, k = motion.shape
-
-    def left(values):
-        return (motion - _motion(shape, values, command, motion, Ts)) / size
-
-    here = left(values)
-    power = np.mean(here**2, axis=0) + EXACT**2
-    score = N * float(np.sum(np.log(power))) + (len(values) + k) * np.log(N)
-    steps = 1e-4 * np.eye(len(values))
-    slope = np.stack([((left(values + s) - here) / (1e-4 * np.sqrt(power))).ravel() for s in steps], 1)
-    deviations = np.sqrt(np.diag(np.linalg.pinv(slope.T @ slope)))
-    scale = np.ones(len(values))
-    scale[1:] = np.exp(values[1:])  # of a logarithm the relative deviation
-    return score, shape, values, deviations * scale
-
-
-def _joined(drives) -> Drive:
-    """One drive for all joints."""
-    first = drives[0]
-    changes = {}
-    for name in _names(first.order):
-        values = np.array([float(getattr(d, name)) for d in drives])
-        changes[name] = float(values[0]) if np.all(values == values[0]) else values
-    return replace(first, **changes)
+def _scored(shape, values, log, parts, *, own):
+    """A `Fit` with its criterion."""
+    N, k = log.motion.shape
+    power = np.mean(log.left(shape, values, parts) ** 2, axis=0) + EXACT**2
+    numbers = 1 + len(names_of(shape.order)) * (k if own else 1) + k * (1 + len(parts))
+    score = N * float(np.sum(np.log(power))) + numbers * np.log(N)
+    return Fit(shape=shape, values=values, parts=parts, own=own, score=score, count=numbers)

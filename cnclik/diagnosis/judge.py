@@ -4,7 +4,7 @@ import enum
 
 import numpy as np
 
-from cnclik.diagnosis.modes import Modes
+from cnclik.diagnosis.modes import Modes, polynomials, roughness
 
 MOST = 2000  # rows that are looked at: those that move most
 LEAST = 16  # rows
@@ -14,7 +14,7 @@ BEGUN = 0.05  # share of the range that something must move to have begun
 BACK = 0.04  # share of the range by which a recording goes back and forth, from which on it rings
 SEEN = 0.01  # share that is left after half a period, below which nobody would call it ringing
 HELD = 1.5  # factor in size over all rows up to which an oscillation counts as sustained
-STEADY = 5e-4  # or this in a sample
+GREW = 2.0  # factor over all rows from which on growth without swinging is none of a path
 LOST = 0.05  # share that is left at the end of what has died out
 WINDOW = 1.5  # periods of a window in which an oscillation must be seen
 BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
@@ -23,6 +23,7 @@ LITTLE = 2e-3  # share of the range that is hardly anything
 WAVES = 0.04  # share of the range that such bends may leave in waves
 ABOVE = 1.5  # or times what is left,
 OFTEN = 10  # where there are fewer periods
+BETTER = 10.0  # by which growth must be likelier than a polynomial
 THERE = 0.5  # share of it that must be there, beside the cubic that fits best
 
 
@@ -32,6 +33,7 @@ class Kind(enum.StrEnum):
     RINGING = "ringing"
     SUSTAINED = "sustained oscillation"
     GROWING = "growing oscillation"
+    DIVERGING = "growth without oscillation"
     MONOTONE = "monotone decay"
     QUIET = "quiet"
     NOISE = "noise"
@@ -46,7 +48,7 @@ def spans(parts):
 
 
 def looked_at(y, longest):
-    """(first, last) of the rows that move most: neither what precedes the motion nor more than MOST."""
+    """(first, begun, last): of the rows that move most, at most MOST; before `begun` they hardly do."""
     first, last = 0, len(y)
     if last > MOST:
         width = int(min(longest, last // 8))
@@ -58,7 +60,7 @@ def looked_at(y, longest):
         last = first + MOST
     away = np.abs(y[first:last] - y[first]) > BEGUN * np.ptp(y[first:last], axis=0)
     begun = int(np.argmax(away.any(1)))
-    return (first + begun, last) if last - first - begun >= LEAST else (first, last)
+    return first, first + begun if last - first - begun >= LEAST else first, last
 
 
 def judged(y, found: Modes, longest):
@@ -72,16 +74,20 @@ def judged(y, found: Modes, longest):
     energy = np.sum(found.parts**2, axis=(1, 2))
     turns = N * angle / (2 * np.pi)
     dies = N * np.log(size) < np.log(LOST)
-    shrinks = N * np.log(size) < np.log(SHRUNK)
-    fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (shrinks & (turns >= 1)))
-    visible = np.log(size) * np.pi > np.log(SEEN) * angle
+    changes = N * np.abs(np.log(size)) > -np.log(SHRUNK)
+    fast = (angle * longest >= 2 * np.pi) & ((turns >= TURNS) | (changes & (turns >= 1)))
+    visible = np.abs(np.log(size)) * np.pi < -np.log(SEEN) * angle
     fast &= visible
     own = fast | dies
     chosen = np.flatnonzero(fast)[np.argsort(-energy[fast])]
+    up = np.flatnonzero((f.real > 0) & ((f.imag == 0) | ~visible) & (N * np.log(size) > np.log(GREW)))
+    up = up[np.argsort(-energy[up])]
+    if len(up) and _grows(y, found, up[0], chosen):
+        return Kind.DIVERGING, up[:1], own
     back = len(chosen) and _turns_back(found.parts[own].sum(0))
     if back and _is_there(y, found, found.parts[chosen].sum(0), angle[chosen[0]]):
         change = np.log(size[chosen[0]])
-        if abs(change) < max(np.log(HELD) / N, STEADY):
+        if abs(change) < np.log(HELD) / N:
             return Kind.SUSTAINED, chosen, own
         return (Kind.GROWING if change > 0 else Kind.RINGING), chosen, own
     real = np.flatnonzero(dies & (f.real > 0) & ((f.imag == 0) | ~visible))
@@ -91,21 +97,28 @@ def judged(y, found: Modes, longest):
     return (Kind.QUIET if np.all(found.noise <= 1e-9 * largest) else Kind.NOISE), chosen[:0], own
 
 
+def _grows(y, found, i, swinging) -> bool:
+    """Whether a growth is what the recording is about: more than what swings, explained, and no bend of a path."""
+    span = np.ptp(found.parts[i], axis=0)
+    most = np.max(span / np.ptp(y, axis=0))
+    other = np.max(spans(found.parts[swinging]) / np.ptp(y, axis=0)) if len(swinging) else 0.0
+    tenths = np.stack([part.mean(0) for part in np.array_split(y, 10)])
+    step = np.abs(np.diff(tenths, axis=0))
+    if np.all(step[-1] < step[:-1].max(0)):  # a growth is fastest at its end
+        return False
+    return bool(most > max(other, WAVES) and explained(y, found) and found.score < polynomials(y) - BETTER)
+
+
 def explained(y, found: Modes) -> bool:
     """Whether what path and modes leave of y (N, k) is noise, or hardly anything."""
     left = y - found.path - found.parts.sum(0)
-    return bool(np.all(found.noise <= np.maximum(BENT * _roughness(left), LITTLE * np.ptp(y, axis=0))))
-
-
-def _roughness(left):
-    """(k,) of white noise its standard deviation, of what is smooth next to nothing."""
-    return np.std(np.diff(left, 3, axis=0), axis=0) / np.sqrt(20)
+    return bool(np.all(found.noise <= np.maximum(BENT * roughness(left), LITTLE * np.ptp(y, axis=0))))
 
 
 def _is_there(y, found, part, angle) -> bool:
     """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits a path's bends."""
     left = y - found.path - found.parts.sum(0)
-    rough = _roughness(left)
+    rough = roughness(left)
     many = len(y) * angle > 2 * np.pi * OFTEN
     large = (np.ptp(part, axis=0) > WAVES * np.ptp(y, axis=0)) & (many | (np.std(part, axis=0) > ABOVE * found.noise))
     clean = found.noise <= np.maximum(BENT * rough, CLEAN * np.std(part, axis=0))

@@ -1,13 +1,15 @@
-"""Late: dead time and gain of the loop e[k+1] = e[k] − z e[k−d] that a factor belongs to.
+"""Late: the loops with dead time, and perhaps a lag, that an oscillation may be of, and how likely each is.
 
-λ^(d+1) − λ^d + z = 0 is z = λ^d (1 − λ): its phase gives d, its size z.
+A loop of gain z = alpha·Ts has the factor λ where z = −Ts/G(λ), G the sampled drive from commanded velocity to motion.
+Of dead time alone that is z = λ^d (1 − λ), and the phase of λ gives d. With a lag, each dead time below that one has a
+lag and a gain with which λ is a factor: only the rest of the recording, or a known gain, tells them apart.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.modes import misfit
+from cnclik.diagnosis.modes import columns_of
 from cnclik.integrate.drive import MOST, Drive, sampled
 from cnclik.stability.driven import driven_factors
 from cnclik.stability.linear import late_monotone, late_stable
@@ -16,18 +18,65 @@ NEIGHBOURS = 2  # on either side of the dead time that the phase gives, which ar
 PERIODS = 12  # of a recording that is looked at
 SHORT = 150  # rows of a recording in which other dead times are tried as well where none of these explains it:
 WIDE = 12  # so many, and twice as many as the phase gives
+LAGS = 8  # dead times with a lag that are tried
+LITTLE = 0.2  # samples of a lag that is none
+TEMPER = 0.25  # in place of a half: no real loop is one of these exactly
+SIMPLE = 0.03  # share of the likeliest loop's probability from which on dead time alone is told first
+USUAL = 0.05  # [s] of a lag, up to about which drives of robots lag
+LONGEST = 0.2  # [s] of a lag: what is slower is no robot's drive
 WORSE = 4.0  # times the noise power that such a loop may leave, or:
 PART = 1e-3  # this share of the recording's
+MODEL = 3e-4  # share of a recording by which a real loop differs from a linear one
+KNOWN = 0.1  # relative deviation of the loop's gain from a known alpha·Ts
+FAR = 9.0  # criterion that a gain which is not the known one costs, at most
 
 
-class Late(NamedTuple):
-    """A loop with dead time."""
+class Loop(NamedTuple):
+    """A loop that an oscillation may be of."""
 
-    delay: int  # [samples]
+    delay: float  # [samples]
+    lag: float  # [s], 0 for none
     z: float
-    confidence: float  # that no other whole number of samples does as well, 0 to 1
-    phase: float  # dead time that the dominant factor alone says, not a whole number
-    whole: bool  # whether the loop explains the whole recording, and not the dominant factor alone
+    score: float = np.inf  # -2 log of its likelihood
+    share: float = 0.0  # probability among all that were tried
+    power: object = ()  # (k,) what it leaves of each column
+
+    @property
+    def drive(self) -> Drive:
+        """What lies between command and motion."""
+        return Drive(delay=float(self.delay), lag=float(self.lag)) if self.lag else Drive(delay=float(self.delay))
+
+    @property
+    def usual(self) -> float:
+        """How usual its lag is among robots."""
+        return 1.0 / (1.0 + (self.lag / USUAL) ** 2)
+
+    def as_known(self, z) -> float:
+        """How well its gain fits a known one, if there is one: at most 1."""
+        return 1.0 if z is None else float(np.exp(-0.5 * min((np.log(self.z / z) / KNOWN) ** 2, FAR)))
+
+    def factors(self, Ts):
+        """All factors of the loop."""
+        if self.lag or self.delay != round(self.delay):
+            return driven_factors([-self.z], self.drive, Ts)
+        rule = np.zeros(round(self.delay) + 2)
+        rule[:2] = 1.0, -1.0
+        rule[-1] += self.z
+        return np.roots(rule)
+
+    def slowest(self, Ts) -> complex:
+        """The largest factor, above the real axis."""
+        found = self.factors(Ts)
+        found = found[found.imag >= 0]
+        return complex(found[np.argmax(np.abs(found))])
+
+    def calm(self, Ts) -> float:
+        """The largest z without overshoot if the dead time were a sample longer: where two real factors meet."""
+        if not self.lag:
+            return late_monotone(self.delay + 1)
+        fast = np.exp(-Ts / self.lag)
+        at = fast + (1 - fast) * np.linspace(0, 1, 402)[1:-1]
+        return float(np.max(-Ts / sampled(self._replace(delay=self.delay + 1).drive, Ts).transfer(at)))
 
 
 def phase_delay(factor) -> float:
@@ -40,91 +89,141 @@ def gain_of(factor, delay) -> float:
     return float(np.abs(factor) ** delay * np.abs(1 - factor))
 
 
-def slowest_of(z, delay) -> complex:
-    """The largest factor of a loop, above the real axis."""
-    rule = np.zeros(delay + 2)
-    rule[:2] = 1.0, -1.0
-    rule[-1] += z
-    found = np.roots(rule)
-    found = found[found.imag >= 0]
-    return complex(found[np.argmax(np.abs(found))])
+def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
+    """(loops, whether they explain the recording) of a dominant factor, complex or negative.
 
+    The likeliest is the first, or one without a lag that is not much less likely.
 
-def loop_of(factor, y, basis, noise) -> Late:
-    """The loop with dead time of a dominant factor, complex or negative.
-
-    Whole numbers of samples next to what the phase says are tried: for each, all motions of such a loop are fitted to
-    the recording, over z. Where none explains it, as with drives that lag, the factor alone is believed.
+    Whole numbers of samples next to what the phase says are tried, over z; and shorter dead times with a lag. For each
+    all motions of such a loop are fitted to the recording. Where none explains it the factor alone is believed.
 
     Args:
       y: (N, k) recording. basis: (N, t) of its offset and path. noise: (k,) what the modes leave of it.
+      Ts: [s]. z: the loop's gain where it is known.
     """
     phase = phase_delay(factor)
     period = 2 * np.pi / np.angle(factor)
     N = min(len(y), int(PERIODS * period + 4 * (phase + 1)) + 24)
-    y, basis = y[:N], basis[:N]
-    alone = Late(round(phase), gain_of(factor, round(phase)), 1.0 - 2.0 * abs(phase - round(phase)), phase, False)
+    fit = _Fit(y[:N], basis[:N], Ts, z)
     near = range(max(round(phase) - NEIGHBOURS, 0), round(phase) + NEIGHBOURS + 1)
     if not factor.imag:  # of a loop that is late, no negative factor is the dominant one
         near = (0,)
-    wide = [d for d in range(min(2 * round(phase) + WIDE, N // 4)) if d not in near]
-    for delays in (near, wide if factor.imag and N <= SHORT else ()):
-        found = _best(delays, y, basis, factor, noise, phase)
-        if found is not None:
-            return found
-    return alone
+    tried = [fit.whole(delay, factor, phase) for delay in near if fit.has_room(delay)]
+    if factor.imag and 0.2 < phase < MOST:
+        tried += _with_lags(fit, factor, phase)
+    if not _explained(tried, fit, noise) and factor.imag and N <= SHORT:
+        wide = [d for d in range(min(2 * round(phase) + WIDE, N // 4)) if d not in near and fit.has_room(d)]
+        tried += [fit.whole(d, factor, phase) for d in wide]
+    if _explained(tried, fit, noise):
+        lagging = sum(1 for one in tried if one.lag)
+        best = min(one.score for one in tried)
+        odds = [np.exp(TEMPER * (best - one.score)) * one.usual / (lagging if one.lag else 1) for one in tried]
+        found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
+        found = sorted(found, key=lambda one: -one.share)
+        hardly = found[0].lag < LITTLE * Ts
+        simple = [one for one in found if not one.lag and (one.share > SIMPLE * found[0].share or hardly)]
+        return [*simple[:1], *(one for one in found if one is not (simple or [None])[0])], True
+    alone = Loop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
+    lagging = _family(factor, phase, Ts)
+    return [alone, *(one._replace(share=one.as_known(z) * one.usual / len(lagging)) for one in lagging)], False
 
 
-def _best(delays, y, basis, factor, noise, phase):
-    """The best of whole numbers of samples; None where it doesn't explain the recording."""
-    N, tried = len(y), {}
-    for delay in delays:
-        if (delay + 1) + basis.shape[1] < N // 2:
-            bounds = 0.65 * gain_of(factor, delay), 1.35 * gain_of(factor, delay)
-            if abs(delay - phase) > 1 + NEIGHBOURS:  # then the factor is not its own
-                bounds = late_monotone(delay), 1.2 * late_stable(delay)
-            z, score = _fitted(y, basis, delay, bounds, 1e-3)
-            tried[delay] = score + np.log(N) * ((delay + 1) * y.shape[1] + 1), z
-    if not tried:
-        return None
-    best = min(tried, key=lambda d: tried[d][0])
-    z = tried[best][1]
-    z, _ = _fitted(y, basis, best, (0.97 * z, 1.03 * z), 1e-7)
-    power = np.mean(_left(z, y, basis, best) ** 2, axis=0)
-    if np.any(power > WORSE * noise**2 + PART * np.var(y, axis=0)):
-        return None
-    odds = np.exp(-0.5 * (np.array([score for score, _ in tried.values()]) - tried[best][0]))
-    return Late(best, z, float(1 / odds.sum()), phase, True)
+def _explained(loops, fit, noise) -> bool:
+    """Whether the likeliest leaves no more than noise, or a small part."""
+    if not loops:
+        return False
+    left = min(loops, key=lambda one: one.score).power
+    return bool(np.all(left <= WORSE * noise**2 + PART * np.var(fit.y, axis=0)))
 
 
-def _fitted(y, basis, delay, bounds, to):
-    """z within bounds, found to a share, and the misfit that the loop with it has."""
-    from scipy.optimize import minimize_scalar
+class _Fit(NamedTuple):
+    """A recording to which loops are fitted."""
 
-    made = minimize_scalar(
-        lambda z: misfit(_left(z, y, basis, delay), y),
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": to * bounds[1]},
-    )
-    return float(made.x), float(made.fun)
+    y: np.ndarray
+    basis: np.ndarray
+    Ts: float
+    z: float | None
 
+    def has_room(self, delay) -> bool:
+        return delay + 1 + self.basis.shape[1] < len(self.y) // 2
 
-def _left(z, y, basis, delay):
-    """(N, k) what of y is no motion of the loop."""
-    q, _ = np.linalg.qr(np.hstack([_motions(z, delay, len(y)), basis]))
-    return y - q @ (q.T @ y)
+    def scored(self, loop: Loop) -> Loop:
+        """A loop with its criterion: what is left when all its motions are projected out, and its gain."""
+        N = len(self.y)
+        factors = loop.factors(self.Ts)
+        q, _ = np.linalg.qr(np.hstack([columns_of(factors[factors.imag >= 0], N)[0], self.basis]))
+        left = self.y - q @ (q.T @ self.y)
+        power = np.sum(left**2, axis=0) / max(N - q.shape[1], 1)
+        floor = MODEL**2 * np.var(self.y, axis=0) + np.finfo(float).tiny
+        off = -2 * np.log(loop.as_known(self.z))
+        return loop._replace(score=float(N * np.sum(np.log(power + floor))) + off, power=power)
 
+    def whole(self, delay, factor, phase) -> Loop:
+        """The best gain of a whole number of samples of dead time."""
+        from scipy.optimize import minimize_scalar
 
-def _motions(z, delay, N):
-    """(N, d + 1) that span all motions of a loop: what it does of itself after one impulse, shifted."""
-    alone = [0.0] * delay + [1.0]
-    for _ in range(N - 1):
-        alone.append(alone[-1] - z * alone[-1 - delay])
-    return np.lib.stride_tricks.sliding_window_view(np.array(alone), N).T
+        low, high = 0.65 * gain_of(factor, delay), 1.35 * gain_of(factor, delay)
+        if abs(delay - phase) > 1 + NEIGHBOURS:  # then the factor is not its own
+            low, high = late_monotone(delay), 1.2 * late_stable(delay)
+        for share in (1e-3, 1e-7):
+            made = minimize_scalar(
+                lambda z: self.scored(Loop(delay, 0.0, z)).score,
+                bounds=(low, high),
+                method="bounded",
+                options={"xatol": share * high},
+            )
+            low, high = 0.97 * made.x, 1.03 * made.x
+        return self.scored(Loop(delay, 0.0, float(made.x)))
 
 
 # --- with a lag ---------------------------------------------------------------------------------------
+
+
+def _with_lags(fit, factor, phase) -> list:
+    """Loops with a lag, for a factor that is fitted once more with the best of them."""
+    from scipy.optimize import minimize
+
+    tried = [fit.scored(one) for one in _family(factor, phase, fit.Ts) if fit.has_room(one.delay + 1)]
+    if not tried:
+        return []
+    best = min(tried, key=lambda one: one.score)
+
+    def at(values):
+        return best._replace(lag=best.lag * np.exp(values[0]), z=best.z * np.exp(values[1]))
+
+    made = minimize(
+        lambda values: fit.scored(at(values)).score,
+        np.zeros(2),
+        method="Nelder-Mead",
+        options={"initial_simplex": 0.02 * np.array([[0, 0], [1, 0], [0, 1]]), "maxfev": 40, "fatol": 0.1},
+    )
+    factor = at(made.x).slowest(fit.Ts)
+    if not factor.imag:
+        return tried
+    found = _family(factor, phase_delay(factor), fit.Ts)
+    exact = None if fit.z is None else lag_of(factor, fit.z, fit.Ts)
+    if exact is not None:
+        found.append(Loop(exact.delay, float(exact.lag), fit.z))
+    return [fit.scored(one) for one in found]
+
+
+def _family(factor, phase, Ts) -> list:
+    """Loops with a lag that have this factor as their largest, one for each of some dead times below the phase's."""
+    from scipy.optimize import brentq
+
+    def gain(delay, lag):
+        return -Ts / sampled(Drive(delay=delay, lag=lag), Ts).transfer(factor)
+
+    found = []
+    for delay in phase * np.arange(LAGS) / LAGS if factor.imag and 0.2 < phase < MOST else ():
+        low, high = np.log(1e-2 * Ts), np.log(1e3 * max(phase, 1) * Ts)
+        turn = [np.angle(gain(delay, np.exp(at))) for at in (low, high)]
+        if turn[0] * turn[1] < 0:
+            lag = float(np.exp(brentq(lambda at, d=delay: np.angle(gain(d, np.exp(at))), low, high, xtol=1e-6)))
+            loop = Loop(float(delay), lag, float(np.abs(gain(delay, lag))))
+            if lag < LONGEST and np.abs(loop.slowest(Ts)) < np.abs(factor) + 1e-3:
+                found.append(loop)
+    return found
 
 
 def lag_of(factor, z, Ts):

@@ -11,7 +11,10 @@ import numpy as np
 
 ROWS = 128  # of a Hankel matrix, at most
 ORDER = 12  # factors of a recording, at most
-GROWTH = 1.6  # per sample, at most: of a faster one nothing would have been recorded
+GROWTH = 4.0  # per sample, at most
+DEGREE = 9  # of the polynomials that a path is compared with
+WINDOWS = 8192  # columns of the Hankel matrices, at most: of a long recording with many columns every few
+CLEAN = 0.1  # share of what it varies by which a clean column is measured: the others tell less
 EXACT = 1e-8  # share of a column that is rounding
 PENALTY = 2.0  # on the logarithm of the number of samples, for each number that is fitted: modes are searched for
 
@@ -67,10 +70,13 @@ def _candidates(y, basis):
     N = len(y)
     rows = min(int(0.4 * N), ROWS)
     width = N - rows + 1
-    windows = np.lib.stride_tricks.sliding_window_view(y / _size(y), width, axis=0)  # (rows, k, width)
-    still, _ = np.linalg.qr(basis[:width])
+    every = -(-width * y.shape[1] // WINDOWS)
+    windows = np.lib.stride_tricks.sliding_window_view(y / _size(y), width, axis=0)[..., ::every]  # (rows, k, width)
+    still, _ = np.linalg.qr(basis[:width:every])
     windows = windows - (windows @ still) @ still.T
-    space, values, _ = np.linalg.svd(windows.reshape(rows, -1), full_matrices=False)
+    square = np.linalg.qr(windows.reshape(rows, -1).T, mode="r")  # its right singular vectors are all that is needed
+    values, space = np.linalg.svd(square)[1:]
+    space = space.T
     most = min(ORDER, rows // 2, int(np.sum(values > 1e-12 * values[0])))
     for order in range(1, most + 1):
         _, _, v = np.linalg.svd(np.hstack([space[:-1, :order], space[1:, :order]]), full_matrices=True)
@@ -82,9 +88,14 @@ def _candidates(y, basis):
 
 
 def _size(y):
-    """(k,) of each column: what it varies."""
-    size = np.std(y, axis=0)
+    """(k,) of each column: what it varies, of one that is mostly noise ten times as much as of a clean one."""
+    size = np.maximum(CLEAN * np.std(y, axis=0), roughness(y))
     return np.where(size > 0, size, 1.0)
+
+
+def roughness(y):
+    """(k,) of white noise its standard deviation, of what is smooth next to nothing."""
+    return np.std(np.diff(y, 3, axis=0), axis=0) / np.sqrt(20)
 
 
 def columns_of(factors, N: int):
@@ -124,3 +135,19 @@ def misfit(left, y) -> float:
     N = len(y)
     floor = (EXACT * np.std(y, axis=0)) ** 2 + (1e-15 * np.abs(y).max(0)) ** 2 + np.finfo(float).tiny
     return float(N * np.sum(np.log(np.mean(left**2, axis=0) + floor)))
+
+
+def polynomials(y) -> float:
+    """The information criterion of the polynomial that explains y (N, k) best, as `Modes.score` counts."""
+    N, k = y.shape
+    base, _ = np.linalg.qr(np.linspace(-1, 1, N)[:, None] ** np.arange(DEGREE + 1))
+    return min(
+        misfit(y - base[:, :n] @ (base[:, :n].T @ y), y) + PENALTY * np.log(N) * n * k for n in range(3, DEGREE + 2)
+    )
+
+
+def shape_of(y, found: Modes, i: int):
+    """(k,) complex weights of the i-th mode in each column: y = … + Re(weight · factor^k), largest row 1."""
+    columns, owner = columns_of(found.factors[[i]], len(y))
+    weights, *_ = np.linalg.lstsq(columns, found.parts[i], rcond=1e-13)
+    return weights[0] - 1j * weights[1] if len(owner) == 2 else weights[0].astype(complex)

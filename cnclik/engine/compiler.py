@@ -10,6 +10,7 @@ import pathlib
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
 import weakref
@@ -35,11 +36,16 @@ UNSAFE = (
     "-ffp-model",
 )
 LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
-MOST_SECONDS = 120  # that a compiler may take
+LIMIT = 300.0  # [s] that a compiler may take; the largest exports take half a minute
+MOST_SECONDS = 120  # the same where lanes wait for it, and XLA could do it
 
 
 class CompilerError(Exception):
     """The compiler refused, or took too long."""
+
+
+class SlowCompilerError(CompilerError):
+    """It took too long."""
 
 
 def _command() -> list | None:
@@ -70,7 +76,7 @@ def command() -> list:
     raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
 
 
-def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
+def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
     """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected,
     but for those by which NaN and infinity would mean nothing.
 
@@ -78,22 +84,24 @@ def build(sources, folder, *, flags=(), keep=True) -> pathlib.Path:
       sources: C files of one folder.
       folder: where it is kept; in the system's temporary files where that can't be written to.
       flags: further ones.
+      limit: seconds that the compiler may take, `LIMIT` where nothing is said; then it is ended.
     """
     texts = [pathlib.Path(s).read_bytes() for s in sources]
     care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
     line = [*command(), "-std=c99", *FLAGS, *care, *flags, *_own_flags()]
     headers = sorted(pathlib.Path(sources[0]).parent.glob("*.h"))
-    name = f"{pathlib.Path(sources[0]).stem}-{_key(line, texts + [h.read_bytes() for h in headers])}.so"
+    name = f"{pathlib.Path(sources[0]).stem}-{_key(line, texts + [h.read_bytes() for h in headers])}"
     folder = pathlib.Path(folder)
+    if (found := _kept(folder, name)) is not None:
+        return found
     if not os.access(folder, os.W_OK):
         folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
-    library = folder / name
-    if not os.path.exists(library):
-        try:
-            _compile(line, sources, library)
-        except CompilerError as error:
-            raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {error}") from None
-    return library
+    try:
+        return _compiled(line, sources, folder, name, limit or LIMIT)
+    except SlowCompilerError:
+        raise errors.fail("compiler", f"be done within {limit or LIMIT:g} s", f"{line[0]} is not") from None
+    except CompilerError as error:
+        raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {error}") from None
 
 
 def build_text(text, operations, folder, *, include=()) -> pathlib.Path:
@@ -102,14 +110,14 @@ def build_text(text, operations, folder, *, include=()) -> pathlib.Path:
     Raises: CompilerError.
     """
     flags = [*LANES, *[SCHEDULED] * (operations <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
-    line = [*command(), *flags]
-    library = pathlib.Path(folder) / f"lanes-{_key(line, [text.encode()])}.so"
-    if not os.path.exists(library):
-        with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
-            source = pathlib.Path(own, "lanes.c")
-            source.write_text(text, encoding="utf-8")
-            _compile(line, [source], library)
-    return library
+    line, folder = [*command(), *flags], pathlib.Path(folder)
+    name = f"lanes-{_key(line, [text.encode()])}"
+    if (found := _kept(folder, name)) is not None:
+        return found
+    with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
+        source = pathlib.Path(own, "lanes.c")
+        source.write_text(text, encoding="utf-8")
+        return _compiled(line, [source], folder, name, MOST_SECONDS)
 
 
 def _own_flags():
@@ -120,21 +128,46 @@ def _key(line, texts) -> str:
     return hashlib.sha256("\0".join([*line, _processor()]).encode() + b"\0".join(texts)).hexdigest()[:32]
 
 
-def _compile(line, sources, library):
-    part = library.with_name(f"{library.name}.{os.getpid()}.part")
-    asked = [*line, "-o", str(part), *map(str, sources), "-lm"]
+def _kept(folder, name):
+    """The library of a name that was built before; None where there is none."""
+    return next(filter(_whole, folder.glob(f"{name}-*.so")), None)
+
+
+def _compiled(line, sources, folder, name, limit):
+    part = folder / f"{name}.{os.getpid()}.part"
     try:
-        done = subprocess.run(asked, capture_output=True, text=True, timeout=MOST_SECONDS)
-        if done.returncode:
-            words = done.stderr.splitlines()
-            raise CompilerError(next((w for w in words if "error" in w), done.stderr.strip()[:80]))
-        os.replace(part, library)
-    except subprocess.TimeoutExpired:
-        raise CompilerError(f"nothing within {MOST_SECONDS} s") from None
-    except OSError as error:
-        raise CompilerError(str(error)) from None
+        code, said = _run([*line, "-o", str(part), *map(str, sources), "-lm"], limit)
+        if code:
+            raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80]))
+        library = folder / f"{name}-{_digest(part)}.so"
+        part.replace(library)
     finally:
         part.unlink(missing_ok=True)
+    return library
+
+
+def _digest(library) -> str:
+    with open(library, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def _whole(library) -> bool:
+    """Whether a library is the one that was built: one that is cut off would end the process that loads it."""
+    return os.path.isfile(library) and library.stem.endswith(f"-{_digest(library)}")
+
+
+def _run(line, limit):
+    """What a command returns and what it says; ended, with all that it has started, after so many seconds."""
+    group = {"start_new_session": True} if hasattr(os, "killpg") else {}
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **group) as process:
+        try:
+            _, said = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            raise SlowCompilerError(f"nothing within {limit:g} s") from None
+        finally:  # an interrupt ends it, too
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+    return process.returncode, said
 
 
 @functools.cache

@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.compiler import build, opened
+from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
@@ -27,7 +27,8 @@ class Batch:
         self.library = build(
             [folder / f"{name}_batch.c"], folder, flags=["-O2"]
         )  # as quick as -O3, built in half the time
-        self.function = getattr(opened(self.library), f"{name}_batch")
+        self.opened = closed_after(opened(self.library))
+        self.function = getattr(self.opened, f"{name}_batch")
         self.function.restype = None
         self.function.argtypes = (ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, *[ctypes.c_void_p] * 3)
 

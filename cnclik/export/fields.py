@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import re
 
 import jax
 import numpy as np
@@ -11,12 +12,16 @@ from cnclik.native.graph import INT, REAL
 from cnclik.native.program import Field
 from cnclik.record import is_literal
 
+_OWN = "own_"  # before the names of fields in a user's records, which may be words of C
+
 
 def leaves(tree, path=()):
     """(path, array) of every array in a tree of records, in JAX's order."""
     if dataclasses.is_dataclass(tree):
+        ours = type(tree).__module__.startswith("cnclik.")
         for field in dataclasses.fields(tree):
-            yield from leaves(getattr(tree, field.name), (*path, field.name))
+            word = field.name if ours else _OWN + re.sub(r"[^A-Za-z0-9]", "_", field.name)
+            yield from leaves(getattr(tree, field.name), (*path, word))
     elif isinstance(tree, (tuple, list)):
         for i, item in enumerate(tree):
             yield from leaves(item, (*path, str(i)))
@@ -32,7 +37,8 @@ def names(paths) -> list:
             short = path[-count:]
             if not short[0].isdigit() and sum(p[-count:] == short for p in paths) == 1:
                 break
-        found.append("_".join(short))
+        name = "_".join(short)
+        found.append(f"{name}_{len(found)}" if name in found else name)
     return found
 
 

@@ -96,12 +96,12 @@ def batch_source(program, names: Names) -> str:
     head = f"/* Written by cnclik {__version__}; see {names.name}_batch.h. Vectors of lanes: GCC or Clang. */\n"
     head += f'#include "{names.name}_batch.h"\n\n'
     head += prelude(names.dtype, writers)
-    head += _LOAD.replace("COLUMN", f"{names.name}_column")
+    head += _LOAD.replace("@COLUMN@", f"{names.name}_column")
     text = "\n".join([head, *parts, block, every])
-    return text.replace("REAL", names.real)
+    return text.replace("@REAL@", names.real)
 
 
-_LOAD = """static inline V load(const COLUMN *column, int64_t at, int64_t last, int64_t place)
+_LOAD = """static inline V load(const @COLUMN@ *column, int64_t at, int64_t last, int64_t place)
 {
   V r = {0};
   for (int i = 0; i < W; ++i) {
@@ -111,7 +111,7 @@ _LOAD = """static inline V load(const COLUMN *column, int64_t at, int64_t last, 
   return r;
 }
 
-static inline void store(REAL *found, int64_t at, int64_t last, int64_t size, int64_t place, V x)
+static inline void store(@REAL@ *found, int64_t at, int64_t last, int64_t size, int64_t place, V x)
 {
   if (found != NULL) {
     for (int i = 0; i < W && at + i < last; ++i) found[(at + i) * size + place] = x[i];

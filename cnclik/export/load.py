@@ -1,12 +1,12 @@
 """Load: exported C, built by the system's compiler and called from Python with NumPy arrays."""
 
 import collections
+import contextlib
 import ctypes
 import dataclasses
 import functools
 import json
 import operator
-import pathlib
 import tempfile
 from typing import NamedTuple
 
@@ -14,9 +14,9 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.compiler import build, opened
+from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.export.batch import Batch
-from cnclik.export.write import MANIFEST, c
+from cnclik.export.write import MANIFEST, c, digest, digest_of
 from cnclik.integrate.advance import Step
 from cnclik.integrate.trajectory import INSTANTS, Trajectory
 from cnclik.reaching.result import ReachStatus
@@ -34,16 +34,27 @@ def load(folder, **parameters):
     Returns: `Compiled`, called with what the C function's `input` holds, in that order or by name.
     Raises: ArgumentError where there is no compiler, or the folder holds no export.
     """
-    folder = pathlib.Path(folder)
-    try:
-        told = json.loads(read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"))
-    except ValueError:
-        raise errors.fail(
-            "folder", f"hold an {MANIFEST} written by cnclik.export.c", f"{folder.name} has another"
-        ) from None
-    made = Compiled(folder, told)
+    folder = errors.path("folder", folder)
+    made = Compiled(folder, _manifest(folder))
     made.set(**parameters)
     return made
+
+
+def _manifest(folder) -> dict:
+    """What is told of the functions in a folder. Raises: ArgumentError where it, or their source, is another."""
+    text, told = read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"), None
+    with contextlib.suppress(ValueError, RecursionError):
+        told = json.loads(text)
+    if not isinstance(told, dict) or told.pop("digest", None) != digest_of(told):
+        words = f"hold an {MANIFEST} as this version of cnclik.export.c wrote it (export again)"
+        raise errors.fail("folder", words, f"{folder.name!r} has another")
+    for file, wanted in told["files"].items():
+        if file not in _TO_READ and digest(read_bytes("folder", folder / file, "a folder with its source")) != wanted:
+            raise errors.fail("folder", "hold the source as it was written (export again)", f"{file} is another")
+    return told
+
+
+_TO_READ = ("README.md", "example.c")  # of an export, which nothing is built from
 
 
 def compiled(law, reference=None, **options):
@@ -70,8 +81,9 @@ class Compiled:
         self.library = build([folder / f"{name}.c"], folder)
         self.buffers = {group: _Buffer(fields, self.dtype) for group, fields in told["inputs"].items() if fields}
         self.buffers["output"] = _Buffer(told["outputs"], self.dtype)
-        library = opened(self.library, lets_go=told["what"] == "solve")
+        library = closed_after(opened(self.library, lets_go=told["what"] == "solve"))
         function = getattr(library, name)
+        function.library = library  # open for as long as there is who may call it
         function.restype = ctypes.c_int32 if told["what"] in ("step", "solve", "reach") else None
         addresses = [b.address for b in self.buffers.values()]
         of_loop = [ctypes.c_int32, ctypes.c_void_p] * (told["what"] == "solve")

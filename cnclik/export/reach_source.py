@@ -1,7 +1,8 @@
 """Reach source: the search for one target, around the traced look.
 
 From where the arm is, then from the posture whose tip is nearest to the target, then from the next nearest: each by
-careful steps, until one arrives. Where none does, the nearest pose found is told.
+careful steps, until one arrives. Where none does, the nearest pose found is told. Lengths are in the chain's own unit
+inside, see `reaching.units`.
 """
 
 import math
@@ -10,10 +11,8 @@ from cnclik.export.reach_trace import Reaching
 from cnclik.export.source import Names, body, signature, struct
 from cnclik.native.cost import operations
 from cnclik.native.scalar import number, rows
-from cnclik.reaching.asked import CLEAR
 from cnclik.reaching.seeds import TURN
 from cnclik.reaching.single import ROUNDS_FAR, STEPS, TOGETHER
-from cnclik.reaching.step import STATIONARY
 
 MORE = 5  # times as many steps from the nearest pose found, where none is an answer
 
@@ -94,12 +93,14 @@ def _search(reaching, names) -> str:
         for i in reaching.turns
     )
     word, far, few = names.name.upper(), "", ""
+    unit = "" if reaching.unit == 1.0 else f"{c(reaching.unit)} * "
     if reaching.center:
         away = " + ".join(
             f"(input->position[{i}] - {c(x)}) * (input->position[{i}] - {c(x)})" for i, x in enumerate(reaching.center)
         ).replace("- -", "+ ")
         far = f"\n  far = sqrt{f}({away}) > {c(reaching.length)} + parameters->tolerance[0];"
         few = f" && !(far && k > {ROUNDS_FAR * TOGETHER})"
+    units, metres = _units(reaching, names, inputs)
     return f"""{signature(reaching.call, names)}
 {{
   static const {names.type("bounds")} bounds = {{
@@ -112,7 +113,7 @@ def _search(reaching, names) -> str:
   {real} sum = 0, turn;
   int32_t looks = 0, status;
   int far = 0, k, i;
-{finite}{far}
+{units}{finite}{far}
   memset(&best, 0, sizeof best);
   for (i = 0; i < {n}; ++i) {{
     best.best[i] = input->q[i];
@@ -150,8 +151,8 @@ def _search(reaching, names) -> str:
     output->q[i] = best.best[i];
   }}
 {turns}
-  turn = sqrt{f}(best.squares[1]) / 2;
-  output->position_error = sqrt{f}(best.squares[0]);
+{metres}  turn = sqrt{f}(best.squares[1]) / 2;
+  output->position_error = {unit}sqrt{f}(best.squares[0]);
   output->orientation_error = 2 * asin{f}(turn < 1 ? turn : 1);
   output->evaluations = looks;
   status = {word}_OUT_OF_BUDGET;
@@ -163,12 +164,32 @@ def _search(reaching, names) -> str:
       output->q[i] = NAN;
     }}
     output->position_error = output->orientation_error = NAN;
-  }} else if (far || (best.steep <= {c(STATIONARY**2)}
-                     && (output->position_error > {c(CLEAR)} * parameters->tolerance[0]
-                         || output->orientation_error > {c(CLEAR)} * parameters->tolerance[1]))) {{
+  }} else if (far) {{ /* nothing else is known: other postures might lead there */
     status = {word}_OUT_OF_REACH;
   }}
   output->status = status;
   return status;
 }}
 """
+
+
+def _units(reaching, names, inputs) -> tuple:
+    """Statements that bring what is given into the chain's unit, and joint values back; nothing where that is 1 m."""
+    if reaching.unit == 1.0:
+        return "", ""
+
+    def c(x):
+        return number(x, "real", names.dtype)
+
+    slides = [(i, own) for i, own in enumerate(reaching.own) if own != 1.0]
+    lines = [
+        f"  {names.type('parameters')} inner = *parameters;",
+        f"  {names.type('input')} given = *input;",
+        f"  inner.tolerance[0] *= {c(1 / reaching.unit)};",
+        *(f"  given.q[{i}] *= {c(1 / own)};" for i, own in slides),
+    ]
+    for field in inputs:
+        if field.name == "position":
+            lines += [f"  given.position[{i}] *= {c(1 / reaching.unit)};" for i in range(field.size)]
+    lines += ["  parameters = &inner;", "  input = &given;"]
+    return "\n".join(lines) + "\n", "".join(f"  output->q[{i}] *= {c(own)};\n" for i, own in slides)

@@ -11,6 +11,7 @@ from cnclik.native.graph import INT
 from cnclik.native.program import Field, Program
 from cnclik.reaching.seeds import SETS, SIZE, seeds
 from cnclik.reaching.step import Search, iterate
+from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import cast, replace
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
@@ -25,6 +26,8 @@ class Reaching(NamedTuple):
 
     look: Program  # of the state of a search: look, and step on
     call: Program  # what the exported function takes and gives, without a graph
+    unit: float  # [m] of all lengths in the tables, and of the look
+    own: tuple  # (n,) what a joint value there is multiplied with: the unit of joints that slide, 1 of others
     lower: np.ndarray  # (n,)
     upper: np.ndarray
     postures: np.ndarray  # (K, n) to start from
@@ -38,11 +41,11 @@ class Reaching(NamedTuple):
 def trace_reach(asked: Asked, count: int) -> Reaching:
     """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
     errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
-    chain, task = asked.law.chain, replace(asked.law.task, weights=None)
+    (chain, unit), task = in_units(asked.law.chain), replace(asked.law.task, weights=None)
     n, p, turned = chain.n, len(task.position), bool(task.orientation)
     found, rounds = seeds(chain), [joint.kind == REVOLUTE for joint in chain.joints]
     columns = [*task.linear, *(range(3, 12) if turned else ())]
-    units = ", ".join(dict.fromkeys(chain.units))
+    units, own = ", ".join(dict.fromkeys(chain.units)), of_joints(chain, unit)
     least = LEAST * np.finfo(asked.dtype).eps
     parameters = [
         Field("tolerance", (2,), about="of position [m] and orientation [rad]", value=np.maximum(TOLERANCE, least)),
@@ -63,6 +66,8 @@ def trace_reach(asked: Asked, count: int) -> Reaching:
         call=Program(
             None, {"parameters": parameters, "input": given, "history": []}, {"output": [(f, []) for f in told]}
         ),
+        unit=unit,
+        own=own,
         lower=np.array(chain.lower, float),
         upper=np.array(chain.upper, float),
         postures=found.postures[:count],

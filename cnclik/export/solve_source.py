@@ -43,7 +43,7 @@ def solve_source(program, growth, names: Names, n, m) -> str:
     used = [g for g in ("parameters", "input") if any(f"{g}->" in line for line in lines)]
     constant = ", ".join(f"const {names.type(g)} *{g}" for g in used)
     grown = named_as(
-        f"static int32_t {names.name}_grown({constant + ', ' * bool(used)}const REAL *t, const REAL *e)\n{{\n"
+        f"static int32_t {names.name}_grown({constant + ', ' * bool(used)}const @REAL@ *t, const @REAL@ *e)\n{{\n"
         + "\n".join([*lines, f"  return {value};"])
         + "\n}\n",
         names,

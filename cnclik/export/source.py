@@ -15,10 +15,14 @@ GROUPS = ("parameters", "input", "history")
 REACHED = tuple(ReachStatus[name] for name in ("SOLVED", "OUT_OF_REACH", "OUT_OF_BUDGET", "NON_FINITE"))
 
 
+PREFIX = "clik_"  # of all names that others see: so none is a keyword, a macro, or a function of a library
+
+
 class Names:
     """How things are called in the C of one export."""
 
     def __init__(self, name, dtype, what):
+        name = PREFIX + name.removeprefix(PREFIX)
         self.name, self.dtype, self.what = name, np.dtype(dtype), what
         self.real = "float" if self.dtype.itemsize == 4 else "double"
         self.suffix = "f" * (self.dtype.itemsize == 4)
@@ -35,7 +39,9 @@ class Names:
 
 def comment(text) -> str:
     """A block comment, whatever a robot's joints are called."""
-    text = text.replace("*/", "* /")
+    text = "".join(c if " " <= c <= "~" or c == "\n" else "?" for c in text)
+    for mark in ("*/", "/*", "??"):  # comments that end or begin, trigraphs
+        text = text.replace(mark, f"{mark[0]} {mark[1]}")
     lines = [line for part in text.strip().split("\n") for line in (textwrap.wrap(part, 110) or [""])]
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"]) + "\n"
 
@@ -121,6 +127,7 @@ def places(program, names) -> dict:
 
 def body(program, names, line=""):
     """The function's text, and the operations in it. `line`: its own line, where it isn't the exported one."""
+    given = [g for g in program.inputs if program.inputs[g]]
     called = {f: f"{names.name}_part{i}" for i, f in enumerate(functions(program.graph), 1)}
     used = set()
     parts = [_part(f, called, used) for f in called]
@@ -133,6 +140,7 @@ def body(program, names, line=""):
             values = [writer.of(node) for node in nodes]  # all is read before anything is written
             stores += [f"  {place}{f'[{i}]' if array else ''} = {v};" for i, v in enumerate(values)]
     lines += stores
+    lines[:0] = [f"  (void){g};" for g in given if not any(f"{g}->" in text for text in lines)]
     if names.statuses and "output" in program.outputs:
         lines.append("  return output->status;")
     text = f"{line or signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n"
@@ -145,13 +153,14 @@ def _part(function, called, used) -> str:
     lines = writer.statements()
     lines += [f"  r[{i}] = {v};" for i, v in enumerate([writer.of(node) for node in function.results])]
     used |= writer.used
-    return f"static void {called[function]}(const REAL *a, REAL *r)\n{{\n" + "\n".join(lines) + "\n}\n"
+    return f"static void {called[function]}(const @REAL@ *a, @REAL@ *r)\n{{\n" + "\n".join(lines) + "\n}\n"
 
 
 def named_as(text, names) -> str:
     """The text with the placeholders of this export's own names filled in."""
-    for word, there in (("SINCOS", f"{names.name}_sincos"), ("TO_INT", f"{names.name}_to_int"), ("REAL", names.real)):
-        text = text.replace(word, there)
+    there = {"SINCOS": f"{names.name}_sincos", "TO_INT": f"{names.name}_to_int", "REAL": names.real}
+    for word, name in there.items():
+        text = text.replace(f"@{word}@", name)
     return text
 
 
@@ -174,7 +183,7 @@ def helpers(names, used) -> list:
 
 
 _TO_INT = """/* Towards 0; what is too large to the nearest, NaN to 0. */
-static int32_t TO_INT(REAL x)
+static int32_t @TO_INT@(@REAL@ x)
 {
   if (x != x) {
     return 0;
@@ -202,9 +211,9 @@ def sincos(names) -> str:
     reduce = "\n".join(f"  x = x - k * {c(p)};" for p in exact)
     magic = 1.5 * 2.0 ** (23 if f else 52)
     return f"""/* sin x and cos x within 2 ulp: x = k pi/2 + r, then two polynomials of r (Cody & Waite 1980). */
-static void SINCOS(REAL x, REAL *sine, REAL *cosine)
+static void @SINCOS@(@REAL@ x, @REAL@ *sine, @REAL@ *cosine)
 {{
-  REAL k, r, s, t, z;
+  @REAL@ k, r, s, t, z;
   int32_t quadrant;
   if (!(fabs{f}(x) <= {c(RANGE)})) {{
     *sine = sin{f}(x);
@@ -220,7 +229,7 @@ static void SINCOS(REAL x, REAL *sine, REAL *cosine)
   t = ({c(1.0)} - {c(0.5)} * z) + z * z * {horner(table.cosine)};
   quadrant = (int32_t)k;
   if (quadrant & 1) {{
-    const REAL swap = s;
+    const @REAL@ swap = s;
     s = t;
     t = swap;
   }}

@@ -1,7 +1,7 @@
 """Write: the exported files, all at once, in a folder."""
 
+import hashlib
 import json
-import pathlib
 import re
 
 import numpy as np
@@ -27,16 +27,6 @@ from cnclik.version import __version__
 from cnclik.writing import output_folder
 
 MANIFEST = "export.json"
-KEYWORDS = """alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t class
-compl const const_cast constexpr continue decltype default delete do double dynamic_cast else enum explicit export
-extern false float for friend goto if inline int long main mutable namespace new noexcept not not_eq nullptr operator
-or or_eq private protected public register reinterpret_cast restrict return short signed sizeof static static_assert
-static_cast struct switch template this thread_local throw true try typedef typeid typename union unsigned using
-virtual void volatile wchar_t while xor xor_eq"""  # of C99 and C++17, and `main`
-LIBRARY = """abort abs acos acosh asin asinh atan atan2 atanh cbrt ceil copysign cos cosh erf erfc exit exp exp2 expm1
-fabs fdim floor fma fmax fmin fmod free frexp hypot ilogb labs ldexp lgamma log log10 log1p log2 logb lrint lround
-malloc memchr memcmp memcpy memmove memset modf nan nearbyint nextafter pow printf puts remainder remquo rint round
-scalbn sin sinh sqrt strcmp strcpy strlen tan tanh tgamma trunc"""  # functions of C, also with f and l
 
 
 def c(
@@ -52,6 +42,7 @@ def c(
     runtime=None,
     batch=False,
     seeds=None,
+    overwrite=False,
 ):
     """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
 
@@ -65,19 +56,21 @@ def c(
       what: "step", "solve" (N steps in one call), "reach" (joint values for one target), "fk" or "jacobian".
       method, stage: as for `solve`.
       dtype: "float64" (double) or "float32" (float).
-      name: of the function and of the files.
+      name: of the function and of the files; they begin with `clik_`, which is added where it is missing.
       runtime: names of the parameters that may be set at run time, the others being compiled in; None: all.
       batch: also the loop for many lanes by vector instructions, `NAME_batch.c`: True, or the names of the results
         wanted of it, such as ("q", "e"); what is not wanted is not computed.
       seeds: postures written into the source for "reach" to start from, after the joint values that it is given; 64
         by default.
+      overwrite: write also into a folder that holds other files than those of an earlier export.
 
     Returns: the folder's path.
     Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
     """
     asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
-    out = pathlib.Path(out)
+    out = errors.path("out", out)
     names, told = Names(name, asked.dtype, what), configuration(asked)
+    name = names.name
     declared = loop = ""
     if what != "reach" and seeds is not None:
         raise errors.fail("seeds", f"be left out for {what!r}", f"is {seeds!r}")
@@ -95,14 +88,25 @@ def c(
     if looped:
         files[f"{name}_batch.h"] = batch_header(looped, names)
         files[f"{name}_batch.c"] = batch_source(looped, names)
-    every = [*files, MANIFEST, "README.md"]
-    files[MANIFEST] = json.dumps({"files": every} | manifest(asked, program, names, looped), indent=1) + "\n"
     counted = most_operations(reaching) if reaching else operations(program)
-    files["README.md"] = readme(program, names, told, every, counted)
-    with output_folder(out) as folder:
+    files["README.md"] = readme(program, names, told, [*files, MANIFEST, "README.md"], counted)
+    about = {"files": {file: digest(text.encode()) for file, text in files.items()}}
+    about |= manifest(asked, program, names, looped)
+    files[MANIFEST] = json.dumps({"digest": digest_of(about)} | about, indent=1) + "\n"
+    with output_folder(out, overwrite=overwrite) as folder:
         for file, text in files.items():
             folder.write_text(file, text)
     return out
+
+
+def digest(content: bytes) -> str:
+    """What a file is recognised by."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def digest_of(about: dict) -> str:
+    """What a manifest is recognised by."""
+    return digest(json.dumps(about, sort_keys=True).encode())
 
 
 def _read(read, *args):
@@ -116,12 +120,8 @@ def _read(read, *args):
 def checked(law, reference, what, method, stage, dtype, name, runtime, batch=False):
     """What is asked, and the name. Raises: ArgumentError."""
     errors.one_of("what", what, WHAT)
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise errors.fail("name", "be a C identifier such as clik_step", f"is {name!r}")
-    if name in KEYWORDS.split():
-        raise errors.fail("name", "be no keyword of C or C++", f"is {name!r}")
-    if {name, name.removesuffix("f"), name.removesuffix("l")} & set(LIBRARY.split()):
-        raise errors.fail("name", "be no function of C's library", f"is {name!r}")
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
+        raise errors.fail("name", "be a C identifier of at most 60 letters such as clik_step", f"is {name!r}")
     dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
     if batch and what not in ("step", "solve"):
         raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")

@@ -11,7 +11,7 @@ from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
 from cnclik.integrate.status import Status, flags
 from cnclik.law.law import Law, evaluate, look, respond
-from cnclik.law.limits import within
+from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
 from cnclik.record import record
 from cnclik.robot import spatial as sp
@@ -19,9 +19,17 @@ from cnclik.robot import spatial as sp
 
 @record
 class Step:
-    """One step of the loop: q after it, x and e before it. Fields as in `Trajectory`, without the time axis.
+    """One step of the loop, as a record without the time axis of a `Trajectory`.
 
-    `history` is what a multistep method wants back with its next step; None for one-step methods.
+    Attributes:
+      q: (n,) joint values after the step [rad, m].
+      x: (m,) task coordinates of the tip before it [m, rad].
+      e: (m,) error before it, x_d − x [m, rad].
+      qdot: (n,) joint velocity held during it [rad/s, m/s].
+      residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
+      contraction: ratio of its last two changes; at 1 or more it diverges.
+      status: bits of `Status`.
+      history: what a multistep method wants back with its next step; None for one-step methods.
     """
 
     q: jax.Array
@@ -75,6 +83,17 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         history=one.history,
     )
     return step, made.first.least
+
+
+def summed(law, q, step, lost):
+    """q + step and what a rounding lost there, to be added with the next step (Kahan 1965); `lost`: with the last.
+
+    In single precision steps below half a spacing of q would else come to nothing: the loop would stop short of its
+    target by ulp(q)/2/(alpha·Ts). Without derivatives: what is lost has none.
+    """
+    step = sp.vadd(step, lost)
+    after = inside(law, q, sp.vadd(q, step))
+    return after, jax.lax.stop_gradient(sp.vsub(step, sp.vsub(after, q)))
 
 
 def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:

@@ -6,7 +6,7 @@ See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedba
 from typing import NamedTuple
 
 from cnclik.integrate.march import march
-from cnclik.law.feedback import ahead, held_feedback, null_over_step
+from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over_step
 from cnclik.law.law import answer, glance, null_velocity, target
 from cnclik.law.null import Posture
 from cnclik.robot import spatial as sp
@@ -55,12 +55,18 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
         if c not in known:
             known[c] = sp.scale(law.feedforward, target(law, reference, t + c * Ts, q)[2])
     velocities = [known[c] for c in method.c]
-    quadrature = sp.combine(method.b, velocities)
-    held = sp.vadd(to.feedback, closure(law, to.mean, quadrature, 1.0 if method.order <= CLOSED else 0.0))
+    low = method.order <= CLOSED
+    held = closure(law, to.mean, sp.combine(method.b, velocities), 1.0 if low else 0.0)
+    if low:
+        held = sp.vadd(to.feedback, held)
+    else:
+        turns = [ahead(law, reference, at, t, c * Ts).turn if c else None for c in method.c]
+        asked = feedback_within(law, at.e, method.c, turns, Ts)
+        velocities = [sp.vadd(v, w) for v, w in zip(velocities, asked, strict=True)]
 
     def field(velocity, q):
         wanted = to.wanted if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
         return answer(law, q, glance(law, q), sp.vadd(velocity, held), wanted)
 
-    first = answer(law, q, at, sp.vadd(to.velocity, held), to.wanted)
+    first = answer(law, q, at, sp.vadd(velocities[0], held), to.wanted)
     return march(field, q, Ts, method, stage, first, at=velocities, looped=looped), to

@@ -171,8 +171,11 @@ def exponential(method):
       kᵢ = J#(qᵢ) (ẋ_d(t + cᵢ·Ts) + w) + (I − J#J) q̇₀(qᵢ),   qᵢ = q + Ts Σⱼ Aᵢⱼ kⱼ,   q⁺ = q + Ts Σᵢ bᵢ kᵢ
       w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)
 
-    R(z) = e^{−z} for every z and every tableau. See `cnclik.law.feedback` for rotations and gain matrices. Of an
-    Adams-Bashforth formula it is EXP-AB: one Jacobian a step and a memory, see `cnclik.integrate.remember`.
+    R(z) = e^{−z} for every z and every tableau. Of order above two, w follows the decay within the step, see
+    `cnclik.law.feedback.feedback_within`. The order is that of the method, or EXP-AB's two while an error decays, where
+    J# is exact; a damped J# lets the error decay more slowly than is taken for, and the order is one. See
+    `cnclik.law.feedback` for rotations and gain matrices. Of an Adams-Bashforth formula it is EXP-AB: one Jacobian a
+    step and a memory, see `cnclik.integrate.remember`.
 
     Args:
       method: an explicit `Method` or an Adams-Bashforth `Multistep`, or its name.

@@ -197,7 +197,7 @@ def share(pace, state, f, Ts, stop, sharpness):
     s = jnp.clip(jnp.maximum(low, jnp.minimum(wanted, high)), 0.0, most)
     velocity = s * f
     if not (a is None and j is None):
-        velocity = jnp.where(leaves, _braked(v, a, j, state, wanted * f, Ts), velocity)
+        velocity = jnp.where(leaves, _braked(a, j, state, wanted * f, Ts), velocity)
         s = jnp.where(leaves, _along(velocity, f), s)
     return s, Pacing(
         velocity=velocity,
@@ -288,7 +288,7 @@ def _kept(a, j, state, f, Ts, most):
 # --- off the path -------------------------------------------------------------------------------------
 
 
-def _braked(v, a, j, state, wanted, Ts):
+def _braked(a, j, state, wanted, Ts):
     """The velocity (n,) nearest to the wanted one that each joint reaches within its limits."""
     gap = wanted - state.velocity
     if j is None:

@@ -15,7 +15,7 @@ from cnclik import errors
 from cnclik.engine.tracing import checkpointed
 from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
-from cnclik.integrate.advance import Step, advance, advanced
+from cnclik.integrate.advance import Step, advance, advanced, summed
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.history import History
 from cnclik.integrate.method import DEFAULT, Method, Multistep, named, starter
@@ -214,13 +214,17 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
 
     def loop(law, reference, start, Ts, t0, stage, k):
         def one(starting, state, k):
-            q, past = state
+            q, past, lost = state
             length = jnp.where(k < N, Ts, 0.0)
             made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
-            return (made.q, made.history), replace(made, q=q, history=None)
+            after = made.q
+            if lost is not None:
+                after, lost = summed(law, q, sp.scale(length, made.qdot), lost)
+            return (after, made.history, lost), replace(made, q=q, history=None)
 
         one = checkpointed(one)
-        state = start, memory.blank(law, start, method)
+        lost = sp.each(jnp.zeros_like, start) if dtype == jnp.float32 else None
+        state = start, memory.blank(law, start, method), lost
         steps, last = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
         return last if end else (steps, last)
 

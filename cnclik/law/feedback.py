@@ -99,6 +99,32 @@ def held_feedback(law: Law, e, turn, Ts):
     return sp.join(rate[:p], sp.vadd(rate[p:], sp.scale(0.5 * law.feedforward, along)))
 
 
+def feedback_within(law: Law, e, times, turns, Ts) -> list:
+    """What a step's feedback asks of the task (m,) at each of some times within it, in units of Ts.
+
+    They are slopes of the parabola through what the error's decay moves the tip by, (I − e^{−K·c·Ts}) e, at c = 0, 1/2
+    and 1. A quadrature of second order or more makes of them the whole decay, and one of order 3 or 4 keeps its order,
+    as 3c² − 3c + 1/2, along which they miss the decay, is orthogonal to 1 and c. From K·Ts = 1 on the parabola gives
+    way to the chord, whose slope is the same everywhere: 3 e/Ts at first and −e/Ts at last lead a far start astray.
+
+    Args:
+      e: (m,) at the step's start.
+      turns: rows of R_d(t + c·Ts) R_d(t)ᵀ for each time, or None, as for `held_feedback`.
+    """
+    e, p = clamped(law, e), len(law.task.position)
+    half, whole = (gain(per_step(law.alpha, c * Ts, e), e) for c in (0.5, 1.0))  # mean rates over as much of the step
+    z = Ts * jnp.max(jnp.abs(law.alpha) if law.alpha.ndim < 2 else jnp.sum(jnp.abs(law.alpha), axis=1))
+    half = sp.vadd(whole, sp.scale(1.0 / (1.0 + (z * z) ** 2), sp.vsub(half, whole)))
+    found = []
+    for c, turn in zip(times, turns, strict=True):
+        rate = sp.vadd(sp.scale(2.0 - 4.0 * c, half), sp.scale(4.0 * c - 1.0, whole))
+        if turn is not None:
+            along = sp.vsub(sp.matvec(turn, rate[p:]), rate[p:])
+            rate = sp.join(rate[:p], sp.vadd(rate[p:], sp.scale(law.feedforward, along)))
+        found.append(rate)
+    return found
+
+
 def null_over_step(law: Law, Ts):
     """Factor of a posture term over a step, (1 − e^{−rate·Ts})/(rate·Ts); None where the term isn't linear."""
     if isinstance(law.null_velocity, Posture):

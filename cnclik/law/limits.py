@@ -188,9 +188,8 @@ class Saturated:
             """The rows without the locked joints' columns."""
             return sp.rescale(rows, sp.each(lambda gone: 1.0 - gone, locked))
 
-        fixed = sp.each(
-            lambda l, h: jnp.where(l < h, zero, zero + 1.0), low, high
-        )  # a joint with one value is no joint
+        # A joint with a single value is no joint: out from the first pass on.
+        fixed = sp.each(lambda l, h: jnp.where(l < h, zero, zero + 1.0), low, high)
         reached = _beyond_reach(free(fixed), velocity)
 
         def one(at: _Pass, _):
@@ -319,15 +318,23 @@ def within(law, q, qdot, Ts):
     velocities are scaled alike; a joint that would cross a position limit ends on it, and one that is outside doesn't
     go farther out.
     """
-    chain = law.chain
-    qdot, _ = slowed(chain, qdot)
+    qdot, _ = slowed(law.chain, qdot)
     after = sp.vadd(q, sp.scale(Ts, qdot))
-    if not getattr(law.limits, "positions", True) or unlimited(chain.lower, chain.upper):
+    kept = inside(law, q, after)
+    if kept is after:
         return after, qdot
     per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
+    qdot = sp.each(lambda x, v, there, end: jnp.where(there == end, v, (there - x) * per_time), q, qdot, kept, after)
+    return kept, qdot
 
-    def joint(x, v, end, low, high):
-        there = jnp.clip(end, jnp.minimum(low, x), jnp.maximum(high, x))
-        return there, jnp.where(there == end, v, (there - x) * per_time)
 
-    return sp.parts(joint, q, qdot, after, *(sp.like(q, limit) for limit in (chain.lower, chain.upper)))
+def inside(law, q, after):
+    """Joint values after a step from q, within the position limits that the law respects, or as far outside as q."""
+    chain = law.chain
+    if not getattr(law.limits, "positions", law.limits is not None) or unlimited(chain.lower, chain.upper):
+        return after
+
+    def joint(x, end, low, high):
+        return jnp.clip(end, jnp.minimum(low, x), jnp.maximum(high, x))
+
+    return sp.each(joint, q, after, chain.lower, chain.upper)

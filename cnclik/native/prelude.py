@@ -21,7 +21,7 @@ _ARCTANGENT = {
 
 
 def prelude(dtype, writers) -> str:
-    """The text before functions of vectors, in which REAL stands for a number of a lane.
+    """The text before functions of vectors, in which @REAL@ stands for a number of a lane.
 
     Args: writers: those that wrote the functions, and know what they use.
     """
@@ -106,7 +106,7 @@ _PRELUDE = """#include <math.h>
 #endif
 #define W (BYTES / @SIZE@)
 
-typedef REAL V __attribute__((vector_size(BYTES)));
+typedef @REAL@ V __attribute__((vector_size(BYTES)));
 typedef @WHOLE@ I __attribute__((vector_size(BYTES)));
 
 static inline V vzero(void)
@@ -115,7 +115,7 @@ static inline V vzero(void)
   return zero;
 }
 
-#define SPLAT(x) ((REAL)(x) - vzero())
+#define SPLAT(x) ((@REAL@)(x) - vzero())
 #define SPLATI(x) ((@WHOLE@)(x) + (I)vzero())
 #define SELI(m, a, b) (((m) & (a)) | (~(m) & (b)))
 #define SEL(m, a, b) vsel(m, a, b)

@@ -13,7 +13,7 @@ _OF_WHOLE = {  # numbers that can't be NaN
     "abs": "{0} < 0 ? -{0} : {0}",
     "rem": "{0} % {1}",
 }
-TYPES = {REAL: "REAL", INT: "int32_t", BOOL: "int"}
+TYPES = {REAL: "@REAL@", INT: "int32_t", BOOL: "int"}
 
 
 def number(value, kind, dtype) -> str:
@@ -41,7 +41,7 @@ class Writer:
     types: what numbers of each kind are called in C. sincos_function: what gives both of an angle.
     """
 
-    types, sincos_function = TYPES, "SINCOS"
+    types, sincos_function = TYPES, "@SINCOS@"
 
     def __init__(self, graph, outputs, places, functions=None):
         """places: {input name: (C expression, whether it is an array)}; functions: {function: its name in C}."""

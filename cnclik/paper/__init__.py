@@ -12,13 +12,14 @@ __getattr__, _ = on_use(__name__, {"claims": "judge", "readings": "experiment"})
 __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
 
 
-def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
+def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False):
     """All experiments of Section V under all eight readings of its text, in float64; half a minute, mostly to compile.
 
     Args:
       out: folder for data, claims.json, claims.md and, after them, figures; None: nothing is written.
       reading: what figures 1 to 12 show.
       progress: called as progress(done, total, note).
+      overwrite: write also into a folder of others.
 
     Returns: datasets `trajectories`, `methods` and `passes`; `judge` makes claims of the first and the last.
     Raises: ArgumentError for an unknown reading or an unusable folder; FigureError where figures could not be drawn,
@@ -32,7 +33,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None):
     from cnclik.show.output import draw
     from cnclik.writing import output_folder
 
-    with output_folder(out) as folder:
+    with output_folder(out, overwrite=overwrite) as folder:
         found = everything(progress)
         judged = _write(folder, found)
     from cnclik.paper import figures, story  # by now the data are safe

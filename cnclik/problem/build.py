@@ -27,8 +27,8 @@ from cnclik.problem.names import (
     task_from,
 )
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values
-from cnclik.problem.reference import as_written, reference_from
-from cnclik.problem.words import FUTURES
+from cnclik.problem.reference import as_written, on_path, reference_from
+from cnclik.problem.words import BEGINS, FUTURES
 
 LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
@@ -121,6 +121,8 @@ def problem_from(robot, **options) -> Problem:
     if kept and (v["noise"] is not None or (drive is not None and not (drive.prompt and drive.exact))):
         raise errors.fail(next(iter(kept)), "be left out where there are drives or noise", "is given")
     reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
+    if errors.one_of("begin", v["begin"], BEGINS) == "on-path":
+        q0 = on_path(chain, task, reference, q0)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     return Problem(
         name=robot_name(robot, v["tip"]),

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from cnclik import errors
 from cnclik.problem.words import (
+    BEGINS,
     COMMANDS,
     FEEDBACKS,
     FUTURES,
@@ -19,6 +20,7 @@ from cnclik.problem.words import (
     STAGES,
     TASKS,
 )
+from cnclik.quantities import SAMPLES
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -92,12 +94,15 @@ OPTIONS = {
     "manipulability": Option(NUMBER, "Gain of climbing the manipulability in the null space.", must="positive"),
     "q0": Option(NUMBERS, "Joint values at the start [rad, m]; a posture inside the limits, away from singularities, "
                  "by default.", unit="q"),
+    "begin": Option(NAME, f"Where the loop begins: {_listed(BEGINS)}; on-path is where the path begins, with the joint "
+                    "values nearest to q0.", "q0"),
 }  # fmt: skip
 
 DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`
-    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones.", must="at least 0"),
+    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones; 34ms is a time.",
+                    unit=SAMPLES, must="at least 0"),
     "measurement_delay": Option(INTEGER, "Whole samples by which what is measured is late, its time being known.",
-                                must="at least 0"),
+                                unit=SAMPLES, must="at least 0"),
     "lag": Option(NUMBERS, "Time constant of a first-order drive [s], one number or one per joint.", unit="s",
                   must="positive"),
     "natural_frequency": Option(NUMBERS, "ω₀ of a second-order drive [rad/s], in place of a lag: √(k_p/m) of a "

@@ -9,8 +9,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.problem import words
+from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.names import fitting
-from cnclik.problem.tables import read_csv
+from cnclik.problem.tables import read_poses
+from cnclik.reaching.reach import reach
+from cnclik.reaching.result import ReachStatus
 from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import pose
@@ -74,6 +77,8 @@ def _line(scene, period, **ends):
     errors.number("period", period, positive=True)
     first, turned = _point("from", ends.get("from"), scene.task, scene.here)
     last, turned_last = _point("to", ends.get("to"), scene.task, scene.here if "to" in ends else _away(scene))
+    if first is not None and len(first) != len(last):  # one as x y z, one in the task's coordinates
+        first, last = (p if len(p) < 3 else p[np.array(scene.task.linear)] for p in (first, last))
     turned_last = None if turned_last is turned else turned_last  # kept: nothing to turn
     return ref.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
@@ -96,6 +101,24 @@ def _lissajous(scene, period, center=None, amplitude=None, frequency=None, phase
     at, rotation = _point("center", center, scene.task, scene.here)
     size = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),))) * np.ones(len(at))
     return ref.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
+
+
+def on_path(chain: Chain, task, reference, q0):
+    """Joint values (n,), nearest to q0, that put the tip where a path begins.
+
+    Raises: ArgumentError where none are found.
+    """
+    position, rotation = reference.curve(0.0)
+    if task.position:  # what the task doesn't control may be anything
+        place = dict(zip(task.linear, ref.controlled(task, position), strict=True))
+        xp = poses.library(*place.values())
+        position = xp.stack([xp.asarray(place.get(i, 0.0), float) for i in range(3)])
+    target = (position if task.position else None, jnp.asarray(rotation) if task.orientation else None)
+    found = reach(chain, target, task=task, near=q0)
+    if errors.concrete(found.status) and not found.solved:
+        at = f"is on-path, and where the path begins is {ReachStatus(int(found.status)).name}"
+        raise errors.fail("begin", "be q0 for a path that begins where the arm doesn't reach", at)
+    return found.q
 
 
 REFERENCES = {"hold": _hold, "line": _line, "circle": _circle, "lissajous": _lissajous}
@@ -155,10 +178,25 @@ def _point(name, given, task, default):
 
 
 def _waypoints(scene, file):
-    """Waypoints of a CSV file: time, position, optional quaternion w x y z."""
-    name, table = pathlib.Path(file).name, read_csv("reference", file)
+    """Waypoints of a CSV file: time, position, optional quaternion; by name, or without a header in this order."""
+    name, task = pathlib.Path(file).name, scene.task
+
+    def by_place(width):
+        turns = (0, 4) if task.orientation else (0,)
+        fits = {1 + len(some) + turn: some for some in {task.position, task.position and "xyz"} for turn in turns}
+        some = fits.get(width)
+        return None if some is None else (TIME, *some, *QUATERNION[: width - 1 - len(some)])
+
+    columns, table = read_poses("reference", file, by_place)
     if len(table) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(table)}")
+    if columns:
+        axes = [axis for axis in POSITION if axis in columns] if set(POSITION) <= set(columns) else [*task.position]
+        order = [TIME, *(axes if task.position else []), *(QUATERNION if task.orientation and "qw" in columns else ())]
+        lacking = [one for one in order if one not in columns]
+        if lacking:
+            raise errors.fail("reference", "have a column for each coordinate", f"{name} lacks {' '.join(lacking)}")
+        table = np.stack([columns[one] for one in order], 1)
     points = [_point(f"{name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
     late = ~(table[1:, 0] > table[:-1, 0])  # also where one is not finite
     if late.any():

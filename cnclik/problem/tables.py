@@ -6,62 +6,101 @@ import pathlib
 
 import numpy as np
 
-from cnclik import errors, reading
+from cnclik import errors, quantities, reading
+from cnclik.problem.columns import POSITION, QUATERNION, TRANSFORM, meanings
 from cnclik.reading import read_bytes
-
-
-def read_csv(argument: str, file) -> np.ndarray:
-    """The numbers (rows, columns) of a CSV file; a header and # comments are skipped.
-
-    Raises: ArgumentError, naming the argument, for a file that can't be read, or rows that don't fit.
-    """
-    return read_columns(argument, file)[1]
 
 
 def read_columns(argument: str, file, *, gaps=False) -> tuple:
     """Names of the columns, "1", "2", … where there is no header, and the numbers (rows, columns) of a CSV file.
 
-    Args: gaps: whether cells may be empty; they are NaN.
-    Raises: as `read_csv`.
+    A header and # comments are no rows.
+
+    Args: gaps: whether cells may be empty, and columns hold texts alone; both are NaN.
+    Raises: ArgumentError, naming the argument, for a file that can't be read, or rows that don't fit.
     """
+    names, rows = _cells(argument, file)
+    table = _numbers(argument, file, rows, gaps)
+    width = table.shape[-1] if rows else len(names)
+    return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
+
+
+def read_poses(argument: str, file, by_place) -> tuple:
+    """({what: column (rows,)}, numbers (rows, columns)) of a table of poses; see `columns.meanings`.
+
+    Where there is no header the columns are taken by their place, of which a remark tells.
+
+    Args: by_place: function of a number of columns that returns what they are, or None for a number that fits nothing.
+    Raises: as `read_columns`, and for names that are unknown, or there twice.
+    """
+    names, rows = _cells(argument, file)
+    found = meanings(argument, pathlib.Path(file).name, names) if names else None
+    table = _numbers(argument, file, rows, False)
+    if found is None:
+        order = by_place(table.shape[-1]) if rows else None
+        if order is None:
+            return {}, table
+        errors.remark(f"{pathlib.Path(file).name} has no header; its columns were read as {' '.join(order)}.")
+        found = [(what, 1.0) for what in order]
+    elif rows and len(names) != table.shape[1]:
+        shown = f"{pathlib.Path(file).name} has {len(names)} names and {table.shape[1]} columns"
+        raise errors.fail(argument, "name every column", shown)
+    table = table.reshape(len(rows), len(found))
+    return {what: factor * table[:, i] for i, (what, factor) in enumerate(found)}, table
+
+
+def _cells(argument, file) -> tuple:
+    """(names of a header, () without one; rows of texts) of a CSV file."""
     path = pathlib.Path(file)
     try:
         text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
         rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
     except (UnicodeDecodeError, csv.Error) as error:
-        reason = "is no text" if isinstance(error, UnicodeDecodeError) else error
+        reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
         raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    names = ()
-    if rows and not any(map(_is_number, rows[0])):  # a header; a first row with a slip in it is none
-        names, rows = tuple(name.strip() for name in rows[0]), rows[1:]
+    if rows and not any(quantities.number(cell) is not None for cell in rows[0]) and not _is_slip(rows):
+        return tuple(name.strip() for name in rows[0]), rows[1:]
+    return (), rows
+
+
+def _is_slip(rows) -> bool:
+    """Whether a first row that holds no number is meant to: in another script's digits, or with another separator."""
+    return any(quantities.hint(cell) or ";" in cell for cell in rows[0])
+
+
+def _is_meant(cell) -> bool:
+    """Whether a cell is a number, or is meant to be one."""
+    return bool(cell.strip()) and (quantities.number(cell) is not None or bool(quantities.hint(cell)))
+
+
+def _numbers(argument, file, rows, gaps):
     if gaps:
-        rows = [[cell if cell.strip() else "nan" for cell in row] for row in rows]
+        meant = {j for row in rows for j, cell in enumerate(row) if _is_meant(cell)}
+        rows = [[cell if j in meant and cell.strip() else "nan" for j, cell in enumerate(row)] for row in rows]
+    table = []
     for k, row in enumerate(rows):
-        if len(row) != len(rows[0]) or not all(_is_number(x) for x in row):
-            raise errors.fail(argument, "hold numbers, as many in every row", f"row {k + 1} of {path.name} does not")
-    table = np.array(rows, float)
-    width = table.shape[-1] if rows else len(names)
-    return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
-
-
-def _is_number(text):
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+        values = [quantities.number(cell) for cell in row]
+        if len(row) != len(rows[0]) or None in values:
+            wrong = next((cell for cell, value in zip(row, values, strict=True) if value is None), None)
+            why = f"has {len(row)} of {len(rows[0])}" if wrong is None else f"holds {wrong!r}{quantities.hint(wrong)}"
+            why += ", and columns are separated by commas" if wrong is not None and ";" in wrong else ""
+            found = f"row {k + 1} of {pathlib.Path(file).name} {why}"
+            raise errors.fail(argument, "hold numbers, as many in every row", found)
+        table.append(values)
+    return np.array(table, float)
 
 
 def read_targets(file, task) -> np.ndarray:
     """Targets of a file, as `cnclik.reach` takes them.
 
-    A CSV file has a target per row: position [m] and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4
-    transform row by row; a .npy file an array of such rows or of transforms; a .npz file has it under `targets`.
+    A CSV file has a target per row, with columns by name (`cnclik.problem.columns`), or without a header position [m]
+    and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4 transform row by row. A .npy file has an array of
+    such rows or of transforms, a .npz file has it under `targets`.
     """
     path = pathlib.Path(file)
     ending = errors.ending("TARGETS", path, ".csv", ".npy", ".npz")
     if ending == ".csv":
-        found = read_csv("TARGETS", path)
+        found = _targets("TARGETS", path, task)
     else:
         data = io.BytesIO(read_bytes("TARGETS", path, "a file of targets"))
         try:
@@ -82,6 +121,23 @@ def read_targets(file, task) -> np.ndarray:
         raise errors.fail("TARGETS", "hold at least one target", f"{path.name} holds none")
     if found.ndim == 2 and found.shape[1] == 16:
         return found.reshape(-1, 4, 4)
-    if found.ndim == 2 and found.shape[1] == 7 and not (task.position and task.orientation):
-        return found[:, :3] if task.position else found[:, 3:]
     return found
+
+
+def _targets(argument, path, task):
+    """Rows of a CSV file as targets: positions, quaternions, both, or transforms."""
+    sizes = {3: POSITION, 4: QUATERNION, 7: POSITION + QUATERNION, 16: TRANSFORM}
+    columns, table = read_poses(argument, path, sizes.get)
+    if not columns:
+        return table
+    if TRANSFORM[0] in columns:
+        return np.stack([columns[name] for name in TRANSFORM], 1)
+    lacking = [axis for axis in task.position if axis not in columns]
+    if lacking or (task.orientation and not task.position and "qw" not in columns):
+        names = " ".join(lacking or QUATERNION)
+        raise errors.fail(argument, f"have columns {names} for this task", f"{path.name} has {' '.join(columns)}")
+    none = np.zeros(len(table))  # of coordinates that the task doesn't have
+    parts = [columns.get(axis, none) for axis in POSITION] if task.position else []
+    if task.orientation and "qw" in columns:
+        parts += [columns[name] for name in QUATERNION]
+    return np.stack(parts, 1)

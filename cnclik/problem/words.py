@@ -45,6 +45,7 @@ METHODS = (
     *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
 )
 STAGES = ("picard", "chord", "newton")
+BEGINS = ("q0", "on-path")
 FUTURES = ("known", "unknown")
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")

@@ -8,13 +8,19 @@ from cnclik import errors
 from cnclik.hints import Recent
 from cnclik.law.task import Task
 from cnclik.reaching.result import Reached, ReachStatus
+from cnclik.reaching.seeds import turned
 from cnclik.reaching.step import STATIONARY
 from cnclik.reaching.targets import task_of
+from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import kept, leaf, record, replace
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.posture import arm_length
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
+FREE = 128  # tries of the search without limits
+SURE = 256  # tries, at least, before it is said that there is no answer
+CLOSE, LONGER = 0.1, 4  # [rad, units]: a target missed by less is searched for with so many times the seeds and budget
+MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
 
 
@@ -22,11 +28,12 @@ CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that n
 class Asked:
     """The arguments of `cnclik.reach` that all targets share."""
 
-    chain: Chain
+    chain: Chain  # its lengths, and all others here, in `unit`
+    unit: float  # [m], see `units`
     task: Task
-    tolerance: object  # (2,) [m], [rad]
+    tolerance: object  # (2,) [units], [rad]
     accept: object  # (2,) or None
-    jump: object  # a number or None
+    jump: object  # a number, or (n,) [rad, units], or None
     seeds: object  # postures to start from, at most
     budget: object  # looks, at most
     seed: object  # of the first set of seeds
@@ -56,25 +63,40 @@ class Asked:
         """Whether the nearest pose is wanted where there is no answer."""
         return self.explain or self.accept is not None
 
-    def turning(self):
-        """Which joints (n,) go round without a limit."""
+    @property
+    def periods(self):
+        """What each joint (n,) turns by to the same posture; 0 of those that have none."""
+        return np.where(self.chain.periodic, 2 * math.pi, 0.0)
+
+    def turns(self):
+        """The periods (n,) of joints that can take a posture in several turns, 0 of others."""
         lower, upper = self.limited()
-        return np.array(self.chain.periodic) & np.isinf(lower) & np.isinf(upper)
+        return np.where(upper - lower >= self.periods, self.periods, 0.0)
 
     def finite(self, pose, near, xp=np):
         """Which targets (..., 12), and what is near them, hold numbers alone."""
         return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
     def beyond(self):
-        """Where the search goes that tells why there is no answer: without `jump`, or without limits; None: nowhere."""
-        if not self.explain:
-            return None
-        if self.jump is not None:
-            return self.limited()
+        """Where the searches go that tell why there is no answer, one after the other: without `jump`, without limits.
+
+        Returns: for each the status that an answer there means, its bounds, and how many tries it has at most.
+        """
         lower, upper = self.limited()
-        if not (np.isfinite(lower) | np.isfinite(upper)).any():
-            return None
-        return np.full_like(lower, -np.inf), np.full_like(upper, np.inf)
+        some = []
+        if self.jump is not None:
+            some.append((ReachStatus.JUMP, (lower, upper), LONGER * self.seeds))
+        if (np.isfinite(lower) | np.isfinite(upper)).any():
+            some.append((ReachStatus.AT_LIMIT, (np.full_like(lower, -np.inf), np.full_like(upper, np.inf)), FREE))
+        return tuple(some) if self.explain else ()
+
+    def sure(self, looks):
+        """Whether so many looks (...,) at tries within the bounds were enough to say that there is no answer."""
+        return (self.seeds >= SURE) & (looks < self.budget)
+
+    def close(self, squares):
+        """Whether what is missed (..., 2) is so little that there may be an answer which is hard to find."""
+        return (squares.sum(axis=-1) < CLOSE**2) & (self.seeds >= SURE)
 
     def too_far(self, pose, xp=np):
         """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""
@@ -85,30 +107,35 @@ class Asked:
         away = (pose[..., :3] - xp.stack(first.origin.position))[..., np.array(self.task.linear)]
         return xp.sqrt(xp.sum(away * away, axis=-1)) > arm_length(self.chain) + self.tolerance[0]
 
-    def reached(self, pose, near, q, squares, steep, looks, found, beyond, xp=np) -> Reached:
-        """The record of answers: of one target, or of (B,) with that axis first."""
+    def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:
+        """The record of answers: of one target, or of (B,) with that axis first.
+
+        Args: why: the status that an answer of `beyond` means; SOLVED where there is none.
+        """
         position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
         turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
         # Next to a singularity an error this small is stationary, too.
         clear = (position > CLEAR * self.tolerance[0]) | (turn > CLEAR * self.tolerance[1])
-        rests = (steep <= STATIONARY**2) & clear | self.too_far(pose, xp)
+        lower, upper = self.limited()
+        around = xp.zeros_like(q) if near is None else near
+        q = xp.clip(turned(q, around, self.turns(), lower, upper, xp), lower, upper)
+        at_limit = (q <= lower + TOUCHING) | (q >= upper - TOUCHING)
+        rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
         status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
-        why = ReachStatus.AT_LIMIT if self.jump is None else ReachStatus.JUMP
-        status = xp.where(beyond, int(why), status)
+        missed = (position > MISSED * self.tolerance[0]) | (turn > MISSED * self.tolerance[1])
+        told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1)
+        status = xp.where(told & sure & missed, why, status)
         if self.accept is not None:
             near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])
             status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)
         status = xp.where(found, int(ReachStatus.SOLVED), status)
         if self.jump is not None:  # where `near` is outside the limits
-            away = xp.max(xp.abs(q - near), axis=-1) > self.jump * (1 + 1e-9)
+            away = (xp.abs(q - near) > self.jump * (1 + 1e-9)).any(axis=-1)
             status = xp.where((status <= ReachStatus.ACCEPTED) & away, int(ReachStatus.JUMP), status)
         status = xp.where(self.finite(pose, near, xp), status, int(ReachStatus.NON_FINITE))
         none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE) | ~xp.isfinite(squares).all(axis=-1)
         if not self.explain:
             none = none | (status > ReachStatus.ACCEPTED)
-        lower, upper = self.limited()
-        around = xp.zeros_like(q) if near is None else near
-        q = xp.where(self.turning(), q - 2 * math.pi * xp.round((q - around) / (2 * math.pi)), q)
         q, position, turn = (
             xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn))
         )
@@ -118,7 +145,7 @@ class Asked:
             position_error=position,
             orientation_error=turn,
             evaluations=looks.astype(int),
-            at_limit=(q <= lower + TOUCHING) | (q >= upper - TOUCHING),
+            at_limit=at_limit & ~none[..., None],
             distance=xp.full_like(position, xp.nan) if near is None else xp.max(xp.abs(q - near), axis=-1),
             chain=self.chain,
             task=self.task,
@@ -149,12 +176,15 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         errors.number("jump", jump, positive=True)
     for name, value in {"seeds": seeds, "budget": budget}.items():
         errors.integer(name, value, at_least=1, at_most=(1 << 30) - 1)
-    tolerance = _pair("tolerance", tolerance)
+    tolerance, (own, unit) = _pair("tolerance", tolerance), in_units(chain)
+    if jump is not None and unit != 1.0 and "m" in chain.units:
+        jump = jump / np.array(of_joints(chain, unit))
     return Asked(
-        chain=chain,
+        chain=own,
+        unit=unit,
         task=task_of(task),
-        tolerance=np.array([tolerance[0], 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # what is looked at is a chord
-        accept=None if accept is None else _pair("accept", accept),
+        tolerance=np.array([tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # of a chord, as looked at
+        accept=None if accept is None else _pair("accept", accept) / np.array([unit, 1.0]),
         jump=leaf(jump),
         seeds=np.int32(seeds),
         budget=np.int32(budget),

@@ -7,11 +7,11 @@ import numpy as np
 
 from cnclik.hints import as_here, form, use_form
 from cnclik.reaching import programs, search
-from cnclik.reaching.asked import Asked
+from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
 from cnclik.reaching.search import BLOCK, SMALLEST, Answers, Targets
-from cnclik.reaching.seeds import SETS
+from cnclik.reaching.seeds import starts, turned
 from cnclik.reaching.single import along, each
 from cnclik.record import kept, replace
 from cnclik.threads import cores, side_by_side
@@ -22,9 +22,12 @@ MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unro
 # Targets, at most, that are sooner searched for one by one; rolled, also where none of them has an answer: more of
 # these take longer than to compile what `HARD` asks for.
 ONE_BY_ONE = {"unrolled": 128, "rolled": 512}
+ENDLESS = 1 << 40  # looks
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
-DRAWN = 12  # seeds for each solution asked for
+DRAWN, MOST_DRAWN = 4, 64  # seeds of a round that looks for other solutions, of which each has twice as many
+EDGE = 1e-3  # [rad, m] beyond a bound: there may be an answer at it
+PATIENCE = 64  # seeds without another solution, and twice as many as there were before, after which there is none
 
 
 def many(asked: Asked, pose, near, progress=None) -> Reached:
@@ -45,7 +48,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             return each(asked, pose, near, progress)
     setup = search.setup_of(asked)
     made = Answers.empty(B, n)
-    beyond = np.zeros(B, bool)
+    sure, why = np.zeros(B, bool), np.zeros(B, int)
     targets = Targets(pose, asked.bounds(near), near)
     far = asked.too_far(pose)
     known, downhill = asked.finite(pose, near), asked.downhill
@@ -53,20 +56,24 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     def first(ids):
         made.put(ids, search.first_tries(setup, targets.part(ids)))
 
-    def later(ids, done=search.PLAIN, tries=setup.tries, downhill=downhill):
-        mine = setup._replace(tries=min(tries, setup.tries))
-        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), downhill, done))
+    def later(ids, done=search.PLAIN, tries=setup.tries):
+        mine = setup._replace(tries=tries, budget=ENDLESS if tries > setup.tries else setup.budget)
+        made.put(ids, search.later_tries(mine, targets.part(ids), made.part(ids), done))
 
-    def free(ids):
-        mine, wider = setup._replace(tries=search.TRIES_BEYOND), targets.part(ids)._replace(bounds=asked.beyond())
-        found = search.first_tries(mine, wider)
-        beyond[ids] = search.later_tries(mine, wider, found, downhill=False).found
+    def nearest(ids):
+        made.put(ids, search.downhill(setup, targets.part(ids), made.part(ids)))
+
+    def free(status, bounds, tries, ids):
+        mine = setup._replace(tries=int(tries), budget=ENDLESS)
+        wider = targets.part(ids)._replace(bounds=bounds)
+        found = search.later_tries(mine, wider, search.first_tries(mine, wider)).found
+        why[ids[found]] = status
 
     with jax.enable_x64(True):
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
-            ids = np.flatnonzero(which & known & ~made.found)
+            ids = np.flatnonzero(which & known & ~made.found & (why == 0))
             size = max(min(BLOCK, -(-len(ids) // cores())), SMALLEST)
             parts = [ids[i : i + size] for i in range(0, len(ids), size)]
             with side_by_side(programs.workers(form())) as pool:
@@ -80,17 +87,22 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
                 with side_by_side() as pool:
                     list(pool.map(warm, ("float32", "float64")))
             on_all_cores(first, ~far | downhill)
-            on_all_cores(functools.partial(later, tries=EARLY, downhill=False), ~far)
+            on_all_cores(functools.partial(later, tries=min(EARLY, setup.tries)), ~far)
         # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
         with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
             on_all_cores(functools.partial(later, done=EARLY), ~far)
+            sure = asked.sure(made.looks) & ~far
             if downhill:
-                on_all_cores(functools.partial(later, tries=TRIES_FAR), far)
-            if asked.beyond() is not None:
-                on_all_cores(free, ~far)
+                on_all_cores(functools.partial(later, tries=min(TRIES_FAR, setup.tries)), far)
+                on_all_cores(nearest, ~made.found)
+            if asked.explain:
+                longer = functools.partial(later, done=setup.tries, tries=LONGER * setup.tries)
+                on_all_cores(longer, sure & asked.close(made.squares))
+            for status, bounds, tries in asked.beyond():
+                on_all_cores(functools.partial(free, status, bounds, tries), sure)
     if progress is not None:
         progress(B, B)
-    return asked.reached(pose, near, *made.as_asked(), beyond)
+    return asked.reached(pose, near, *made.as_asked(), sure, why)
 
 
 def path(asked: Asked, pose, progress=None) -> Reached:
@@ -116,49 +128,95 @@ def form_for(chain, targets) -> str:
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
     """Up to `solutions` different answers for each of (B, 12) targets: the nearest of those that many seeds lead to."""
     first = many(asked, pose, near, progress)
-    copies = max(SETS, DRAWN * solutions)
-    size = max(4 * BLOCK // copies, 1)
+    setup, targets = search.setup_of(asked), Targets(pose, asked.bounds(near), near)
+    size = max(16 * BLOCK // (MOST_DRAWN + solutions), 1)
 
     def block(start):
-        cut = slice(start, start + size)
-        mine = {name: v[cut] for name, v in fields(first).items()}
-        return _several(asked, mine, pose[cut], None if near is None else near[cut], solutions, copies)
+        mine = {name: v[start : start + size] for name, v in fields(first).items()}
+        return _several(asked, setup, mine, targets.part(slice(start, start + size)), solutions)
 
-    kind = form() or form_for(asked.chain, len(pose) * copies)
+    kind = form() or form_for(asked.chain, len(pose) * PATIENCE)
     with use_form(kind), jax.enable_x64(True), side_by_side(programs.workers(kind)) as pool:
         made = list(pool.map(as_here(block), range(0, len(pose), size)))
-    return replace(first, **{name: np.concatenate([part[name] for part in made]) for name in PER_TARGET})
+    whole = {name: np.concatenate([part[name] for part in made]) for name in PER_TARGET}
+    return replace(first, **whole, solutions=solutions)
 
 
-def _several(asked, first, pose, near, solutions, copies) -> dict:
-    """The fields of the record for some targets, from those of their first answers."""
-    B, n, setup = len(pose), asked.chain.n, search.setup_of(asked)
-    each_of = np.arange(B)
-    start = np.stack([search.drawn(setup, pose, k, np.full(B, k + setup.seed), each_of) for k in range(copies)], 1)
-    mine = Targets(pose, asked.bounds(near), near).part(np.repeat(each_of, copies))
-    start = np.clip(search.turned(setup, start.reshape(-1, n), mine.near), *mine.bounds)
-    if native := native_for(asked, True):
-        found = native.from_starts(mine.pose, mine.near, start)
-    else:
-        found = search.from_starts(setup, mine, start).as_asked()
-    drawn = asked.reached(mine.pose, mine.near, *found, np.zeros(B * copies, bool))
-    rows = {name: v.reshape(B, copies, *v.shape[1:]) for name, v in fields(drawn).items()}
-    both = {name: np.concatenate([first[name][:, None], v], 1) for name, v in rows.items()}
-    around = setup.seeds.middle if near is None else near[:, None]
-    away = np.max(np.abs(both["q"] - around), axis=2)
-    usable = both["status"] <= ReachStatus.ACCEPTED
-    order = np.argsort(np.where(usable, away, np.inf), axis=1)
-    taken = _different(asked, np.take_along_axis(both["q"], order[..., None], 1), np.take_along_axis(usable, order, 1))
-    rank = np.argsort(~taken, axis=1, kind="stable")[:, :solutions]
-    picked, there = np.take_along_axis(order, rank, 1), np.take_along_axis(taken, rank, 1)
-    none = ~usable.any(axis=1)
-    picked[none, 0], there[none, 0] = 0, True  # why there is none, and the nearest pose, as of one solution
-    out = {n: np.take_along_axis(v, picked.reshape(B, -1, *(1,) * (v.ndim - 2)), 1) for n, v in both.items()}
-    out["status"] = np.where(there, out["status"], int(ReachStatus.NO_OTHER))
+def _several(asked, setup, first, targets, solutions) -> dict:
+    """The fields of the record for some targets, from those of their first answers.
+
+    From ever more seeds, until there are as many different ones as asked for, or nothing new has come for long.
+    """
+    B = len(targets.pose)
+    found = {name: np.repeat(v[:, None], solutions, axis=1) for name, v in first.items()}
+    found["status"][:, 1:] = ReachStatus.NO_OTHER
+    count, newest, done, size = first["status"] <= ReachStatus.ACCEPTED, np.zeros(B, int), 0, DRAWN
+    left = np.flatnonzero(count) if solutions > 1 else np.zeros(0, int)
+    count = count.astype(int)
+    while len(left):
+        drawn = _drawn(asked, setup, targets.part(left), range(done, done + size))
+        both = {name: np.concatenate([found[name][left], v], axis=1) for name, v in drawn.items()}
+        best, there = _nearest(asked, setup, both, targets.part(left).near, solutions)
+        for name, v in best.items():
+            found[name][left] = v
+        done, size = done + size, min(2 * size, MOST_DRAWN)
+        newest[left] = np.where(there > count[left], done, newest[left])
+        count[left] = there
+        left = left[(there < solutions) & (done < PATIENCE + 2 * newest[left])]
+    other = found["status"] == ReachStatus.NO_OTHER
     for name in ("q", "position_error", "orientation_error", "distance"):
-        out[name][~there] = np.nan
-    out["at_limit"][~there] = False
-    return out
+        found[name][other] = np.nan
+    found["at_limit"][other] = False
+    return found
+
+
+def _drawn(asked, setup, targets, numbers) -> dict:
+    """The fields (B, K, ...) of what seeds of some numbers lead to."""
+    B, K = len(targets.pose), len(numbers)
+    seeds = [search.drawn(setup, targets.pose, k, np.full(B, k + setup.seed), 0) for k in numbers]
+    mine = targets.part(np.repeat(np.arange(B), K))
+    start = np.stack(seeds, axis=1).reshape(B * K, -1)
+    low, high = mine.bounds
+    if alone := asked.chain.n <= asked.task.m:  # each by itself: no bound is in its way, and those beyond are left out
+        mine = mine._replace(bounds=(np.full(asked.chain.n, -np.inf), np.full(asked.chain.n, np.inf)))
+    start = starts(start, mine.near, setup.periods, setup.ends, *mine.bounds)
+    made = _searched(asked, setup, mine, start, alone)
+    if alone:
+        made[0][:] = turned(made[0], 0.0 if mine.near is None else mine.near, setup.periods, low, high)
+        beyond = np.max(np.maximum(low - made[0], made[0] - high), axis=1)
+        made[-1][:] &= beyond <= 0
+        if len(edge := np.flatnonzero((beyond > 0) & (beyond < EDGE))):  # by a rounding, perhaps
+            some = mine._replace(bounds=(low, high)).part(edge)
+            again = _searched(asked, setup, some, np.clip(made[0][edge], *some.bounds), False)
+            for whole, part in zip(made, again, strict=True):
+                whole[edge] = part
+    made = asked.reached(mine.pose, mine.near, *made, *np.zeros((2, B * K), int))
+    return {name: v.reshape(B, K, *v.shape[1:]) for name, v in fields(made).items()}
+
+
+def _searched(asked, setup, targets, start, free):
+    """One search from each posture: what `Asked.reached` takes."""
+    if native := native_for(asked, True):
+        return native.from_starts(targets.pose, targets.near, start, free)
+    return search.from_starts(setup, targets, start).as_asked()
+
+
+def _nearest(asked, setup, of: dict, near, most):
+    """The nearest `most` of different answers among (B, K), and how many there are."""
+    around = setup.seeds.middle if near is None else near[:, None]
+    usable = of["status"] <= ReachStatus.ACCEPTED
+    away = np.max(np.abs(of["q"] - around), axis=2, where=usable[..., None], initial=0.0)
+    order = np.argsort(np.where(usable, away, np.inf), axis=1, kind="stable")
+
+    def in_order(v, order):
+        return np.take_along_axis(v, order.reshape(*order.shape, *(1,) * (v.ndim - 2)), axis=1)
+
+    taken = _different(asked, in_order(of["q"], order), in_order(usable, order))
+    order = in_order(order, np.argsort(~taken, axis=1, kind="stable")[:, :most])
+    there = np.minimum(taken.sum(axis=1), most)
+    best = {name: in_order(v, order) for name, v in of.items()}
+    best["status"] = np.where(np.arange(most) < there[:, None], best["status"], int(ReachStatus.NO_OTHER))
+    return best, there
 
 
 def _different(asked, q, usable):

@@ -14,20 +14,22 @@ import numpy as np
 
 from cnclik.engine.compiler import build, can_build, closed_after, opened
 from cnclik.hints import hints_on
-from cnclik.reaching.asked import Asked
+from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
-from cnclik.reaching.search import BLOCK, CAREFUL, DOWNHILL, PLACES, SMALLEST, TRIES_BEYOND, setup_of
+from cnclik.reaching.search import BLOCK, CAREFUL, DOWNHILL, PLACES, SMALLEST, setup_of
 from cnclik.reaching.single import FAR
 from cnclik.record import kept, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
 AT_ONCE = 16  # chains of a process that have native code from their first call on
+ENDLESS = 1 << 40  # looks
+LONGEST = 60.0  # [s] that the compiler may take; it takes a second
 FIRST = 16  # tries of all targets; nearly all need no more
 _NUMBERS = ("cost", "steep", "looks", "found")
 _POINTERS = (
-    *("low", "high", "lower", "upper", "periods", "turns"),
+    *("low", "high", "lower", "upper", "jump", "periods", "turns"),
     *("postures", "middle", "width", "features", "factors", "roots"),
 )
 _building = threading.Lock()
@@ -38,7 +40,7 @@ class _Call(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("pose", "near", "skip", "made", "rows", *_POINTERS)),
-        *(("tolerance", ctypes.c_double * 2), ("jump", ctypes.c_double)),
+        ("tolerance", ctypes.c_double * 2),
         *((name, ctypes.c_int64) for name in ("done", "tries", "budget", "seed", "downhill", "steps")),
     )
 
@@ -71,7 +73,7 @@ def _built(asked):
         with tempfile.TemporaryDirectory(prefix="cnclik-reach-") as folder:  # not needed once it is open
             source = pathlib.Path(folder, "reach_lanes.c")
             source.write_text(text, encoding="utf-8")
-            library = closed_after(opened(build([source], folder, flags=["-O2"])))
+            library = closed_after(opened(build([source], folder, flags=["-O2"], limit=LONGEST)))
         of = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
         library.search.restype, library.search.argtypes = None, of
         library.along.restype, library.along.argtypes = ctypes.c_int64, (ctypes.c_void_p, *of[:2])
@@ -89,17 +91,15 @@ class Native:
 
     def __init__(self, asked: Asked, library):
         setup, n = setup_of(asked), asked.chain.n
-        (lower, upper), wide = asked.limited(), asked.beyond()
-        turns = np.where(asked.turning(), setup.periods, 0.0)
+        lower, upper = asked.limited()
         roots = np.ones(asked.task.m) if setup.roots is None else setup.roots
-        given = {"low": lower, "high": upper, "lower": lower, "upper": upper, "turns": turns, "roots": roots}
+        given = {"low": lower, "high": upper, "lower": lower, "upper": upper, "turns": asked.turns(), "roots": roots}
         given |= {name: getattr(setup.seeds, name) for name in ("postures", "middle", "width")}
-        given = {name: np.ascontiguousarray(v, float) for name, v in (given | {"periods": setup.periods}).items()}
+        given |= {"periods": setup.periods, "jump": np.broadcast_to(np.inf if asked.jump is None else asked.jump, n)}
+        given = {name: np.ascontiguousarray(v, float) for name, v in given.items()}
         given |= {"features": setup.compared.features, "factors": setup.compared.factors}
         self.asked, self.library, self.tries = asked, library, setup.tries
-        self.wide = wide and dict(zip(("low", "high"), wide, strict=True)) | {"jump": np.inf, "budget": 1 << 40}
         numbers = {"tolerance": tuple(setup.tolerance), "budget": setup.budget, "seed": setup.seed, "steps": DOWNHILL}
-        numbers["jump"] = np.inf if asked.jump is None else float(asked.jump)
         self.shared = _Call(**numbers, **{name: v.ctypes.data for name, v in given.items()})
         self.given = given  # what the pointers point to
         columns = [("q", float, (n,)), ("squares", float, (2,)), *((name, float) for name in _NUMBERS)]
@@ -150,17 +150,19 @@ class Native:
             if done < count:
                 found = self._told(made[done : done + 1], pose[k : k + 1], at)
 
-    def from_starts(self, pose, near, start):
-        """One careful search from each of (B, n) postures: what `Asked.reached` takes."""
+    def from_starts(self, pose, near, start, free=False):
+        """One careful search from each of (B, n) postures, `free` of all bounds or not: what `Asked.reached` takes."""
         made = np.zeros(len(pose), self.made)
         made["places"][:, 0], made["costs"][:, 1:], made["cost"], made["squares"] = start, np.inf, np.inf, np.inf
         made["steep"], roots = np.nan, np.ones(self.asked.task.m)
-        self._run(made, pose, near, downhill=1, tries=1, steps=CAREFUL, roots=roots)
+        wide = np.full(self.asked.chain.n, np.inf)
+        bounds = {"low": -wide, "high": wide, "jump": wide} if free else {}
+        self._run(made, pose, near, downhill=1, tries=1, steps=CAREFUL, roots=roots, **bounds)
         return self._answers(made)
 
     def _told(self, made, pose, near, report=None) -> Reached:
         """The record of targets that the first tries have no answer for."""
-        asked, beyond, far = self.asked, np.zeros(len(made), bool), self.asked.too_far(pose)
+        asked, far = self.asked, self.asked.too_far(pose)
         known = asked.finite(pose, near)
 
         def more(which, report, **numbers):
@@ -172,16 +174,23 @@ class Native:
 
         ids, part = more(known & ~far, report, done=FIRST, tries=self.tries)
         made[ids] = part
+        sure, why = asked.sure(made["looks"]) & ~far, np.zeros(len(made), int)
         count = np.count_nonzero(made["found"])
         still = report and (lambda _: report(count))  # of what follows hardly any is an answer
         if asked.downhill:
             made["cost"][made["found"] == 0] = np.inf
             ids, part = more(known & (made["found"] == 0), still, downhill=1, tries=PLACES)
             made[ids] = part
-        if self.wide is not None:
-            ids, part = more(known & ~far & (made["found"] == 0), still, tries=TRIES_BEYOND, **self.wide)
-            beyond[ids] = part["found"] != 0
-        return asked.reached(pose, near, *self._answers(made), beyond)
+        if asked.explain:
+            hard = sure & (made["found"] == 0) & asked.close(made["squares"])
+            ids, part = more(hard, still, done=self.tries, tries=LONGER * self.tries, budget=ENDLESS)
+            made[ids] = part
+        for status, bounds, tries in asked.beyond():
+            wide = dict(zip(("low", "high", "jump"), (*bounds, np.full(asked.chain.n, np.inf)), strict=True))
+            which = known & sure & (made["found"] == 0) & (why == 0)
+            ids, part = more(which, still, tries=int(tries), budget=ENDLESS, **wide)
+            why[ids[part["found"] != 0]] = status
+        return asked.reached(pose, near, *self._answers(made), sure, why)
 
     def _answers(self, made):
         return *(made[name] for name in ("q", "squares", "steep", "looks")), made["found"] != 0

@@ -13,7 +13,7 @@ from cnclik.native.program import Field, read
 from cnclik.native.vector import VectorWriter, inner
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
-from cnclik.reaching.search import AROUND, CAREFUL, COARSE, NEARBY, PLACES, PLAIN, SLOW, STEPS
+from cnclik.reaching.search import AROUND, CAREFUL, COARSE, NEARBY, PLACES, PLAIN, SELDOM, SLOW, STEPS, STUCK
 from cnclik.reaching.seeds import SETS, SIZE
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast
@@ -37,10 +37,11 @@ def native_source(chain, task, weighted) -> str:
     declared = "\n".join(f"  {'I' if f.kind == INT else 'V'} {f.name}{f'[{f.size}]' * bool(f.shape)};" for f in fields)
     numbers = {"N": chain.n, "M": task.m, "SETS": SETS, "SIZE": SIZE, "PLAIN": PLAIN, "STEPS": STEPS, "SLOW": SLOW}
     numbers |= {"CAREFUL": CAREFUL, "PLACES": PLACES, "AROUND": AROUND, "NEARBY": NEARBY}
+    numbers |= {"SELDOM": SELDOM, "STUCK": STUCK}
     numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     defined = "".join(f"#define {name} {value}\n" for name, value in numbers.items())
     text = [prelude(np.float64, [*writers, writer]), defined, f"typedef struct {{\n{declared}\n}} Lanes;\n", *parts]
-    return "\n".join([*text, look, SEARCH]).replace("REAL", "double")
+    return "\n".join([*text, look, SEARCH]).replace("@REAL@", "double")
 
 
 def _look(chain, task, weighted):
@@ -76,12 +77,12 @@ typedef struct { /* of B targets; the same as `native._Call` */
   Found *made; /* (B) */
   double *rows; /* (B, 2 N + 5) or NULL: of targets that are found, what `result.from_rows` reads */
   const double *low, *high; /* (N) where joints are searched for; `jump` narrows that */
-  const double *lower, *upper; /* (N) limits */
-  const double *periods, *turns; /* (N) what a joint turns by to the same posture, or 0; of those without limits */
+  const double *lower, *upper, *jump; /* (N) limits; INFINITY, where no jump is asked for */
+  const double *periods, *turns; /* (N) what a joint turns by to the same posture, or 0; where several turns fit */
   const double *postures, *middle, *width; /* (SETS * SIZE, N), (N), (N) of the seeds */
   const float *features, *factors; /* (SETS, 13, SIZE), (12) */
   const double *roots; /* (M) of weights */
-  double tolerance[2], jump; /* jump: INFINITY, where none is asked for */
+  double tolerance[2];
   int64_t done, tries, budget, seed; /* tries before; in all */
   int64_t downhill, steps; /* whether from the places to the nearest pose, and in how many steps */
 } Asked;
@@ -130,6 +131,14 @@ static int64_t nearest(const Asked *a, const double *pose, int64_t set)
   return set * SIZE + found;
 }
 
+/* A joint's value by whole turns as near to `about` as the bounds let it be; as `seeds.turned`. */
+static double turned(double q, double about, double period, double low, double high)
+{
+  const double few = ceil((low - q) / period), most = floor((high - q) / period), turns = rint((about - q) / period);
+  if (!(period > 0 && few <= most)) return q;
+  return q + period * (turns < few ? few : turns > most ? most : turns);
+}
+
 /* The next try of a lane's target; whether there is one. */
 static int begin(const Asked *a, Lanes *s, Try *own, int i)
 {
@@ -149,19 +158,21 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   } else {
     const uint64_t any = (uint64_t)number * 0x9E3779B97F4A7C15u, some = (any >> 56) % PLACES;
     start = a->postures + (any >> 20) % (SETS * SIZE) * N;
-    place = number % 2 == 0 && made->costs[some] < INFINITY ? made->places[some] : NULL;
+    place = number % SELDOM == 0 && made->costs[some] < INFINITY ? made->places[some] : NULL;
   }
   for (int j = 0; j < N; ++j) {
+    const double low = s->low[j][i], high = s->high[j][i], width = a->width[j] > 1e-9 ? a->width[j] : 1e-9;
+    const double about = a->near == NULL ? 0 : a->near[target * N + j], from = (start[j] - a->middle[j]) / width;
     double q = start[j];
     if (by) {
-      const double width = a->width[j] > 1e-9 ? a->width[j] : 1e-9;
-      q = a->near[target * N + j] + AROUND * (double)k / PLAIN * 2 * (q - a->middle[j]) / width;
+      q = turned(about + AROUND * (double)k / PLAIN * 2 * from, about, a->periods[j], low, high);
     } else if (place != NULL) {
       q = place[j] + NEARBY * (q - a->middle[j]);
-    } else if (a->near != NULL && a->periods[j] > 0 && !a->downhill) {
-      q = q + a->periods[j] * rint((a->near[target * N + j] - q) / a->periods[j]);
+    } else if (!a->downhill) { /* as `seeds.starts` */
+      if (a->near != NULL) q = turned(q, about, a->periods[j], low, high);
+      if (q < low || q > high) q = low + (high - low) * (from + 0.5);
     }
-    q = q < s->low[j][i] ? s->low[j][i] : q > s->high[j][i] ? s->high[j][i] : q;
+    q = q < low ? low : q > high ? high : q;
     s->q[j][i] = s->best[j][i] = q;
   }
   s->squares[0][i] = s->squares[1][i] = s->cost[i] = s->steep[i] = INFINITY;
@@ -182,9 +193,9 @@ static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
   Found *made = a->made + target;
   double sum = 0; /* NaN where the target is */
   for (int j = 0; j < N; ++j) { /* outside the limits: what is nearest to `near` */
-    const double about = a->jump < INFINITY ? a->near[target * N + j] : 0;
-    const double low = least(most(a->low[j], about - a->jump), a->high[j]);
-    s->high[j][i] = most(least(a->high[j], about + a->jump), a->low[j]);
+    const double about = a->jump[j] < INFINITY ? a->near[target * N + j] : 0;
+    const double low = least(most(a->low[j], about - a->jump[j]), a->high[j]);
+    s->high[j][i] = most(least(a->high[j], about + a->jump[j]), a->low[j]);
     s->low[j][i] = low;
   }
   for (int j = 0; j < 3; ++j) s->position[j][i] = a->pose[12 * target + j];
@@ -229,14 +240,15 @@ static void tell(const Asked *a, int64_t target)
 {
   const Found *made = a->made + target;
   const double *near = a->near == NULL ? NULL : a->near + target * N, half = sqrt(made->squares[1]) / 2;
-  double *row = a->rows + target * (2 * N + 5), away = 0, distance = 0;
-  for (int j = 0; near != NULL && j < N; ++j) away = most(away, fabs(made->q[j] - near[j]));
-  const int gone = away > a->jump * (1 + 1e-9);
+  double *row = a->rows + target * (2 * N + 5), distance = 0;
+  int gone = 0;
+  for (int j = 0; near != NULL && j < N; ++j) gone |= fabs(made->q[j] - near[j]) > a->jump[j] * (1 + 1e-9);
   for (int j = 0; j < N; ++j) {
-    const double about = near == NULL ? 0 : near[j], turn = a->turns[j];
-    const double q = turn > 0 ? made->q[j] - turn * rint((made->q[j] - about) / turn) : made->q[j];
+    const double about = near == NULL ? 0 : near[j], low = a->lower[j], high = a->upper[j];
+    const double whole = a->turns[j] > 0 ? turned(made->q[j], about, a->turns[j], low, high) : made->q[j];
+    const double q = whole < low ? low : whole > high ? high : whole;
     row[j] = gone ? NAN : q;
-    row[N + 4 + j] = !gone && (q <= a->lower[j] + TOUCHING || q >= a->upper[j] - TOUCHING);
+    row[N + 4 + j] = !gone && (q <= low + TOUCHING || q >= high - TOUCHING);
     distance = most(distance, fabs(q - about));
   }
   row[N] = gone ? JUMP : 0;
@@ -299,7 +311,8 @@ void search(const Asked *a, int64_t first, int64_t last)
       if (mine->target < 0) continue; /* no targets are left for this lane */
       mine->step += 1;
       mine->looks += 1;
-      if ((s.arrived[i] || mine->step >= mine->most) && over(a, &s, mine, i)) {
+      const int stuck = mine->most <= CAREFUL && s.steep[i] <= STUCK;
+      if ((s.arrived[i] || stuck || mine->step >= mine->most) && over(a, &s, mine, i)) {
         busy -= !fill(a, &s, mine, i, &next, last);
       }
     }

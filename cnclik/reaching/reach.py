@@ -11,6 +11,7 @@ from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import Reached, fields
 from cnclik.reaching.single import traced
 from cnclik.reaching.targets import read
+from cnclik.reaching.units import inward, outward
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 
@@ -26,8 +27,8 @@ def reach(
     near: ArrayLike | None = None,
     jump: float | None = None,
     solutions: int = 1,
-    seeds: int = 256,
-    budget: int = 10_000,
+    seeds: int = 512,
+    budget: int = 25_000,
     limits: bool = True,
     explain: bool = True,
     base: ArrayLike | None = None,
@@ -51,16 +52,18 @@ def reach(
       task: "pose", "position", "orientation" or a `Task`, of which weights count for the nearest pose.
       tolerance: of position [m] and orientation [rad], to search for.
       accept: a wider pair: what is within it is ACCEPTED where the tolerance is not met.
-      near: joint values (n,) or (B, n) to search from, such as where the arm is now; "previous" for a path: each
-        target from the answer before it, the first from a posture of its own.
+      near: joint values (n,) or (B, n) to search from, such as where the arm is now, within the limits or not;
+        "previous" for a path: each target from the answer before it, the first from a posture of its own.
       jump: the most that any joint may be away from `near` [rad, m]; where there are answers, but none so near, the
         status is JUMP.
-      solutions: how many different ones are wanted for each target; the record's arrays get an axis for them, the
-        nearest to `near`, or to the middle of the limits, first.
-      seeds: postures to start from, at most, for each target. Few are needed where there is an answer; where there is
-        none, all are tried before that is said, so that 32 answer ten times as soon, and are wrong in 1 of 1,000.
+      solutions: how many different ones are wanted for each target: by 0.1 rad or m in some joint, whole turns apart,
+        or by 0.5 of a redundant arm. The record's arrays get an axis for them; of those found the nearest to `near`, or
+        to the middle of the limits, is first. Two take some 15 times as long as one, more than there are 400 times.
+      seeds: postures to start from, at most, for each target. Few are needed where there is an answer. Where none is
+        found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is said; with fewer it is OUT_OF_BUDGET.
       budget: evaluations for each target, at most, while there is no answer.
-      limits: whether to keep the chain's joint limits. A joint without any is given within half a turn of `near` or 0.
+      limits: whether to keep the chain's joint limits. A joint that may turn more than once is given in the
+        turn that is nearest to `near` or 0.
       explain: whether to find out, where there is no answer, why, and what the nearest pose is: most of the time that
         such a target takes. Else its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without a q.
       base: (4, 4) or (B, 4, 4), where the chain's base stands in the frame of the targets.
@@ -72,6 +75,8 @@ def reach(
     """
     asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
+    if progress is not None and not callable(progress):
+        raise errors.fail("progress", "be a function of how many are done and how many there are", f"is {progress!r}")
     if jump is not None and near is None:
         raise errors.fail("near", "be given with `jump`", "is not")
     pose, alone = read(targets, asked.task, base)
@@ -87,14 +92,17 @@ def reach(
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
+    xp, around = np if known else jnp, None if previous else near
+    pose, inner, moved = inward(asked, pose, around, xp)
     if not known:
-        made = traced(asked, pose, near)
+        made = traced(asked, pose, inner)
     elif previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
     elif previous:
         made = path(asked, pose, progress)
     elif solutions > 1:
-        made = several(asked, pose, near, solutions, progress)
+        made = several(asked, pose, inner, solutions, progress)
     else:
-        made = many(asked, pose, near, progress)
+        made = many(asked, pose, inner, progress)
+    made = outward(asked, made, chain, around, moved, xp)
     return replace(made, **{name: v[0] for name, v in fields(made).items()}) if alone else made

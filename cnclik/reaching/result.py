@@ -13,10 +13,10 @@ class ReachStatus(enum.IntEnum):
 
     SOLVED = 0  # both errors within `tolerance`
     ACCEPTED = 1  # within `accept`, but not `tolerance`
-    AT_LIMIT = 2  # the arm would get there, its joint limits don't let it; q is the nearest pose found within them
-    OUT_OF_REACH = 3  # too far: q is the nearest pose found, and the error is stationary there
+    AT_LIMIT = 2  # there are answers beyond the joint limits alone; q is the nearest pose found within them
+    OUT_OF_REACH = 3  # farther than the stretched arm, or no answer found, without limits either; q is the nearest pose
     JUMP = 4  # there are answers, but none within `jump` of `near`; q is NaN
-    OUT_OF_BUDGET = 5  # neither an answer nor a nearest pose when seeds or budget were used up
+    OUT_OF_BUDGET = 5  # no answer found, and it is not known whether there is one; q is the best pose found
     NON_FINITE = 6  # the target is not finite; q is NaN
     NO_OTHER = 7  # fewer different solutions were found than asked for; q is NaN
 
@@ -38,8 +38,9 @@ class Reached:
     evaluations: object  # (B,) looks at a posture (forward kinematics, Jacobian, step) that the target took
     at_limit: object  # (B, n) true for joints at a limit
     distance: object  # (B,) largest joint's distance from `near` [rad, m]; NaN without it
-    chain: object  # the `Chain` and the `Task` that were asked of
-    task: object
+    chain: object  # the `Chain` that was asked of
+    task: object  # the `Task` that was asked of
+    solutions: int = 1  # that were asked for, of each target
 
     @property
     def solved(self):
@@ -62,7 +63,8 @@ class Reached:
     def __str__(self):
         status = np.atleast_1d(np.asarray(self.status))
         parts = ", ".join(f"{number:,} {name}" for name, number in count(status).items())
-        return f"Reached: {status.size:,} target{'s' * (status.size != 1)}: {parts}"
+        targets, each = status.size // self.solutions, f", {self.solutions:,} solutions of each" * (self.solutions > 1)
+        return f"Reached: {targets:,} target{'s' * (targets != 1)}{each}: {parts}"
 
 
 def width(n: int) -> int:

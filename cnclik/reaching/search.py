@@ -10,19 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.reaching import programs
-from cnclik.reaching.seeds import SETS, compared, nearest, seeds
+from cnclik.reaching.seeds import SETS, compared, nearest, seeds, spans, starts, turned
 
 PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
 WIDE, COPIES, CAREFUL = 384, 12, 24  # later: lanes of a try, seeds per target at once at most, steps
 COARSE = 2e-5  # [m, rad]: float32 is good for no less
 POLISH, SLOW = 2, 30  # steps in float64 to the tolerance: nearly always, and near singularities
 DOWNHILL = 150  # and to the nearest pose
-TRIES_BEYOND = 48  # seeds of the search that tells why there is no answer
 BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
 TOGETHER = 4  # later tries of which the outcomes go into float64 together
 PLACES = 4  # downhill from so many of the best places
 AROUND = 0.5  # [rad, m] about `near` that later tries start in
-NEARBY = 0.2  # of the range of seeds, about a place found
+NEARBY, SELDOM = 0.35, 4  # of the range of seeds, about a place found; one try in so many starts there
+STUCK = 1e-5  # of `step.Search.steep`: a try whose error falls as slowly as that ends
 
 
 class Setup(NamedTuple):
@@ -34,6 +34,7 @@ class Setup(NamedTuple):
     seeds: object
     compared: object
     periods: np.ndarray  # (n,) what each joint turns by to the same posture; 0 of those that have none
+    ends: tuple  # of the range of the seeds, (n,) each
     tolerance: np.ndarray  # [m], [rad]
     tries: int  # seeds per target, at most
     budget: int  # looks per target, at most
@@ -44,8 +45,9 @@ def setup_of(asked) -> Setup:
     """The setup of what is asked."""
     known = seeds(asked.chain)
     limits = asked.tolerance, int(asked.seeds), int(asked.budget), int(asked.seed)
-    periods = np.where(asked.chain.periodic, 2 * np.pi, 0.0)
-    return Setup(asked.chain, *asked.unweighted(), known, compared(known, asked.task), periods, *limits)
+    return Setup(
+        asked.chain, *asked.unweighted(), known, compared(known, asked.task), asked.periods, spans(asked.chain), *limits
+    )
 
 
 class Targets(NamedTuple):
@@ -104,9 +106,8 @@ def first_tries(setup: Setup, targets: Targets) -> Answers:
     return made
 
 
-def later_tries(setup: Setup, targets: Targets, made: Answers, downhill=True, done=PLAIN) -> Answers:
-    """For targets without an answer, after `done` tries: until there is one, or seeds or budget are used up; then, with
-    `downhill`, to the nearest pose."""
+def later_tries(setup: Setup, targets: Targets, made: Answers, done=PLAIN) -> Answers:
+    """For targets without an answer, after `done` tries: until there is one, or seeds or budget are used up."""
     left, arrived = np.flatnonzero(~made.found), []
     while done < setup.tries and (len(left) or arrived):
         if len(left):
@@ -117,8 +118,17 @@ def later_tries(setup: Setup, targets: Targets, made: Answers, downhill=True, do
             ids = _polish(setup, targets, arrived, made)
             left, arrived = np.union1d(left, ids[~made.found[ids]]), []
         left = left[made.looks[left] < setup.budget]
-    if downhill:
-        _downhill(setup, targets, np.flatnonzero(~made.found), made)
+    return made
+
+
+def downhill(setup: Setup, targets: Targets, made: Answers) -> Answers:
+    """From the best places found to where the error, weighted, is stationary, for targets without an answer."""
+    left = np.flatnonzero(~made.found)
+    made.cost[left] = np.inf
+    order = np.argsort(made.costs[left], axis=1)
+    for k in range(PLACES):
+        go = np.isfinite(made.costs[left, order[:, k]]) & ~made.found[left]
+        _settle(setup, targets, left[go], made.places[left[go], order[go, k]], DOWNHILL, made, setup.roots)
     return made
 
 
@@ -172,22 +182,15 @@ def _starts(setup, mine, done, copies, places):
     number = setup.seed + done + np.tile(np.arange(copies), L)
     if mine.near is not None and done < PLAIN:
         shake = (known.postures[number % len(known.postures)] - known.middle) / np.maximum(known.width, 1e-9)
-        start = mine.near + AROUND * done / PLAIN * 2 * shake
-    else:
-        seed = drawn(setup, mine.pose, done, number, np.repeat(np.arange(L), copies))
-        start = turned(setup, seed, mine.near)
-        if done >= SETS:  # every other one near the best places found
-            place = places[np.arange(len(start)), _any(setup, number, np.repeat(np.arange(L), copies)) % PLACES]
-            close = place + NEARBY * (seed - known.middle)
-            start = np.where((number % 2 == 0)[:, None], close, start)
-    return np.clip(start, *mine.bounds)
-
-
-def turned(setup, start, near):
-    """Postures (L, n), by whole turns where `near` is; near: (L, n) or None."""
-    if near is None:
-        return start
-    return start + setup.periods * np.round((near - start) / np.where(setup.periods > 0, setup.periods, 1.0))
+        about = mine.near + AROUND * done / PLAIN * 2 * shake
+        return np.clip(turned(about, mine.near, setup.periods, *mine.bounds), *mine.bounds)
+    seed = drawn(setup, mine.pose, done, number, np.repeat(np.arange(L), copies))
+    start = starts(seed, mine.near, setup.periods, setup.ends, *mine.bounds)
+    if done >= SETS:  # some near the best places found
+        place = places[np.arange(len(start)), _any(setup, number, np.repeat(np.arange(L), copies)) % PLACES]
+        close = np.clip(place + NEARBY * (seed - known.middle), *mine.bounds)
+        start = np.where((number % SELDOM == 0)[:, None], close, start)
+    return start
 
 
 def drawn(setup, pose, done, number, target):
@@ -250,12 +253,3 @@ def _settle(setup, targets, ids, q, steps, made, roots=None):
     made.cost[ids] = at.cost[better]
     made.q[ids], made.squares[ids], made.steep[ids] = at.q[better], at.squares[better], at.steep[better]
     made.found[ids] = here[better]
-
-
-def _downhill(setup, targets, left, made):
-    """From the best places found to where the error, weighted, is stationary."""
-    made.cost[left] = np.inf
-    order = np.argsort(made.costs[left], axis=1)
-    for k in range(PLACES):
-        go = np.isfinite(made.costs[left, order[:, k]]) & ~made.found[left]
-        _settle(setup, targets, left[go], made.places[left[go], order[go, k]], DOWNHILL, made, setup.roots)

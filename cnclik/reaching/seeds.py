@@ -48,6 +48,31 @@ def spans(chain: Chain):
     return np.where(wide, middle - math.pi, low), np.where(wide, middle + math.pi, high)
 
 
+def turned(q, about, periods, low, high, xp=np):
+    """Joint values (..., n) by whole turns as near to `about` as the bounds let them be.
+
+    Args: periods: (n,) what a joint turns by to the same posture, 0 of one that does not.
+    """
+    period = xp.where(periods > 0, periods, 1.0)
+    few, most = xp.ceil((low - q) / period), xp.floor((high - q) / period)
+    turns = xp.clip(xp.round((about - q) / period), few, most)
+    return q + xp.where(few <= most, periods * turns, 0.0)
+
+
+def starts(seed, near, periods, ends, low, high, xp=np):
+    """Postures to start from: seeds (..., n), turned to where `near` is, if there is one, and within the bounds.
+
+    Of a joint whose value is beyond them, its place in the range of the seeds becomes its place between the bounds: all
+    that is between them is tried, however far from the seeds it is, and not their corners alone.
+
+    Args: ends: of the range of the seeds, see `spans`.
+    """
+    q = seed if near is None else turned(seed, near, periods, low, high, xp)
+    beyond, width = (q < low) | (q > high), np.maximum(ends[1] - ends[0], 1e-9)
+    between = low + xp.where(beyond, high - low, 0.0) * ((seed - ends[0]) / width)
+    return xp.clip(xp.where(beyond, between, q), low, high)
+
+
 def _made(chain: Chain) -> Seeds:
     low, high = spans(chain)
     postures = low + (high - low) * evenly(SETS * SIZE, chain.n)

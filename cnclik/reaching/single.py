@@ -17,10 +17,10 @@ from cnclik.hints import SMALL_ARRAYS, as_here, few_lanes, form, one_function, q
 from cnclik.integrate.lanes import OPTIONS
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
-from cnclik.reaching.asked import TOUCHING
+from cnclik.reaching.asked import LONGER, TOUCHING
 from cnclik.reaching.programs import filled, workers
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
-from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans
+from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans, starts, turned
 from cnclik.reaching.step import begin, in_parts, iterate, look
 from cnclik.record import cast, kept, placed, replace
 from cnclik.robot import spatial as sp
@@ -33,7 +33,6 @@ TOGETHER = 8  # seeds side by side
 STEPS = 40  # of a round, at most
 BLOCK = 32  # targets that one call answers, one after the other
 DOWNHILL, CLOSE = 3, 0.02  # rounds from the best place found, and from so far about it, of the way to other seeds
-FREE = 6  # rounds without limits
 ROUNDS_FAR = 3  # where the target is farther off than the arm is long
 FAR = np.asarray(1e3)  # [rad, m] of no jump
 AROUND = 0.3  # of the range of seeds, about `near`
@@ -104,12 +103,12 @@ def _answer(asked, pose, near, postures, to, derivative=False):
     """Fields of the record of one target (12,)."""
     dtype = pose.dtype
     held = lax.stop_gradient((asked.chain, pose, near))
-    made, bounds = _search(replace(asked, chain=held[0]), *held[1:], jnp.asarray(postures, dtype), to)
+    made, bounds, sure = _search(replace(asked, chain=held[0]), *held[1:], jnp.asarray(postures, dtype), to)
     q = made.q
     if derivative:
         held = (q <= bounds[0] + TOUCHING) | (q >= bounds[1] - TOUCHING)
         q = refined(asked.chain, asked.task, pose, q, held, made.found)
-    found = asked.reached(pose, near, q, *made[1:], xp=jnp)
+    found = asked.reached(pose, near, q, made.squares, made.steep, made.looks, made.found, sure, made.why, xp=jnp)
     return fields(found)
 
 
@@ -166,27 +165,38 @@ _program, _block, _path = _alone(_target), _alone(_targets), _alone(_waypoints)
 
 
 def _search(asked, pose, near, postures, to):
-    """The outcome, and the bounds that it kept."""
+    """The outcome, the bounds that it kept, and whether what was tried is enough to say that there is no answer."""
     dtype = pose.dtype
     least = 64 * float(jnp.finfo(dtype).eps)
     tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), least)
     bounds = tuple(jnp.asarray(b, dtype) for b in asked.bounds(near, jnp))
-    beyond = asked.beyond()
-    free = 0 if beyond is None else FREE
-    beyond = bounds if beyond is None else tuple(jnp.asarray(b, dtype) for b in beyond)
+    ends, far = spans(asked.chain), asked.too_far(pose, jnp)
+    beyond = [(status, own, jnp.where(far, 0, _rounds(tries))) for status, own, tries in asked.beyond()]
     if near is not None:
-        middle = np.mean(spans(asked.chain), axis=0)  # known while tracing
+        middle = np.mean(ends, axis=0)  # known while tracing
         first = near + AROUND * (postures[:TOGETHER] - middle).at[0].set(0.0)
+        first = turned(first, near, asked.periods, *bounds, jnp)
     elif to is None:
         first = postures[:TOGETHER]
     else:
         first = postures[nearest_each(to, pose, TOGETHER, asked.seed)]
-    far = asked.too_far(pose, jnp)
-    rounds, free = jnp.where(far, ROUNDS_FAR, -(-asked.seeds // TOGETHER)), jnp.where(far, 0, free)
     task, roots = asked.unweighted(jnp)
     roots = None if roots is None else roots.astype(dtype)
-    most = rounds, free, asked.budget, asked.seed
-    return outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, first, most, roots), bounds
+    rounds = jnp.where(far, ROUNDS_FAR, _rounds(asked.seeds))
+    most = rounds, (LONGER - 1) * rounds if asked.explain else 0 * rounds, asked.budget, asked.seed
+
+    def placed(seed, low, high):
+        return starts(seed, near, asked.periods, ends, low, high, jnp)
+
+    def hard(squares, tried):
+        return asked.close(squares) & asked.sure(tried) & ~far
+
+    made = outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, placed, first, most, hard, roots)
+    return made, bounds, asked.sure(made.tried)
+
+
+def _rounds(tries):
+    return -(-tries // TOGETHER)
 
 
 class Outcome(NamedTuple):
@@ -196,54 +206,72 @@ class Outcome(NamedTuple):
     squares: object  # (2,) squared errors there
     steep: object  # gradient there, see `step.Search`
     looks: object
-    found: object  # within the limits
-    beyond: object  # there is an answer, but beyond the limits
+    tried: object  # looks of the rounds of seeds
+    found: object  # within the bounds
+    why: object  # the status of the bounds that an answer was found in when there was none within the first; else 0
 
 
-def outcome(chain, task, target, bounds, beyond, tolerance, postures, first, most, roots) -> Outcome:
+def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, first, most, hard, roots) -> Outcome:
     """Search for a target (12,).
 
     Args:
-      bounds: lower and upper (n,) to keep. beyond: those of the search without limits.
-      postures: (K, n) to start later rounds from. first: (TOGETHER, n) to start from at first.
+      bounds: lower and upper (n,) to keep. beyond: (status, bounds, rounds) of the searches that tell why there is no
+        answer.
+      postures: (K, n) to start later rounds from, by placed(posture, low, high). first: (TOGETHER, n) to start from.
       roots: of the weights by which the nearest pose is the nearest, or None.
-      most: rounds of seeds; rounds without limits after them; looks; and the number of the first seeds.
+      most: rounds of seeds, and of others where hard(squared errors, looks) is true; looks; number of the first seeds.
     """
     dtype = target.dtype
     chain = cast(in_form(chain, first[0])[0], dtype)
-    rounds, free, budget, seed = most
+    rounds, longer, budget, seed = most
+    bottom = rounds + DOWNHILL
+    last = bottom + longer
+    phases = [(0, bounds, last, last)]  # status, bounds, and where they begin and end
+    for status, own, count in beyond:
+        phases.append((int(status), own, phases[-1][-1], phases[-1][-1] + count))
+
+    def phase(r, values):
+        """The value of the bounds that are searched in round r."""
+        found = values[0]
+        for value, (*_, begins, _) in zip(values[1:], phases[1:], strict=True):
+            found = jnp.where(r >= begins, value, found)
+        return found
 
     def again(carry):
         r, kept, _, _ = carry
-        wide = r >= rounds + DOWNHILL
-        down = (r >= rounds) & ~wide
-        low, high = (jnp.where(wide, b, a) for a, b in zip(bounds, beyond, strict=True))
+        wide = r >= last
+        down = (r >= rounds) & (r < bottom)
+        low, high = (phase(r, [jnp.asarray(own[side], dtype) for _, own, _, _ in phases]) for side in (0, 1))
         number = (r * 37 + seed * 41) * TOGETHER % (len(postures) - TOGETHER)
         others = lax.dynamic_slice_in_dim(postures, number, TOGETHER)
-        starts = jnp.where((r == 0) | (r == rounds + DOWNHILL), first, others)
-        starts = jnp.where(down, kept[0] + CLOSE * (starts - kept[0]).at[0].set(0.0), starts)
-        starts = jnp.clip(starts, low, high)
+        begins = functools.reduce(jnp.logical_or, [r == at for *_, at, _ in phases[1:]], r == 0)
+        begin_at = jnp.where(begins, first, placed(others, low, high))
+        begin_at = jnp.where(down, kept[0] + CLOSE * (begin_at - kept[0]).at[0].set(0.0), begin_at)
+        begin_at = jnp.clip(begin_at, low, high)
         own = None if roots is None else jnp.where(down, roots, 1.0)
-        at = _together(chain, task, starts, target, low, high, tolerance, own)
+        at = _together(chain, task, begin_at, target, low, high, tolerance, own)
         q = sp.packed(at.best, axis=-1)
         k = jnp.argmin(jnp.where(at.arrived, -1.0, jnp.where(jnp.isfinite(at.cost), at.cost, jnp.inf)))
         new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
-        better = ~wide & ((new[2] < kept[2]) | at.arrived[k] | (r == rounds))
-        kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), kept[4] + jnp.sum(at.looks))
-        spent = (r < rounds) & (kept[4] >= budget)
-        return jnp.where(spent, rounds, r + 1), kept, at.arrived[k] & ~wide, at.arrived[k] & wide
+        better = ~wide & ((r < bottom) & (new[2] < kept[2]) | at.arrived[k] | (r == rounds))
+        looks = kept[4] + jnp.sum(at.looks)
+        tried = jnp.where(r < rounds, looks, kept[5])
+        kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), looks, tried)
+        spent = (r < rounds) & (looks >= budget)
+        why = jnp.where(at.arrived[k], phase(r, [jnp.int32(status) for status, *_ in phases]), 0)
+        easy = (r == bottom - 1) & ~hard(kept[1], kept[-1])
+        return jnp.where(spent, rounds, jnp.where(easy, last, r + 1)), kept, at.arrived[k] & ~wide, why
 
-    far = jnp.full((), jnp.inf, dtype)
-    start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, jnp.zeros((), dtype)
-    never = jnp.zeros((), bool)
+    far, none = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)
+    start = jnp.clip(first[0], *bounds), jnp.full(2, jnp.inf, dtype), far, far, none, none
 
     def goes_on(carry):
-        r, _, found, beyond = carry
-        return ~(found | beyond) & (r < rounds + DOWNHILL + free)
+        r, _, found, why = carry
+        return ~found & (why == 0) & (r < phases[-1][-1])
 
-    ended = lax.while_loop(goes_on, again, (jnp.zeros_like(rounds), start, never, never))
-    _, (q, squares, _, steep, looks), found, beyond = ended
-    return Outcome(q, squares, steep, looks, found, beyond)
+    ended = lax.while_loop(goes_on, again, (jnp.zeros_like(rounds), start, jnp.zeros((), bool), jnp.int32(0)))
+    _, (q, squares, _, steep, looks, tried), found, why = ended
+    return Outcome(q, squares, steep, looks, tried, found, why)
 
 
 def _together(chain, task, starts, target, low, high, tolerance, roots):

@@ -13,6 +13,7 @@ from cnclik import errors, markup
 from cnclik.record import record, replace
 from cnclik.robot import poses
 from cnclik.robot import spatial as sp
+from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.tree import MOST
 
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
@@ -42,12 +43,12 @@ class Joint:
 class Chain:
     """A serial robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]."""
 
-    joints: tuple
-    tip: Offset
-    joint_names: tuple
-    lower: tuple  # [rad or m], −inf where unlimited
-    upper: tuple
-    velocity_limit: tuple  # [rad/s or m/s], inf where unlimited
+    joints: tuple  # of `Joint`, from the base to the tip; mimic joints share a coordinate with the one they follow
+    tip: Offset  # where the tip is, as seen from the last joint
+    joint_names: tuple  # (n,) of the joint coordinates
+    lower: tuple  # (n,) lower limits [rad or m], −inf where unlimited
+    upper: tuple  # (n,) upper limits [rad or m], inf where unlimited
+    velocity_limit: tuple  # (n,) [rad/s or m/s], inf where unlimited
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
@@ -162,6 +163,8 @@ def from_dh(
         if len(values) != n:
             raise errors.fail(name, f"have shape ({n},) like `a`", f"has shape ({len(values)},)")
     errors.one_of("convention", convention, ("standard", "modified"))
+    for name, angles in (("`alpha`", alpha), ("`theta`", theta)):
+        remark_on_angles(f"An angle of {name}", angles)
     kinds = _kinds(kinds, n)
 
     joints, before = [], _offset("base", base)
@@ -225,7 +228,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
             return (default,) * n
         return tuple(float(v) for v in errors.array(name, values, (n,), finite=False))
 
-    return Chain(
+    made = Chain(
         joints=joints,
         tip=tip or Offset(),
         joint_names=tuple(given),
@@ -233,6 +236,8 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
         upper=limits("upper", upper, math.inf),
         velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
     )
+    remark_on_robot(made)
+    return made
 
 
 def with_tool(chain: Chain, tool) -> Chain:

@@ -16,10 +16,10 @@ from cnclik.robot.rolled import RolledChain, in_form, one_off, roll
 
 @record
 class Pose:
-    """Position (3,) [m] and rotation (3, 3) of the tip in the base frame."""
+    """Where the tip is, in the base frame."""
 
-    position: jax.Array
-    rotation: jax.Array
+    position: jax.Array  # (3,) [m]
+    rotation: jax.Array  # (3, 3)
 
 
 def as_joint_values(chain: Chain, q, name="q", *, finite=False):

@@ -14,16 +14,18 @@ from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.frames import frames, jacobian_rows
 from cnclik.robot.rolled import roll
 
+_FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
 
-def arm_length(chain: Chain):
-    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm.
+
+def arm_length(chain: Chain, least=1e-3):
+    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
 
     A float; traced where the chain's geometry is.
     """
     offsets = [*(joint.origin.position for joint in chain.joints[1:]), chain.tip.position]
     if all(errors.concrete(x) for p in offsets for x in p):
-        return max(sum(math.hypot(*map(float, p)) for p in offsets), 1e-3)
-    return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), 1e-3)
+        return max(sum(math.hypot(*map(float, p)) for p in offsets), least)
+    return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), least)
 
 
 def is_planar(chain: Chain) -> bool:
@@ -72,9 +74,10 @@ def start_posture(chain: Chain, task):
 def spread_postures(chain: Chain):
     """256 postures (256, n) well inside the limits, the same on every machine; the first is their middle."""
     lower, upper = np.array(chain.lower), np.array(chain.upper)
+    lower, upper = np.where(lower < -_FAR, -np.inf, lower), np.where(upper > _FAR, np.inf, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
     low = np.where(np.isfinite(lower), lower, np.minimum(-math.pi, upper - math.pi))
     high = np.where(np.isfinite(upper), upper, np.maximum(math.pi, low + math.pi))
-    middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low, high))
     width = np.minimum((high - low) / 4, math.pi / 2)
+    middle = np.where(bounded, (low + high) / 2, np.clip(0.0, low + width, high - width))
     return middle + width * (2 * evenly(256, chain.n) - 1)

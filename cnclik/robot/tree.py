@@ -3,17 +3,21 @@
 Meshes, inertias and plugin sections are passed over, so nothing has to be found next to the file.
 """
 
+import codecs
 import collections
 import dataclasses
 import functools
 import math
 import pathlib
+import re
 from typing import NamedTuple
 
-from cnclik import errors
+from cnclik import errors, quantities
 from cnclik.reading import read_bytes
+from cnclik.robot.plausible import remark_on_angles
 
 MOVING = ("revolute", "continuous", "prismatic")
+_OWN = ("utf-8", "utf8", "utf-16", "us-ascii", "ascii", "iso-8859-1")  # encodings that the parser itself knows
 MOST = 1e12  # of a length or angle [m, rad]: products of larger ones leave the range of floats
 NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -85,21 +89,28 @@ class Tree:
 
 
 def read_urdf(path) -> Tree:
-    """The whole kinematic tree of a URDF file. Raises ArgumentError as `load_urdf`."""
-    try:
-        path = pathlib.Path(path)
-    except TypeError:
-        raise errors.fail("path", "be a file name", f"is {path!r}") from None
-    root = _root(path.name, read_bytes("path", path, "a URDF file"))
+    """The whole kinematic tree of a URDF file, or of its text, which begins with "<". Raises ArgumentError as
+    `load_urdf`.
+    """
+    if isinstance(path, str) and path.lstrip("\ufeff \t\r\n").startswith("<"):
+        file, data = "the text", path.lstrip("\ufeff \t\r\n")
+    else:
+        try:
+            path = pathlib.Path(path)
+        except TypeError:
+            raise errors.fail("path", "be a file name", f"is {path!r}") from None
+        file, data = path.name, read_bytes("path", path, "a URDF file")
+    root = _root(file, data)
     try:
         links = tuple(element.attrib["name"] for element in root.findall("link"))
-        joints = [_written(element) for element in root.findall("joint")]
-    except (KeyError, AttributeError, ValueError) as error:
+        joints = [_written(file, element) for element in root.findall("joint")]
+    except (KeyError, AttributeError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise errors.fail(
-            "path", "name a valid URDF file", f"{path.name} has a bad or missing entry: {reason}"
-        ) from None
-    return _tree(path.name, root.get("name", path.name), links, joints)
+        raise errors.fail("path", "name a valid URDF file", f"{file} has a bad or missing entry: {reason}") from None
+    for joint in joints:
+        if joint.origin is not None:
+            remark_on_angles(f"The rpy of joint {joint.name!r} in {file}", joint.origin[1])
+    return _tree(file, root.get("name", file), links, joints)
 
 
 def _root(file, data):
@@ -110,6 +121,7 @@ def _root(file, data):
     from xml.etree import ElementTree
     from xml.parsers import expat
 
+    data = data if isinstance(data, str) else _decoded(file, data)
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes)
     parser.EndElementHandler = builder.end
@@ -140,30 +152,56 @@ class _Written(NamedTuple):
     mimic: tuple | None
 
 
-def _written(element) -> _Written:
+def _decoded(file, data: bytes):
+    """Bytes as they are where the parser knows their encoding, else the text by the encoding that they name."""
+    named = re.match(rb"""\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""", data)
+    encoding = named[1].decode() if named else "utf-8"
+    try:
+        text = data.decode(encoding)
+        return data if encoding.lower() in _OWN else text
+    except (LookupError, UnicodeDecodeError) as error:
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or encoding.lower() == "utf-16":
+            return data
+        wrong = "an unknown encoding" if isinstance(error, LookupError) else "and is not"
+        what = f"is {'said to be ' if named else 'taken for '}{encoding}, {wrong}: save it as UTF-8"
+        raise errors.fail("path", "name a URDF file", f"{file} {what}") from None
+
+
+def _written(file, element) -> _Written:
     origin, axis, limit, mimic = (element.find(part) for part in ("origin", "axis", "limit", "mimic"))
+
+    def bad(what):
+        return errors.fail("path", "name a valid URDF file", f"joint {element.get('name')!r} of {file} has {what}")
+
+    def one(part, name, text):
+        value = quantities.number(text)
+        if value is None:
+            raise bad(f"{part} {name} {text!r}{quantities.hint(text)}")
+        return value
 
     def number(part, name, default=None):
         text = part.get(name)
-        return default if text is None else float(text)
+        return default if text is None else one(part.tag, name, text)
+
+    def three(part, name, default="0 0 0"):
+        text = part.get(name, default)
+        values = tuple(one(part.tag, name, word) for word in (text.split() if "$" not in text else [text]))
+        if len(values) != 3:
+            raise bad(f"{part.tag} {name} {text!r}, not three numbers")
+        return values
 
     return _Written(
         name=element.attrib["name"],
         type=element.get("type"),
         parent=element.find("parent").get("link"),
         child=element.find("child").get("link"),
-        origin=None if origin is None else (_three(origin, "xyz"), _three(origin, "rpy")),
-        axis=(1.0, 0.0, 0.0) if axis is None else tuple(map(float, axis.get("xyz", "1 0 0").split())),
+        origin=None if origin is None else (three(origin, "xyz"), three(origin, "rpy")),
+        axis=(1.0, 0.0, 0.0) if axis is None else three(axis, "xyz", "1 0 0"),
         limit=None if limit is None else tuple(number(limit, name) for name in ("lower", "upper", "velocity")),
         mimic=None
         if mimic is None
         else (mimic.get("joint"), number(mimic, "multiplier", 1.0), number(mimic, "offset", 0.0)),
     )
-
-
-def _three(element, name):
-    x, y, z = map(float, element.get(name, "0 0 0").split())
-    return x, y, z
 
 
 def _rotation(roll, pitch, yaw):
@@ -232,7 +270,7 @@ def _edge(file, joint) -> Edge:
     if joint.type in MOVING:
         vector = joint.axis
         length = math.hypot(*vector)
-        if len(vector) != 3 or not math.isfinite(length) or length == 0:
+        if not math.isfinite(length) or length == 0:
             raise bad(f"has axis {' '.join(f'{x:g}' for x in vector)}")
         axis = _snapped(x / length for x in vector)
         if joint.limit is None and joint.type != "continuous" and joint.mimic is None:

@@ -23,9 +23,10 @@ def load_urdf(path, tip=None, base=None) -> Chain:
     none.
 
     Args:
-      path: the file, plain URDF (run xacro first).
+      path: the file, plain URDF (run xacro first), or the text of one, which begins with "<".
       tip: name of the last link; by default the only leaf link that the joints move.
-      base: name of the first link, by default the root; anywhere in the tree.
+      base: name of the first link, by default the root; anywhere in the tree. Where the robot stands is told by
+        `with_base`.
 
     Raises: ArgumentError, one line, for a file that cannot be read or is not a robot's tree, for unknown
       links, and where no single tip can be meant.
@@ -95,7 +96,8 @@ def tip_of(tree: Tree, tip=None, base=None) -> str:
 def _remark_on_a_jaw(tip, up, down):
     """A tip that nobody chose, and that the last joint moves as a gripper's does its jaw, is hardly the one meant."""
     moving = [edge for edge in (*up, *down) if edge.type != "fixed"]
-    if len(moving) > 1 and moving[-1] in down and _JAW.search(f"{moving[-1].name} {moving[-1].child}"):
+    named = [_JAW.search(f"{edge.name} {edge.child}") is not None for edge in moving]
+    if named and named[-1] and not named[0]:
         jaw = moving[-1]
         errors.remark(
             f"The tip is {tip!r}, a gripper's jaw that joint {jaw.name!r} moves. The tip {jaw.parent!r} is the arm "

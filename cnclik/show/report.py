@@ -8,7 +8,7 @@ import pathlib
 import platform
 
 from cnclik import errors
-from cnclik.markup import escaped, table
+from cnclik.markup import GENERATOR, escaped, table
 from cnclik.show.output import FigureError
 from cnclik.writing import output_folder
 
@@ -71,7 +71,9 @@ def page(report: Report, failed=None) -> str:
     if report.lines:
         parts.append(f"<h2>In words</h2><ul>{''.join(f'<li>{escaped(line)}</li>' for line in report.lines)}</ul>")
     parts.append(_again(report))
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">{_SHEET}'
+    head = (
+        f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">{GENERATOR}{_SHEET}'
+    )
     title = f"<title>{escaped(report.title)}</title>"
     body = f"<body><main>{''.join(parts)}</main></body>"
     return f'<!DOCTYPE html>\n<html lang="en"><head>{head}{title}</head>{body}</html>\n'

@@ -48,9 +48,9 @@ def joint_paths(data, chain=None):
         room = max(np.ptp(q), 0.1)
         for bound in () if chain is None else (chain.lower[i], chain.upper[i]):
             if q.min() - room < bound < q.max() + room:
-                panel.axhline(bound, **style.LIMIT)
+                panel.axhline(bound, label="limit", **style.LIMIT)
 
-    return _per_joint(data, draw)
+    return _per_joint(data, draw, "$q$")
 
 
 def joint_velocities(data, chain=None):
@@ -68,9 +68,9 @@ def joint_velocities(data, chain=None):
         limit = np.inf if chain is None else chain.velocity_limit[i]
         for side in (-1, 1):
             if np.max(side * every, initial=0.0) > 0.5 * limit:
-                panel.axhline(side * limit, **style.LIMIT)
+                panel.axhline(side * limit, label="limit", **style.LIMIT)
 
-    return _per_joint(data, draw, per="/s")
+    return _per_joint(data, draw, r"$\dot q$", per="/s")
 
 
 def error(data):
@@ -105,7 +105,8 @@ def overview(data, chain):
     speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
     for side in (-1, 1) if limited else ():
         if np.nanmax(side * data.qdot.values / limits, initial=0.0) > 0.5:
-            speed.axhline(side, **style.LIMIT)
+            speed.axhline(side, label="limit", **style.LIMIT)
+    _name_limits([speed])
     _draw_error(size, data)
     size.legend(loc="best")
     _draw_status(flags, data)
@@ -142,7 +143,16 @@ def _unmarked(look):
     return {name: look[name] for name in look if not name.startswith("mark")}
 
 
-def _per_joint(data, draw, per=""):
+def _name_limits(panels):
+    """A legend for the dashed lines, in the first of the panels that has one."""
+    for panel in panels:
+        lines = [line for line in panel.get_lines() if line.get_label() == "limit"]
+        if lines:
+            panel.legend(handles=lines[:1], loc="best", fontsize=6.5)
+            return
+
+
+def _per_joint(data, draw, symbol, per=""):
     """A panel for each joint, drawn by draw(panel, i); its unit is that of the joint, `per` a time."""
     n = data.sizes["joint"]
     columns = 1 if n <= 3 else 2
@@ -152,20 +162,21 @@ def _per_joint(data, draw, per=""):
     figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size, **fixed)
     panels = grid.T.ravel()
     for i, panel in enumerate(panels):
-        if i >= n:  # an odd joint's neighbour: only its time axis, so that the rows stay even
-            panel.spines["left"].set_visible(False)
-            panel.set_yticks([])
-            panel.set_xlabel(_TIME)
+        if i >= n:  # an odd joint's neighbour; the panel above it has the time axis
+            panel.set_axis_off()
+            panels[i - 1].tick_params(labelbottom=True)
+            panels[i - 1].set_xlabel(_TIME)
             continue
         draw(panel, i)
         panel.set_title(str(data.joint.values[i]), loc="left", pad=2)
-        panel.set_ylabel(f"[{data.joint_unit.values[i]}{per}]")
+        panel.set_ylabel(f"{symbol} [{data.joint_unit.values[i]}{per}]")
         if fixed:
             panel.yaxis.set_label_coords(style.LABEL_AT, 0.5)
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
         panel.margins(x=0.01, y=0.12)
         if i % rows == rows - 1:
             panel.set_xlabel(_TIME)
+    _name_limits(panels)
     if "method" in data.dims:
         figure.align_ylabels(grid)
         style.legend(figure, panels[0])

@@ -1,5 +1,6 @@
 """One look for every figure: colour-blind safe, readable at column width, the same line for a method everywhere."""
 
+import contextlib
 import pathlib
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of 
 # Okabe & Ito (2008): distinguishable with any colour vision.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+RED = "#CC3311"  # Tol (2021): what is lost; beside green and orange it is told apart with any colour vision
 WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
 
@@ -102,9 +104,14 @@ _RC = {
 }
 
 
+@contextlib.contextmanager
 def style():
     """Context manager: every figure made inside has the project's look."""
-    return matplotlib.rc_context(_RC)
+    with contextlib.ExitStack() as after, matplotlib.rc_context(_RC):
+        try:
+            yield
+        finally:  # a notebook's backend, which is loaded with the first figure, switches it on
+            after.callback(matplotlib.interactive, matplotlib.is_interactive())
 
 
 def line(method: str, **changes) -> dict:

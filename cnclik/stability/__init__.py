@@ -23,6 +23,7 @@ from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map
 from cnclik.stability.plane import plane
 from cnclik.stability.practice import Practice, practice
 from cnclik.stability.recommend import Advice, Margin, Recommendation, advise, margin, recommend
+from cnclik.stability.remedies import Remedy
 from cnclik.stability.responses import responses
 from cnclik.stability.spectrum import (
     Spectrum,
@@ -39,7 +40,7 @@ from cnclik.stability.spectrum import (
 from cnclik.stability.verdict import Behaviour, Verdict, verdict
 
 __all__ = ["Advice", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "Practice", "RealAxisLimits"]
-__all__ += ["Recommendation", "Spectrum", "Verdict"]
+__all__ += ["Recommendation", "Remedy", "Spectrum", "Verdict"]
 __all__ += ["advise", "agreement", "amplification", "at_rest", "attraction_radius", "certified_radius"]
 __all__ += [
     "curvature_bound",

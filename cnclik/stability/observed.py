@@ -30,6 +30,11 @@ class Observed(NamedTuple):
     status: np.ndarray  # of the late steps
     too_fast: int  # steps, of the whole run, in which a joint is faster than its limit
     excess: float  # largest joint velocity over its limit
+    by_error: bool  # whether it was the error, more than the path's own speed, that asked for the largest velocity
+    fast_singular: bool  # whether a joint is faster than that next to a singularity
+    share: float  # of the target's motion that the tip made, over the last two quarters
+    dtype: np.dtype  # in which it ran
+    still: bool  # whether late joint values are all the same, and short of the target
     bad: object  # first instant that is not finite, or None
 
     @property
@@ -59,15 +64,15 @@ class Observed(NamedTuple):
         """That joints are too fast, in words; empty where they are not."""
         if not self.too_fast:
             return ""
-        steps = "a step asks" if self.too_fast == 1 else f"{self.too_fast} steps ask"
-        most = f", {self.excess:.3g} times it at most" if self.excess > 1 else ""  # a drive may not have moved so fast
-        return f"{steps} for more than a joint's velocity limit{most}"
+        most = f", by up to {self.excess:.3g} times" if self.excess > 1 else ""  # a drive may not have moved so fast
+        steps = f"{self.too_fast} of {len(self.size) - 1} steps"
+        return f"{steps} ask for more than a joint's velocity limit{most}"
 
     def often(self, bit):
         return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)
 
 
-def observe(law, run, Ts) -> Observed:
+def observe(law, run, Ts, dtype) -> Observed:
     """What one lane's trajectory shows, up to its first instant that is not finite."""
     e, q, qdot = (np.asarray(v, float) for v in (run.e, run.q, run.qdot))
     finite = np.isfinite(e).all(1) & np.isfinite(q).all(1)
@@ -76,14 +81,17 @@ def observe(law, run, Ts) -> Observed:
     if bad is not None and bad <= 1:
         e, qdot = np.concatenate([e, e, np.zeros((2, e.shape[1]))])[:2], np.zeros((1, q.shape[1]))
     size, N = np.linalg.norm(e, axis=1), len(qdot)
-    quarter = max(N // 4, min(N, 2))
+    quarter, status = max(N // 4, min(N, 2)), np.asarray(run.status)[:bad]
     late, before = size[-quarter:], size[:-quarter][-quarter:]
-    eps = np.finfo(np.asarray(run.e).dtype).eps
+    eps = np.finfo(dtype).eps
     back, speed = _reversal(qdot[-2 * quarter :])
     steps = np.linalg.norm(qdot, axis=1) * Ts
     fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
     along = e @ e[0] / max(size[0] ** 2, 1e-300)
     along = along[np.abs(along) > max(ARRIVED, eps)] if size[0] > 0 else along[:0]
+    least = 8 * eps * (1 + arm_length(law.chain))  # error that the rounding of q itself makes
+    ratio = np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
+    k, moved = int(np.argmax(ratio.max(1))), np.diff(np.asarray(run.x, float)[: len(e)] + e, axis=0)
     return Observed(
         size=size,
         late=late,
@@ -94,11 +102,24 @@ def observe(law, run, Ts) -> Observed:
         visible=rms(steps[-quarter:]) > VISIBLE,
         fades=bool(fades),
         swings=int(np.sum(along[1:] * along[:-1] < 0)),
-        status=np.asarray(run.status)[:bad][-quarter:],
-        too_fast=int(np.sum(np.asarray(run.status)[:bad] & Status.OVER_VELOCITY != 0)),
-        excess=float(np.max(np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12), initial=0.0)),
+        status=status[-quarter:],
+        too_fast=int(np.sum(status & Status.OVER_VELOCITY != 0)),
+        excess=float(ratio.max(initial=0.0)),
+        by_error=bool(
+            np.max(np.abs(np.asarray(law.alpha, float))) * Ts * size[k] > np.linalg.norm(moved[min(k, len(moved) - 1)])
+        ),
+        fast_singular=bool(np.any((status & Status.OVER_VELOCITY != 0) & (status & Status.NEAR_SINGULAR != 0))),
+        share=_share(*(np.asarray(v, float)[:bad][-2 * quarter :] for v in (run.x, run.e))),
+        dtype=np.dtype(dtype),
+        still=bool(quarter > 1 and (q[:bad][-quarter:] == q[:bad][-1]).all() and late.min() > least),
         bad=bad,
     )
+
+
+def _share(x, e):
+    """How far the tip moved, of how far its target did; at least a hundredth, at most 1."""
+    made, asked = (np.sum(np.linalg.norm(np.diff(v, axis=0), axis=1)) for v in (x, x + e))
+    return float(np.clip(made / asked, 0.01, 1.0)) if np.isfinite(made) and asked > 0 else 1.0
 
 
 def rms(values):

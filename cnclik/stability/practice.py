@@ -1,5 +1,7 @@
 """Practice: what an engineer would set on a robot: gains with their reason, what they cost, and the same elsewhere."""
 
+import functools
+
 import numpy as np
 
 from cnclik import errors
@@ -7,12 +9,13 @@ from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.stability.driven import (
     POINTS,
     SPARE,
     damping_ratio,
     delay_margin,
+    driven_limits,
     each_drive,
     modes_of,
     noise_gain,
@@ -21,14 +24,15 @@ from cnclik.stability.driven import (
     settling,
     until_settled,
 )
-from cnclik.stability.linear import first_above, late_monotone, late_stable
+from cnclik.stability.linear import first_above
 from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
+from cnclik.stability.settings import MOST_Z, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
-ASSUMED = 0.03  # dead time of an arm of which nothing is known [s]: 34 ms were measured of a UR, 30 ms of others
+# Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
+# the MuJoCo menagerie lag by k_v/k_p = 0.1 s, some by 0.2 s. Measured so: results/loops.
+ASSUMED_DELAY, ASSUMED_LAG = 0.03, 0.1  # [s]
 SPEED = 0.1  # [m/s] of the tip, where none is given
-OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
-MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
 KEPT = 1e-3  # share of a speed up to which a lag is settled
 
 
@@ -68,10 +72,16 @@ class Practice:
 
     Attributes:
       largest_stable_alpha, fastest_monotone_alpha, recommended_alpha: [1/s] of the loop's method: the largest that is
-        stable, that has no overshoot, and that would have none if the dead time were a sample longer.
-      assumed_dead_time: [s] under which a gain is recommended where nothing is known of the drives; else None.
+        stable, that has no overshoot, and that would have none if the dead time were a sample longer. The first two
+        are of the drive exactly as given, or, where nothing is known, of drives that follow at once. On a robot whose
+        drives lag the largest stable gain may be several times less or more: its joints' inertia is coupled, and what
+        a drive does within a sample counts. A recorded step says between which gains it lies (`fit_drive`).
+      assumed_dead_time, assumed_lag: [s] under which a gain is recommended where nothing is known of the drives; else
+        None.
+      assumption: what is assumed of the drives, and how to measure them, in words; "" where all is given.
       reason: why that one, in words.
-      now, recommended: `Gain` as the law has it (None where that is unstable), and as recommended.
+      now, recommended: `Gain` as the law has it (None where that is unstable), and as recommended; where nothing is
+        known of the drives, of those that are assumed.
       explicit_euler: the three gains of the step that other libraries take, by the same names.
       recommended_method: by name.
       speed: of the tip [m/s]. joint_speed: largest share of a joint's velocity limit that it takes, in the worst
@@ -85,6 +95,8 @@ class Practice:
     fastest_monotone_alpha: float
     recommended_alpha: float
     assumed_dead_time: float | None
+    assumed_lag: float | None
+    assumption: str
     reason: str
     now: Gain | None
     recommended: Gain
@@ -106,7 +118,7 @@ def practice(
     Args:
       law, reference, q: the loop at rest, as for `recommend`. Ts: sampling time [s]. method, stage: as for `solve`.
       drive: what lies between command and motion; None: nothing is known of it. What is stable is then told of drives
-        that follow at once, and a gain is recommended that bears ASSUMED seconds of dead time.
+        that follow at once, and a gain is recommended for ASSUMED_DELAY of dead time and a lag of ASSUMED_LAG.
       speed: of the tip [m/s], for the joint velocities.
     Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself.
     """
@@ -116,27 +128,25 @@ def practice(
     found = advice_of(loop, Ts)
     gains, by = found.gains, loop._replace(method=EE)
     euler = gains if method.name == EE.name else recommendation_of(by, Ts)
-    safe, chosen, by_euler = known, gains.z_recommended, euler.z_recommended
+    safe, chosen, by_euler, z_largest = known, gains.z_recommended, euler.z_recommended, gains.z_largest
     if drive is None:
-        safe = Drive(delay=min(ASSUMED / Ts, MOST - SPARE))
-        chosen, by_euler = (taking_back(one, late_monotone(safe.delay + SPARE), Ts) for one in (loop, by))
-        chosen, by_euler = min(chosen, gains.z_recommended), min(by_euler, euler.z_recommended)
-    chosen, by_euler, z_largest = min(chosen, MOST_Z), min(by_euler, MOST_Z), gains.z_largest
+        safe = Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
+        stable, recommended = shares(safe.delay, ASSUMED_LAG, Ts)
+        chosen = min(chosen, taking_back(loop, recommended, Ts))
+        by_euler = min(by_euler, taking_back(by, recommended, Ts))
+        z_largest = min(z_largest, taking_back(loop, stable, Ts))
+    chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
-    if drive is None:
-        z_largest = min(z_largest, taking_back(loop, late_stable(safe.delay), Ts))
-    elsewhere = by_euler
-    if known.feedback == "commanded":
-        measured = loop._replace(method=EE, drive=replace(known, feedback="measured"))
-        elsewhere = min(recommendation_of(measured, Ts).z_recommended, MOST_Z)
     return Practice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
         recommended_alpha=chosen / Ts,
         assumed_dead_time=safe.delay * Ts if drive is None else None,
-        reason=_reason(gains, chosen, drive, safe.delay * Ts),
-        now=gain_at(loop, found.margin.z, Ts, gains.z_largest) if found.margin.margin > 1 else None,
+        assumed_lag=ASSUMED_LAG if drive is None else None,
+        assumption=_assumption(loop, drive, safe, chosen, Ts),
+        reason=_reason(gains, chosen, drive),
+        now=gain_at(loop._replace(drive=safe), found.margin.z, Ts, z_largest) if found.margin.z < z_largest else None,
         recommended=gain_at(loop._replace(drive=safe), chosen, Ts, z_largest),
         explicit_euler={
             "largest_stable_alpha": euler.z_largest / Ts,
@@ -146,7 +156,7 @@ def practice(
         recommended_method=DEFAULT.name,
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
-        settings=settings(elsewhere, by_euler, Ts) if by_euler else {},
+        settings=settings(by, drive, safe, Ts) if by_euler else {},
         notes=(
             *_left(loop, found.spectrum),
             *_pulled(law, loop, chosen / Ts),
@@ -154,6 +164,13 @@ def practice(
         ),
         advice=found,
     )
+
+
+@functools.lru_cache(maxsize=64)
+def shares(delay: float, lag: float, Ts: float) -> tuple:
+    """Shares of an error that a step may take back through dead time [samples] and a lag [s]: stable, recommended."""
+    found = driven_limits("EE", Ts=Ts, drive=Drive(delay=delay, lag=lag))
+    return found.stable, min(found.recommended, MOST_Z)
 
 
 def _no_gain(loop, gains, Ts):
@@ -224,12 +241,36 @@ def _joint_speed(loop, Ts, speed) -> float:
 # --- in words -----------------------------------------------------------------------------------------
 
 
-def _reason(gains, chosen, drive, assumed) -> str:
+_MEASURE = (
+    "Measure yours: command a step of all joints at once, record commands and positions, and run `cnclik diagnose "
+    "LOG.csv --step`; it prints the options to give here."
+)
+
+
+def _assumption(loop, drive, safe, chosen, Ts) -> str:
+    """What is taken for true of drives that nobody told of, and how to know better."""
     if drive is None:
         return (
-            f"the largest without overshoot on an arm with {1e3 * assumed:.3g} ms of dead time, as nothing is known of "
-            "yours: --delay, --lag and the like say what it has, --delay 0 that its drives follow at once"
+            f"Assumed, as nothing is known of your drives: {1e3 * safe.delay * Ts:.3g} ms of dead time and a lag of "
+            f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} Drives that follow at once, as in "
+            "a simulation of kinematics alone: --delay 0."
         )
+    if drive.order or drive.feedback == "commanded":
+        return ""
+    late = drive.lumped.delay
+    said = f"Assumed: after {late:g} samples ({1e3 * late * Ts:.3g} ms) of dead time the drives follow at once"
+    if not late:
+        return "Assumed: the drives follow at once, without dead time, lag or servo."
+    lagging = min(chosen, taking_back(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
+    return (
+        f"{said}, without a lag. Servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, would overshoot: at most "
+        f"{lagging:.3g} 1/s is for them. {_MEASURE}"
+    )
+
+
+def _reason(gains, chosen, drive) -> str:
+    if drive is None:
+        return "the largest without overshoot on the assumed drives, also were the dead time a sample longer"
     if drive.feedback == "commanded":
         return (
             "no overshoot, of the commands not even if the loop looked at them a sample late; it knows its own "
@@ -265,7 +306,7 @@ def _pulled(law, loop, alpha) -> tuple:
 
 
 def _notes(drive, steps) -> tuple:
-    """What these numbers leave out; how far the model carries was measured of servos in MuJoCo, see results/loops."""
+    """What these numbers leave out."""
     said = []
     if np.abs(np.imag(steps)).max(initial=0.0) > 1e-9:
         said.append(
@@ -276,37 +317,4 @@ def _notes(drive, steps) -> tuple:
         said.append(
             "Limits, noise and resolution of the drives have no part in this linear answer: `solve` shows them."
         )
-    return (*said, *_carries(drive))
-
-
-def _carries(drive) -> tuple:
-    if drive is None or drive.feedback == "commanded" or drive.order == 0:
-        return ()
-    if drive.order == 1 and drive.lumped.delay < 2:
-        return (
-            "With a lag and less than two samples of dead time the largest gain depends on what a drive does within a "
-            "sample: measured ones were off by up to a half. Rely on the recommended gain.",
-        )
-    if drive.order == 2:
-        return (
-            "A servo swings with the inertia of all joints that move together, which is more than that of its own: "
-            "largest gains were up to a quarter too high. A step of all joints at once (diagnose --step) sees it.",
-        )
-    return ()
-
-
-def settings(z: float, own: float, Ts: float) -> dict:
-    """The same loop by explicit Euler elsewhere: {where: what to set there}.
-
-    Args: z: alpha·Ts, at most 1, of measured feedback. own: of this loop; OWN_COMMANDS where that is measured.
-    """
-    alpha, own = z / Ts, OWN_COMMANDS if own == z else own
-    euler = f"{z:.4g} with dt={Ts:g} where the configuration is measured, {own:g} where it is the last command"
-    return {
-        "pink": f"FrameTask gain: {euler}",
-        "mink": f"FrameTask gain: {euler}",
-        "MoveIt Servo": f"publish_period: {Ts:g}; pose tracking: x, y, z and angular_proportional_gain: {alpha:.4g}",
-        "ros2 cartesian_controllers": "their p acts as a force on a virtual mass, no rate: log a step, "
-        f"`cnclik diagnose` gives its z, then multiply solver.error_scale by {z:.4g}/z",
-        "UR servoj": f"servoj(q + qdot*{Ts:g}, t={Ts:g}, lookahead_time=0.03): a lag, as of --lag 0.03",
-    }
+    return tuple(said)

@@ -31,7 +31,8 @@ def read(name, value, joints=0) -> Axis:
         values = {v: v for v in values}
     if isinstance(values, np.ndarray) and name not in COUNTED + COMPILED_IN:
         values = values.astype(float)
-    if name in COUNTED and np.ndim(values) > 1:
+    nested = values.ndim > 1 if isinstance(values, np.ndarray) else any(isinstance(v, list) for v in values)
+    if name in COUNTED and nested:
         raise errors.fail(where, "hold one number each", f"is {value!r}")
     if isinstance(values, list) and any(isinstance(v, bool) for v in values):
         raise errors.fail(where, "hold numbers", f"is {value!r}")

@@ -48,7 +48,7 @@ def coordinates_of(spec, of: Grid) -> dict:
     return coordinates(of, spec.all_units()) | linear_limit(spec, of)
 
 
-def attributes(spec, of: Grid, outputs, **more) -> dict:
+def attributes(spec, of: Grid, outputs) -> dict:
     """Attributes of a spec's data: what was asked, and in `config` all that the numbers depend on."""
     asked = {"question": spec.question, "expectation": spec.expectation}
     config = fingerprint(spec) | {
@@ -60,7 +60,7 @@ def attributes(spec, of: Grid, outputs, **more) -> dict:
     return (
         {"commit": provenance(float)["commit"]}
         | asked
-        | {"spec": json.dumps(written, ensure_ascii=False), "config": json.dumps(config | more, ensure_ascii=False)}
+        | {"spec": json.dumps(written, ensure_ascii=False), "config": json.dumps(config, ensure_ascii=False)}
     )
 
 

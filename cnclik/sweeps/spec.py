@@ -14,6 +14,7 @@ import math
 import operator
 import os
 import pathlib
+import re
 import tomllib
 import zlib
 
@@ -229,11 +230,11 @@ def read(path, changes=()) -> Spec:
     """
     from cnclik.sweeps.check import parse
 
-    path = pathlib.Path(path)
-    text = read_bytes("SPEC", path, "a TOML file")
+    path = errors.path("SPEC", path)
+    text = read_bytes("SPEC", path, "a TOML file", most=1 << 20)
     try:
         try:
-            written = tomllib.loads(text.decode())
+            written = _toml(text.decode())
         except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
             raise errors.fail("SPEC", "be a TOML file", f"{str(path)!r} is not: {error}") from None
         for change in changes:
@@ -243,12 +244,22 @@ def read(path, changes=()) -> Spec:
         raise errors.fail("SPEC", "be nested less deeply", f"{str(path)!r} is nested too deeply to be read") from None
 
 
+def _toml(text) -> dict:
+    """What a TOML text holds. Raises: ValueError where it holds nothing, or would take the reader minutes."""
+    if _LONG_KEY.search(text):  # the reader's time grows with the square of a key's parts
+        raise ValueError("a key has too many parts")
+    return tomllib.loads(text)
+
+
+_LONG_KEY = re.compile(r"""(\.\s*[\w"'-][^.,\n\[\]]*){64}""")
+
+
 def _change(written, change):
     name, equals, text = map(str.strip, change.partition("="))
     if not equals or not name:
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        value = _toml(f"value = {text}")["value"]
     except ValueError:
         value = text  # a bare word, such as CN, or an expression
     fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))

@@ -3,8 +3,9 @@
 `data.zarr` is made whole, with every coordinate and attribute, before the first block runs; one block of the
 grid is one chunk of each variable. A block counts as done once its checksum stands in the group `progress`,
 written last, and is believed only if the data still have it. So a killed run, a lost process or a full disk
-cost the blocks in flight, and a rerun ends with the very bytes of an undisturbed run. Coordinates have checksums
-too: one that is damaged is written anew by a rerun, and refused by a reader.
+cost the blocks in flight, and a rerun ends with the very bytes of an undisturbed run. The files of coordinates have
+checksums too, held against them before they are unpacked: one that is damaged is written anew by a rerun, and
+refused by a reader.
 """
 
 import contextlib
@@ -24,11 +25,11 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
-from cnclik.sweeps.summary import RESULTS
-from cnclik.writing import abandoned, hidden_folder
+from cnclik.writing import OWN, abandoned, check_own, hidden_folder
 
 DATA = "data.zarr"
-_MARK = ".cnclik"  # in a store: checksum of its description
+_MARK = OWN  # in a store: {file: checksum} of its description and coordinates
+_DESCRIPTION = "zarr.json"  # of a group or an array
 _NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
 
 
@@ -40,10 +41,11 @@ class Store:
 
         self.folder, self.path = folder, folder / DATA
         try:
-            _check_metadata(self.path)
+            self._mark = _checked_mark(self.path)
             self.group = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(self.group.attrs["config"])
-            self.lanes, self.names, self._checked = (self.config[k] for k in ("lanes", "variables", "coordinates"))
+            self.lanes, self.names = self.config["lanes"], self.config["variables"]
+            self.coordinates = sorted(set(self.group.array_keys()) - set(self.names))
             self._checksums = self.group["progress/checksum"]
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
@@ -99,40 +101,58 @@ class Store:
 
     def damaged_coordinates(self) -> list:
         """Names of the coordinates that are not what was written."""
-        damaged = dict(self._checked)
-        for name, wanted in self._checked.items():
-            with contextlib.suppress(KeyError, *_UNREADABLE):
-                if _coordinate_checksum(self.group[name][...]) == wanted:
-                    del damaged[name]
-        return list(damaged)
+        found = _chunks(self.path, self.coordinates)
+        if set(self._mark) == {_DESCRIPTION}:  # of a store that version 0.2 made
+            return []
+        wanted = {file: self._mark.get(file) for file in {*found, *self._mark} - {_DESCRIPTION}}
+        return sorted({file.partition("/")[0] for file in wanted if found.get(file) != wanted[file]})
 
     def foreign(self):
         """The first file in the store that is no part of it, or None."""
-        array = "|".join(map(re.escape, (*self.names, *self._checked, "progress/checksum")))
-        own = re.compile(rf"\{_MARK}|((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?")
+        array = "|".join(map(re.escape, (*self.names, *self.coordinates, "progress/checksum")))
+        own = re.compile(
+            rf"\{_MARK}(\.partial)?|((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?"
+        )
         files = (p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if not os.path.isdir(p))
         return next((name for name in files if not own.fullmatch(name)), None)
 
     def repair(self, spec: Spec) -> None:
         """Write damaged coordinates anew: they follow from the spec."""
-        damaged = self.damaged_coordinates()
-        coords = coordinates_of(spec, spec.grid()) if damaged else {}
-        for name in damaged:
-            self.group[name][...] = _storable(coords[name][1])
+        if self.damaged_coordinates():
+            for name, (_, values, _) in coordinates_of(spec, spec.grid()).items():
+                self.group[name][...] = _storable(values)
+            _mark(self.path, self.coordinates)
 
 
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chunk raises
 
 
-def _metadata_checksum(path) -> str:
-    """Of what describes all arrays of a store, and never changes."""
-    return str(zlib.crc32((path / "zarr.json").read_bytes()))
+def _mark(path, coordinates) -> None:
+    """Note the checksums of the description and the coordinates, which never change, at once."""
+    partial = path / f"{_MARK}.partial"
+    found = {_DESCRIPTION: _file_checksum(path / _DESCRIPTION)} | _chunks(path, coordinates)
+    partial.write_text(json.dumps(found))
+    partial.replace(path / _MARK)
 
 
-def _check_metadata(path) -> None:
-    """Raise ValueError where the description of a store is not what was written."""
-    if os.path.isfile(path / _MARK) and (path / _MARK).read_text(errors="replace") != _metadata_checksum(path):
+def _checked_mark(path) -> dict:
+    """What was noted. Raises: ValueError where the description is not what was written, OSError where none is."""
+    found = json.loads(read_bytes("out", path / _MARK, "a store's checksums"))
+    found = {_DESCRIPTION: found} if isinstance(found, int) else found
+    if not isinstance(found, dict) or found.get(_DESCRIPTION) != _file_checksum(path / _DESCRIPTION):
         raise ValueError("its description is damaged")
+    return found
+
+
+def _chunks(path, coordinates) -> dict:
+    """{file: checksum} of the values of coordinates."""
+    files = (file for name in coordinates for file in sorted((path / name).rglob("*")) if os.path.isfile(file))
+    named = {file.relative_to(path).as_posix(): file for file in files if file.suffix != ".partial"}
+    return {name: _file_checksum(file) for name, file in named.items() if not name.endswith(_DESCRIPTION)}
+
+
+def _file_checksum(file) -> int:
+    return zlib.crc32(read_bytes("out", file, "a sweep's file"))
 
 
 def _codecs():
@@ -145,13 +165,6 @@ def _codecs():
 def _storable(values):
     """Names as variable-length strings: zarr has no settled form for others."""
     return values.astype(object) if values.dtype.kind == "U" else values
-
-
-def _coordinate_checksum(values) -> int:
-    values = np.asarray(values)
-    if values.dtype.kind in "OUT":
-        return zlib.crc32("\0".join(map(str, values.ravel().tolist())).encode())
-    return zlib.crc32(np.ascontiguousarray(values))
 
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
@@ -170,8 +183,7 @@ def _build(path, spec, of, outputs):
     import zarr
 
     coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
-    checksums = {name: _coordinate_checksum(v) for name, (_, v, _) in coords.items()}
-    attrs = environment() | attributes(spec, of, outputs, coordinates=checksums)
+    attrs = environment() | attributes(spec, of, outputs)
     with _quiet():
         xarray.Dataset(coords=coords, attrs=attrs).to_zarr(
             path,
@@ -196,22 +208,23 @@ def _build(path, spec, of, outputs):
         checksums["compressors"] = _codecs()
         group.create_group("progress").create_array("checksum", **checksums, dimension_names=("block",))
         zarr.consolidate_metadata(path)
-    (path / _MARK).write_text(_metadata_checksum(path))
+    _mark(path, coords)
 
 
-def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
+def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None:
     """The folder's store if it has one that belongs to this spec, whole but for blocks that are not done.
 
     Raises: ArgumentError where it belongs to another spec, or is no sweep's: that is left alone, by `fresh` too.
     """
-    folder = pathlib.Path(folder)
+    folder = errors.path("out", folder)
     path = folder / DATA
     with _disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass  # it can be written
     if not os.path.exists(path):
-        _require_own_results(folder)
+        if not overwrite:
+            check_own("out", folder, "a sweep")
         return None
     store = Store(folder)
     if fresh:
@@ -235,18 +248,6 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     return store
 
 
-def _require_own_results(folder):
-    """Raise ArgumentError where a sweep would write over what no sweep has written."""
-    there = [name for name in RESULTS if os.path.exists(folder / name)]
-    with contextlib.suppress(errors.ArgumentError, ValueError, RecursionError):
-        about = json.loads(read_bytes("out", folder / "config.json", "a file")) if there else None
-        if not there or (isinstance(about, dict) and {"cnclik", "spec"} <= set(about)):
-            return
-    raise errors.fail(
-        "out", "be a new folder, or one of a sweep", f"{there[0]} in {str(folder)[-60:]!r} is not a sweep's"
-    )
-
-
 def _difference(a, b, where=""):
     """The first place where two JSON values differ, in words."""
     if isinstance(a, dict) and isinstance(b, dict):
@@ -265,12 +266,12 @@ def _short(value):
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
+def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None) -> bool:
     """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
 
     Args:
       folder: where `data.zarr` is or will be.
-      fresh: start over.
+      fresh: start over. overwrite: also in a folder with files that are not a sweep's.
       process, processes: this process's number among all that run this together.
       meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
         they need each other no more.
@@ -280,16 +281,16 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, p
     Raises: ArgumentError for a store of another spec, a folder that can't be written, a full disk, or another
       process that could not begin; what is done is kept, and the same call goes on from there.
     """
-    folder, meet = pathlib.Path(folder), meet or (lambda well, last: well)
+    folder, meet = errors.path("out", folder), meet or (lambda well, last: well)
     of, first, store = spec.grid(), None, None
     with _together(meet):
         if process == 0:
-            store = prepare(spec, folder, fresh=fresh)
+            store = prepare(spec, folder, fresh=fresh, overwrite=overwrite)
             if store is None:
                 of, first = program.fit(spec.study, of)
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
-                store = prepare(spec, folder)  # ours, or that of another process that was quicker
+                store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of another process that was quicker
                 first = first if store.lanes == of.lanes else None
     with _together(meet, last=True):
         store = store or prepare(spec, folder)
@@ -350,7 +351,7 @@ def read_and_missing(folder):
     """What `read` gives, and how many blocks are not done, or damaged."""
     import xarray
 
-    folder = pathlib.Path(folder)
+    folder = errors.path("folder", folder)
     if not os.path.exists(folder / DATA):  # which no name is too long for
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
     store = Store(folder, name="folder", mode="r")
@@ -371,7 +372,7 @@ def read_and_missing(folder):
 
 def blocks_missing(folder) -> int:
     """How many blocks of a folder's sweep are not done, or damaged."""
-    return len(Store(pathlib.Path(folder), name="folder", mode="r").missing())
+    return len(Store(errors.path("folder", folder), name="folder", mode="r").missing())
 
 
 @contextlib.contextmanager

@@ -9,8 +9,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.files import save_csv, save_netcdf
 
-RESULTS = ("summary.csv", "config.json")
-
 
 def table(data):
     """Statistics of every scalar metric over the numeric axes, for each combination of the others.
@@ -48,10 +46,9 @@ def write(data, folder) -> list:
     cells = [[f"{v:.6g}" if isinstance(v, float) else v for v in (row.get(n, "") for n in names)] for row in rows]
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
-    summary, about = RESULTS
-    folder.write(summary, functools.partial(save_csv, [names, *cells]))
-    folder.write_text(about, json.dumps(config, indent=1, ensure_ascii=False) + "\n")
-    return list(RESULTS)
+    folder.write("summary.csv", functools.partial(save_csv, [names, *cells]))
+    folder.write_text("config.json", json.dumps(config, indent=1, ensure_ascii=False) + "\n")
+    return ["summary.csv", "config.json"]
 
 
 def export(data, folder, kind: str) -> pathlib.Path:

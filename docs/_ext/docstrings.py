@@ -11,6 +11,8 @@ import textwrap
 
 HEAD = re.compile(r"^(\w+(?: and raises|\.csv)?): (\S.*)$")
 FIELDS = ("Args", "Returns", "Raises", "Attributes")
+WITH_TYPE = ("property", "attribute", "data")  # Napoleon reads "type: text" there
+_WHOLE = {}  # docstrings of properties as they were before Napoleon
 COMMENTED = re.compile(r"^ +(?P<names>\w+)(?:: [^#=]+?)?(?: = [^#]+?)?  # (?P<said>.+)$")
 
 
@@ -59,6 +61,14 @@ def plain(app, what, name, obj, options, lines):
         said = [f"  {key}: {escaped(about)}" for key, about in fields(obj)]
         made += ["", "Attributes:", *said, ""] if said else []
     lines[:] = made
+    if what in WITH_TYPE:
+        _WHOLE[name] = list(made)
+
+
+def whole(app, what, name, obj, options, lines):
+    """Napoleon takes what stands before a property's first colon for its type, in sentences, too: here it is undone."""
+    if what in WITH_TYPE:
+        lines[:] = _WHOLE.pop(name, lines)
 
 
 def known(app, what, name, obj, skip, options):
@@ -73,4 +83,5 @@ def known(app, what, name, obj, skip, options):
 def setup(app):
     app.connect("autodoc-skip-member", known)
     app.connect("autodoc-process-docstring", plain, priority=100)
+    app.connect("autodoc-process-docstring", whole, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -2,12 +2,15 @@
 
 Largest gains of pink's and mink's own loops; in MuJoCo three arms with position and velocity servos, control at 100 to
 500 Hz, 0 to 17 samples of delay: largest stable gain, fastest without overshoot and lag behind a ramp, measured, and as
-models of growing detail predict them. Into results/loops (10 minutes on one core); what is there already is kept unless
---fresh, so a run that was stopped goes on. Needs the extra `peers`.
+models of growing detail predict them. What the advice is worth on four arms with friction, encoders and the like
+(`--only advice`), and each line of settings for another tool in that tool (`--only tools`; Placo where it is there).
+Into results/loops (20 minutes on one core); what is there already is kept unless --fresh, so a run that was stopped
+goes on. Needs the extra `peers`.
 """
 
 import argparse
 import importlib.metadata
+import importlib.util
 import json
 import pathlib
 import sys
@@ -19,7 +22,7 @@ import numpy as np
 import cnclik as ck
 from cnclik.integrate.measured import solve_driven
 from cnclik.record import replace
-from tests.bench import document, loops_models, loops_mujoco, loops_page, loops_peers
+from tests.bench import document, loops_advice, loops_models, loops_mujoco, loops_page, loops_peers, loops_tools
 from tests.bench.loops_arms import POSTURES, SERVOS, Arm
 from tests.bench.loops_mujoco import SHIFT, Setup
 
@@ -29,6 +32,7 @@ DELAYS = (0, 1, 2, 5)
 LONG = {"UR5": (17,)}  # further delays of an arm
 FIT_AT = (0, 1)  # samples of delay with which steps are recorded; longer ones are as the last
 FINE = 1e-4  # of the physics [s], where its own step is looked at
+PREDICTED = ("UR5", "Panda", "Kinova")  # of which the models' predictions are looked at
 RAMP_DELAYS = np.array([0, 2, 5])
 
 
@@ -152,8 +156,15 @@ def save(found, folder) -> None:
 def parts(names):
     """(name of a part, what measures it)."""
     yield "peers", loops_peers.measure
+    yield "tools", loops_tools.measure
+    if importlib.util.find_spec("placo"):
+        yield "Placo, tools", lambda: loops_tools.measure(("Placo",))
     for name in names:
         arm = Arm(name)
+        cells = [cell for cell in loops_advice.cells(POSTURES) if cell[0] == name]
+        yield f"{name}, advice", lambda a=arm, c=cells: [loops_advice.measure(a, *one[1:]) for one in c]
+        if name not in PREDICTED:
+            continue
         inertia = arm.inertia()
         for servo in SERVOS:
             for rate in RATES:
@@ -169,6 +180,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.loops", description=__doc__.splitlines()[0])
     parser.add_argument("--robots", nargs="*", choices=list(POSTURES), default=list(POSTURES))
     parser.add_argument("--fresh", action="store_true", help="measure again what is there already")
+    parser.add_argument("--only", default="", help="parts whose names end so, such as advice or tools")
     parser.add_argument("--page", action="store_true", help="only write the page again")
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
     args = parser.parse_args()
@@ -177,7 +189,7 @@ def main() -> None:
     there = args.out / "loops.json"
     found = json.loads(there.read_text()) if there.exists() and not args.fresh else {}
     for name, measure in () if args.page else parts(args.robots):
-        if name in found:
+        if name in found or not name.endswith(args.only):
             continue
         begun = time.process_time()
         rows = measure()

@@ -12,10 +12,12 @@ from tests.integrate.test_real_robots import ROBOTS, folder
 
 STEP = 1e-3  # of the physics [s]
 ARMATURE = 0.1  # [kg m²] of each joint's motor, seen behind its gears
+TIPS = {"xArm7": "link7"}  # where a file has one tip alone
 POSTURES = {
     "UR5": (0.4, -1.2, 1.5, -1.9, -1.3, 0.3),
     "Panda": (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4),
     "Kinova": (4.8, 2.91, 1.0, 4.2, 1.44, 1.32),
+    "xArm7": (0.2, -0.4, 0.3, 1.2, -0.2, 1.5, 0.1),
 }
 
 
@@ -25,6 +27,17 @@ class Servo(NamedTuple):
     command: str
     kp: tuple
     kv: tuple
+    ki: float = 0.0  # of a velocity servo: integral gain [1/s] times k_v
+
+
+class World(NamedTuple):
+    """What a robot has besides its servos, of the first three joints and of the others where there are two numbers."""
+
+    dry: tuple = (0.0, 0.0)  # friction [N m]
+    viscous: tuple = (0.0, 0.0)  # [N m s/rad]
+    effort: tuple = (np.inf, np.inf)  # largest torque [N m]
+    resolution: float = 0.0  # of the encoders [rad]
+    gain: float = 1.0  # of a command, from rest
 
 
 SERVOS = {  # the first as the UR5e of the MuJoCo menagerie has it
@@ -44,7 +57,8 @@ class Arm:
     """An arm at rest in its posture; its task is the pose of its tip."""
 
     def __init__(self, name):
-        file, self.tip, _ = ROBOTS[name]
+        file, tip, _ = ROBOTS[name]
+        self.tip = tip or TIPS[name]
         self.name, self.path = name, folder() / file
         self.q = np.array(POSTURES[name])
         self.chain = ck.load_urdf(self.path, self.tip)
@@ -68,13 +82,18 @@ class Arm:
         ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", settings)
         return ET.tostring(robot, encoding="unicode")
 
-    def model(self, servo: Servo, step=STEP):
-        """MuJoCo's model: no weight, contact, friction or limit of effort, a servo and ARMATURE on each joint."""
+    def model(self, servo: Servo, step=STEP, world=World()):
+        """MuJoCo's model: no weight or contact, a servo and ARMATURE on each joint, friction and efforts of the world.
+
+        The second half of the actuators, if any, are the integral parts.
+        """
         spec = mujoco.MjSpec.from_string(self.text)
         spec.option.timestep = step
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.gravity = np.zeros(3)
-        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        if not any(world.dry):  # dry friction is a constraint
+            spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
         joints = [joint for body in spec.bodies for joint in body.joints]
         assert [joint.name for joint in joints] == list(self.chain.joint_names)
         for joint, kp, kv in zip(joints, _each(servo.kp, self.n), _each(servo.kv, self.n), strict=True):
@@ -85,9 +104,18 @@ class Arm:
             else:
                 actuator.set_to_velocity(kv)
             actuator.ctrllimited = actuator.forcelimited = False
+        for joint, kv in zip(joints if servo.ki else (), _each(servo.kv, self.n), strict=False):
+            actuator = spec.add_actuator(
+                name=f"{joint.name} integral", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
+            actuator.set_to_intvelocity(kv * servo.ki)
+            actuator.ctrllimited = actuator.forcelimited = actuator.actlimited = False
         model = spec.compile()
-        model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
-        model.jnt_actfrclimited[:] = False  # efforts of the URDF file: at them a loop swings without growing
+        model.dof_damping[:], model.dof_frictionloss[:] = (_each(v, self.n) for v in (world.viscous, world.dry))
+        # The efforts of the URDF file are left out: at them a loop swings without growing.
+        model.jnt_actfrclimited[:] = np.isfinite(world.effort[0])
+        most = _each(np.minimum(world.effort, 1e9), self.n)
+        model.jnt_actfrcrange[:] = np.stack([-most, most], -1)
         return model
 
     def inertia(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from tests.bench.loops_arms import STEP
+from tests.bench.loops_arms import STEP, World
 
 DIRECTION = np.array([0.6, -0.5, 0.62, 0.6, 0.5, -0.6])
 SHIFT = (
@@ -31,6 +31,7 @@ class Setup(NamedTuple):
     Ts: float
     feedback: str = "measured"
     step: float = STEP  # of the physics [s]
+    world: World = World()
 
 
 class Run(NamedTuple):
@@ -63,15 +64,15 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
     Args:
       shift: (6,) of the target from the posture's pose [m, rad]. velocity: (3,) with which it then moves [m/s].
     """
-    arm, servo, Ts, feedback, physics = setup
-    model = arm.model(servo, physics)
+    arm, servo, Ts, feedback, physics, world = setup
+    model = arm.model(servo, physics, world)
     tip, n, B, sub = model.body(arm.tip).id, arm.n, len(alphas), round(Ts / physics)
     look = mujoco.MjData(model)  # what the controller computes, and where the true tip is
     datas = [mujoco.MjData(model) for _ in range(B)]
     position, steps = servo.command == "position", np.asarray(alphas)[:, None] * Ts
     rest = arm.q if position else np.zeros(n)
     for data in datas:
-        data.qpos[:], data.ctrl[:] = arm.q, rest
+        begin(data, arm.q, rest)
     qs, us = [d.qpos for d in datas], [d.ctrl for d in datas]
     j, at, rotation = np.zeros((B, 6, n)), np.zeros((B, 3)), np.zeros((B, 3, 3))
     line = np.tile(rest, (max(delays) + 1, B, 1))  # commands of the last samples, those of before the start at rest
@@ -94,16 +95,20 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
         here = goal if velocity is None else goal + velocity * (k * Ts)
         return np.concatenate([here - at, turn_from(wanted, rotation)], -1)
 
+    def measured(values):
+        return np.round(values / world.resolution) * world.resolution if world.resolution else values
+
+    exact = feedback != "commanded" and not world.resolution
     for k in range(N + 1):
         for b in alive:
-            seen(qs[b], b, feedback != "commanded")
+            seen(qs[b], b, exact)
         e[k, alive] = error(k)[alive]
         told = e[k]
-        if feedback == "commanded":
+        if not exact:
             for b in alive:
-                seen(sent[b], b, True)
+                seen(sent[b] if feedback == "commanded" else measured(qs[b]), b, True)
             told = error(k)
-        big = np.abs(e[k]).max(-1) > LOST * np.abs(SHIFT).max()
+        big = np.abs(e[k]).max(-1) > max(LOST * np.abs(SHIFT).max(), 10 * np.abs(shift).max())
         if big.any():
             alive = [b for b in alive if not big[b]]
             if not alive:
@@ -114,10 +119,10 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
         else:
             across = np.swapaxes(j, -1, -2)
             step = (across @ np.linalg.solve(j @ across, told))[..., 0] * steps
-        sent = (np.stack(qs) if feedback == "rebased" else sent) + step
-        line[k % size] = sent if position else step / Ts
+        sent = (measured(np.stack(qs)) if feedback == "rebased" else sent) + step
+        line[k % size] = rest + world.gain * ((sent if position else step / Ts) - rest)
         for b in alive:
-            us[b][:] = line[(k - delays[b]) % size, b]
+            us[b].reshape(-1, n)[:] = line[(k - delays[b]) % size, b]
             mujoco.mj_step(model, datas[b], sub)
     return Run(e)
 
@@ -223,16 +228,23 @@ def ramp_lag(setup, alphas, delays, runner=run, seconds=8.0, speed=2e-3):
     return e[-1, :, :3] @ velocity / speed**2
 
 
+def begin(data, q, command):
+    """At rest at q, and commanded to be there, integral parts as well."""
+    data.qpos[:] = q
+    data.ctrl.reshape(-1, len(q))[:] = command
+    data.act[:] = q[: len(data.act)]
+
+
 def step_responses(setup, size, N, together):
     """Motions (N + 1, n) of the joints from rest, each after a step of its command: one by one, or all at once."""
-    arm, servo, Ts, _, physics = setup
-    model = arm.model(servo, physics)
+    arm, servo, Ts, _, physics, world = setup
+    model = arm.model(servo, physics, world)
     rest = arm.q if servo.command == "position" else np.zeros(arm.n)
     motions = np.zeros((N + 1, arm.n))
     for stepped in [np.arange(arm.n)] if together else np.arange(arm.n)[:, None]:
         data = mujoco.MjData(model)
-        data.qpos[:], data.ctrl[:] = arm.q, rest
-        data.ctrl[stepped] += size
+        begin(data, arm.q, rest)
+        data.ctrl.reshape(-1, arm.n)[:, stepped] += world.gain * size
         for k in range(N):
             mujoco.mj_step(model, data, round(Ts / physics))
             motions[k + 1, stepped] = data.qpos[stepped] - arm.q[stepped]

@@ -7,7 +7,8 @@ import numpy as np
 
 from cnclik.measure.files import markdown, plain
 from cnclik.show import style
-from tests.bench.loops_words import CALM, FINDINGS, FINE, LAG, METHOD, NAMES
+from tests.bench.loops_advice import MUCH, figures
+from tests.bench.loops_words import ADVICE, CALM, FINDINGS, FINE, LAG, METHOD, NAMES, TOOLS
 
 MODELS = ("kinematic", "delay", "lag", "second order", "modes", "fitted", "together", "lower", "equations")
 CLOSE = 0.15  # by which a prediction may be off
@@ -189,6 +190,57 @@ def checked(rows) -> str:
     )
 
 
+def advice(rows) -> str:
+    """What was recommended and what it did, cell by cell."""
+    lines = []
+    for r in rows:
+        named = [r["robot"], r["servo"], r["rate"], r["delay"], r["world"] or "–", r["feedback"]]
+        if "refused" in r:
+            lines.append([*named, "refused", *[""] * 5])
+            continue
+        told = [t for name in ("recommended", "unknown") for t in _lane(r[name])]
+        share = _said(r["recommended"]["alpha"] / r["best"]) if r["best"] else ""
+        between = r.get("range")
+        ends = f"{between['low']:.0f} – {between['high']:.0f}: {'yes' if between['right'] else 'no'}" if between else ""
+        lines.append([*named, *told, share, ends])
+    head = ["robot", "servo", "rate [Hz]", "delay", "besides", "feedback", "recommended", "beyond", "nothing said"]
+    return markdown([*head, "beyond", "of best", "largest stable between"], lines, left=2)
+
+
+def _lane(lane) -> list:
+    over = _number(lane["over"])
+    return [f"{lane['alpha']:.3g}", "unstable" if lane["unstable"] else f"{100 * max(over, 0.0):.1f} %"]
+
+
+def advised(rows) -> str:
+    """In a sentence each: what the advice is worth."""
+    f = figures(rows)
+    return (
+        f"- **Recommended from a recorded step of all joints**: of {f['cells'] - f['refused']} cells "
+        f"{f['recommended unstable']} unstable, {f['recommended over 5 %']} beyond the target by more than "
+        f"{100 * MUCH:.0f} %; the gain is {f['median of best']:.2f} of the best one without overshoot in the median.\n"
+        f"- **With nothing said of the drives**: {f['unknown unstable']} unstable, {f['unknown over 5 %']} beyond by "
+        f"more than {100 * MUCH:.0f} %.\n"
+        f"- The range of the largest stable gain that a fit gives was given in {f['ranges']} cells with measured "
+        f"feedback, and right in {f['ranges right']}.\n"
+    )
+
+
+def tools(rows) -> str:
+    """Settings as they were run."""
+    lines = []
+    for r in rows:
+        ends = ["ran away"] + [""] * 2 if r["overshoot"] is None else [
+            f"{100 * r['overshoot']:.1f} %",
+            "no" if r["settled"] is None else f"{r['settled']:.3g}",
+            "" if r["tool"] not in ("pink", "mink", "Placo") else f"{100 * r['posture']:.2g} %",
+        ]  # fmt: skip
+        promised = "" if r["promised"] is None else f"{r['promised']:.3g}"
+        lines.append([r["tool"], r["case"], r["way"], f"{r['set']:.4g}", promised, *ends])
+    head = ["tool", "drives", "set", "gain", "2 % promised [s]", "overshoot", "2 % after [s]", "left to the posture"]
+    return markdown(head, lines, left=3)
+
+
 # --- the page -----------------------------------------------------------------------------------------
 
 
@@ -256,6 +308,10 @@ def write(found, folder) -> None:
     made = [head, f"## What is true\n\n{summary(found, cells)}{FINDINGS}"]
     if "peers" in found:
         made.append(f"## pink and mink\n\n{peers(found['peers']['rows'])}")
+    if rows := plain(_rows(found, "tools")):
+        made.append(f"## Settings for other tools\n\n{TOOLS}\n{tools(rows)}")
+    if rows := _rows(found, ", advice"):
+        made.append(f"## What the advice is worth on simulated robots\n\n{ADVICE}\n{advised(rows)}\n{advice(rows)}")
     if cells:
         figure(cells, folder / "ratios.png")
         made.append(f"## MuJoCo\n\n{NAMES}\n{METHOD}\n![Predicted over measured largest gain](ratios.png)\n")

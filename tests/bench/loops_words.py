@@ -38,6 +38,24 @@ arrive"."""
 FINE = """\
 Velocity servos at 500 Hz with the physics ten times finer."""
 
+TOOLS = """\
+`python -m tests.bench.loops --only tools`. Each line of `Practice.settings` as it stands, on a Panda whose joints
+follow through the drive of the case: pink, mink and Placo themselves, with a posture task 0.2 rad away along the null
+space; of Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around servoj copies of what their
+sources and manuals say. "Nothing said": the robot has the drives that are assumed. A posture task whose gain is left
+at its default of 1 runs away, and a servoj loop that begins at the measured joints does not arrive.
+"""
+
+ADVICE = """\
+`python -m tests.bench.loops --only advice`. Four arms in MuJoCo; servos "position 5, 10, 50" with that k_p/k_v [1/s]
+(5 and 10 as the UR5e and Panda of the menagerie have it), of ζ = 0.4, velocity servos with k_v of 400 and 40 and with
+integral parts. Besides: dry friction of 1 and 0.2 N m and viscous friction; encoders of 15 bits; torque of at most 80
+and 15 N m; motion that is 0.95 or 1.08 of its command; or some of all. Each cell records a step of all joints (1.2 s,
+at most 200 rows), fits the drive, and runs a step of 3 cm and 60 mrad for 3 s. *Beyond*: by how much of the step the
+tip goes beyond its target. *Of best*: the recommended gain over the largest that goes at most 1 % beyond. *Nothing
+said*: the gain that is recommended where nothing is known of the drives; of rebased feedback the line for Isaac Lab.
+"""
+
 NAMES = """\
 Gains are alpha in 1/s, delays samples of the controller, ratios predicted over measured. Models: *kinematic* (no
 drive), *delay* (dead time alone), *lag* (a first-order lag for each joint: m/k_v of a velocity servo, k_v/k_p of a

@@ -59,7 +59,7 @@ def test_a_drive_to_paste(recorded, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--Ts", "0.001"], "Argument `Ts` must be that of the recording, 0.002 s, but is 0.001."),
+        (["--Ts", "0"], "Argument `Ts` must be positive, but is 0."),
         (["--columns", "q3"], "Argument `columns` must be one of time, q1, q2, but is 'q3'"),
         (["--step", "--columns", "q1"], "Argument `columns` must name as many motions as commands"),
         (["--step", "--alpha", "3"], "Argument `alpha` must be left out with --step, but is given."),
@@ -80,13 +80,44 @@ def test_a_recording_without_times_needs_Ts(tmp_path, capsys):
     file = write(tmp_path / "bare.csv", ["q"], loop(1.5, 0, 50))
     with pytest.raises(SystemExit):
         main(["diagnose", file])
-    assert "Argument `Ts` must be given where no column is called t or time" in capsys.readouterr().err
+    assert "Argument `Ts` must be given where no column is called t, time or stamp" in capsys.readouterr().err
     main(["diagnose", file, "--Ts", "0.01"])
     assert "every second sample" in capsys.readouterr().out
     (tmp_path / "empty.csv").write_text("q\n")
     with pytest.raises(SystemExit):
         main(["diagnose", str(tmp_path / "empty.csv"), "--Ts", "0.01"])
     assert "hold numbers" in capsys.readouterr().err
+
+
+def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, capsys):
+    """Nanoseconds, status and text as recorders write them; what is left out is no joint."""
+    main(["diagnose", log, "--Ts", "0.001", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert said["Ts"] == 0.001 and said["Ts_from"] == "--Ts, though time says 2 ms"
+    rng, k = np.random.default_rng(0), np.arange(200)
+    stamps = 1.7e18 + 2e6 * k + 4e5 * rng.standard_normal(200)
+    q = 1 + 0.1 * loop(0.3, 4, 200)
+    rows = [f"{s:.0f},{v:.9g},3,base_link,{i}" for s, v, i in zip(stamps, q, k, strict=True)]
+    file = tmp_path / "bag.csv"
+    file.write_text("\n".join(["/header/stamp,/position,/status,/header/frame_id,/header/seq", *rows]))
+    main(["diagnose", str(file), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["delay"] == 4 and found["Ts"] == pytest.approx(0.002, rel=0.01) and len(found["amplitude"]) == 1
+    assert found["Ts_from"] == "/header/stamp, read in ns"
+
+
+def test_causes_that_no_gain_ends(tmp_path, capsys):
+    grows = 0.1 * 1.01 ** np.arange(300)
+    main(["diagnose", write(tmp_path / "sign.csv", ["e_x", "e_y"], grows, 0 * grows + 1), "--Ts", "0.01"])
+    said = capsys.readouterr().out
+    assert said.startswith("growth without oscillation") and "Growing: e_x\n" in said
+    spiral = 0.1 * (1 - 0.05j) ** np.arange(300)
+    main(
+        ["diagnose", write(tmp_path / "turned.csv", ["e_x", "e_y"], spiral.real, spiral.imag), "--Ts", "0.01", "--json"]
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert found["cause"] == "turned frames" and found["angle"] == pytest.approx(90, abs=1)
+    assert found["factor"] is None and found["axis"] == pytest.approx([0, 0, 1])
 
 
 def test_what_solve_writes_can_be_read(tmp_path, capsys):

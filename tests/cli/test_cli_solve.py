@@ -3,6 +3,7 @@
 import csv
 import errno
 import itertools
+import json
 import pathlib
 import re
 import tempfile
@@ -61,6 +62,26 @@ def test_a_loop_that_shakes_is_not_called_stable(tmp_path, capsys):
     main(["solve", arm, *options, *loop])
     shown = " ".join(capsys.readouterr().out.split())
     assert "Shaking: joint velocities up to" in shown and "Reduce alpha below" in shown
+
+
+def test_remedies_are_options(tmp_path, capsys):
+    """What --json prints is what the sentence says, and taken as options it mends."""
+    loop = ["solve", "planar:1,1", "--task", "xy", "--target", "0.5", "1.2", "--Ts", "0.1", "--method", "EE"]
+    loop += ["--no-figures", "--json", "--out", str(tmp_path)]
+
+    def told(*options):
+        main([*loop, *options])
+        return json.loads(capsys.readouterr().out)["verdict"]
+
+    shakes = told("--alpha", "26", "--N", "40")
+    alpha, method = (one["change"] for one in shakes["remedies"])
+    assert shakes["kind"] in ("shaking", "diverging") and method == {"method": "EXP-MIDPOINT"}
+    assert f"{alpha['alpha']:.3g} 1/s" in shakes["sentence"] and "--method EXP-MIDPOINT" in shakes["sentence"]
+    assert told("--alpha", str(alpha["alpha"]), "--N", "40")["kind"] == "settled"
+    assert told("--alpha", "26", "--N", "40", "--method", "EXP-MIDPOINT")["kind"] == "settled"
+    short = told("--alpha", "0.2", "--N", "10")
+    assert short["kind"] == "too short to tell" and f"--N {short['remedies'][0]['change']['N']}" in short["sentence"]
+    assert told("--alpha", "0.2", "--N", str(short["remedies"][0]["change"]["N"]))["kind"] in ("converging", "settled")
 
 
 def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, capsys):

@@ -13,9 +13,12 @@ from cnclik.cli import main
 def test_advice_on_the_terminal(capsys):
     main(["stability", "planar:1,1", "--alpha", "5", "--Ts", "0.1", "--method", "EE"])
     out = capsys.readouterr().out
-    assert re.search(r"largest stable\* +│ +20 │ +2 │", out)  # 2/Ts
-    assert re.search(r"fastest without overshoot\* +│ +10 │ +1 │", out)
-    assert "stable: gain margin 4" in out and "30 ms of dead time" in out
+    assert re.search(r"largest stable, if[\w ]* +│ +20 │ +2 │", out)  # 2/Ts
+    assert re.search(r"fastest without[\w ,]* +│ +10 │ +1 │", out)
+    assert "stable: on the assumed drives, gain margin" in out
+    # What is assumed comes before the numbers, with the command that measures it.
+    assert 0 < out.index("30 ms of dead time and a lag of 100 ms") < out.index("cnclik diagnose LOG.csv --step")
+    assert out.index("cnclik diagnose") < out.index("largest stable")
 
 
 def test_a_posture_drawn_to_too_fast_for_explicit_euler(capsys):
@@ -49,12 +52,28 @@ def test_advice_for_an_arm_with_17_samples_of_dead_time(capsys):
 
 
 def test_advice_where_nothing_is_known_of_the_drives(capsys):
-    """Any gain is stable by an exponential step, and one is recommended that an arm bears that is 30 ms late."""
+    """Any gain is stable by an exponential step, and one is recommended that a servo of k_p/k_v = 10 bears, 30 ms late:
+    at most 1/(4·(0.1 + 0.03)), and a tenth more, of a loop whose lag and dead time were one."""
     said = advice(capsys, "--Ts", 0.002)
     assert said["largest_stable_alpha"] is None and said["assumed_dead_time"] == pytest.approx(0.03)
-    assert 10 < said["recommended_alpha"] < 13
+    assert said["assumed_lag"] == 0.1 and 1 / (4 * 0.13) < said["recommended_alpha"] < 1.15 / (4 * 0.13)
+    assert said["recommended"]["overshoot"] < 0.01 and "k_val" in said["settings"]["Isaac Lab"]
+    assert said["now"]["overshoot"] > 0.05  # of alpha = 5 on these drives
     said = advice(capsys, "--Ts", 0.002, "--delay", 0, "--method", "EE")
     assert said["assumed_dead_time"] is None and said["recommended_alpha"] == pytest.approx(125, rel=1e-6)
+    assert said["assumption"].startswith("Assumed: the drives follow at once, without dead time")
+    said = advice(capsys, "--Ts", 0.01, "--delay", 3, "--method", "EE")  # no word of a lag: what it would mean is told
+    least = float(re.search(r"at most ([\d.]+) 1/s", said["assumption"])[1])
+    with_lag = advice(capsys, "--Ts", 0.01, "--delay", 3, "--lag", 0.1, "--method", "EE")
+    assert least == pytest.approx(with_lag["recommended_alpha"], rel=5e-3) and least < 0.3 * said["recommended_alpha"]
+    assert with_lag["assumption"] == ""
+
+
+def test_the_largest_stable_gain_of_a_servo_is_not_told(capsys):
+    """Its joints' inertia is coupled: only a recording of all of them says between which gains it lies."""
+    main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "3", "--lag", "0.05", "--method", "EE"])
+    out = capsys.readouterr().out
+    assert re.search(r"largest stable +│ +not known │", out) and "times the gain" not in out and "--step" in out
 
 
 def test_a_servo_leaves_a_tenth_of_the_gain(capsys):

@@ -1,12 +1,16 @@
 """What was asked stands above every answer: tip, dead time, start, target; what nobody gave is called default."""
 
+import json
 import warnings
 
+import numpy as np
 import pytest
 
 import cnclik as ck
 from cnclik import errors
 from cnclik.cli import main
+from cnclik.problem.build import problem_from
+from cnclik.robot import poses
 
 JAWED = """<robot name="hand"><link name="base"/><link name="arm"/><link name="wrist"/><link name="{jaw}"/>
 <joint name="j1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -65,3 +69,41 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     main(["reach", str(file), "--random", "2", "--task", "xy"])
     said = capsys.readouterr()
     assert not said.err and "hand, tip flange, task x y" in said.out
+
+
+def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, capsys):
+    way = tmp_path / "way.csv"
+    way.write_text("time,x,y\n0,0.8,0.9\n2,0.5,1.1\n")
+    run = ["solve", "planar:1,1", "--reference", str(way), "--N", "3", "--no-figures", "--out", str(tmp_path / "out")]
+    main([*run, "--q0", "0.3", "0.9"])
+    shown = capsys.readouterr().out
+    here = np.array(ck.pose(ck.planar_arm([1.0, 1.0]), np.array([0.3, 0.9])).position)[:2]
+    jump = 1e3 * np.linalg.norm(here - [0.8, 0.9])
+    assert f"from x y = 0.8 0.9 m; the start is {jump:.3g} mm away from it (--begin on-path begins there)." in shown
+    main([*run, "--q0", "0.3", "0.9", "--begin", "on-path"])
+    shown = capsys.readouterr().out
+    assert "rad (on the path)." in shown and "away from it" not in shown
+    with pytest.raises(SystemExit):
+        way.write_text("time,x,y\n0,8,0.9\n2,0.5,1.1\n")
+        main([*run, "--begin", "on-path"])
+    assert "`begin` must be q0 for a path that begins where the arm doesn't reach" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("task", ["pose", "position", "xy", "orientation", "xyrz"])
+def test_a_loop_begins_on_its_path_for_any_task(task):
+    q0 = np.array([0.4, -1.1, 1.3, -0.5, 0.7, 0.2])
+    at = ck.pose(ck.ur5(), q0 + 0.3)
+    end = [*np.array(at.position), *poses.quaternions(at.rotation)]
+    first = end[3:] if task == "orientation" else end if task in ("pose", "xyrz") else end[: 2 if task == "xy" else 3]
+    made = problem_from("ur5", task=task, reference="line", start=first, q0=q0, begin="on-path", N=2)
+    run = made.run()
+    assert np.abs(np.array(run.e[0])).max() < 1e-5
+    assert np.abs(np.array(made.q0) - q0).max() < 1.0  # near it
+
+
+@pytest.mark.parametrize(("delay", "samples", "ms"), [(["--delay", "34ms"], 8.5, 34.0), ([], None, None)])
+def test_json_has_the_dead_time_in_samples_and_ms(delay, samples, ms, capsys):
+    main(["stability", "planar:1,1", "--method", "EE", "--Ts", "4ms", *delay, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert (told["dead_time_samples"], told["dead_time_ms"]) == (samples, pytest.approx(ms))
+    assert told["tip"] == "end of the last link" and len(told["q0"]) == 2 and told["remarks"] == []

@@ -11,6 +11,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.record import record
 from tests.export.combinations import arm
 
 pytestmark = [pytest.mark.form(None), pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
@@ -108,9 +109,11 @@ def _halving(q):
     [
         dict(what="steps"),
         dict(name="clik step"),
-        dict(name="int"),
-        dict(name="char16_t"),
-        dict(name="sinf"),
+        dict(name="1st"),
+        dict(name="a" * 61),
+        dict(name="größe"),
+        dict(out=5),
+        dict(out="\0x"),
         dict(dtype="float16"),
         dict(runtime=("alpa",)),
         dict(batch=("qq",)),
@@ -121,19 +124,23 @@ def _halving(q):
 )
 def test_options_are_checked(options, tmp_path):
     with pytest.raises(ck.ArgumentError):
-        ck.export.c(a_law(), options.pop("reference", None), out=tmp_path, **options)
+        ck.export.c(a_law(), options.pop("reference", None), **{"out": tmp_path} | options)
 
 
 def test_the_command_line_writes_the_same(tmp_path, capsys):
     words = ["export", "planar:1,0.8,0.6", "--task", "xy", "--method", "EE", "--damping", "0.1"]
     (tmp_path / "cli").mkdir()
-    (tmp_path / "cli" / "mine.txt").write_text("it was there")
-    main([*words, "--out", str(tmp_path / "cli"), "--dtype", "float", "--name", "arm_step"])
+    (tmp_path / "cli" / "README.md").write_text("it was there")
+    words_of_cli = [*words, "--out", str(tmp_path / "cli"), "--dtype", "float", "--name", "arm_step"]
+    with pytest.raises(SystemExit):
+        main(words_of_cli)
+    assert "README.md" in capsys.readouterr().err and len(list((tmp_path / "cli").iterdir())) == 1
+    main([*words_of_cli, "--overwrite"])
     said = capsys.readouterr().out
-    assert "arm_step.c" in said and "mine.txt" not in said
+    assert "clik_arm_step.c example.c" in said and ", clik_arm_step.c," in said
     law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
     ck.export.c(law, out=tmp_path / "python", method="EE", dtype="float", name="arm_step")
-    for name in ("arm_step.h", "arm_step.c", "example.c"):
+    for name in ("clik_arm_step.h", "clik_arm_step.c", "example.c"):
         assert (tmp_path / "cli" / name).read_text() == (tmp_path / "python" / name).read_text()
     with pytest.raises(SystemExit) as left:
         main([*words, "--out", str(tmp_path / "no"), "--name", "1st"])
@@ -170,9 +177,80 @@ def test_loops_that_stack_up_what_they_find_are_written_out():
 
 
 def test_a_robots_own_names_stay_in_the_comment(tmp_path):
-    arm = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "b"])
+    arm = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "/*/b??/\\"])
     folder = ck.export.c(ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1)), out=tmp_path, method="EE")
     assert "a* / int x;" in (folder / "clik_step.h").read_text(encoding="utf-8")
+    builds(folder)
+
+
+NAMES = (
+    *("NULL", "NAN", "INFINITY", "EOF", "FILE", "stdout", "isnan", "isfinite", "signbit", "int32_t", "size_t"),
+    *("float_t", "REAL", "SINCOS", "TO_INT", "V", "W", "I", "input", "output", "parameters", "history", "differs"),
+    *("main", "wrong", "failed", "i", "sincos", "int", "double", "char16_t", "sinf", "exp", "y0", "unix", "export"),
+    *("README", "clik_", "clik_step", "clik_example", "step", "search", "batch", "example"),
+)
+
+
+def builds(folder, *compilers):
+    """The vectors of an export agree, and no compiler warns."""
+    sources = " ".join(sorted(path.name for path in folder.glob("*.c")))
+    for compiler in compilers or ("gcc",):
+        line = f"{COMPILERS[compiler]} {STRICT} {sources} -lm -o run && ./run"
+        done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0 and "8 of 8 vectors agree" in done.stdout, done.stderr[:2000]
+
+
+@pytest.mark.parametrize("name", NAMES[7::9])
+def test_any_name_will_do(name, tmp_path):
+    builds(ck.export.c(arm(2), out=tmp_path, what="fk", name=name))
+    assert (tmp_path / f"clik_{name.removeprefix('clik_')}.c").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("what", ["step", "solve", "reach", "fk", "jacobian"])
+def test_any_name_will_do_for_all_kinds(name, what, tmp_path):
+    options = dict(batch=True, method="AB2") if what in ("step", "solve") else {}
+    law = ck.Law(arm(2), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
+    builds(ck.export.c(law, out=tmp_path, what=what, name=name, dtype="float32", **options), "gcc", "g++")
+
+
+def joints(*kinds):
+    """A chain of prismatic and revolute joints along and about the axes of x, y, z."""
+    axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+    text = "".join(
+        f'<link name="l{i}"/><joint name="j{i}" type="{"prismatic" if kind[0] == "p" else "continuous"}"><parent '
+        f'link="l{i}"/><child link="l{i + 1}"/><origin xyz="0.1 0 0.2"/><axis xyz="{axes[kind[1]]}"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for i, kind in enumerate(kinds)
+    )
+    return f'<robot name="r">{text}<link name="l{len(kinds)}"/></robot>'
+
+
+@pytest.mark.parametrize("kinds", ["px", "rz", "px py pz rz"])
+def test_every_kind_of_joint_compiles_without_a_warning(kinds, tmp_path):
+    kinds = kinds.split()
+    (tmp_path / "arm.urdf").write_text(joints(*kinds))
+    chain = ck.load_urdf(tmp_path / "arm.urdf")
+    builds(ck.export.c(chain, out=tmp_path / "fk", what="fk"))
+    builds(ck.export.c(chain, out=tmp_path / "jacobian", what="jacobian", dtype="float32"))
+    for axes in {kind[1] for kind in kinds if kind[0] == "p"} or ("x", "z"):
+        law = ck.Law(chain, ck.position(axes), alpha=5.0, inverse=ck.damped(0.1))
+        builds(ck.export.c(law, out=tmp_path / f"step-{axes}", method="EE", batch=len(kinds) > 1))
+
+
+def test_what_a_users_record_calls_its_numbers_is_no_word_of_c():
+    @record
+    class Drawn:
+        double: object
+        größe: object
+
+        def __call__(self, q):
+            return tuple(self.double * v + self.größe for v in q)
+
+    law = a_law(null_velocity=Drawn(double=np.array(-1.0), größe=np.array(0.5)))
+    step = ck.export.compiled(law, method="EE")
+    assert {"own_double", "own_gr__e"} < set(step.parameters)
 
 
 def test_the_pages_example_is_built_and_runs(tmp_path):
@@ -186,3 +264,8 @@ def test_the_pages_example_is_built_and_runs(tmp_path):
     line = f"{build} -Wall -Wextra -Werror -pedantic && ./loop"
     done = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0 and np.allclose([float(v) for v in done.stdout.split()], 0, atol=1e-6), done.stderr
+
+
+def test_the_readme_tells_where_a_step_in_single_precision_stops(folders):
+    told = {folder.name: "stops short of its target" in (folder / "README.md").read_text() for folder in folders}
+    assert {name for name, found in told.items() if found} == {"memory"}

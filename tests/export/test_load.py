@@ -1,6 +1,7 @@
 """Exported functions called from Python: the same records as the library's own, whole loops, many lanes."""
 
 import ctypes
+import shutil
 import threading
 
 import jax
@@ -92,6 +93,60 @@ def test_geometry_alone():
     assert np.allclose(at.rotation, wanted.rotation, rtol=0, atol=1e-15)
     rows = ck.export.compiled(chain, what="jacobian")(q)
     assert np.allclose(rows, ck.jacobian(chain, q), rtol=0, atol=1e-15)
+
+
+# --- damage -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A folder with an export, and its library built."""
+    folder = ck.export.c(a_law(), out=tmp_path_factory.mktemp("export") / "arm", method="EE")
+    ck.export.load(folder)
+    return folder
+
+
+def damaged(text, kind, random):
+    at = int(random.integers(len(text)))
+    return {"cut": text[:at], "turned": text[:at] + bytes([text[at] ^ 1 << int(random.integers(8))]) + text[at + 1 :]}[
+        kind
+    ]
+
+
+@pytest.mark.parametrize("kind", ["cut", "turned"])
+@pytest.mark.parametrize("file", ["export.json", "clik_step.c", "clik_step.h"])
+def test_what_is_not_as_it_was_written_is_refused_in_a_line(exported, tmp_path, file, kind):
+    folder, random = tmp_path / "arm", np.random.default_rng(0)
+    shutil.copytree(exported, folder)
+    text = (folder / file).read_bytes()
+    for _ in range(30):
+        (folder / file).write_bytes(damaged(text, kind, random))
+        with pytest.raises(ck.ArgumentError, match="folder"):
+            ck.export.load(folder)
+    for words in (b"[" * 100_000, b"5", b"null", b'{"files": 5}', b"\xff", b""):
+        (folder / file).write_bytes(words)
+        with pytest.raises(ck.ArgumentError, match="folder"):
+            ck.export.load(folder)
+
+
+@pytest.mark.parametrize("kind", ["cut", "turned", "none of it", "device", "another's"])
+def test_a_library_that_is_not_as_it_was_built_is_built_again(exported, tmp_path, kind):
+    """Else it would end the process: what is mapped and not there is SIGBUS."""
+    folder = tmp_path / "arm"
+    shutil.copytree(exported, folder)
+    (library,) = folder.glob("*.so")
+    whole = library.read_bytes()
+    library.unlink()
+    if kind == "device":
+        library.symlink_to("/dev/zero")
+    elif kind == "another's":
+        other = ck.export.c(a_law(alpha=1.0), out=tmp_path / "other", method="EE", runtime=())
+        ck.export.load(other)
+        shutil.copy(next(other.glob("*.so")), library)
+    else:
+        library.write_bytes(b"" if kind == "none of it" else damaged(whole, kind, np.random.default_rng(1)))
+    wanted = ck.export.load(exported)(Q, [0.9, 1.2], Ts=0.01).q
+    assert (ck.export.load(folder)(Q, [0.9, 1.2], Ts=0.01).q == wanted).all()
 
 
 # --- many lanes ---------------------------------------------------------------------------------------

@@ -82,6 +82,29 @@ def test_too_far_is_said_with_the_nearest_pose(robot):
     assert few.evaluations < made.evaluations and few.position_error >= made.position_error - 1e-3
 
 
+def test_what_is_not_known_is_not_claimed():
+    """A target within the arm's length that the limits forbid: the C tries too little to tell."""
+    chain = ck.replace(ck.ur5(), lower=(-0.3,) * 6, upper=(0.3,) * 6)
+    made = ck.export.compiled(chain, what="reach", seeds=4)(np.zeros(6), [0.1, 0.1, 0.4], np.eye(3))
+    assert made.status == ck.ReachStatus.OUT_OF_BUDGET and np.isfinite(made.q).all() and made.position_error > 0.01
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e6])
+def test_arms_of_any_size(size):
+    """With a joint that slides: lengths come and go in metres."""
+    a, d = np.array([[0.0, 0.4, 0.3, 0.0], [0.0, 0.1, 0.0, 0.2]]) * size
+    bounds = {"lower": [-0.5 * size, -3.0, -3.0, -3.0], "upper": [0.5 * size, 3.0, 3.0, 3.0]}
+    chain = ck.from_dh(a.tolist(), [0.3, np.pi / 2, -np.pi / 2, 0.0], d.tolist(), kinds="PRRR", **bounds)
+    reach = ck.export.compiled(ck.Law(chain, ck.position(), alpha=1.0), what="reach")
+    q = np.random.default_rng(5).uniform(chain.lower, chain.upper, (100, 4))
+    wanted = places(chain, q)[0]
+    made = [reach(near, p) for near, p in zip(q[::-1], wanted, strict=True)]
+    assert np.mean([m.status == ck.ReachStatus.SOLVED for m in made]) >= 0.98
+    away = np.linalg.norm(places(chain, np.stack([m.q for m in made]))[0] - wanted, axis=1)
+    np.testing.assert_allclose(away, [m.position_error for m in made], rtol=1e-3, atol=1e-13 * size)
+    assert np.median(away) <= 1e-6
+
+
 def test_what_is_not_finite_is_told(robot):
     chain, reach = robot
     q, (position,), (rotation,) = drawn(chain, 1)

@@ -22,13 +22,15 @@ from cnclik.measure.files import markdown
 from tests.fuzz import judge, many
 
 SHARES = {
-    "urdf": 0.33,
-    "toml": 0.18,
+    "urdf": 0.3,
+    "toml": 0.17,
     "tables": 0.2,
-    "expressions": 0.2,
-    "arguments": 0.07,
+    "expressions": 0.17,
+    "poses": 0.06,
+    "arguments": 0.075,
     "logs": 0.015,
     "stores": 0.005,
+    "exports": 0.005,
 }
 
 

@@ -23,13 +23,17 @@ from tests.specs import reaching
 
 LEFT_OUT = ("distributed", "coordinator", "processes", "process", "timings")  # these wait for others, or listen to JAX
 NUMERIC = ("0", "1", "2", "5", "0.1", "0.01", "-1", "3", "10", "1e-3", "100", "1e6", "1000000000", "1e308", "1e-320",
-           "nan", "inf", "99999999999999999999", "2.5", *NUMBERS[:20])  # fmt: skip
+           "nan", "inf", "99999999999999999999", "2.5", "34ms", "0.034", "90deg", "-90", "5mm", "3 ms", "1 s", "180°",
+           "2km", "1e3ms", "0 -90 90 deg", "34us", "ms", "1msms", *NUMBERS[:20])  # fmt: skip
 FILES = ("arm.urdf", "way.csv", "targets.npy", "a.toml", "whole", ".", "/dev/zero", "/dev/null", "/dev/full", "none",
          "", "a/b/c", "x" * 300, "pipe", "a\nb", "[/]", "é.csv", "arm.urdf/x", "\ud800")  # fmt: skip
 ROBOTS = ("panda", "ur5", "planar:1,1", "planar:1,1,1", "planar-clockwise:1,1", "arm.urdf", "planar", "planar:",
           "planar:nan", "planar:1e308,1e308", "planar:-1", "planar:1" + ",1" * 40, "pandda", "way.csv")  # fmt: skip
 OUT = (
     "out",
+    ".",
+    "own",
+    "whole",
     "out/a/b",
     "way.csv",
     "/dev/null",
@@ -72,6 +76,8 @@ CHOICES = {
         "set": ("alpha=5", "axes.M=[1,2]", "N=3", "alpha=9**9**9", "method=CN"),
         "shape": ("scalar", "per-axis", "matrix"),
     },
+    "name": ("clik_step", "example", "NULL", "int", "a/b"),
+    "near": ("0", "-90", "1e9", "90deg", "nan", "3.2", "previous"),
     "html": ("one.html", "none/one.html"),
     "report": ("one.html", "none/one.html"),
     "reading": ("on-path/once/consistent", "printed/twice/printed"),
@@ -172,6 +178,7 @@ def attempt(made, folder) -> None:
     finally:
         os.chdir(here)
         jax.config.update("jax_enable_compilation_cache", cached)
+    assert [p.read_text() for p in (folder / "own").iterdir()] == ["mine"] or "--overwrite" in argv
     one_line(code, said.getvalue())
 
 
@@ -181,6 +188,8 @@ def _furnish(folder, data):
     np.save(folder / "targets.npy", np.ones((2, 3)))
     (folder / "a.toml").write_text(reaching(["final_error"], alpha="[1.0, 2.0]"))
     os.mkfifo(folder / "pipe")
+    (folder / "own").mkdir()
+    (folder / "own" / "README.md").write_text("mine")
     (folder / "whole").symlink_to(stores.whole()[1], target_is_directory=True)
 
 

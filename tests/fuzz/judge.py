@@ -20,12 +20,13 @@ import zlib
 
 import numpy as np
 
-from cnclik.errors import ArgumentError
+from cnclik.errors import ArgumentError, Remark
 
 MOST_SECONDS = 10.0  # of processor time that one input may take
 MOST_WAIT = 120.0  # and of the clock, where it waits for something
 MOST_BYTES = 1 << 30  # that the process may grow by
 MOST_CHARACTERS = 1000  # of a refusing line
+_PROGRESS = re.compile(r"[\d,]+ of [\d,]+ [^\n]*\n")  # a line of `cnclik.cli.progress`
 _QUIET = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)  # which nobody gets to see
 
 
@@ -73,7 +74,7 @@ def judge(room, number: int, folder: pathlib.Path, seed: int = 0) -> Verdict:
     except BaseException as error:
         outcome, why = "failed", "".join(traceback.format_exception(error)[-8:])
     seconds, grown = time.process_time() - begun, max(_peak() - before, 0)
-    warned = [w for w in warned if not issubclass(w.category, _QUIET)]
+    warned = [w for w in warned if not issubclass(w.category, _QUIET) and not is_remark(w)]
     if outcome != "failed":
         wrong = [f"warns: {w.category.__name__}: {w.message} ({w.filename}:{w.lineno})" for w in warned[:1]]
         wrong += [f"writes on stderr: {said.getvalue()[:500]!r}"] * bool(said.getvalue())
@@ -89,11 +90,22 @@ def repeat(verdict: Verdict, seed: int = 0) -> str:
     return f"python -m tests.fuzz --only {verdict.room} --seed {seed} --number {verdict.number}"
 
 
+def is_remark(warned) -> bool:
+    """Whether a warning is a remark of ours, as it should be: short, and one line."""
+    text = str(warned.message)
+    return issubclass(warned.category, Remark) and len(text) <= MOST_CHARACTERS and text.isprintable()
+
+
 def one_line(code, said: str) -> None:
-    """Of a command that has left: raise ArgumentError for a refusal as it should be, AssertionError for another."""
+    """Of a command that has left: raise ArgumentError for a refusal as it should be, AssertionError for another.
+
+    Remarks, each a line, may stand before it, or alone; so may progress, which a slow machine is told of.
+    """
+    lines = [line for line in said.splitlines(keepends=True) if not _PROGRESS.match(line)]
+    assert all(line.startswith("cnclik: ") and len(line) <= MOST_CHARACTERS for line in lines), f"{said!r} on stderr"
     if code in (0, None):
-        assert not said, f"exit 0 with {said!r} on stderr"
         return
+    said = lines[-1] if lines else ""
     assert code == 2 and said.count("\n") == 1 and said.endswith("\n"), f"exit {code} with {said[-2000:]!r}"
     raise ArgumentError(said.strip())
 

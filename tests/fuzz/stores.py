@@ -32,7 +32,7 @@ def whole():
     """(the spec, the folder of its finished run, its data, its first program's outputs)."""
     folder = pathlib.Path(_place().name)
     (folder / "a.toml").write_text(TEXT, encoding="utf-8")
-    read = spec.read(folder / "a.toml")
+    read, folder = spec.read(folder / "a.toml"), folder / "whole"
     assert store.run(read, folder)
     _, first = program.fit(read.study, read.grid())
     return read, folder, store.read(folder).load(), first
@@ -51,8 +51,7 @@ def draw(rng):
 def _damage(folder, place, kind, other, seed):
     names = files(folder)
     one = folder / names[int(place * len(names))]
-    alike = [name for name in names if name.split("/")[:2] == one.relative_to(folder).as_posix().split("/")[:2]]
-    two = folder / alike[int(other * len(alike))]  # of the same array
+    two = folder / names[int(other * len(names))]
     data, rng = one.read_bytes(), np.random.default_rng(seed)
     match kind:
         case "flip" if data:

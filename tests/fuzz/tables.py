@@ -15,6 +15,26 @@ from cnclik.robot.chain import planar_arm
 from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 
 ROBOTS = (planar_arm([1.0, 1.0]), panda())
+HEADS = (  # names of columns, in the spellings of several programs
+    *(
+        ("x", "y", "z", "qx", "qy", "qz", "qw"),
+        ("x", "y", "z", "w", "x", "y", "z"),
+        ("px", "py", "pz", "qw", "qx", "qy", "qz"),
+    ),
+    *(("t", "x", "y", "z"), ("time", "pos_x", "pos_y", "pos_z", "orientation.w", "orientation.x", "orientation.y")),
+    *(
+        ("X", "Y", "Z", "QW", "QX", "QY", "QZ"),
+        ("x", "y", "x"),
+        ("t", "t", "x", "y"),
+        ("qw", "qx", "qy", "qz"),
+        ("x [mm]", "y"),
+    ),
+    *(
+        ("position.x", "position.y", "position.z"),
+        tuple(f"t{i}{j}" for i in range(4) for j in range(4)),
+        ("roll", "pitch"),
+    ),
+)
 ENDINGS = (".csv", ".csv", ".csv", ".csv", ".npy", ".npz", ".CSV", ".txt")
 
 
@@ -57,7 +77,11 @@ def _array(rng, values, ending):
 
 def _text(rng, values):
     cells = [[f"{v:.6g}" for v in row] for row in values]
-    if chance(rng, 0.2):
+    if cells and chance(rng, 0.3):
+        names = list(any_of(rng, HEADS))[: len(cells[0])]
+        names += [any_of(rng, ("", "a", "x", "speed"))] * (len(cells[0]) - len(names))
+        cells.insert(0, [names[k] for k in rng.permutation(len(names))] if chance(rng, 0.5) else names)
+    elif chance(rng, 0.2):
         cells.insert(0, any_of(rng, (["t", "x", "y"], ["# a"], [""], ["1", "a"])))
     for _ in range(int(rng.integers(1, 4)) if cells and chance(rng, 0.6) else 0):
         row = any_of(rng, cells)

@@ -6,6 +6,7 @@ from tests.fuzz.judge import judge, repeat
 from tests.fuzz.rooms import ROOMS
 
 COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "logs": 40, "stores": 12}
+COUNTS |= {"poses": 300, "exports": 8}
 
 
 FOUND = [  # what did harm: room, seed, number

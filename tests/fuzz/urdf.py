@@ -19,6 +19,28 @@ from tests.fuzz.judge import one_line
 from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "revolute", "revolute", "floating", "planar")
+LIMITS = (  # one-sided, frozen, huge, without 0, crossed
+    *(
+        ("-1e16", "1e16"),
+        ("0", "1e16"),
+        ("0", "0"),
+        ("0.5", "0.5"),
+        ("1", "2"),
+        ("-2", "-1"),
+        ("2", "1"),
+        ("-inf", "2"),
+    ),
+    *(
+        ("-1.5", "inf"),
+        ("-6.3", "6.3"),
+        ("-180", "180"),
+        ("", "1"),
+        ("-1e-9", "1e-9"),
+        ("-1e308", "1e308"),
+        ("0", "nan"),
+    ),
+)
+SPEEDS = ("1", "1", "1", "0", "1e16", "1e-9", "-1", "inf")
 HEADS = (
     *(b"", b"", b'<?xml version="1.0"?>', b'<?xml version="1.0" encoding="klingon"?>', b"\xef\xbb\xbf", b"\n", b"\x00"),
     *(b'<?xml version="1.0" encoding="utf-16"?>', b'<?xml version="1.0" encoding="latin-1"?>', b"<!-- a -- b -->"),
@@ -56,7 +78,8 @@ def _tree(rng, count):
             ET.SubElement(joint, "origin", xyz=_three(rng), rpy=_three(rng))
         if chance(rng, 0.7):
             ET.SubElement(joint, "axis", xyz=any_of(rng, ("0 0 1", "0 1 0", "1 0 0", "-1 0 0", "1 1 0", "0.1 0.2 0.3")))
-        ET.SubElement(joint, "limit", lower="-1.5", upper="2", velocity="1", effort="10")
+        lower, upper = any_of(rng, LIMITS) if chance(rng, 0.3) else ("-1.5", "2")
+        ET.SubElement(joint, "limit", lower=lower, upper=upper, velocity=any_of(rng, SPEEDS), effort="10")
         if k > 1 and chance(rng, 0.1):
             ET.SubElement(joint, "mimic", joint=f"j{int(rng.integers(1, k + 1))}", multiplier="-2", offset="0.1")
     return robot

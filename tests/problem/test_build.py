@@ -131,7 +131,7 @@ def test_rates_are_those_of_python():
         ("0,1,2,3", "two waypoints"),
         ("0,1,2,3\n1,1,2", "as many in every row"),
         ("0,1,2,3\n1,1,2,3\n0.5,1,2,3", "way.csv has 1 and then 0.5"),
-        ("O.0,1,2,3\n1,1,2,3\n2,1,2,3", "row 1 of way.csv does not"),
+        ("O.0,1,2,3\n1,1,2,3\n2,1,2,3", "row 1 of way.csv holds 'O.0'"),
         ("0,1,2,3\n1,1,2,x", "as many in every row"),
         ("0,1\n1,1", "3 or 7 numbers"),
         ("0,1,2,3\n0,1,2,3", "increase"),

@@ -2,6 +2,7 @@
 
 import copy
 import gc
+import pathlib
 import pickle
 import shutil
 import time
@@ -105,6 +106,21 @@ def test_a_compiler_that_fails_is_told_once(monkeypatch):
         assert ck.reach(ck.replace(ARM), targets, task=PLANE).solved.all()
 
 
+def test_a_compiler_that_hangs_is_ended(monkeypatch, tmp_path):
+    """With what it has started; the search goes on without it."""
+    hanging, started = tmp_path / "cc", tmp_path / "started"
+    hanging.write_text(f"#!/bin/sh\nsleep 600 &\necho $! >{started}\nwait\n")
+    hanging.chmod(0o755)
+    monkeypatch.setenv("CC", str(hanging))
+    monkeypatch.setattr(native, "LONGEST", 1.0)
+    begun = time.monotonic()
+    with pytest.warns(UserWarning, match="`compiler` must be done within 1 s"):
+        assert ck.reach(ck.replace(ARM), [0.9, 0.8, 0.0], task=PLANE).solved
+    assert time.monotonic() - begun < 60
+    state = pathlib.Path("/proc", started.read_text().strip(), "stat")
+    assert not state.exists() or state.read_text().split()[2] in "ZX"
+
+
 def test_a_chain_takes_its_code_with_it():
     chain = ck.replace(WRIST)
     assert ck.reach(chain, tips(WRIST, drawn(WRIST, 3))).solved.all()
@@ -198,11 +214,14 @@ def test_a_wound_up_joint_has_its_seeds_where_it_is():
 
 
 @both_ways
-def test_few_seeds_and_a_small_budget_know_what_limits_forbid():
+def test_few_seeds_and_a_small_budget_claim_nothing():
+    """That limits forbid a target is said where enough was tried, and no sooner."""
     held = ck.replace(WRIST, lower=(-0.5,) * 6, upper=(0.5,) * 6)
-    targets = tips(WRIST, drawn(WRIST, 100, seed=9))
-    assert (ck.reach(held, targets, seeds=1).status == ck.ReachStatus.AT_LIMIT).mean() > 0.9
-    assert (ck.reach(held, targets, budget=10).status == ck.ReachStatus.AT_LIMIT).mean() > 0.9
+    targets = tips(WRIST, drawn(WRIST, 20, seed=9))
+    assert (ck.reach(held, targets).status == ck.ReachStatus.AT_LIMIT).mean() > 0.9
+    for few in ({"seeds": 1}, {"budget": 10}, {"seeds": 64, "near": np.zeros(6), "jump": 0.2}):
+        made = ck.reach(held, targets, **few)
+        assert set(made.status.tolist()) <= {ck.ReachStatus.SOLVED, ck.ReachStatus.OUT_OF_BUDGET}
 
 
 def test_beyond_the_stretched_arm_nothing_is_tried_without_need():

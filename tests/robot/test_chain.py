@@ -274,3 +274,14 @@ def test_lengths_beyond_any_robot():
     for length in (1e300, -1e13):
         with pytest.raises(ck.ArgumentError, match=r"`a\[0\]` must be within ±1e\+12"):
             ck.from_dh([length], [0.0], [0.0])
+
+
+@pytest.mark.parametrize("lower", [-np.inf, -1e16, -7.0, -1.0, 0.0, 0.5, 5.0])
+@pytest.mark.parametrize("upper", [np.inf, 1e16, 8.0, 5.0])
+def test_a_start_is_within_limits_of_every_kind(lower, upper):
+    """One-sided, huge and equal ones too; where a limit is far away, it says nothing of where to start."""
+    arm = ck.planar_arm([1.0, 0.8])
+    one, other = np.array([lower, 0.2]), np.array([upper, np.inf])
+    for low, high in ((one, other), (-other, -one)):
+        q = start_posture(ck.replace(arm, lower=tuple(low), upper=tuple(high)), ck.position("xy"))
+        assert (q >= low).all() and (q <= high).all() and np.abs(q).max() < 20, q

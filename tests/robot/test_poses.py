@@ -2,6 +2,7 @@
 
 import types
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
@@ -134,6 +135,18 @@ def test_half_precision_is_read_as_it_is_written():
     found = ck.reach(ck.ur5(), ([[0.3, 0.3, 0.4]], rough[None]))
     turn = np.array(ck.pose(ck.ur5(), found.q[0]).rotation, float)
     assert found.solved.all() and np.abs(turn - exact).max() < 5e-6
+
+
+def test_entries_may_be_traced():
+    def place(x):
+        held = ck.hold([x, 0.3]).curve.position
+        tool = ck.with_tool(
+            STRAIGHT, [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]]
+        )
+        whole = ck.hold([[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]])
+        return held[0] + tool.tip.position[0] + whole.curve.position[0]
+
+    assert jax.jit(place)(2.0) == 6 and jax.grad(place)(2.0) == 3
 
 
 def test_four_quaternions_are_no_transform_and_what_could_be_both_is_asked():

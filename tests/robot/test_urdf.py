@@ -289,8 +289,8 @@ ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "
         (ROW.replace("revolute", "planar"), "'planar'"),
         (ROW.replace("revolute", "fixed"), "no.*moving joint|has none"),
         (ROW.replace("0 0 1", "0 0 0"), "axis 0 0 0"),
-        (ROW.replace("0 0 1", "0 0"), "axis 0 0"),
-        (ROW.replace("0 0 1", "0 0 one"), "bad or missing entry"),
+        (ROW.replace("0 0 1", "0 0"), "joint 'j1' of robot.urdf has axis xyz '0 0', not three numbers"),
+        (ROW.replace("0 0 1", "0 0 one"), "joint 'j1' of robot.urdf has axis xyz 'one'"),
         (ROW.replace('lower="-1"', 'lower="2"'), "above upper limit"),
         (ROW.replace('lower="-1"', 'lower="nan"'), "not a number"),
         (ROW.replace('<limit lower="-1" upper="1" velocity="2"/>', ""), "no <limit>"),
@@ -437,5 +437,47 @@ def test_names_with_markup_and_encodings_that_nobody_knows(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "[/]" in shown and "[red]" in shown
     (tmp_path / "e.urdf").write_text('<?xml version="1.0" encoding="klingon"?><robot name="a"/>')
-    with pytest.raises(ck.ArgumentError, match="unknown encoding: klingon"):
+    with pytest.raises(ck.ArgumentError, match="is said to be klingon, an unknown encoding: save it as UTF-8"):
         read_urdf(tmp_path / "e.urdf")
+
+
+@pytest.mark.parametrize("encoding", ["cp932", "Shift_JIS", "euc-jp", "gb18030", "utf-8", "utf-16", "UTF-8"])
+def test_encodings_that_python_knows_are_read(encoding, tmp_path):
+    text = f'<?xml version="1.0" encoding="{encoding}"?>' + long_chain(2).replace("l1", "腕").replace("j1", "関節")
+    (tmp_path / "e.urdf").write_bytes(text.encode(encoding))
+    assert "腕" in read_urdf(tmp_path / "e.urdf").links
+    (tmp_path / "e.urdf").write_bytes(text.encode("utf-8" if encoding.lower() != "utf-8" else "cp932"))
+    if encoding in ("cp932", "utf-8"):  # not what it says
+        with pytest.raises(ck.ArgumentError, match=f"is said to be {encoding}, and is not: save it as UTF-8"):
+            read_urdf(tmp_path / "e.urdf")
+    (tmp_path / "e.urdf").write_bytes(text.partition("?>")[2].encode("cp932"))
+    with pytest.raises(ck.ArgumentError, match="is taken for utf-8, and is not: save it as UTF-8"):
+        read_urdf(tmp_path / "e.urdf")
+
+
+def test_a_files_text_is_read_like_the_file(tmp_path):
+    (tmp_path / "c.urdf").write_text(long_chain(3), encoding="utf-8")
+    of_file, of_text = ck.load_urdf(tmp_path / "c.urdf"), ck.load_urdf("\n " + long_chain(3))
+    assert str(of_file) == str(of_text) and of_file.joints[1].origin.position == of_text.joints[1].origin.position
+    with pytest.raises(ck.ArgumentError, match="the text holds <html>, not <robot>"):
+        ck.load_urdf("<html/>")
+
+
+def floating(kind):
+    rest = long_chain(3).partition(">")[2]
+    return f'''<robot name="dog"><link name="world"/><joint name="free" type="{kind}"><parent link="world"/>
+    <child link="l0"/></joint>{rest}'''
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_base_behind_a_free_joint_is_named_and_works(kind):
+    with pytest.raises(ck.ArgumentError, match=f"joint 'free' on the way is '{kind}'; base 'l0' begins after it"):
+        ck.load_urdf(floating(kind))
+    assert ck.load_urdf(floating(kind), base="l0").n == ck.load_urdf(long_chain(3)).n
+
+
+def test_a_padded_name_is_found_without_its_spaces():
+    text = long_chain(2).replace('"l1"', '"l1 "')
+    assert ck.load_urdf(text, tip="l1").n == ck.load_urdf(text, tip="l1 ").n == 1
+    with pytest.raises(ck.ArgumentError, match="did you mean 'l1 '"):
+        ck.load_urdf(text, tip="l11")

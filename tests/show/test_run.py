@@ -113,3 +113,19 @@ def test_what_cannot_be_drawn_is_one_line():
     batch = ck.replace(run(), residual=np.zeros((3, N)))
     with pytest.raises(ck.ArgumentError, match="Argument `run` must be one lane, but has 1 leading axes"):
         pictures.plot(batch, LAW)
+
+
+def test_panels_name_their_quantity_and_the_limits_and_none_is_empty():
+    near = to_dataset(run(np.full(N, 0.4)), LAW)
+    paths, speeds = pictures.joint_paths(near, LAW.chain), pictures.joint_velocities(near, LAW.chain)
+    assert [p.get_ylabel() for p in paths.axes] == ["$q$ [rad]"] * 2
+    assert [p.get_ylabel() for p in speeds.axes] == [r"$\dot q$ [rad/s]"] * 2
+    for figure in (paths, speeds, pictures.overview(near, LAW.chain)):
+        told = [text.get_text() for p in figure.axes if p.get_legend() for text in p.get_legend().get_texts()]
+        assert told.count("limit") == 1
+    arm = ck.panda()
+    law = ck.Law(arm, ck.position(), alpha=1.0)
+    seven = pictures.joint_paths(to_dataset(ck.solve(law, ck.hold([0.5, 0, 0.5]), np.zeros(7), 0.01, 3), law))
+    shown = [p for p in seven.axes if p.axison]
+    assert len(shown) == 7 and [p.get_xlabel() for p in shown].count("time $t$ [s]") == 2
+    assert shown[6].get_xlabel() and shown[6].xaxis.get_tick_params()["labelbottom"]

@@ -1,7 +1,9 @@
 """One line per method, everywhere."""
 
+import contextlib
 import itertools
 
+import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -159,3 +161,30 @@ def test_a_legend_of_many_joints_fits_the_page():
     box = figure.legends[0].get_window_extent()
     assert box.x0 >= 0 and box.x1 <= figure.bbox.width
     plt.close(figure)
+
+
+NOTEBOOK = """
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg as FigureCanvas
+matplotlib.interactive(True)  # as matplotlib_inline does when it is loaded, with the first figure
+"""
+
+
+@pytest.mark.parametrize("problem", [None, ValueError])
+def test_a_notebooks_first_figure_leaves_its_interactive_mode_on(tmp_path, monkeypatch, problem):
+    name = f"first_figure_{problem is None}"  # loaded once
+    (tmp_path / f"{name}.py").write_text(NOTEBOOK)
+    monkeypatch.syspath_prepend(tmp_path)
+    before, backend, sizes = matplotlib.is_interactive(), matplotlib.get_backend(), plt.rcParams["font.size"]
+    try:
+        with contextlib.suppress(ValueError), style.style():
+            plt.switch_backend(f"module://{name}")
+            if problem:
+                raise problem
+        assert matplotlib.is_interactive() and plt.rcParams["font.size"] == sizes
+        with style.style():
+            plt.ioff()
+        assert not matplotlib.is_interactive()
+    finally:
+        plt.switch_backend(backend)
+        matplotlib.interactive(before)

@@ -1,17 +1,21 @@
 """The viewer: shapes and frames against other code, motions of files, loops without new programs, pages in browsers."""
 
+import colorsys
 import dataclasses
 import pathlib
 import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import types
 
 import jax
 import numpy as np
 import pytest
+import xarray as xr
+from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
@@ -19,8 +23,9 @@ from cnclik.cli import main
 from cnclik.problem.build import problem_from
 from cnclik.robot.poses import quaternions
 from cnclik.robot.urdf import load_urdf
-from cnclik.show.viewer import body, files, live, look, meshes, motion, need, page, play, scene
+from cnclik.show.viewer import body, files, live, look, meshes, motion, need, page, play, scene, swept
 from cnclik.stability.linear import delayed_radius
+from cnclik.sweeps.check import parse
 from tests.oracles import robot_file
 
 with_viser = pytest.mark.skipif(not need.has_viser(), reason="needs viser, the extra `viewer`")
@@ -220,6 +225,29 @@ def test_a_loop_that_went_astray_has_factors_too(problem):
     assert np.isfinite(made.q).all() and set(made.level) == {motion.BAD} and "UNSTABLE" in made.words[0]
 
 
+@pytest.mark.parametrize("radius", [0.9, 1.0, 1.001, 1.5])
+def test_colours_say_what_words_say(problem, run, radius):
+    """A radius of 1.001 was "not stable" beside a green OK, and what is bad was orange: its red had a hue of 26°."""
+    made = motion.motion_of(run, problem.law, radius=radius)
+    said = live.factors_page(look.Seen(look.loop_of(problem), run, np.array([radius + 0j]), radius))
+    assert ("not stable" in said) == (set(made.level) == {motion.BAD}) == (radius > 1 + 1e-6)
+    assert ("stable" in said and "stable nor" not in said and "not stable" not in said) == (radius < 1)
+    color = re.search(r"color:(#\w+)", said)[1]
+    assert color == motion.LEVELS[motion.GOOD if radius < 1 else motion.WARNING if radius == 1 else motion.BAD]
+    hues = [360 * colorsys.rgb_to_hsv(*to_rgb(one))[0] for one in motion.LEVELS]
+    assert 140 < hues[0] < 180 and 30 < hues[1] < 60 and min(hues[2], 360 - hues[2]) < 15  # green, orange, red
+
+
+def test_a_lost_loop_of_a_sweep_is_red():
+    """It had the warning's colour: its steps, of which none grows for long, bear no mark of their own."""
+    loop = {"robot": ARM, "task": "xy", "reference": "hold", "target": [1.2, 0.6], "Ts": 0.05, "N": 40, "method": "EE"}
+    table = {"fixed": loop, "axes": {"alpha": [10.0, 41.0]}, "metrics": ["final_error"]}
+    spec = parse(table | {"question": "Which is lost?", "expectation": "The last."}, "two")
+    values = xr.DataArray([1e-6, 0.5], dims=["alpha"], coords={"alpha": [10.0, 41.0]})
+    best, worst = swept.loops_of(xr.Dataset({"final_error": values}), spec)
+    assert best.color == motion.LEVELS[motion.GOOD] and set(worst.level) == {motion.BAD}
+
+
 def test_a_page_leaves_out_an_even_number_of_instants(problem, run):
     made = motion.motion_of(run, problem.law)
     long = dataclasses.replace(made, t=np.linspace(0, 50, 1001), q=np.zeros((1001, 2)))
@@ -367,3 +395,13 @@ def test_a_name_that_is_too_long_is_refused_in_a_line(capsys):
     with pytest.raises(SystemExit) as left:
         main(["view", "x" * 5000, "--html", "out.html"])
     assert left.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("typed", "shown"), [(6, 1.0), (-2, 0.0), (0.5, 0.5), (1e300, 1.0)])
+def test_any_number_in_the_box_of_the_time_is_a_time(problem, run, typed, shown):
+    player, shares = object.__new__(play.Player), []
+    made = motion.motion_of(run, problem.law, name="arm")
+    player._busy, player.told = threading.Lock(), types.SimpleNamespace(content="")
+    player.scene = types.SimpleNamespace(motions=[made], show=shares.append)
+    player._show(typed)
+    assert shares == [shown] and "arm" in player.told.content

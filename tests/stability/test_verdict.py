@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.problem.build import problem_from
+from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, verdict
 from cnclik.stability.practice import practice
 
@@ -39,7 +41,7 @@ def judge(law, reference, N, q=Q5, Ts=Ts, method=ck.EE, stage=ck.picard(5)):
         (1.0, 1, "converging"),
         (0.5, 3, "converging"),
         (0.05, 60, "converging"),
-        (0.001, 50, "converging"),
+        (0.001, 50, "too-short-to-tell"),  # a twentieth of a time constant
         (1.9, 60, "ringing"),
         (2.5, 1, "diverging"),
         (2.5, 20, "diverging shaking"),
@@ -60,7 +62,7 @@ def test_explicit_euler_over_z(z, N, kinds):
 
 def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
     """Else the program of the verdict is made after the run, and not beside it."""
-    module, asked = sys.modules["cnclik.stability.verdict"], []
+    module, case, asked = sys.modules["cnclik.stability.verdict"], sys.modules["cnclik.stability.case"], []
     maps = module.maps
 
     def recorded(*args):
@@ -68,9 +70,10 @@ def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
         return maps(*args)
 
     monkeypatch.setattr(module, "maps", recorded)
+    monkeypatch.setattr(case, "maps", recorded)
     module.prepare(law(5.0), NEAR, Q5, Ts=Ts, method=ck.EE)
     judge(law(5.0), NEAR, 20)
-    assert len(asked) == 2 and str(asked[0]) == str(asked[1])
+    assert len(asked) >= 2 and len({str(one) for one in asked}) == 1
     assert jax.tree.structure(asked[0]) == jax.tree.structure(asked[1])
 
 
@@ -90,7 +93,9 @@ def test_a_small_decrease_towards_a_limit_cycle_is_no_convergence(N):
     """At 40 and 60 steps it was called converging, at 150 shaking: its error stays at 0.155 m for ever."""
     made = law(60.0, chain=ck.planar_arm([1.0, 0.5, 0.3]), inverse=ck.transpose())
     found = judge(made, ck.hold([-0.026502, 0.80831]), N, np.array([-1.0334647, 1.52846724, 0.75246399]), 0.05)
-    assert found.kind == Behaviour.SHAKING and found.radius > 1.2 and "below 28.7" in found.remedy, found.sentence
+    assert found.kind == Behaviour.SHAKING and "below 28.7" in found.remedy, found.sentence
+    if N > 40:
+        assert found.radius > 1.04  # at rest, where the run ended
 
 
 def test_damped_loop_settles_with_a_radius_of_its_own():
@@ -136,7 +141,9 @@ def test_a_path_too_fast_for_the_velocity_limits():
     path = ck.line(TIP, TIP + 1.5 * INWARD, duration=1.0)
     found = judge(ck.Law(chain, XY, alpha=5.0, limits=ck.velocity_scaling()), path, 100, Ts=0.01)
     assert found.kind == Behaviour.AT_LIMIT and "velocity limits" in found.sentence
-    assert found.remedy == "follow a slower path"  # limits saturation() would not help
+    assert [list(one.change) for one in found.remedies] == [["period"]]  # limits saturation() would not help
+    slow = ck.line(TIP, TIP + 1.5 * INWARD, duration=found.remedies[0].change["period"])
+    assert judge(ck.Law(chain, XY, alpha=5.0, limits=ck.velocity_scaling()), slow, 5000, Ts=0.01).kind == "settled"
 
 
 def test_what_asks_for_more_than_joints_can_is_told_how_to_ask_for_less():
@@ -161,7 +168,9 @@ def test_null_space_that_shakes():
     made = law(5.0, null_velocity=lambda q: 25.0 * (Q5 + 0.05 - q))
     found = judge(made, NEAR, 40)
     assert found.kind in (Behaviour.SHAKING, Behaviour.DIVERGING)
-    assert found.remedy == "reduce the gain of the null-space velocity"
+    calm = 25.0 * found.remedies[0].change["null_gain"]
+    assert "reduce the gain of the null-space velocity" in found.remedy
+    assert judge(law(5.0, null_velocity=lambda q: calm * (Q5 + 0.05 - q)), NEAR, 40).kind == Behaviour.SETTLED
 
 
 def test_a_run_that_is_not_finite():
@@ -225,7 +234,7 @@ def test_a_null_space_velocity_that_pulls_at_the_task_is_named():
     place = ck.hold(np.asarray(ck.pose(arm, start).position[:2]) + 1e-3)
     found = judge(made, place, 400, start, Ts=0.05)
     assert found.kind == Behaviour.STALLED and "pulls at the task" in found.sentence and found.radius < 1
-    assert found.remedy.startswith("use pseudoinverse(), less damping") and "alpha" not in found.remedy
+    assert [list(one.change) for one in found.remedies] == [["inverse", "damping"], ["damping"], ["null_gain"]]
     for changes in ({"inverse": ck.pseudoinverse()}, {"null_velocity": None}):
         assert judge(ck.replace(made, **changes), place, 400, start, Ts=0.05).kind == Behaviour.SETTLED
     for less in ({"inverse": ck.damped(0.02)}, {"null_velocity": ck.posture(start + 0.5, 3.0)}):
@@ -259,7 +268,7 @@ def test_joints_that_are_too_fast_are_told_of():
     law = ck.Law(arm, ck.position("xy"), alpha=8.0)
     goal, q0 = ck.hold([0.2, 0.9]), [0.3, 1.1]
     told = ck.verdict(law, goal, ck.solve(law, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
-    assert told.kind == "settled" and "times it at most" in told.sentence and "velocity_scaling()" in told.remedy
+    assert told.kind == "settled" and "up to 8.98 times" in told.sentence and "velocity_scaling()" in told.remedy
     slow = ck.replace(law, limits=ck.velocity_scaling())
     told = ck.verdict(slow, goal, ck.solve(slow, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
     assert told.kind == "settled" and "velocity limit" not in told.sentence and not told.remedy
@@ -272,3 +281,58 @@ def test_a_run_that_is_over_before_its_dead_time_says_nothing():
     short, longer = (ck.solve(law, goal, [0.3, 1.1], 0.01, N, "EE", drive=loop["drive"]) for N in (5, 400))
     assert "over before its dead time" in ck.verdict(law, goal, short, **loop).sentence
     assert "dead time is" not in ck.verdict(law, goal, longer, **loop).sentence
+
+
+def test_a_loop_that_stops_at_the_rounding_of_its_joint_values_says_so():
+    """Below ulp(q)/2/(alpha·Ts) a step of float32 changes nothing: 1.5 mm at 8 kHz and 1 1/s, told as convergence."""
+    goal, fast = ck.hold([2.05 - 1.0, 0.95]), dict(Ts=1 / 8000, method="EE")
+    slow = ck.Law(TWO, XY, alpha=1.0)
+    q = np.array(ck.reach(TWO, [1.05, 0.95, 0.0], task="position", tolerance=(1e-6, 1e-6)).q) + 1e-4
+    # As a loop in float32 that doesn't carry what it rounds away: every q is the first one.
+    with jax.enable_x64(False):
+        run = ck.solve(slow, goal, np.float32(q), 1 / 8000, 400, "EE")
+        assert "rounding" not in verdict(slow, goal, run, **fast).sentence
+        run = ck.replace(run, q=jnp.tile(run.q[0], (401, 1)), e=jnp.tile(run.e[0], (401, 1)), qdot=0 * run.qdot)
+        found = verdict(slow, goal, run, **fast)
+    assert found.kind == Behaviour.STALLED and "rounding of q in float32" in found.sentence, found.sentence
+    assert found.remedies[0].change == {"dtype": "float64"}
+    assert "rounding" not in judge(law(5.0), NEAR, 100).sentence
+
+
+def test_fewer_coordinates_are_named():
+    """Three coordinates of two joints: the remedy is a task that the arm has joints for, and it settles."""
+    made = ck.Law(TWO, ck.pose_task("xy", "z"), alpha=5.0, inverse=ck.damped(0.1))
+    target = ck.hold(np.asarray(ck.pose(TWO, Q2).position[:2]) - 0.1, np.eye(3))
+    (one,) = judge(made, target, 200, Q2).remedies
+    assert one.change == {"task": "xy"}
+    assert judge(ck.Law(TWO, task_from("xy", TWO), alpha=5.0), target, 200, Q2).kind == Behaviour.SETTLED
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        (dict(robot="panda", reference="circle", Ts=0.002, N=200, alpha=0.5), "too short to tell"),
+        (dict(robot="panda", reference="circle", Ts=0.001, N=20), "too short to tell"),
+        (dict(robot="ur5", N=1000), "settled"),
+    ],
+)
+def test_short_runs_of_real_arms_invent_nothing(options, kind):
+    """They were "ringing", at 6.6 µm of error, and "diverging … out of reach"; a settled one had a radius of 1.01."""
+    made = problem_from(options.pop("robot"), **options)
+    told = verdict(made.law, made.reference, made.run(), Ts=made.Ts, method=made.method, stage=made.stage)
+    assert told.kind == kind and told.radius < 1, told.sentence
+    if kind == "too short to tell":
+        assert told.remedies[-1].mends == "verdict" and told.remedies[-1].change["N"] > made.N
+        assert "educe alpha" not in told.sentence and "reach" not in told.sentence
+
+
+def test_a_run_that_leaves_a_singularity_is_told_how_to_leave_it_gently():
+    """It was told to run for more steps, at 4,500 rad/s."""
+    table = dict(q0=[0.0] * 6, N=50)
+    made = problem_from("ur5", **table)
+    told = verdict(made.law, made.reference, made.run(), Ts=made.Ts, method=made.method, stage=made.stage)
+    assert [one.mends for one in told.remedies][:2] == ["velocity", "velocity"], told.sentence
+    for one in told.remedies[:2]:
+        gentle = problem_from("ur5", **table | one.change)
+        share = np.abs(gentle.run().qdot) / np.array(gentle.law.chain.velocity_limit)
+        assert share.max() < 1.05

@@ -9,10 +9,10 @@ import numpy as np
 from cnclik.hints import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.markup import escaped
-from cnclik.show import style
 from cnclik.show.viewer import play
 from cnclik.show.viewer.look import Loop, look, loop_of, with_loop
-from cnclik.show.viewer.motion import motion_of
+from cnclik.show.viewer.motion import BAD, GOOD, LEVELS, WARNING, motion_of
+from cnclik.stability.case import UNSTABLE
 from cnclik.stability.verdict import verdict
 
 MOST_DELAY = 20  # samples that the slider offers
@@ -138,10 +138,10 @@ def words(loop) -> str:
 
 def factors_page(seen) -> str:
     """The loop's factors in the unit circle, as a picture, and what they say."""
-    stable = seen.radius < 1 - 1e-9
-    color = style.GREEN if stable else style.VERMILION
+    level = BAD if not seen.radius <= UNSTABLE else WARNING if seen.radius >= 1 - 1e-9 else GOOD
+    color, word = LEVELS[level], ("stable", "at the edge: neither stable nor unstable", "not stable")[level]
     size = f"{seen.radius:.4g}" if np.isfinite(seen.radius) else "not finite"
-    said = f"error × {size} per step: {'stable' if stable else 'not stable'}"
+    said = f"error × {size} per step: {word}"
     loop = seen.loop
     parts = [
         "<svg viewBox='-1.6 -1.6 3.2 3.2' width='110' height='110' style='flex:none'>"

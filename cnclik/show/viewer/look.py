@@ -15,9 +15,9 @@ from cnclik.integrate.method import named
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.precision import in_float64
 from cnclik.record import replace
+from cnclik.stability.case import WILD
 from cnclik.stability.driven import driven_factors, looked_at_drive, modes_of, own_drives, radius
 from cnclik.stability.local import Instant, maps, resting
-from cnclik.stability.reasons import WILD
 from cnclik.stability.spectrum import directions, largest_rate, spectrum_of
 
 
@@ -64,11 +64,11 @@ def look(problem, loop: Loop) -> Seen:
     """Run the loop with these numbers."""
     made = with_loop(problem, loop)
     run = jax.tree.map(np.asarray, made.run())
-    return Seen(loop, run, *_factors(made, run.q))
+    return Seen(loop, run, *factors_of(made, run.q))
 
 
 @in_float64
-def _factors(made, q):
+def factors_of(made, q):
     """The loop's factors over the task's directions at rest where a run ended; where it began if it went astray."""
     rests = np.isfinite(q[-1]).all() and np.abs(q[-1]).max() <= WILD
     q = np.asarray(q[-1] if rests else made.q0, float)

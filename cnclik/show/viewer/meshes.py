@@ -1,11 +1,13 @@
 """Meshes that a URDF file names, fixed to the frames of a chain; what isn't found, or can't be read, is left out."""
 
+import contextlib
 import os
 import pathlib
 from xml.etree import ElementTree
 
 import numpy as np
 
+from cnclik import errors
 from cnclik.reading import read_bytes
 from cnclik.robot.tree import MOVING, read_urdf
 from cnclik.show import style
@@ -117,22 +119,31 @@ def _moved(vertices, faces, at):
 def _found(file, name):
     """The mesh that a URDF file means by package://PACKAGE/…, model://…, file://… or a path; None where it isn't.
 
-    A page is sent to others, and a URDF file may come from others: it names meshes of the folder around its own, of
-    the package that it is in, of those beside it that say they are one (package.xml), or of ROS_PACKAGE_PATH.
+    A page is sent to others, and a URDF file may come from others: only meshes of its own package are drawn.
     """
     scheme, mark, rest = name.partition("://")
-    file = file.resolve()
-    if not mark or scheme == "file":
-        places = [(file.parent.parent, file.parent / (rest if mark else name))]
-    else:
+    root, places = _package(file), [file.parent / (rest if mark else name)]
+    if mark and scheme != "file":
         package, _, inner = rest.partition("/")
-        roots = [pathlib.Path(text) for text in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if text]
-        near = [folder / package for folder in file.parents]
-        near = [p for p in near if p in file.parents or os.path.isfile(p / "package.xml")]
-        near += [p for folder in roots for p in (folder / package, *[folder] * (folder.name == package))]
-        places = [(p.resolve(), p / inner) for p in near]
-    found = (place.resolve() for root, place in places if place.resolve().is_relative_to(root))
-    return next((place for place in found if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
+        places = [root / package / inner, *[root / inner] * (package in _names(root))]
+    inside = (place for place in map(pathlib.Path.resolve, places) if place.is_relative_to(root))
+    return next((place for place in inside if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
+
+
+def _package(file):
+    """The folder of the package that a URDF file is in: the next one up with a package.xml; else that above the file's
+    own, where it is laid out as one (urdf/ beside meshes/); else the file's own."""
+    laid_out = os.path.isdir(file.parent.parent / "meshes") and file.parent.name in ("urdf", "robot", "robots")
+    marked = (folder for folder in file.parents if os.path.isfile(folder / "package.xml"))
+    return next(marked, file.parent.parent if laid_out else file.parent)
+
+
+def _names(root):
+    """What a package is called: by its folder, and by its package.xml."""
+    yield root.name
+    with contextlib.suppress(errors.ArgumentError, ElementTree.ParseError):
+        about = read_bytes("package.xml", root / "package.xml", "a file")
+        yield (ElementTree.fromstring(about).findtext("name") or "").strip()
 
 
 def _thinned(shape, most):

@@ -9,10 +9,10 @@ from cnclik.integrate.status import Status, names
 from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
-from cnclik.stability.reasons import UNSTABLE
+from cnclik.stability.case import UNSTABLE
 
 GOOD, WARNING, BAD = 0, 1, 2
-LEVELS = (style.GREEN, style.ORANGE, style.VERMILION)  # colours of the three
+LEVELS = (style.GREEN, style.ORANGE, style.RED)  # colours of the three
 _BAD = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
 _NO_DEFECT = Status.RESTARTED
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cnclik.markup import GENERATOR
 from cnclik.show.viewer import need
 from cnclik.show.viewer.scene import Scene
 
@@ -24,7 +25,7 @@ def as_page(motions) -> str:
         for share in shares:
             scene.show(share)
             record.insert_sleep(pause)
-        return record.as_html()
+        return record.as_html().replace("<head>", f"<head>{GENERATOR}", 1)
     finally:
         need.stop(server)
 

@@ -40,6 +40,7 @@ class Player:
         self._show(self.slider.value)
 
     def _show(self, share):
+        share = min(max(share, 0.0), 1.0)  # a browser's box takes any number
         with self._busy:
             self.scene.show(share)
             self.told.content = told(self.scene.motions, share)

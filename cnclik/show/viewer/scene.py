@@ -120,9 +120,7 @@ class _Drawn:
         if self.goal is None:
             self.goal = scene.add_icosphere(f"{self.name}/goal", 0.8 * self.thick, rgb(style.BLACK))
         line = np.zeros((1, 2, 3))
-        self.line = scene.add_line_segments(
-            f"{self.name}/error", line, rgb(style.VERMILION), thickness=0.3 * self.thick
-        )
+        self.line = scene.add_line_segments(f"{self.name}/error", line, rgb(style.RED), thickness=0.3 * self.thick)
 
     def _targets(self, motion):
         """A dot for each target, in the colour of what became of it."""

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.show.viewer.look import factors_of
 from cnclik.show.viewer.motion import motion_of
 from cnclik.sweeps import store
 from cnclik.sweeps.check import parse
@@ -47,4 +48,5 @@ def _motion(spec, values, place):
     words = ", ".join(f"{d} = {v:.4g}" if isinstance(v, (float, np.floating)) else f"{d} {v}" for d, v in shown.items())
     size = float(values.values[place])
     unit = values.attrs.get("units", "")
-    return motion_of(run, made.law, name=words, note=f"{values.attrs.get('long_name', values.name)} {size:.4g} {unit}")
+    note = f"{values.attrs.get('long_name', values.name)} {size:.4g} {unit}"
+    return motion_of(run, made.law, name=words, note=note, radius=factors_of(made, run.q)[1])  # red where it is lost

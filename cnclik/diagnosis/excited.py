@@ -1,0 +1,104 @@
+"""Excited: the loop behind a recording that noise keeps going, by the errors of its predictions, a sample ahead.
+
+A loop with dead time d, and perhaps a lag, obeys A(B) y = −z b(B) B^d y + C(B) w: B shifts by a sample, A = 1 − B, or
+(1 − B)(1 − aB) with a lag, w is white. C is 1 where the noise is in the motion, A-like where it is in what is measured.
+"""
+
+import itertools
+
+import numpy as np
+
+from cnclik.diagnosis.late import TEMPER, Loop
+
+DEAD = 60  # samples of dead time, at most
+LAGS = (0.7, 1.5, 3.0, 5.0, 8.0, 13.0, 20.0)  # in samples
+COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
+FREE = (1, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete
+PENALTY = 1.0  # on the logarithm of the number of rows, for each number
+MODEL = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
+MAIN, LITTLE = (
+    3,
+    0.3,
+)  # parts of the columns that are looked at, at most, and share of the largest of a part that is none
+SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
+
+
+def excited(y, Ts, z=None) -> list:
+    """Loops, the likeliest first, that noise keeps swinging; empty where none explains the recording.
+
+    Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain where it is known.
+    """
+    y = _main(y)
+    N = len(y)
+    most = min(DEAD, N // 8)
+    floor = MODEL**2 * np.var(np.diff(y, axis=0), axis=0) + np.finfo(float).tiny
+    tried = []
+    for lag, half in ((0.0, 0), *itertools.product(LAGS, (0, 1))):
+        keep, b = _drive(lag)
+        b = np.convolve(b, [0.5, 0.5]) if half else b  # half a sample more
+        a = np.convolve([1.0, -1.0], [1.0, -keep]) if lag else np.array([1.0, -1.0])
+        for colour in COLOURS:
+            for c in ([1.0, -colour], np.convolve([1.0, -colour], [1.0, -keep])) if lag else ([1.0, -colour],):
+                tried += _over_dead_times(y, a, b, c, Loop(0.5 * half, lag * Ts, 0.0), most, floor)
+    rows = N - most - 3
+    free = min(
+        _autoregression(y, p, most + 3, floor) + PENALTY * np.log(rows) * p
+        for p in FREE
+        if p < min(rows // 4, most + 3)
+    )
+    best = min(tried, key=lambda one: one.score)
+    if best.score + PENALTY * np.log(rows) * 3 > free or best.z <= 0:
+        return []
+    tried = [one for one in tried if one.z > 0]
+    odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) for one in tried]
+    found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
+    found = sorted((one for one in found if one.share > 1e-3), key=lambda one: -one.share)
+    return found if found and _left(found[0].slowest(Ts)) > SWINGS else []
+
+
+def _left(factor) -> float:
+    """Share of an oscillation that is left after a period; 0 of what doesn't swing."""
+    turn = abs(np.angle(factor))
+    return float(np.abs(factor) ** (2 * np.pi / turn)) if turn else 0.0
+
+
+def _main(y):
+    """(N, c) of the main parts of columns: joints share a loop, and what excites it."""
+    y = y / np.maximum(np.std(y, axis=0), np.finfo(float).tiny)
+    _, size, parts = np.linalg.svd(y, full_matrices=False)
+    return y @ parts[: min(int(np.sum(size > LITTLE * size[0])), MAIN)].T
+
+
+def _drive(lag):
+    """(e^{−1/lag}, the numerator of the sampled lag in B, without its first B)."""
+    if not lag:
+        return 0.0, np.array([1.0])
+    keep = np.exp(-1 / lag)
+    return keep, np.array([1 - lag * (1 - keep), lag * (1 - keep) ** 2 - keep * (1 - lag * (1 - keep))])
+
+
+def _over_dead_times(y, a, b, c, start, most, floor) -> list:
+    """For each dead time the loop with the best gain."""
+    from scipy.signal import lfilter
+
+    first, N = most + 3, len(y)
+    left = lfilter(a, c, y, axis=0)[first:]
+    acts = lfilter(b, c, y, axis=0)
+    power = np.mean(left**2, axis=0) + floor
+    made = []
+    for delay in range(most + 1):
+        late = acts[first - 1 - delay : N - 1 - delay]
+        z = -np.sum(np.sum(left * late, 0) / power) / max(np.sum(np.sum(late**2, 0) / power), 1e-300)
+        score = len(left) * float(np.sum(np.log(np.mean((left + z * late) ** 2, axis=0) + floor)))
+        made.append(start._replace(delay=delay + start.delay, z=float(z), score=score))
+    return made
+
+
+def _autoregression(y, order, first, floor) -> float:
+    """The criterion of y[k] = Σ aⱼ y[k−j] + w, all columns alike."""
+    power = np.var(np.diff(y, axis=0), axis=0) + floor
+    past = np.stack([y[first - 1 - j : len(y) - 1 - j] / np.sqrt(power) for j in range(order)], -1)
+    now = y[first:] / np.sqrt(power)
+    weights, *_ = np.linalg.lstsq(past.reshape(-1, order), now.ravel(), rcond=None)
+    left = (now - past @ weights) ** 2
+    return len(now) * float(np.sum(np.log(np.mean(left, axis=0) * power + floor)))

@@ -1,0 +1,115 @@
+"""Recording: columns of numbers and their sampling time, from stamps of any unit; which columns are no motion."""
+
+import re
+
+import numpy as np
+
+from cnclik import errors
+
+LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
+MISSING = 0.6  # of a step, by which stamps must fall behind for good where a row is missing
+AROUND = 12  # rows on either side of such a place
+APART = 0.02  # by which a Ts that is given may differ from the stamps' without a word
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
+_NAMED = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
+_NAMED |= {"nsec": "ns", "nanosec": "ns", "nanos": "ns", "nsecs": "ns", "nanosecs": "ns", "nanoseconds": "ns"}
+_TIMES = ("time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock")
+_STATUS = ("status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index")
+_STATUS += ("enabled", "fault", "valid", "running", "row", "iteration", "safety")
+_EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # stamps of these decades, since 1970, are of about that size
+_STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # steps from that size on: no loop takes more than 0.5 s
+
+
+def columns(name, values):
+    """A recording (N,) or (N, k) as columns (N, k). Raises: ArgumentError for values not finite or beyond LARGEST."""
+    values = np.asarray(errors.array(name, values, (None,), (None, None), most=LARGEST), float)
+    return values[:, None] if values.ndim == 1 else values
+
+
+def sampling_time(t, Ts) -> float:
+    """Ts [s], or that of times (N,), which are one every Ts: jitter is none of the loop's. Raises: ArgumentError where
+    rows are missing, or none of both is given."""
+    if Ts is not None or t is None:
+        return float(errors.number("Ts", Ts, positive=True))
+    t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
+    step = np.diff(t)
+    usual = float(np.median(step)) if len(step) else 0.0
+    if usual <= 0:
+        raise errors.fail("t", "increase", f"has a median step of {usual:g} s")
+    mean, apart = float(t[-1] - t[0]) / len(step), max(len(t) // 4, 1)
+    if np.unique(step).size < 4 and abs(usual / mean - 1) > APART:
+        found = f"are {usual:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
+        raise errors.fail("t", "be times that are equally far apart", found)
+    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # jitter has less of a part in it than in one step
+    gap = _gap(t, step, usual)
+    if gap is not None:
+        raise errors.fail(
+            "t", f"have a row every {usual:g} s", f"row {gap + 2} comes {step[gap]:.4g} s after the one before"
+        )
+    return mean
+
+
+def _gap(t, step, usual):
+    """The step after which stamps are late for good; None where none is: a late stamp alone is jitter."""
+    late = t - t[0] - usual * np.arange(len(t))
+    found = {}
+    for k in np.flatnonzero(step > (1 + MISSING) * usual):
+        before, after = late[max(k + 1 - AROUND, 0) : k + 1], late[k + 1 : k + 1 + AROUND]
+        found[int(k)] = float(np.median(after) - np.median(before)) / usual
+    worst = max(found, key=found.get, default=None)
+    return worst if worst is not None and found[worst] > MISSING else None
+
+
+# --- which column is what -----------------------------------------------------------------------------
+
+
+def _words(name) -> list:
+    return [word for word in re.split(r"[^a-z0-9µ]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()) if word]
+
+
+def clock(names, table):
+    """(times [s] (N,) or None; places of all columns of times; what unit they were read in, or None).
+
+    A pair of seconds and nanoseconds is one time. Where a name says no unit the size of the stamps does.
+    """
+    places, found, unit = [], None, None
+    parts = {}
+    for i, name in enumerate(names):
+        words = _words(name)
+        said = next((_NAMED.get(w, w) for w in words[::-1] if w in UNITS or w in _NAMED), None)
+        rest = [w for w in words if w not in UNITS and w not in _NAMED]
+        if words and not rest and words[-1] in _NAMED:
+            rest = ["time"]  # `sec`, `nanosec` alone
+        if not (rest and (rest == ["t"] or rest[-1] in _TIMES or (len(words) > 1 and words[-1] in _NAMED and
+                                                                  any(w in _TIMES for w in rest)))):  # fmt: skip
+            continue
+        places.append(i)
+        if words[-1] in _NAMED and UNITS[said] in (1.0, 1e-9):
+            parts.setdefault(tuple(rest), {})[said] = i
+        if found is None and not np.isnan(table[:, i]).all():
+            found, unit = table[:, i] - table[0, i], said or _unit_of(table[:, i])
+            found = found * UNITS[unit]
+    for pair in parts.values():
+        if {"s", "ns"} <= set(pair):
+            whole, part = table[:, pair["s"]], table[:, pair["ns"]]
+            return whole - whole[0] + 1e-9 * (part - part[0]), places, "s"
+    return found, places, unit
+
+
+def _unit_of(t) -> str:
+    """Of stamps, by their size since 1970, or by their steps: a loop takes 0.1 ms to 0.5 s."""
+    with np.errstate(invalid="ignore"):
+        size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
+    since = [unit for least, unit in _EPOCHS if least <= size < 4 * least and 1e-5 <= step * UNITS[unit] <= 1.0]
+    return next(iter(since), None) or next((unit for least, unit in _STEPS if step >= least), "s")
+
+
+def no_motion(names, table) -> list:
+    """Places of columns that are no motion: without numbers, and whole numbers that are called a status or a count."""
+    found = []
+    for i, name in enumerate(names):
+        values = table[:, i][~np.isnan(table[:, i])]
+        whole = bool(np.all(values == np.round(values)))
+        if not len(values) or (whole and any(word in _STATUS for word in _words(name))):
+            found.append(i)
+    return found

@@ -1,0 +1,77 @@
+"""Spread: between which gains a loop through a fitted drive becomes unstable, as far as the fit knows."""
+
+import numpy as np
+
+from cnclik.integrate.drive import sampled
+from cnclik.record import replace
+
+DRAWN = 40  # drives that are drawn
+WIDE = 2.0  # standard deviations between which they are drawn
+MODEL = 0.05  # by which such a gain is off even where a fit leaves nothing
+TOGETHER = 0.5  # share of their motion that commands must have in common, to have moved the joints at once
+POINTS = 4000  # frequencies that are looked at
+
+
+def correlated(left) -> float:
+    """Samples (N,) over which what is left hangs together: 1 of white noise."""
+    left = left - left.mean()
+    power = float(left @ left)
+    if power == 0.0:
+        return 1.0
+    N = len(left)
+    share = np.fft.irfft(np.abs(np.fft.rfft(left, 2 * N)) ** 2, 2 * N)[: N // 2] / power
+    last = int(np.argmax(share < 0.05)) or len(share)
+    return float(max(1.0, 1.0 + 2.0 * np.sum(share[1:last])))
+
+
+def stable_range(fit, deviations, gain, structured, command) -> tuple:
+    """((low, high) alpha [1/s] or None, why not) of explicit Euler with measured joints.
+
+    Args: fit: a `Fit`; deviations (k, p) of its values; gain (k,) of the joints; structured: whether what is left of
+      the motion has a structure; command (N, k).
+    """
+    if len(gain) == 1:
+        return None, (
+            "The largest stable gain is not known from one joint: joints that move together are heavier. Record a step "
+            "of all joints at once."
+        )
+    if not _at_once(command):
+        return None, (
+            "The largest stable gain is not known, as joints moved one at a time: together they are heavier. Record a "
+            "step of all joints at once."
+        )
+    drives = [fit.shape.drive(values) for values in fit.values]
+    quick = fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts
+    if fit.shape.start.command == "velocity" and (quick or drives[0].delay < 1):
+        return None, (
+            "The largest stable gain is not known: with so little dead time and lag it depends on what the drive does "
+            "within a sample."
+        )
+    if structured:
+        return None, "The largest stable gain is not known."
+    rng, found = np.random.default_rng(0), []
+    for i in range(DRAWN):
+        off = deviations * rng.uniform(-WIDE, WIDE, deviations.shape if fit.own else deviations[:1].shape) * (i > 0)
+        each = [fit.shape.drive(v) for v in fit.values + off]
+        found.append(min(largest_stable(d, fit.shape.Ts) / max(abs(g), 1e-3) for d, g in zip(each, gain, strict=True)))
+    low, high = min(found) / fit.shape.Ts, max(found) / fit.shape.Ts
+    return (float(low * (1 - MODEL)), float(high * (1 + MODEL))), ""
+
+
+def _at_once(command) -> bool:
+    """Whether all joints are commanded to move at the same time."""
+    step = np.abs(np.diff(command, axis=0))
+    return bool(np.sum(step.min(1) > 0) >= TOGETHER * np.sum(step.max(1) > 0))
+
+
+def largest_stable(drive, Ts) -> float:
+    """The least z at which a factor of the loop reaches the unit circle: −1 over where its Nyquist curve is real."""
+    drive = replace(drive, feedback="measured")
+    at = np.exp(1j * np.linspace(0, np.pi, POINTS + 1)[1:])
+    curve = sampled(drive, Ts).transfer(at) * (at / (at - 1) if drive.steps_positions else 1 / Ts)
+    turned = np.flatnonzero((np.imag(curve[:-1]) * np.imag(curve[1:]) <= 0) & (np.real(curve[1:]) < 0))
+    if not len(turned):
+        return float(-1 / curve[-1].real) if curve[-1].real < 0 else np.inf
+    share = np.imag(curve[turned]) / (np.imag(curve[turned]) - np.imag(curve[turned + 1]) + 1e-300)
+    real = curve[turned].real + share * (curve[turned + 1].real - curve[turned].real)
+    return float(-1 / np.min(real))

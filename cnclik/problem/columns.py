@@ -1,0 +1,67 @@
+"""Columns: what the names above a table of poses mean, in any order and the usual spellings.
+
+x, px, pos_x, position.x, /pose/position/x and x [mm] are one coordinate; qw, q_w, quat_w and orientation.w one of the
+quaternion's; t00 … t33 are a transform's entries.
+"""
+
+import re
+
+from cnclik import errors, quantities
+
+POSITION, QUATERNION, TIME = ("x", "y", "z"), ("qw", "qx", "qy", "qz"), "time"
+TRANSFORM = tuple(f"t{i}{j}" for i in range(4) for j in range(4))
+_TURN = "q|quat|quaternion|ori|orient|orientation|rot|rotation"
+_PLACE = "p|pos|position|t|trans|translation"
+_SPELLINGS = (  # of a name's last parts, in small letters, joined by _
+    (re.compile(rf"(?:.*_)?(?:{_TURN})_?([wxyz])"), "q"),
+    (re.compile(rf"(?:.*_)?(?:{_PLACE})_?([xyz])"), ""),
+    (re.compile(r"([xyz])(?:_pos|_position|_m)?"), ""),
+    (re.compile(r"(w)"), "q"),
+    (re.compile(r"[tm]_?([0-3])_?([0-3])"), "t"),
+)
+_TIMES = re.compile(r"(?:.*_)?(?:t|time|times|stamp|timestamp|secs|seconds|time_s)")
+_UNITS = {**dict.fromkeys(POSITION, "m"), TIME: "s"}
+
+
+def meanings(argument: str, file: str, names) -> list:
+    """[(what a column is, factor to its unit)] of a head's names: x, y, z, qw … qz, time, or t00 … t33.
+
+    Raises: ArgumentError for names that are unknown or there twice, and for half a quaternion.
+    """
+    found = [_meaning(argument, file, name) for name in names]
+    is_ = [what for what, _ in found]
+    if "qw" in is_ and not {"qx", "qy", "qz"} & set(is_) and is_.count("x") == 1:  # w x y z alone: a quaternion
+        turns = {"x": "qx", "y": "qy", "z": "qz"}
+        found = [(turns.get(what, what), factor) for what, factor in found]
+        is_ = [what for what, _ in found]
+    for what in is_:
+        if is_.count(what) > 1:
+            both = " and ".join(repr(name) for name, one in zip(names, is_, strict=True) if one == what)
+            raise errors.fail(argument, f"name each column once, such as {_listed()}", f"{file} has {both}")
+    for some in (QUATERNION, TRANSFORM):
+        lacking = [one for one in some if one not in is_]
+        if lacking and len(lacking) < len(some):
+            raise errors.fail(argument, f"have all of {some[0]} … {some[-1]}", f"{file} lacks {' '.join(lacking)}")
+    return found
+
+
+def _meaning(argument, file, name):
+    bare, unit = name, ""
+    if ends := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*", name):
+        bare, unit = ends.groups()
+    key = re.sub(r"[^0-9a-z]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()).strip("_")
+    what = TIME if _TIMES.fullmatch(key) else None
+    for pattern, prefix in _SPELLINGS:
+        if what is None and (made := pattern.fullmatch(key)):
+            what = prefix + "".join(made.groups())
+    if what is None:
+        raise errors.fail(argument, f"have columns such as {_listed()}", f"{file} has {name!r}")
+    units = quantities.units(_UNITS[what]) if what in _UNITS else {}
+    if unit and unit not in units and (what in _UNITS or unit != "1"):
+        usual = f"be in {', '.join(w for w in units if w.isascii())}" if units else "be without unit"
+        raise errors.fail(argument, f"have columns whose units are known: {what} must {usual}", f"{file} has {name!r}")
+    return what, units.get(unit, (1.0, ""))[0]
+
+
+def _listed() -> str:
+    return ", ".join((TIME, *POSITION, *QUATERNION))

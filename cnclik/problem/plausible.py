@@ -1,0 +1,98 @@
+"""Plausible: units that fit the joints and the task, and remarks on numbers that are probably in another unit."""
+
+import math
+
+import numpy as np
+
+from cnclik import errors, quantities
+from cnclik.problem.options import SWEPT
+from cnclik.robot.posture import arm_length
+
+_TURN = 2 * math.pi
+_FAR = 10  # times the length of the arm
+_JOINTS = ("q0", "posture", "near")  # joint values
+_POINTS = ("target", "from", "to", "center")
+_LENGTHS = ("radius", "amplitude")
+
+
+def check_units(chain, task, written: dict) -> None:
+    """Raise ArgumentError where a unit doesn't fit what it stands behind: degrees of a prismatic joint, or a position.
+
+    Args: written: {option: the unit of each number, or None}, as it was given; see `cnclik.quantities.read`.
+    """
+    parts = ["m"] * bool(task.position) + ["rad"] * bool(task.orientation)
+    axes = ["m"] * len(task.position) + ["rad"] * len(task.orientation)
+    wanted = {"error_clamp": parts, "noise": axes, "tolerance": ["m", "rad"], "accept": ["m", "rad"]}
+    for name, units in written.items():
+        option = SWEPT.get(name)
+        of_joints = name in ("near", "jump", "velocity_limit") or (option is not None and option.unit.startswith("q"))
+        each = list(chain.units) if of_joints else wanted.get(name)
+        if each is None or not any(units):
+            continue
+        for k, unit in enumerate(each):
+            given = units[k if len(units) == len(each) else 0]
+            if given and given.partition("/")[0] != unit and len(units) in (1, len(each)):
+                what = f"joint {chain.joint_names[k]!r} is in {unit}" if of_joints else f"number {k + 1} is in {unit}"
+                raise errors.fail(name, "have the units of what it is for", f"{what}, and {given} is given")
+
+
+def remark_on(given: dict, chain, task, Ts, written: dict) -> None:
+    """Remarks on options without a unit that would be plausible in another one.
+
+    Args: given: {option: value}. written: as for `check_units`.
+    """
+    bare = {name: value for name, value in given.items() if not any(written.get(name, ()))}
+    late = bare.get("delay", 0)
+    if 0 < late < 0.5:
+        errors.remark(
+            f"`delay` is in samples: {quantities.in_samples(late, Ts)} of dead time. A time is written with its unit: "
+            f"--delay {1e3 * late:g}ms."
+        )
+    if "Ts" in bare and bare["Ts"] > 1:
+        errors.remark(f"`Ts` is {bare['Ts']:g} s, a controller slower than once a second. Milliseconds are written "
+                      f"--Ts {bare['Ts']:g}ms.")  # fmt: skip
+    if "lag" in bare and np.max(bare["lag"]) > 1:
+        errors.remark(f"`lag` is {np.max(bare['lag']):g} s. Milliseconds are written --lag {np.max(bare['lag']):g}ms.")
+    if bare.get("speed", 0) > 10:
+        errors.remark(f"`speed` is {bare['speed']:g} m/s. Millimetres are written --speed {bare['speed']:g}mm/s.")
+    if "phase" in bare and np.max(np.abs(bare["phase"])) > _TURN:
+        errors.remark(f"`phase` is {_text(bare['phase'])} rad. Degrees are written --phase {_text(bare['phase'])} deg.")
+    for name in _JOINTS:
+        if isinstance(bare.get(name), (tuple, list)) and len(bare[name]) == chain.n:
+            _remark_on_joints(name, bare[name], chain)
+    _remark_on_lengths(bare, chain, task)
+
+
+def _remark_on_joints(name, values, chain):
+    limits = zip(values, chain.units, chain.lower, chain.upper, strict=True)
+    far = [
+        value
+        for value, unit, low, high in limits
+        if unit == "rad" and abs(value) > _TURN and not -math.inf < low <= value <= high < math.inf
+    ]
+    if far:
+        each = (f"{v:g}{'m' if u == 'm' else 'deg'}" for v, u in zip(values, chain.units, strict=True))
+        where = " ".join(each) if "m" in chain.units else f"{_text(values)} deg"
+        errors.remark(
+            f"`{name}` has a joint at {far[0]:g} rad, more than a turn. Degrees are written --{name} {where}."
+        )
+
+
+def _remark_on_lengths(bare, chain, task):
+    length = arm_length(chain)
+    if not errors.concrete(length) or not task.position:
+        return
+    for name in (*_POINTS, *_LENGTHS):
+        if name in bare:
+            values = np.atleast_1d(np.asarray(bare[name], float))
+            values = values[:3] if name in _POINTS else values
+            size = float(np.abs(values[np.isfinite(values)]).max(initial=0))
+            if size > _FAR * length:
+                errors.remark(
+                    f"`{name}` has {size:g} m, and the arm is {length:.3g} m long. Millimetres are written with their "
+                    f"unit: --{name} {_text(values)} mm."
+                )
+
+
+def _text(values) -> str:
+    return " ".join(f"{v:g}" for v in np.atleast_1d(values))

@@ -1,0 +1,109 @@
+"""Units: targets are searched for in a unit of length near the arm's own size.
+
+A search adds metres to radians. In a unit near the arm's size the two are comparable, whether the arm has 0.1 mm or
+1,000 km. The unit is a power of sixteen, because dividing by it rounds nothing. For arms between 25 cm and 4 m it is a
+metre.
+"""
+
+import jax
+import numpy as np
+
+from cnclik import errors
+from cnclik.reaching.result import Reached, ReachStatus
+from cnclik.record import kept, replace
+from cnclik.robot import spatial as sp
+from cnclik.robot.chain import PRISMATIC, Chain
+from cnclik.robot.posture import arm_length
+
+BASE = 16.0
+SMALLEST = 1e-5  # [m]: a shorter arm has no size of its own
+FAR = 1e4  # units: farther off the nearest pose is the same to rounding, and squares overflow in the end
+
+
+def in_units(chain: Chain):
+    """The chain in a unit of its own, and that unit [m]; in metres where its geometry is traced."""
+    return kept(chain, "_in_units", _in_units)
+
+
+def _in_units(chain):
+    slides = [abs(v) for v, u in zip(chain.lower + chain.upper, chain.units * 2, strict=True) if u == "m"]
+    size = arm_length(chain, least=0.0)
+    if not errors.concrete(size):
+        return chain, 1.0
+    size = float(size) + max(filter(np.isfinite, slides), default=0.0)
+    unit = float(BASE ** np.round(np.log2(size) / np.log2(BASE))) if size > SMALLEST else 1.0
+    if unit == 1.0:
+        return chain, unit
+    per = of_joints(chain, 1.0 / unit)
+    lower, upper = (tuple(map(sp.mul, bound, per)) for bound in (chain.lower, chain.upper))
+    joints = tuple(_joint(joint, unit, per[joint.coordinate]) for joint in chain.joints)
+    return replace(chain, joints=joints, tip=_offset(chain.tip, unit), lower=lower, upper=upper), unit
+
+
+def of_joints(chain: Chain, unit):
+    """What each joint value (n,) has for a unit of length: 1 of joints that turn."""
+    return tuple(unit if u == "m" else 1.0 for u in chain.units)
+
+
+def _joint(joint, unit, per):
+    slides = joint.kind == PRISMATIC
+    by = (1.0 / unit if slides else 1.0) / per  # of what follows a joint of the other kind
+    offset = sp.mul(1.0 / unit, joint.offset) if slides else joint.offset
+    return replace(joint, origin=_offset(joint.origin, unit), multiplier=sp.mul(by, joint.multiplier), offset=offset)
+
+
+def _offset(offset, unit):
+    return replace(offset, position=tuple(sp.mul(1.0 / unit, x) for x in offset.position))
+
+
+def inward(asked, pose, near, xp=np):
+    """What is asked of a search in the chain's unit, and how much farther off the targets are.
+
+    Args: pose: targets (B, 12) [m]. near: (B, n) [rad, m] or None.
+
+    Returns: pose, near, and (B,) [units] by how much each target was moved towards the first joint, or None: of one
+    that is farther off than `FAR` only the direction matters.
+    """
+    if asked.unit != 1.0:
+        pose = pose * xp.asarray([1.0 / asked.unit] * 3 + [1.0] * 9, pose.dtype)
+        near = None if near is None else near / xp.asarray(of_joints(asked.chain, asked.unit), near.dtype)
+    if not asked.task.linear or (xp is np and _is_close(pose)):
+        return pose, near, None
+    first = xp.stack(asked.chain.joints[0].origin.position).astype(pose.dtype)
+    away = pose[:, :3] - first
+    counts = jax.lax.stop_gradient(away) if xp is not np else away
+    counts = counts[:, np.array(asked.task.linear)]
+    most = xp.max(xp.abs(counts), axis=1)
+    shrink = xp.where(most > FAR, FAR / xp.maximum(most, FAR), 1.0)[:, None]
+    length = most * xp.sqrt(xp.sum((counts / xp.maximum(most, 1.0)[:, None]) ** 2, axis=1))
+    near_enough = xp.where(shrink < 1, first + shrink * away, pose[:, :3])
+    return (
+        xp.concatenate([near_enough, pose[:, 3:]], axis=1),
+        near,
+        xp.where(most > FAR, length - shrink[:, 0] * length, 0),
+    )
+
+
+def _is_close(pose) -> bool:
+    """Whether no target is so far off: of one alone by Python's numbers, which are quicker than NumPy's."""
+    return max(map(abs, pose[0, :3].tolist())) <= FAR if len(pose) == 1 else not (np.abs(pose[:, :3]) > FAR).any()
+
+
+def outward(asked, made: Reached, chain: Chain, near, moved, xp=np) -> Reached:
+    """What a search found, of the chain that was asked of, in metres.
+
+    Args: near: as the user has it. moved: see `inward`; of several solutions each target's are together.
+    """
+    if asked.unit == 1.0 and moved is None:
+        return made
+    error, status = made.position_error, made.status
+    if moved is not None:
+        moved = moved.reshape(-1, *(1,) * (status.ndim - 1))
+        error = error + moved
+        claims = (status <= ReachStatus.AT_LIMIT) | (status == ReachStatus.JUMP)  # of a target that was nearer
+        status = xp.where((moved > 0) & claims, int(ReachStatus.OUT_OF_BUDGET), status)
+    q = made.q * xp.asarray(of_joints(chain, asked.unit), made.q.dtype)
+    distance = made.distance
+    if near is not None and "m" in chain.units:
+        distance = xp.max(xp.abs(q - near.reshape(len(near), *(1,) * (q.ndim - 2), -1)), axis=-1)
+    return replace(made, q=q, status=status, position_error=asked.unit * error, distance=distance, chain=chain)

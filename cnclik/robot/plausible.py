@@ -1,0 +1,36 @@
+"""Plausible: remarks on a robot whose numbers are probably in another unit: millimetres, degrees."""
+
+import math
+
+from cnclik import errors
+
+LONG = 50.0  # [m] from a joint to the next
+TURNS = 30.0  # [rad] of a joint's limit
+FAST = 60.0, 720.0  # [rad/s] of a joint's velocity limit: beyond them, and where it is 100 or 1000, it is no limit
+
+
+def remark_on_robot(chain) -> None:
+    """Remarks on lengths and limits of a chain, as far as they are written in numbers; one of each kind at most."""
+    places = [(f"joint {chain.joint_names[j.coordinate]!r}", j.origin) for j in chain.joints] + [("the tip", chain.tip)]
+    for what, origin in places:
+        away = max((abs(x) for x in origin.position if type(x) is float), default=0.0)
+        if LONG < away < math.inf:
+            errors.remark(f"{what[0].upper()}{what[1:]} is {away:g} m from the joint before it: lengths are in metres.")
+            break
+    for what, limits, (least, most), unit in (
+        ("a limit", (*chain.lower, *chain.upper), (TURNS, math.inf), "rad"),
+        ("a velocity limit", chain.velocity_limit, FAST, "rad/s"),
+    ):
+        for i, value in enumerate(limits):
+            far = type(value) is float and least < abs(value) < most and value not in (100.0, 1000.0)
+            if far and chain.units[i % chain.n] == "rad":
+                joint = chain.joint_names[i % chain.n]
+                errors.remark(f"Joint {joint!r} has {what} of {value:g} {unit}: angles are in radians.")
+                break
+
+
+def remark_on_angles(what: str, angles) -> None:
+    """A remark where an angle of several [rad] is more than a turn. Args: what: whose angles they are."""
+    most = max((a for a in angles if type(a) is float and math.isfinite(a)), key=abs, default=0.0)
+    if abs(most) > 2 * math.pi:
+        errors.remark(f"{what} is {most:g} rad: angles are in radians.")

@@ -1,0 +1,199 @@
+"""Case: the evidence behind a verdict: a run, its loop, and what the loop's step does at rest where the run ended."""
+
+import dataclasses
+import functools
+
+import jax
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.drive import Drive
+from cnclik.integrate.status import Status
+from cnclik.law import reference as ref
+from cnclik.law.law import Law
+from cnclik.record import replace
+from cnclik.stability.driven import each_drive, modes_of, overshoot
+from cnclik.stability.local import Instant, maps, radii, resting, targets
+from cnclik.stability.observed import Observed, observe, rms
+from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_numbers, of_error, spectrum_of, staying
+
+UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
+WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
+LOOKED_AT = 9  # instants of the last quarter whose target is looked at
+PLENTY = 5.0  # time constants from which on an error that does not shrink is believed to stay
+LEAST = 50  # and steps
+COUNTS = 0.05  # share of the last error from which on a direction of it counts
+UNMOVED = 1e-9  # a factor that is 1 to this is that of a direction that no joint moves
+SLOWEST = 1e6  # steps in which an error falls e-fold, at most
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Case:
+    """A run and its loop.
+
+    Attributes:
+      loop: Ts, method, stage, drive. end, start: postures of the run's last and first instant, where it is judged.
+      target, turn: position and rotation wanted at the end. behind: how far the target moves in a step (RMS, last
+        quarter). path: time that the whole path takes [s], 0 where it is held or nobody knows.
+      rows, radius, null_radius: J (m, n) and spectral radii over the task and its null space, at rest at the end.
+      overshoot: how far beyond the target an error lands there, as a share of itself.
+      fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold.
+      e: weighted error at the end. size: of the last quarter's error, in words.
+    """
+
+    law: Law
+    loop: tuple
+    seen: Observed
+    t: np.ndarray
+    end: Instant
+    start: Instant
+    target: np.ndarray | None
+    turn: np.ndarray | None
+    behind: float
+    path: float
+    rows: np.ndarray
+    radius: float
+    null_radius: float
+    overshoot: float
+    fold: float
+    e: np.ndarray
+    size: str
+
+    @property
+    def steps(self):
+        return len(self.t) - 1
+
+    @property
+    def dead(self):
+        """Steps that pass before a command is seen to act."""
+        drive = self.loop[-1]
+        return 0 if drive.prompt else int(np.ceil(drive.delay + drive.measurement_delay))
+
+    @property
+    def spans(self):
+        """How many of the loop's own time constants the run holds."""
+        return max(self.steps - self.dead, 0) / self.fold
+
+    @property
+    def stays(self):
+        """Whether the run is long enough for an error that does not shrink to be one that stays: also for joints at
+        their velocity limits, which take their time to turn half around."""
+        Ts, limit = self.loop[0], float(np.min(np.array(self.law.chain.velocity_limit, float)))
+        limited = self.law.limits is not None and self.seen.often(Status.AT_LIMIT)
+        unhurried = self.steps * Ts * limit >= np.pi or not limited
+        return self.spans >= PLENTY and self.steps >= LEAST and unhurried
+
+    @property
+    def rounding(self):
+        """Error at which a step is lost in the rounding of q, ulp(q)/2/(alpha·Ts), for the loop's own alpha·Ts."""
+        q = self.end.q
+        ulp = float(np.spacing(np.abs(q).max().astype(self.seen.dtype)))
+        return np.linalg.norm(self.rows, 2) * np.sqrt(len(q)) * ulp / 2 * self.fold
+
+    @property
+    def null_fold(self):
+        """Steps in which the null space of a law that lets it pull at the task settles e-fold; 0 of another law."""
+        return 1 / max(-np.log(self.null_radius), 1 / SLOWEST) if leaky(self.law) and 0 < self.null_radius < 1 else 0.0
+
+    @property
+    def null_unstable(self):
+        return callable(self.law.null_velocity) and self.null_radius > UNSTABLE
+
+    @property
+    def moving(self):
+        return self.behind > self.seen.floor
+
+    @property
+    def covered(self):
+        """How much of the path the run holds, in whole paths; 1 where there is no path."""
+        return float(self.t[-1] - self.t[0]) / self.path * (1 + 1e-9) if self.path else 1.0
+
+    @functools.cached_property
+    def reached(self):
+        """What `reach` finds for the target at the end; None where it can't be asked."""
+        from cnclik.reaching.reach import reach  # here: most runs end where nothing is asked of it
+
+        chain, task = self.law.chain, replace(self.law.task, weights=None)
+        if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
+            return None
+        position, rotation = np.zeros(3), np.eye(3) if self.turn is None else self.turn
+        if self.target is not None:
+            position[list(task.linear) if len(self.target) < 3 else slice(None)] = self.target
+        kept = self.law.limits is not None
+        return reach(chain, (position, rotation), task=task, tolerance=(1e-4, 1e-4), limits=kept)
+
+    def radius_at(self, at: Instant) -> float:
+        """Spectral radius at rest at another posture."""
+        return float(radii(*resting(self.law, at), np.ones(1), *self.loop)[0])
+
+
+def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
+    """The evidence of one lane's run that was computed in a dtype."""
+    seen = observe(law, run, Ts, dtype)
+    t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
+    wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
+    last = 0 if wild else len(run.residual)
+    some = np.linspace(max(last - len(seen.late) + 1, 0), last, LOOKED_AT).round().astype(int)
+    wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some])]
+    end, start = Instant(q[last], None), Instant(q[0], None)
+    weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
+    late, p = e[: seen.bad][-len(seen.late) :], len(law.task.position)
+    parts = ((late[:, :p], "m"), (late[:, p:], "rad"))
+    return Case(
+        law=law,
+        loop=(Ts, method, stage, drive),
+        seen=seen,
+        t=t,
+        end=end,
+        start=start,
+        target=None if wanted[0] is None else wanted[0][-1],
+        turn=None if wanted[1] is None else wanted[1][-1],
+        behind=rms(np.linalg.norm(wanted[2], axis=1)) * Ts,
+        path=whole(reference),
+        e=weighted,
+        size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
+        **_at_rest(law, end, weighted, Ts, method, stage, drive),
+    )
+
+
+def whole(reference: ref.Reference) -> float:
+    """Time that a path takes, once around or from end to end [s]; 0 of a held one, or where nobody knows."""
+    curve = reference.curve
+    if hasattr(curve, "times"):
+        return float(curve.times[-1] - curve.times[0])
+    return abs(float(getattr(curve, "period", getattr(curve, "duration", 0.0))))
+
+
+def _at_rest(law, end, e, Ts, method, stage, drive) -> dict:
+    """What the loop's own step does at rest at the end: rows, radii, overshoot, fold."""
+    rest = resting(law, end)
+    moved, rows = maps(*rest, np.ones(1), Ts, method, stage)
+    if not np.isfinite(moved[0]).all():
+        return dict(rows=rows, radius=np.inf, null_radius=np.inf, overshoot=0.0, fold=1.0)
+    if callable(law.null_velocity):  # what carries the arm to another posture is no fault of the loop's
+        flow = null_flow_of_numbers(rest[0], rest[1].reference, end.q)
+        moved = staying(moved, growing(*map(np.asarray, flow)))
+    found = spectrum_of(moved[0], rows)
+    if drive.prompt:
+        # |λ| to the power of the steps that half a turn takes.
+        radius, sizes, angle = found.radius, np.minimum(np.abs(found.task), 1.0), np.abs(np.angle(found.task))
+        beyond = np.max(np.where(angle > 0, sizes ** (np.pi / np.maximum(angle, 1e-9)), 0.0), initial=0.0)
+    else:
+        radius = float(radii(*rest, np.ones(1), Ts, method, stage, drive)[0])
+        steps = modes_of(moved, directions(rows)[2], Drive())[0]
+        beyond = max(overshoot(steps, one, Ts) for one in each_drive(drive)) if radius < 1 else 1.0
+    slowest = _slowest(moved[0], rows, e) if drive.prompt and method.steps == 1 else radius
+    fold = 1 / max(abs(np.log(max(radius if radius > 1 else slowest, 1e-3))), 1 / SLOWEST)
+    return dict(rows=rows, radius=radius, null_radius=found.null_radius, overshoot=float(beyond), fold=float(fold))
+
+
+def _slowest(moved, rows, e) -> float:
+    """Largest |λ| of the error's own map among the directions that are left in the error, of those that move."""
+    values, vectors = np.linalg.eig(of_error(moved, rows, np))
+    size, moves = np.abs(values), np.abs(values - 1) > UNMOVED
+    try:
+        parts = np.abs(np.linalg.solve(vectors, e.astype(complex))) * np.linalg.norm(vectors, axis=0)
+    except np.linalg.LinAlgError:
+        parts = np.ones(len(size))
+    counts = moves & (parts >= COUNTS * np.linalg.norm(e))
+    return float(size[counts if counts.any() else moves].max(initial=0.0))

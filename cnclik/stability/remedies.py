@@ -1,0 +1,241 @@
+"""Remedies: what would have made a run better, as numbers under the names of a problem's options, and in words."""
+
+import math
+
+import numpy as np
+
+from cnclik.integrate.stage import Picard
+from cnclik.law.inverse import Transpose
+from cnclik.record import record, replace
+from cnclik.robot.kinematics import pose
+from cnclik.robot.posture import arm_length
+from cnclik.stability import reasons
+from cnclik.stability.case import LEAST, PLENTY, WILD
+from cnclik.stability.local import fastest_share, resting, stable_share
+from cnclik.stability.reasons import REVERSING
+
+MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
+ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
+INSIDE = 0.97  # of the way to the edge of what can be reached, where a target is brought to
+SMALL = 0.05  # joint step that is gentle [rad, m]
+ARRIVES = math.log(1e3)  # time constants in which an error is gone
+
+
+@record
+class Remedy:
+    """One change that makes a run better; a verdict's remedies are alternatives.
+
+    Attributes:
+      change: {option: value}, by the names and in the units of `cnclik.problem.OPTIONS`, as plain data; also "speed",
+        the share of the path's speed, "null_gain", that of the null-space velocity, and "shift", by which the whole
+        path moves [m].
+      words: the same as a sentence's part, in the words of Python.
+      mends: what gets better: "error", "motion" (shaking, swinging), "velocity" of joints, or "verdict", which a
+        longer run decides.
+    """
+
+    change: dict
+    words: str
+    mends: str = "error"
+
+
+# --- a longer run -------------------------------------------------------------------------------------
+
+
+def longer(case) -> tuple:
+    """The run that decides: enough of the loop's time constants, and all of the path."""
+    spans = ENOUGH if case.moving else PLENTY
+    return (_steps(case, spans, "verdict", "run for N = {} steps to decide"),)
+
+
+def to_the_end(case) -> tuple:
+    """The run in which a shrinking error is gone."""
+    return (_steps(case, ARRIVES, "error", "run for N = {} steps"),)
+
+
+def _steps(case, spans, mends, words):
+    seen, Ts = case.seen, case.loop[0]
+    size = max(float(np.median(seen.late)), 1e-300)
+    fall = math.log(max(float(np.median(seen.before)) / size, 1.0)) / max(len(seen.late), 1)
+    # The run's own, where limits or a clamp make it slower than its step is at rest.
+    slower = 1 / fall if seen.shrinks and seen.largest > 0.1 * seen.size[0] and fall > 0 else 0.0
+    steps = (
+        max(MARGIN * spans * max(case.fold, case.null_fold, slower), LEAST)
+        + max(case.steps, math.ceil(case.path / Ts))
+        + case.dead
+    )
+    steps = max(steps, 2 * case.steps)
+    digit = 10 ** max(math.floor(math.log10(steps)) - 1, 0)
+    N = digit * math.ceil(steps / digit)  # to two digits, from above
+    return Remedy(change={"N": N}, words=words.format(N), mends=mends)
+
+
+# --- gain ---------------------------------------------------------------------------------------------
+
+
+def lower(case) -> tuple:
+    """What stops a loop that shakes or diverges: less gain, by what is stable at rest at both ends of the run, of which
+    the last may be where it has gone astray."""
+    law, (_, method, stage, drive) = case.law, case.loop
+    ends = [resting(law, at) for at in (case.end, case.start) if np.abs(at.q).max() <= WILD]
+    within = less_null(case, case.null_radius) if case.null_unstable else ()
+    shares = [stable_share(*at, *case.loop) for at in ends]
+    share = min(shares, default=1.0)
+    if 0 < share < 1:
+        at, held = ends[int(np.argmin(shares))]
+        scaled = replace(at, alpha=np.asarray(at.alpha, float) * share)
+        best = share * fastest_share(scaled, held, *case.loop)
+        change = {"alpha": _gain(law, best)} | (within[0].change if within else {})
+        words = f"reduce {_words(law, share, 'below')} ({_amount(law, best)} settles soonest)"
+        words += f" and {within[0].words}" if within else ""
+        made = [Remedy(change=change, words=words, mends="motion")]
+        if within:
+            return tuple(made)
+        solved = method.implicit and isinstance(stage, Picard) and drive.prompt
+        if solved:
+            words = "solve the stage with chord(2)"
+            made.append(Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion"))
+        astray = case.moving and case.seen.size.max() > 10 * case.seen.largest  # there is more to it than the gain
+        if not (method.exponential or solved or astray or not drive.prompt or isinstance(law.inverse, Transpose)):
+            words = "use method EXP-MIDPOINT, which has no such limit"
+            made.append(Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion"))
+        return tuple(made)
+    return within or gentle(case, "motion")
+
+
+def faster(case) -> tuple:
+    """The gain, at most the present one, with which the loop settles soonest."""
+    share = min(fastest_share(*resting(case.law, at), *case.loop) for at in (case.end, case.start))
+    words = f"reduce {_words(case.law, share, 'to about')}, which settles soonest"
+    return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if share < 1 else ()
+
+
+def raised(case) -> tuple:
+    """More gain, where that makes the loop at rest faster: as much as does, up to four times."""
+    at, held = resting(case.law, case.end)
+    scaled = replace(at, alpha=np.asarray(at.alpha, float) * 4.0)
+    share = 4.0 * fastest_share(scaled, held, *case.loop)
+    if not case.loop[-1].prompt:
+        share /= 2  # what settles soonest through a drive overshoots
+    if share <= 1.2:
+        return ()
+    return (Remedy(change={"alpha": _gain(case.law, share)}, words=f"raise {_words(case.law, share, 'to')}"),)
+
+
+def _gain(law, share):
+    return (np.asarray(law.alpha, float) * share).tolist()
+
+
+def _amount(law, share):
+    alpha = np.asarray(law.alpha, float)
+    return f"{share * alpha:.3g} 1/s" if alpha.ndim == 0 else f"{share:.2g} of it"
+
+
+def _words(law, share, word):
+    alpha = np.asarray(law.alpha, float)
+    amount = f"{share * alpha:.3g} 1/s" if alpha.ndim == 0 else f"{share:.2g} of what it is"
+    return f"alpha {word} {amount} at this Ts"
+
+
+def less_null(case, radius=None, share=0.3) -> tuple:
+    """A slower null-space velocity; where its spectral radius is known, so slow that a step leaves half of it."""
+    share = float(share if radius is None else min(0.5 / (1 + radius), 0.5))
+    words = f"reduce the gain of the null-space velocity to {share:.2g} of what it is"
+    return (Remedy(change={"null_gain": share}, words=words, mends="motion"),)
+
+
+# --- far targets, singularities, limits ---------------------------------------------------------------
+
+
+def gentle(case, mends="error") -> tuple:
+    """Damping and a clamp with which a step from anywhere is small and within the velocity limits: ‖q̇‖ ≤ alpha ‖e‖/(2λ)
+    of what the clamp leaves of e."""
+    law, Ts, size = case.law, case.loop[0], min(1.0, arm_length(case.law.chain))
+    rate = float(np.max(np.abs(np.asarray(law.alpha, float))))
+    damping = max(0.1 * size, 3 * float(np.max(np.asarray(getattr(law.inverse, "damping", 0.0)))))
+    most = min(float(np.min(np.array(law.chain.velocity_limit, float))), SMALL / Ts)
+    clamp = float(f"{min(0.1 * size, 1.4 * damping * most / rate):.2g}")
+    words = f"use damped({damping:.2g}) with an error_clamp of ({clamp:.2g}, {clamp:.2g})"
+    change = {"damping": float(f"{damping:.2g}"), "error_clamp": [clamp, clamp]}
+    return (Remedy(change=change, words=words, mends=mends),)
+
+
+def nearer(case) -> tuple:
+    """The nearest target in reach, or a loop that stops quietly before this one."""
+    made, m, n = case.reached, *case.rows.shape
+    if m > n:
+        fewer = "".join(case.law.task.names[:n])
+        return (Remedy(change={"task": fewer}, words=f"ask for fewer coordinates, such as {fewer}"),)
+    found = []
+    if made is not None and np.isfinite(made.q).all():
+        tip = np.asarray(pose(case.law.chain, made.q).position, float)
+        if reasons.beyond(case) > 0 and not case.law.task.orientation:  # a little inside: the edge itself is singular
+            base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
+            tip = base + INSIDE * (tip - base)
+        found.append(
+            _shifted(case, tip)
+            if case.moving
+            else Remedy(change={"target": tip.tolist()}, words=f"bring the target to {_point(tip)}")
+        )
+    if case.seen.visible and case.seen.reversing > REVERSING:
+        found += gentle(case, "motion")
+    return tuple(found)
+
+
+def _shifted(case, tip):
+    """The path moved as far as its end is out of reach."""
+    axes = list(case.law.task.linear) if len(case.target) < 3 else [0, 1, 2]
+    shift = np.zeros(3)
+    shift[axes] = tip[axes] - case.target
+    return Remedy(change={"shift": shift.tolist()}, words=f"move the path by at least {_point(shift)} m")
+
+
+def _point(values):
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+def elsewhere(case) -> tuple:
+    """A start from which the loop gets there: beside a posture that has the target."""
+    made = case.reached
+    if made is None or not made.solved:
+        return ()
+    q = np.round(np.asarray(made.q, float), 4)
+    words = f"start elsewhere, such as near the posture ({', '.join(f'{v:.4g}' for v in q)}), which reaches the target"
+    return (Remedy(change={"q0": q.tolist()}, words=words),)
+
+
+def slower_path(case, share, mends="error") -> tuple:
+    if case.path:
+        period = float(f"{case.path / share:.2g}")
+        words = f"follow a slower path: one that takes {period:g} s, not {case.path:.3g} s"
+        return (Remedy(change={"period": period}, words=words, mends=mends),)
+    return (Remedy(change={"speed": share}, words=f"follow the path at {share:.2g} of its speed", mends=mends),)
+
+
+def slower_joints(case) -> tuple:
+    """What to do about a loop that asks for more than its joints can."""
+    law, excess = case.law, case.seen.excess
+    found = [Remedy(change={"limits": "velocity-scaling"}, words="use limits velocity_scaling()", mends="velocity")]
+    found = [] if law.limits is not None else found
+    within = reasons.null_excess(case)
+    if case.seen.fast_singular:
+        return *gentle(case, "velocity"), *found
+    if within > 0.7 * excess:
+        return *found, *(replace(one, mends="velocity") for one in less_null(case, share=0.5 / within))
+    if excess <= 1 or law.null_velocity is not None:  # through a drive the joints themselves may not have moved so fast
+        return tuple(found)
+    if case.moving and not case.seen.by_error:  # else it is the way onto the path that is too fast
+        return *slower_path(case, 0.8 / excess, "velocity"), *found
+    words = f"reduce {_words(law, 0.9 / excess, 'to')}"
+    return *found, Remedy(change={"alpha": _gain(law, 0.9 / excess)}, words=words, mends="velocity")
+
+
+def less_pull(case) -> tuple:
+    """What ends the pull of a null-space velocity at the task."""
+    exact = Remedy(change={"inverse": "pseudoinverse", "damping": None}, words="use pseudoinverse()")
+    slower = Remedy(change={"null_gain": 0.3}, words="slow the null-space velocity to 0.3 of what it is")
+    damping = getattr(case.law.inverse, "damping", None)
+    if damping is None:
+        return (exact, slower)
+    less = 0.3 * float(np.max(np.asarray(damping)))
+    return (exact, Remedy(change={"damping": less}, words=f"less damping, damped({less:.2g})"), slower)

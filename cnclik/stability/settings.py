@@ -1,0 +1,82 @@
+"""Settings: the same loop in other libraries, each with the feedback, the posture's gain and the lag that it has there.
+
+Run in pink, mink and Placo, and in copies of the loops of Isaac Lab, MoveIt Servo and servoj: results/loops.
+"""
+
+import numpy as np
+
+from cnclik.integrate.drive import MOST, Drive
+from cnclik.record import replace
+from cnclik.stability.driven import SPARE, longer, settling
+from cnclik.stability.recommend import without_overshoot
+
+OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
+LOOKAHEAD = 0.03  # [s], the least that a UR's servoj takes: a lag of its own
+UR = 0.03  # [s] of dead time, where nothing is known
+UNKNOWN = 0.25  # k_val where nothing is known: then a servo of ζ = 0.4 does as one of ζ = 0.8
+MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
+
+
+def settings(loop, drive, safe: Drive, Ts: float) -> dict:
+    """The same loop by explicit Euler elsewhere: {where: what to set there}; what has no gain there is left out.
+
+    Args:
+      loop: `LoopAtRest` of explicit Euler. drive: as it was given, or None. safe: the one that is assumed then.
+    """
+    drives = (replace(safe, feedback="measured"), _rebased(safe), _of_servoj(drive, Ts))
+    measured, rebased, servoj = (MOST_Z if one is None else _recommended(loop, one, Ts) for one in drives)
+    own = f"{OWN_COMMANDS:g} where it is the last command"
+    rebased = min(rebased, UNKNOWN) if drive is None else rebased
+    made = {}
+    if measured:
+        z = f"{measured:.4g}"
+        qp = f"gain {z} of FrameTask, and of PostureTask (1 if left out), dt={Ts:g}, where the configuration"
+        made |= {name: f"{qp} is measured; {own}" for name in ("pink", "mink")}
+        made["Placo"] = (
+            f"each solve takes the whole error: give tasks a target {z} of the way from the measured state "
+            f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {own}"
+        )
+    if rebased:
+        made["Isaac Lab"] = (
+            f'DifferentialIKControllerCfg(ik_method="pinv", ik_params={{"k_val": {rebased:.4g}}}): each position '
+            f"target begins at the measured joints{_settles(_rebased(safe), rebased, Ts)}"
+        )
+    if measured:
+        made["MoveIt Servo"] = (
+            f"publish_period: {Ts:g}; publish_joint_velocities: true, publish_joint_positions: false (a position would "
+            "begin at the measured joints: another loop); pose tracking: x, y, z and angular_proportional_gain: "
+            f"{measured / Ts:.4g}"
+        )
+    if servoj:
+        made["UR servoj"] = (
+            f"alpha = {servoj / Ts:.4g} 1/s, error and J of the measured joints; q_cmd += qdot*{Ts:g}, from the last "
+            f"q_cmd and not from the measured joints; servoj(q_cmd, t={Ts:g}, lookahead_time={LOOKAHEAD:g}), whose lag "
+            "is in this alpha"
+        )
+    return made
+
+
+def _recommended(loop, drive, Ts) -> float:
+    """z by explicit Euler through a drive that has no overshoot with a sample of dead time more."""
+    return without_overshoot(loop, longer(drive), Ts, MOST_Z, MOST_Z)
+
+
+def _rebased(drive) -> Drive | None:
+    """The drive whose position commands begin at the measured joints; None where it follows at once, whatever z."""
+    return replace(drive, command="position", feedback="rebased") if drive.order else None
+
+
+def _of_servoj(drive, Ts) -> Drive:
+    """A UR's: dead time and the lag of LOOKAHEAD; what lags already has dead time more in its place."""
+    if drive is None:
+        return Drive(delay=min(UR / Ts, MOST - SPARE), lag=LOOKAHEAD, command="position")
+    own = replace(drive, feedback="measured", command="position")
+    if drive.order == 0:
+        return replace(own, lag=LOOKAHEAD)
+    return replace(own, delay=min(drive.delay + LOOKAHEAD / Ts, MOST - SPARE - drive.measurement_delay))
+
+
+def _settles(drive, z, Ts) -> str:
+    if drive is None or any(np.ndim(v) for v in (drive.lag, drive.natural_frequency, drive.damping_ratio)):
+        return ""
+    return f", so that a step settles to 2 % in {settling(np.array([[-z]]), drive, Ts):.3g} s"

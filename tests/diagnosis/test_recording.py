@@ -1,0 +1,65 @@
+"""Stamps of any unit and name give the sampling time, with jitter; missing rows are named; status is left out."""
+
+import numpy as np
+import pytest
+
+from cnclik.diagnosis.recording import clock, no_motion, sampling_time
+from cnclik.errors import ArgumentError
+
+TS = 0.002
+K = np.arange(400)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+@pytest.mark.parametrize(("unit", "size"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize(
+    "name", ["timestamp", "__time", "/header/stamp", "t", "time", "header.stamp", "rosbagTimestamp"]
+)
+def test_names_and_units(name, unit, size, start):
+    table = np.stack([(start + TS * K) * size, np.sin(K)], 1)
+    t, places, read = clock([name, "q1"], table)
+    assert places == [0] and read == unit and sampling_time(t, None) == pytest.approx(TS, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["time [ms]", "t_ms", "stamp (ms)", "time_msec"])
+def test_a_unit_in_the_name_goes_first(name):
+    t, _, read = clock([name], 0.25 * K[:, None])
+    assert read == "ms" and sampling_time(t, None) == pytest.approx(0.25e-3)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("header.stamp.sec", "header.stamp.nanosec"),
+        ("/header/stamp/secs", "/header/stamp/nsecs"),
+        ("field.header.stamp.sec", "field.header.stamp.nanosec"),
+    ],
+)
+def test_seconds_and_nanoseconds_are_one_time(names):
+    ns = 1_700_000_000_900_000_000 + 2_000_000 * K.astype(np.int64)
+    table = np.stack([ns // 10**9, ns % 10**9, np.cos(K)], 1).astype(float)
+    t, places, _ = clock([*names, "position"], table)
+    assert places == [0, 1] and sampling_time(t, None) == pytest.approx(TS, rel=1e-6)
+    np.testing.assert_allclose(t, TS * K, atol=1e-9)
+
+
+@pytest.mark.parametrize("names", [("q1", "q2"), ("q_t", "lifetime_x"), ("x", "time_constant_q")])
+def test_joints_are_no_times(names):
+    assert clock(names, np.zeros((20, 2)))[:2] == (None, [])
+
+
+def test_jitter_is_no_missing_row():
+    rng = np.random.default_rng(0)
+    for jitter in (1e-4, 4e-4, 7e-4):
+        t = TS * K + jitter * rng.standard_normal(len(K))
+        assert sampling_time(t, None) == pytest.approx(TS, rel=0.01)
+    t[200:] += 3 * TS
+    with pytest.raises(ArgumentError, match="row 201 comes"):
+        sampling_time(t, None)
+    assert sampling_time(t, TS) == TS  # a Ts that is given goes first
+
+
+def test_status_and_counts_are_no_motion():
+    names = ["q1", "robot_mode", "status", "header.seq", "frame_id", "stateX", "q2"]
+    table = np.stack([np.sin(K), 0 * K + 7, K % 3, K, np.nan * K, 0.5 * np.cos(K), K % 2], 1)
+    assert no_motion(names, table) == [1, 2, 3, 4]

@@ -1,0 +1,72 @@
+"""Every method has the orders that docs/methods.md tells: on its path and from off it, with exact and damped J#."""
+
+import functools
+import pathlib
+import re
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from tests.integrate.test_exponential import CIRCLE, LAW, START, by_steps
+from tests.oracles import clik, planar_law
+
+PAGE = pathlib.Path(__file__).parents[2] / "docs" / "methods.md"
+OFF = START + np.array([0.1, -0.08, 0.12])
+CASES = {"on its path": (START, 0.0), "from off it": (OFF, 0.0), "damped": (OFF, 0.3)}
+QUICK = {("EXP-RK4", "from off it"), ("EXP-MIDPOINT", "damped"), ("CN", "damped")}
+STEPS = {
+    "EXP-AB4": 640,
+    "EXP-AB3": 640,
+    "EXP-HEUN": 320,
+    "AB4": 320,
+    "AB3": 160,
+    "ZNN6": 160,
+    "IFD5": 160,
+}  # N at least
+STEPS |= {("EXP-AB3", "from off it"): 2560}  # its two parts cancel before
+
+
+def told():
+    """The rows of the page's table of orders: method, and its order in each case."""
+    table = PAGE.read_text().split("| method | on its path | from off it | damped |")[1].split("\n\n")[0]
+    for line in table.splitlines()[2:]:
+        names, *orders = (cell.strip() for cell in line.strip().strip("|").split("|"))
+        for name in re.findall(r"`([A-Z0-9-]+)`", names):
+            yield name, dict(zip(CASES, map(int, orders), strict=True))
+
+
+ORDERS = dict(told())
+
+
+@functools.cache
+def exact(case):
+    q0, damping = CASES[case]
+    center = np.asarray(ck.pose(LAW.chain, START).position)[:2] - [0.2, 0.0]
+    turn = lambda t: np.pi / 2 * t  # noqa: E731
+    inverse = np.linalg.pinv if not damping else lambda j: j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(2))
+    f = planar_law(
+        np.array([0.7, 1.1, 0.4]),
+        lambda t: center + 0.2 * np.array([np.cos(turn(t)), np.sin(turn(t))]),
+        lambda t: 0.2 * np.pi / 2 * np.array([-np.sin(turn(t)), np.cos(turn(t))]),
+        4.0,
+        inverse=inverse,
+    )
+    return clik("RK4", f, q0, 1 / 1500, 1500)[-1]
+
+
+def test_the_table_has_every_method():
+    assert set(ORDERS) == set(ck.METHODS)
+    assert all(ck.METHODS[name].order == orders["on its path"] for name, orders in ORDERS.items())
+
+
+@pytest.mark.parametrize(
+    ("name", "case"),
+    [pytest.param(n, c, marks=[] if (n, c) in QUICK else pytest.mark.slow) for n in ORDERS for c in CASES],
+)
+def test_order(name, case):
+    q0, damping = CASES[case]
+    law = ck.replace(LAW, inverse=ck.damped(damping)) if damping else LAW
+    N = STEPS.get((name, case), STEPS.get(name, 80))
+    coarse, fine = (np.linalg.norm(by_steps(law, CIRCLE, q0, 1 / n, n, name)[0][-1] - exact(case)) for n in (N, 2 * N))
+    assert np.log2(coarse / fine) == pytest.approx(ORDERS[name][case], abs=0.25)

@@ -1,0 +1,193 @@
+"""Whatever `near`, `jump` and the arm's size: what forward kinematics leads to within the limits is found.
+
+The instances of a table: of the eight robots in full they are slow, and few by default.
+"""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import ReachStatus
+from cnclik.reaching.map import turns_evenly
+from cnclik.reaching.seeds import spans, turned
+from cnclik.reaching.units import in_units
+from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.reaching.test_reach import both_ways, by_jax, drawn, tips
+
+SIZES = (1e-4, 1e-2, 30.0, 1e4, 1e6)
+
+
+def ends(chain):
+    """The limits (n,), and where a joint has none, those of a turn."""
+    low, high = spans(chain)
+    lower, upper = np.array(chain.lower), np.array(chain.upper)
+    return np.where(np.isfinite(lower), lower, low), np.where(np.isfinite(upper), upper, high)
+
+
+def cases(chain, count):
+    """Postures within the limits, and by name what is asked of where they lead, with the statuses that are right."""
+    rng, (low, high) = np.random.default_rng(7), ends(chain)
+    q, other = rng.uniform(low, high, (2, count, chain.n))
+    turns = 2 * np.pi * np.array(chain.periodic)
+    some = {
+        "nothing": {},
+        "lower limits": {"near": low},
+        "upper limits": {"near": high},
+        "far beyond them": {"near": np.where(rng.random(q.shape) < 0.5, -100.0, 100.0)},
+        "whole turns away": {"near": q + turns * rng.integers(-3, 4, q.shape)},
+        "degrees": {"near": np.degrees(other)},
+        "elsewhere": {"near": other},
+    }
+    for jump in (0.05, 0.5, 2.0):
+        shift = 0.999 * rng.uniform(-jump, jump, q.shape)
+        some[f"jump {jump}"] = {"near": np.clip(q + shift, chain.lower, chain.upper), "jump": jump}
+    far = {"jump elsewhere": {"near": other, "jump": 0.05}, "jump degrees": {"near": np.degrees(other), "jump": 0.05}}
+    right = {ReachStatus.SOLVED}
+    return q, {k: (v, right) for k, v in some.items()} | {k: (v, {*right, ReachStatus.JUMP}) for k, v in far.items()}
+
+
+def wrong(chain, count):
+    """How many are wrong, by case, of those with any."""
+    q, asked = cases(chain, count)
+    targets, found = tips(chain, q), {}
+    for name, (given, right) in asked.items():
+        made = ck.reach(chain, targets, **given)
+        bad = ~np.isin(made.status, list(right))
+        if bad.any():
+            found[name] = str(made)
+        solved = made.solved
+        low, high = np.array(chain.lower), np.array(chain.upper)
+        assert ((made.q >= low) & (made.q <= high))[solved].all(), name
+        if "jump" in given:
+            assert (made.distance[solved] <= given["jump"] * (1 + 1e-9)).all(), name
+    return found
+
+
+@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("robot", [ck.ur5, ck.panda])
+def test_near_is_where_the_search_begins_and_not_where_it_ends(robot, request):
+    slower = request.node.callspec.params["way"] == "jax"
+    assert wrong(robot(), 60 if slower else 300) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOTS)
+def test_near_of_eight_robots(name):
+    file, tip, base = ROBOTS[name]
+    assert wrong(ck.load_urdf(folder() / file, tip, base), 10_000) == {}
+
+
+@both_ways
+def test_degrees_by_mistake_are_turned_into_the_limits():
+    down = [0.0, 1.0, 0.0, 0.0]
+    targets = np.array([[0.3, -0.3, 0.5, *down], [-0.4, 0.2, 0.3, *down]])
+    for some in (targets, targets[0]):
+        assert np.all(ck.reach(ck.ur5(), some, near=[0.0, -90.0, 90.0, -90.0, -90.0, 0.0]).status == 0)
+
+
+def sized(size):
+    """A six-joint arm of about a metre, times `size`."""
+    lengths = np.array([[0.1, 0.4, 0.05, 0.0, 0.0, 0.0], [0.3, 0.0, 0.0, 0.4, 0.0, 0.1]]) * size
+    twist = [np.pi / 2, 0.0, np.pi / 2, -np.pi / 2, np.pi / 2, 0.0]
+    return ck.from_dh(lengths[0].tolist(), twist, lengths[1].tolist(), lower=[-3.0] * 6, upper=[3.0] * 6)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_arms_of_any_size(size):
+    assert wrong(sized(size), 150) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", SIZES)
+def test_many_targets_of_arms_of_any_size(size):
+    assert wrong(sized(size), 10_000) == {}
+    twisted = ck.from_dh([size] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
+    if size < 1e5:  # where it is singular, rounding leaves no micrometre of a larger one
+        assert wrong(twisted, 10_000) == {}
+
+
+@both_ways
+@pytest.mark.parametrize("size", [16.0**-3, 16.0**4])
+def test_an_arm_that_is_another_in_other_units_has_its_answers(size):
+    """Also with joints that slide, tolerances, `accept` and `near`: number for number."""
+
+    def crane(size):
+        a = [0.0, 0.3 * size, 0.4 * size, 0.0]
+        bounds = [-0.5 * size, -3.0, -3.0, -3.0], [0.5 * size, 3.0, 3.0, 3.0]
+        turn = [0.3, np.pi / 2, -np.pi / 2, 0.0]
+        return ck.from_dh(a, turn, [0.0, 0.1 * size, 0.0, 0.2 * size], kinds="PRRR", lower=bounds[0], upper=bounds[1])
+
+    q = drawn(crane(1.0), 30)
+    targets = tips(crane(1.0), q)[:, :3, 3]
+    targets[::7] *= 3.0
+    per, made = np.array([1.0, 0.0, 0.0, 0.0]), {}
+    for unit in (1.0, size):
+        own = np.where(per > 0, unit, 1.0)
+        given = {"near": q * own + 0.1 * own, "tolerance": (1e-6 * unit, 1e-6), "accept": (1e-2 * unit, 1.0)}
+        made[unit] = ck.reach(crane(unit), targets * unit, task="position", **given)
+    one, other = made.values()
+    assert (one.status == other.status).all() and len(set(one.status.tolist())) >= 2
+    np.testing.assert_allclose(other.q / own, one.q, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(other.position_error / size, one.position_error, rtol=1e-9)
+    np.testing.assert_allclose(other.distance, np.abs(other.q - given["near"]).max(axis=1))
+    assert (other.at_limit == one.at_limit).all() and other.chain.lower[0] == -0.5 * size
+
+
+def test_the_unit_is_near_the_arms_size():
+    for size in (1e-4, 0.02, 0.3, 1.0, 3.9, 40.0, 1e6):
+        chain = ck.planar_arm([size / 2, size / 2])
+        inner, unit = in_units(chain)
+        assert 0.24 < size / unit < 4.1 and (unit == 1.0) == (0.25 <= size <= 4)
+        assert (inner is chain) == (unit == 1.0)
+
+
+def test_turns_stay_within_the_bounds():
+    low, high = np.array([-np.pi, -2.0, -np.inf, 0.0]), np.array([np.pi, 2.0, np.inf, 13.0])
+    periods = np.array([2 * np.pi, 2 * np.pi, 2 * np.pi, 0.0])
+    rng = np.random.default_rng(1)
+    q, about = np.clip(rng.uniform(-7, 13, (500, 4)), low, high), rng.uniform(-40, 40, (500, 4))
+    found = turned(q, about, periods, low, high)
+    assert ((found >= low - 1e-12) & (found <= high + 1e-12)).all()
+    np.testing.assert_allclose(np.cos(found[:, :3]), np.cos(q[:, :3]), atol=1e-12)
+    assert (found[:, 3] == q[:, 3]).all() and (np.abs(found - about)[:, 2] <= np.pi + 1e-9).all()
+    assert (np.abs(found - about) <= np.abs(q - about) + 1e-9).all()
+
+
+@both_ways
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [1e20, 1e155, 1e300])
+def test_the_nearest_pose_to_a_target_beyond_all_squares_points_there(far):
+    arm = ck.planar_arm([1.0, 1.0])
+    made = ck.reach(arm, [[far, 0.0, 0.0], [-far, far, 0.0], [0.9, 0.4, 0.0]] * 3, task=ck.position("xy"))
+    alone = ck.reach(arm, [far, 0.0, 0.0], task=ck.position("xy"))
+    assert made.status.tolist() == [3, 3, 0] * 3 and alone.status == 3
+    np.testing.assert_allclose(made.position_error[:2], [far, np.hypot(far, far)], rtol=1e-12)
+    there = tips(arm, made.q[:2])[:, :2, 3]
+    np.testing.assert_allclose(there, [[2.0, 0.0], [-np.sqrt(2), np.sqrt(2)]], atol=1e-3)
+
+
+@both_ways
+def test_at_limit_names_a_joint():
+    held = ck.replace(ck.ur5(), lower=(-1.0,) * 6, upper=(1.5,) * 6)
+    where = np.concatenate(
+        [tips(ck.ur5(), drawn(ck.ur5(), 60))[:, :3, 3], np.random.default_rng(0).uniform(-0.8, 0.8, (60, 3))]
+    )
+    made = ck.reach(held, (where, turns_evenly(120)))
+    at_limit = made.status == ReachStatus.AT_LIMIT
+    assert at_limit.sum() > 20 and made.at_limit[at_limit].any(axis=1).all()
+    assert not made.at_limit[np.isnan(made.q).any(axis=1)].any()
+
+
+@both_ways
+def test_a_jump_that_only_limits_forbid_is_no_lack_of_reach():
+    held = ck.planar_arm([1.0, 1.0])
+    held = ck.replace(held, lower=(-1.0, 0.1), upper=(1.0, 2.0))
+    q = np.array([[1.2, 0.5]])
+    for some in (tips(held, q)[0, :3, 3], tips(held, q)[[0] * 9, :3, 3]):
+        made = ck.reach(held, some, task=ck.position("xy"), near=[0.9, 0.6], jump=0.2)
+        assert np.all(made.status == ReachStatus.AT_LIMIT)
+
+
+def test_progress_is_a_function():
+    with pytest.raises(ck.ArgumentError, match="`progress` must be a function"):
+        ck.reach(ck.planar_arm([1.0]), [0.0, 1.0, 0.0], task=ck.position("xy"), progress=5)

@@ -1,0 +1,133 @@
+"""Several solutions: all that closed forms know, what different means, and what a summary counts."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import ReachStatus
+from tests.reaching.test_reach import both_ways, by_jax, tips
+
+# Modified Denavit-Hartenberg parameters of an arm whose wrist is spherical.
+A, ALPHA = (0.0, 0.16, 0.78, 0.15, 0.0, 0.0), (0.0, -np.pi / 2, 0.0, -np.pi / 2, np.pi / 2, -np.pi / 2)
+THETA, D = (0.0, -np.pi / 2, 0.0, 0.0, 0.0, np.pi), (0.49, 0.0, 0.0, 0.66, 0.0, 0.11)
+
+
+def arm(limit=np.pi):
+    dh = map(list, (A, ALPHA, D, THETA))
+    return ck.from_dh(*dh, convention="modified", lower=[-limit] * 6, upper=[limit] * 6)
+
+
+def rx(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def rz(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def in_closed_form(target):
+    """All joint values (K, 6) of a target (4, 4): shoulder, elbow and wrist each one way or the other (Pieper 1968)."""
+    wrist, found = target[:3, 3] - D[5] * target[:3, 2], []
+    for shoulder, elbow, flip in itertools.product((0, 1), (1, -1), (1, -1)):
+        first = np.arctan2(wrist[1], wrist[0]) + shoulder * np.pi
+        x, y, _ = rx(ALPHA[1]).T @ (rz(first).T @ (wrist - [0, 0, D[0]])) - [A[1], 0, 0]
+        upper, fore = A[2], np.hypot(A[3], D[3])
+        cosine = (x * x + y * y - upper**2 - fore**2) / (2 * upper * fore)
+        if abs(cosine) > 1:
+            continue
+        bend = elbow * np.arccos(cosine)
+        second = np.arctan2(y, x) - np.arctan2(fore * np.sin(bend), upper + fore * np.cos(bend))
+        third = bend - np.arctan2(D[3], A[3])
+        to_wrist = rz(first) @ rx(ALPHA[1]) @ rz(second) @ rz(third)
+        left = rx(-ALPHA[3]) @ to_wrist.T @ target[:3, :3]  # Rz(θ4) Ry(−θ5) Rz(θ6)
+        nod = flip * np.arccos(np.clip(left[2, 2], -1, 1))
+        fourth = np.arctan2(flip * left[1, 2], flip * left[0, 2])
+        sixth = np.arctan2(flip * left[2, 1], -flip * left[2, 0])
+        q = np.array([first, second, third, fourth, -nod, sixth]) - THETA
+        found.append(q - 2 * np.pi * np.round(q / (2 * np.pi)))
+    return np.array(found).reshape(-1, 6)
+
+
+def apart(q, others):
+    """The largest joint's difference (K,), without whole turns."""
+    gap = np.abs(others - q)
+    return np.abs(gap - 2 * np.pi * np.round(gap / (2 * np.pi))).max(axis=1)
+
+
+def complete(chain, targets, made):
+    """Of which targets every solution in closed form, within the limits, was found, or one that is not different."""
+    limit, done = chain.upper[0], []
+    for target, q, status in zip(targets, made.q, made.status, strict=True):
+        known = in_closed_form(target)
+        np.testing.assert_allclose(tips(chain, known), np.tile(target, (len(known), 1, 1)), atol=1e-9)
+        known = known[(np.abs(known) <= limit - 1e-6).all(axis=1)]
+        done.append(all((apart(k, q[status == 0]) < 0.1).any() for k in known))
+    return np.array(done)
+
+
+@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("limit", [np.pi, 2.5])
+def test_all_that_the_closed_form_knows(limit, request):
+    count = 60 if request.node.callspec.params["way"] == "jax" else 150
+    _all_of(limit, count, at_least=count - 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [np.pi, 2.5])
+def test_all_of_a_thousand(limit):
+    _all_of(limit, 1000, at_least=999)
+
+
+def _all_of(limit, count, at_least):
+    chain = arm(limit)
+    targets = tips(chain, np.random.default_rng(3).uniform(-limit, limit, (count, 6)))
+    made = ck.reach(chain, targets, solutions=12)
+    assert complete(chain, targets, made).sum() >= at_least
+    there = tips(chain, made.q.reshape(-1, 6)).reshape(count, 12, 4, 4)
+    right = np.abs(there - targets[:, None]).max(axis=(2, 3))
+    assert (right[made.status == 0] < 3e-6).all()
+    for q, status in zip(made.q, made.status, strict=True):
+        own = q[status == 0]
+        assert all((apart(v, np.delete(own, k, axis=0)) >= 0.1).all() for k, v in enumerate(own))
+
+
+@both_ways
+def test_eight_solutions_of_a_symmetric_pose():
+    target = np.diag([-1.0, 1.0, -1.0, 1.0])
+    target[:3, 3] = 0.2834, 0.2788, 0.3
+    made = ck.reach(arm(), target, solutions=10)
+    assert (made.status == 0).sum() == 8 and complete(arm(), target[None], _first(made))[0]
+    firsts = np.sort(made.q[made.status == 0][:, 0])
+    np.testing.assert_allclose(firsts, [-2.364376] * 4 + [0.777216] * 4, atol=2e-6)
+
+
+def _first(made):
+    return ck.replace(made, q=made.q[None], status=made.status[None])
+
+
+@both_ways
+def test_a_solution_at_a_limit_is_one():
+    chain = ck.replace(ck.planar_arm([1.0, 1.0]), lower=(-2.0, 0.0), upper=(2.0, 2.5))
+    for bend in (0.0, 2.5):
+        made = ck.reach(chain, tips(chain, np.array([[0.4, bend]]))[0, :3, 3], task=ck.position("xy"), solutions=3)
+        assert made.status.tolist() == [0, ReachStatus.NO_OTHER, ReachStatus.NO_OTHER]
+
+
+@both_ways
+def test_the_solutions_of_a_target_are_its_own():
+    """Whatever is asked beside it."""
+    targets = tips(arm(), np.random.default_rng(3).uniform(-3, 3, (12, 6)))
+    whole, one = ck.reach(arm(), targets, solutions=4), ck.reach(arm(), targets[7], solutions=4)
+    np.testing.assert_allclose(whole.q[7], one.q, atol=1e-5)
+
+
+def test_a_summary_counts_targets():
+    targets = tips(ck.planar_arm([1.0, 1.0]), np.array([[0.3, 1.0], [-0.4, -0.7]]))[:, :3, 3]
+    made = ck.reach(ck.planar_arm([1.0, 1.0]), targets, task=ck.position("xy"), solutions=3)
+    assert str(made) == "Reached: 2 targets, 3 solutions of each: 4 SOLVED, 2 NO_OTHER"
+    alone = ck.reach(ck.planar_arm([1.0, 1.0]), targets[0], task=ck.position("xy"), solutions=3)
+    assert str(alone) == "Reached: 1 target, 3 solutions of each: 2 SOLVED, 1 NO_OTHER"

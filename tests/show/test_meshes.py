@@ -1,0 +1,68 @@
+"""Meshes of a page: those of the robot's own package, and no others, whatever a URDF file names."""
+
+import shutil
+
+import pytest
+
+trimesh = pytest.importorskip("trimesh")
+
+from cnclik.show.viewer import meshes  # noqa: E402
+
+
+def robot(folder, *names):
+    """A URDF file whose only link names meshes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    seen = "".join(f'<visual><geometry><mesh filename="{name}"/></geometry></visual>' for name in names)
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>'
+    (folder / "arm.urdf").write_text(f'<robot name="r"><link name="a">{seen}</link><link name="b"/>{joint}</robot>')
+    return folder / "arm.urdf"
+
+
+def mesh(folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box((1, 1, 1)).export(folder / "part.stl")
+    return folder / "part.stl"
+
+
+PACKAGES = {  # where the file is, and how it names meshes/part.stl of its package
+    "with package.xml": ("urdf/v1", ["package://arm/meshes/part.stl", "package://named/meshes/part.stl"], "named"),
+    "laid out as one": ("urdf", ["package://arm/meshes/part.stl", "../meshes/part.stl"], None),
+    "beside its meshes": (".", ["meshes/part.stl", "package://arm/meshes/part.stl", "package://meshes/part.stl"], None),
+}
+
+
+@pytest.mark.parametrize("kind", PACKAGES)
+def test_meshes_of_its_own_package_are_drawn(kind, tmp_path):
+    where, names, package = PACKAGES[kind]
+    part = mesh(tmp_path / "arm" / "meshes")
+    if package:
+        (tmp_path / "arm/package.xml").write_text(f"<package><name>{package}</name></package>")
+    for name in (*names, f"file://{part}"):
+        (drawn,) = meshes.mesh_parts(robot(tmp_path / "arm" / where, name))
+        assert len(drawn.faces) == 12
+
+
+@pytest.mark.parametrize("package", [False, True])
+def test_no_other_mesh_of_the_disk_is_reached(package, tmp_path):
+    theirs = mesh(tmp_path / "home" / "secret")
+    inside = tmp_path / "home" / "downloads" / "arm"
+    mesh(inside / "meshes")
+    other = tmp_path / "home" / "other"
+    other.mkdir()
+    (other / "package.xml").write_text("<package><name>other</name></package>")
+    shutil.copy(theirs, other)
+    (inside / "link.stl").symlink_to(theirs)
+    if package:
+        (inside / "package.xml").write_text("<package/>")
+    ancestors = [folder.name for folder in theirs.parents][:-1]
+    names = [
+        *(str(theirs), f"file://{theirs}", f"package://{theirs}", f"package://.{theirs}", f"package://..{theirs}"),
+        *(f"package://{name}/{'../' * up}{theirs.relative_to(theirs.parents[k])}" for k, name in enumerate(ancestors)
+          for up in (0, 1)),
+        *("package://home/secret/part.stl", "package://downloads/../secret/part.stl", "package://other/part.stl"),
+        *("model://home/secret/part.stl", "../../secret/part.stl", "package://arm/../../secret/part.stl", "link.stl"),
+        *("package://arm/link.stl", "package://", "package:///", "://", ""),
+    ]  # fmt: skip
+    for name in names:
+        assert meshes.mesh_parts(robot(inside / "urdf", name)) == [], name
+        assert meshes.mesh_parts(robot(inside, name)) == [], name

@@ -1,0 +1,499 @@
+"""Random loops whose verdict is held against what they do later: `python -m tests.stability.loops --loops 2000`.
+
+A family is a program: robot, task, inverse, limits, method, drive and kind of path. Its loops differ in gain, sampling
+time, start, target and number of steps N. Each is run twenty times as long as the longest of its family; what is
+judged are its first N steps, and what is true stands in the rest. Each remedy is applied, as data, and run again.
+"""
+
+import argparse
+import dataclasses
+import functools
+import math
+from collections import Counter
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import least_squares
+
+import cnclik as ck
+import tests.conftest  # noqa: F401  its flags, before JAX computes anything
+from cnclik.integrate.method import named
+from cnclik.integrate.status import Status
+from cnclik.integrate.trajectory import truncate
+from cnclik.law.law import evaluate
+from cnclik.law.reference import sample
+from cnclik.problem.names import task_from
+from cnclik.robot import spatial as sp
+from cnclik.robot.posture import arm_length
+from cnclik.stability.local import Instant, radii, resting
+
+SHORT, LONG = 200, 20  # most steps that are judged, and how many times as many are run
+MOST = 12_000  # steps that a remedy may ask for here
+METHODS = ("EE", "IE", "CN", "TRAPEZOID", "HEUN", "RK4", "AB2", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2")
+ROBOTS = {
+    "two": (functools.partial(ck.planar_arm, [1.0, 0.8]), ("xy",)),
+    "three": (functools.partial(ck.planar_arm, [1.0, 0.5, 0.3]), ("xy", "xyrz")),
+    "five": (functools.partial(ck.planar_arm, [1.0] * 5), ("xy", "xyrz")),
+    "ur5": (ck.ur5, ("position", "pose")),
+    "panda": (ck.panda, ("position", "pose")),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Family:
+    """A program."""
+
+    number: int
+    robot: str
+    task: str
+    inverse: str
+    limits: str
+    method: str
+    stage: object
+    drive: ck.Drive
+    path: str
+    feedforward: float
+    clamp: bool
+    null: str
+
+    @property
+    def method_record(self):
+        return named(self.method)
+
+    @functools.cached_property
+    def chain(self):
+        return ROBOTS[self.robot][0]()
+
+
+def family(number: int, seed: int = 0) -> Family:
+    """The family of this number."""
+    rng = np.random.default_rng((seed, number))
+
+    def pick(values, p=None):
+        return values[rng.choice(len(values), p=p)]
+
+    robot = pick(list(ROBOTS), [0.2, 0.2, 0.2, 0.2, 0.2])
+    method = pick(METHODS, [0.25, 0.05, 0.05, 0.05, 0.05, 0.1, 0.1, 0.25, 0.05, 0.05])
+    late = [ck.Drive(delay=float(rng.integers(1, 12))), ck.Drive(delay=2.0, lag=0.03), ck.Drive(lag=0.05)]
+    late += [ck.Drive(natural_frequency=40.0, damping_ratio=0.8, command="position", delay=1.0)]
+    return Family(
+        number=number,
+        robot=robot,
+        task=pick(ROBOTS[robot][1]),
+        inverse=pick(("pseudoinverse", "damped", "transpose"), [0.6, 0.3, 0.1]),
+        limits=pick(("none", "velocity-scaling", "weighted-least-norm", "saturation"), [0.7, 0.15, 0.1, 0.05]),
+        method=method,
+        stage=pick((ck.picard(5), ck.chord(2))),
+        drive=pick((ck.Drive(), pick(late)), [0.75, 0.25]),
+        path=pick(("hold", "line", "circle"), [0.6, 0.2, 0.2]),
+        feedforward=pick((1.0, 0.0), [0.8, 0.2]),
+        clamp=bool(rng.random() < 0.15),
+        null=pick(("", "posture"), [0.85, 0.15]),
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Loop:
+    """A loop of a family; `reachable` is None where nobody knows."""
+
+    law: ck.Law
+    reference: object
+    q0: np.ndarray
+    Ts: np.ndarray
+    N: int
+    reachable: bool | None
+
+
+def posture(chain, rng):
+    low, high = (np.clip(np.array(v, float), -np.pi, np.pi) for v in (chain.lower, chain.upper))
+    return low + (high - low) * rng.random(chain.n)
+
+
+def draw(of: Family, number: int, seed: int = 0) -> Loop:
+    """The loop of this number."""
+    rng, chain, task = np.random.default_rng((seed, of.number, number)), of.chain, _task(of)
+    low, high = np.clip(np.array(chain.lower), -7, 7), np.clip(np.array(chain.upper), -7, 7)
+    q0 = posture(chain, rng)
+    if rng.random() < 0.15:  # stretched, or a rounding beside it
+        q0 = np.clip(np.zeros(chain.n) + rng.choice([0.0, 1e-6, 1e-2]) * rng.standard_normal(chain.n), low, high)
+    z, Ts = 10 ** rng.uniform(-2.5, 0.7), 10 ** rng.uniform(-3, -1)
+    N = round(10 ** rng.uniform(np.log10(3), np.log10(SHORT)))
+    kind = rng.choice(["near", "anywhere", "far", "singular", "there"], p=[0.55, 0.25, 0.1, 0.05, 0.05])
+    goal = {"near": np.clip(q0 + 10 ** rng.uniform(-2, -0.3) * rng.standard_normal(chain.n), low, high)}
+    goal |= {"anywhere": posture(chain, rng), "singular": np.clip(np.zeros(chain.n), low, high), "there": q0}
+    end = ck.pose(chain, goal.get(kind, q0))
+    position, rotation = np.asarray(end.position, float), np.asarray(end.rotation, float)
+    start = ck.pose(chain, q0)
+    reachable = kind != "far"
+    if not reachable:
+        away = rng.standard_normal(3) * np.array([1, 1, 0 if of.robot in ("two", "three", "five") else 1])
+        position = away / np.linalg.norm(away) * rng.uniform(1.1, 2.0) * _length(chain)
+    if of.path == "hold":
+        reference = ck.hold(position, rotation)
+    elif of.path == "line":
+        reference = ck.line(
+            np.asarray(start.position, float),
+            position,
+            rotation=np.asarray(start.rotation, float),
+            rotation_end=rotation,
+            duration=jnp.asarray(10 ** rng.uniform(-0.5, 1.5)),
+        )
+    else:
+        radius, normal = 10 ** rng.uniform(-2, -0.7), np.array([0.0, 0.0, 1.0])
+        begin = np.asarray(start.position, float) + rng.choice([0.0, 0.05]) * np.array([1.0, 0.5, 0.0])
+        inward = -begin / max(np.linalg.norm(begin[:2]), 1e-9) * np.array([1, 1, 0])
+        inward = inward if np.linalg.norm(inward) > 0.5 else np.array([1.0, 0, 0])
+        reference = ck.circle(
+            begin + radius * inward,
+            radius,
+            period=jnp.asarray(10 ** rng.uniform(-0.3, 1.5)),
+            normal=normal,
+            phase=float(np.arctan2(-inward[1], -inward[0])),
+            rotation=np.asarray(start.rotation, float),
+        )
+        reachable = None
+    made = {
+        "pseudoinverse": ck.pseudoinverse,
+        "damped": lambda: ck.damped(jnp.asarray(10 ** rng.uniform(-2.5, -0.3))),
+        "transpose": ck.transpose,
+    }[of.inverse]()
+    limits = {"none": None, "velocity-scaling": ck.velocity_scaling()}
+    limits |= {"weighted-least-norm": ck.weighted_least_norm(), "saturation": ck.saturation()}
+    law = ck.Law(
+        chain,
+        task,
+        alpha=jnp.asarray(z / Ts),
+        inverse=made,
+        limits=limits[of.limits],
+        feedforward=of.feedforward,
+        error_clamp=np.array([0.1, 0.3]) if of.clamp else None,
+        null_velocity=ck.posture(np.array(posture(chain, rng)), jnp.asarray(10 ** rng.uniform(-1, 1)))
+        if of.null and chain.n > task.m
+        else None,
+    )
+    return Loop(law=law, reference=reference, q0=q0, Ts=np.asarray(Ts), N=N, reachable=reachable)
+
+
+def _length(chain):
+    base = np.array([float(v) for v in chain.joints[0].origin.position])
+    return arm_length(chain) + np.linalg.norm(base)
+
+
+def _task(of):
+    return task_from(of.task, of.chain)
+
+
+@functools.partial(jax.jit, static_argnames=("N", "method", "stage", "drive"))
+def _solved(law, reference, q0, Ts, *, N, method, stage, drive):
+    def one(law, reference, q0, Ts):
+        return ck.solve(law, reference, q0, Ts, N, method, stage, drive=drive.value)
+
+    return jax.vmap(one)(law, reference, q0, Ts)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Known:
+    """What is compiled in, hashed by what it says."""
+
+    value: object
+
+    def __hash__(self):
+        return hash(repr(self.value))
+
+    def __eq__(self, other):
+        return repr(self.value) == repr(other.value)
+
+
+def solved(loops, N, method, stage, drive):
+    """The runs of loops of one structure, side by side, as NumPy arrays."""
+    stacked = [
+        jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, float) for x in v]), *each)
+        for each in zip(*[(one.law, one.reference, one.q0, one.Ts) for one in loops], strict=True)
+    ]
+    found = _solved(*stacked, N=N, method=method, stage=stage, drive=_Known(drive))
+    found = jax.tree.map(np.asarray, found)
+    return [jax.tree.map(lambda v, i=i: v[i], found) for i in range(len(loops))]
+
+
+# --- what is true -------------------------------------------------------------------------------------
+
+ARRIVED = 2e-3  # of the first error: what is smaller has arrived
+VISIBLE = 1e-4  # joint steps, in rad or m, that are smaller are calm
+
+
+def late(run):
+    """Largest error of the last quarter; infinite where one is not finite."""
+    size = np.linalg.norm(run.e, axis=1)[-max(len(run.e) // 4, 1) :]
+    return float(size.max()) if np.isfinite(size).all() else np.inf
+
+
+def arrived(run):
+    return late(run) <= max(ARRIVED * np.linalg.norm(run.e[0]), 1e-9)
+
+
+def calm(run):
+    """Whether joints hardly move in the last quarter."""
+    steps = np.linalg.norm(run.qdot, axis=1)[-max(len(run.qdot) // 4, 1) :] * float(run.t[1] - run.t[0])
+    return bool(np.isfinite(steps).all() and steps.max() < VISIBLE)
+
+
+def swings(run):
+    """How often the error changes its sense while it is larger than a thousandth of the first."""
+    along = run.e @ run.e[0] / max(float(run.e[0] @ run.e[0]), 1e-300)
+    along = along[np.abs(along) > 1e-3]
+    return int(np.sum(along[1:] * along[:-1] < 0))
+
+
+def ends(loop):
+    """When the target stops, None for never."""
+    curve = loop.reference.curve
+    return 0.0 if hasattr(curve, "position") else float(curve.duration) if hasattr(curve, "duration") else None
+
+
+def moving(loop, N):
+    return ends(loop) is None or float(N * loop.Ts) < ends(loop)
+
+
+def reachable(loop, N):
+    """Whether some posture, within the limits where the law keeps them, has the tip where it is to be after N steps.
+
+    SciPy's own search, where it isn't known from how the target was made.
+    """
+    if not moving(loop, N):
+        return loop.reachable
+    chain, task = loop.law.chain, loop.law.task
+    position, rotation, _ = sample(loop.reference, task, float(N * loop.Ts), unrolled=False)
+    target = ck.hold(
+        np.asarray(position) if task.position else None, np.asarray(rotation) if task.orientation else None
+    )
+    law = ck.replace(loop.law, limits=None, null_velocity=None, inverse=ck.damped(1.0))
+    low, high = np.array(chain.lower, float), np.array(chain.upper, float)
+    bounds = (low, high) if loop.law.limits is not None else (-np.inf, np.inf)
+    rng, found = np.random.default_rng(0), False
+    for _ in range(12):
+        made = least_squares(lambda q: np.asarray(_error(law, target, q)), posture(chain, rng), bounds=bounds)
+        found = found or made.cost < 1e-12
+    return found
+
+
+@jax.jit
+def _error(law, target, q):
+    return sp.packed(evaluate(law, target, jnp.zeros(()), tuple(q)).e)
+
+
+def falsehood(loop, said, run, whole, of):
+    """What is wrong with a verdict on the first N steps of a whole run; "" where nothing is."""
+    kind, claimed, finally_ = str(said.kind), said.error, late(whole)
+    N = loop.N
+    floor = max(1e-9, ARRIVED * float(np.linalg.norm(run.e[0])))
+    if not np.isfinite(finally_):
+        return "it is lost in the end" if kind in ("settled", "settled with lag", "converging") else ""
+    if kind in ("settled", "settled with lag"):
+        path = moving(loop, N)
+        if path and ends(loop) is not None:  # while the line lasts
+            last = min(int(ends(loop) / float(loop.Ts)), len(whole.e) - 1)
+            size = np.linalg.norm(whole.e, axis=1)[N : last + 1]
+            if len(size) < 2:
+                return ""
+            finally_ = float(size.max())
+        behind = float(np.max(np.linalg.norm(np.diff(whole.x, axis=0), axis=1)[-len(whole.x) // 4 :])) if path else 0.0
+        if finally_ > max((5 if path else 2) * claimed, floor) + behind:
+            return f"{finally_:.2g} later"
+        if kind == "settled with lag" and path and finally_ < 0.2 * claimed:
+            return f"the lag is {finally_:.2g} later"
+    if kind == "converging" and finally_ > max((0.98 if "slowly" in said.sentence else 0.5) * claimed, floor):
+        return f"{finally_:.2g} later"
+    if kind == "diverging" and (arrived(whole) or finally_ < 0.3 * claimed) and spectral(loop, whole, of) < 1:
+        return f"{finally_:.2g} later"
+    if kind == "shaking" and calm(whole) and spectral(loop, whole, of) < 1:
+        return "it is calm later"
+    if kind == "ringing" and swings(run) < 2:
+        return "the error does not swing"
+    if kind in ("stuck at a limit", "no progress") and not moving(loop, 0.75 * N) and finally_ < 0.5 * claimed:
+        return f"{finally_:.2g} later"
+    if kind == "out of reach" and ((arrived(whole) and not moving(loop, N)) or reachable(loop, N)):
+        return f"it is in reach, {finally_:.2g} later"
+    return ""
+
+
+def spectral(loop, run, of):
+    """Spectral radius at rest where a run ends."""
+    if not (np.isfinite(run.q[-1]).all() and np.abs(run.q[-1]).max() < 1e3):
+        return np.inf
+    how = of.method_record, of.stage, of.drive
+    return float(radii(*resting(loop.law, Instant(run.q[-1], None)), np.ones(1), float(loop.Ts), *how)[0])
+
+
+# --- whether remedies mend ----------------------------------------------------------------------------
+
+
+def mended(loop, of, remedy):
+    """The loop and the family with a remedy's change, taken as data."""
+    law, reference, change = loop.law, loop.reference, dict(remedy.change)
+    loop = dataclasses.replace(loop, N=change.pop("N", loop.N), q0=np.asarray(change.pop("q0", loop.q0)))
+    if "stage" in change:
+        of = dataclasses.replace(of, stage=getattr(ck, change.pop("stage"))(change.pop("M")))
+    of = dataclasses.replace(of, method=change.pop("method", of.method))
+    if "target" in change:
+        reference = ck.hold(np.asarray(change.pop("target"), float), reference.curve.rotation)
+    if "shift" in change:
+        shift, curve = np.asarray(change.pop("shift"), float), reference.curve
+        moved = {
+            name: np.asarray(getattr(curve, name)) + shift
+            for name in ("center", "start", "end")
+            if hasattr(curve, name)
+        }
+        reference = ck.replace(reference, curve=ck.replace(curve, **moved))
+    if "period" in change:
+        field = "period" if hasattr(reference.curve, "period") else "duration"
+        old, period = float(getattr(reference.curve, field)), float(change.pop("period"))
+        reference = ck.replace(reference, curve=ck.replace(reference.curve, **{field: jnp.asarray(period)}))
+        loop = dataclasses.replace(loop, N=math.ceil(loop.N * period / old))  # the same part of it
+    if "alpha" in change:
+        law = ck.replace(law, alpha=jnp.asarray(change.pop("alpha")))
+    if change.pop("inverse", None) == "pseudoinverse":
+        law = ck.replace(law, inverse=ck.pseudoinverse())
+        change.pop("damping")
+    if "damping" in change:
+        law = ck.replace(law, inverse=ck.damped(jnp.asarray(change.pop("damping"))))
+    if "error_clamp" in change:
+        law = ck.replace(law, error_clamp=np.asarray(change.pop("error_clamp"), float))
+    if change.pop("limits", None) == "velocity-scaling":
+        law = ck.replace(law, limits=ck.velocity_scaling())
+    if "feedforward" in change:
+        law = ck.replace(law, feedforward=change.pop("feedforward"))
+    if "null_gain" in change:
+        null = law.null_velocity
+        law = ck.replace(law, null_velocity=ck.replace(null, rate=null.rate * change.pop("null_gain")))
+    assert not change, change
+    return dataclasses.replace(loop, law=law, reference=reference), of
+
+
+def excess(law, run):
+    """How many steps are too fast, and how much the fastest."""
+    fast = np.sum(run.status & int(Status.OVER_VELOCITY) != 0)
+    return fast > 0, float(np.max(np.abs(run.qdot) / np.array(law.chain.velocity_limit, float)))
+
+
+def chatter(run):
+    """Largest joint speed that the next step reverses, in the second half."""
+    v = run.qdot[len(run.qdot) // 2 - 1 :]
+    return float(np.max(np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0), initial=0.0))
+
+
+def improves(remedy, loop, run, whole, other, after, whole_after, of):
+    """Whether what a remedy is to mend is better in the run that it makes."""
+    if remedy.mends == "verdict":
+        return str(said_of(other, after, of).kind) != "too short to tell"
+    if not (np.isfinite(after.e).all() and np.isfinite(after.q).all()):
+        return False
+    if not np.isfinite(run.e).all():
+        return True
+    if remedy.mends == "velocity":
+        return excess(loop.law, after) < excess(loop.law, run)
+    if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
+        return True
+    less = late(after) < (0.3 if "N" in remedy.change else 0.95) * late(run) or arrived(after)
+    if remedy.mends == "motion" and not less:  # calmer, or better in the end
+        spans = (5 * loop.N, len(whole.e))
+        further = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
+        return min(further) < 0.95 or arrived(whole_after) or chatter(after) < 0.5 * chatter(run)
+    return less
+
+
+def said_of(loop, run, of):
+    how = dict(Ts=float(loop.Ts), method=of.method, stage=of.stage, drive=of.drive)
+    return ck.verdict(loop.law, loop.reference, run, **how)
+
+
+def cut(loop, run):
+    """The loop's first N steps."""
+    return truncate(run, loop.N)
+
+
+def grouped(pairs):
+    """Lists of (loop, family, more) that share a program."""
+    groups = {}
+    for loop, of, *more in pairs:
+        N = SHORT * LONG if loop.N <= SHORT * LONG else MOST
+        key = str((jax.tree.structure((loop.law, loop.reference)), of.method, of.stage, N))
+        groups.setdefault((key, N), []).append((loop, of, *more))
+    for (_, N), group in groups.items():
+        of = group[0][1]
+        runs = solved([one[0] for one in group], N, of.method, of.stage, of.drive)
+        for one, run in zip(group, runs, strict=True):
+            yield *one, run
+
+
+def judge(of: Family, count: int, seed: int = 0, remedies: bool = True):
+    """Of each loop of a family a dict: what it is, its verdict, what is false, and what each remedy made of it."""
+    found, changed = [], []
+    for loop, _, number, whole in grouped([(draw(of, i, seed), of, i) for i in range(count)]):
+        run = cut(loop, whole)
+        said = said_of(loop, run, of)
+        size = np.linalg.norm(whole.e, axis=1)
+        about = f"z={float(loop.law.alpha * loop.Ts):.3g} N={loop.N} {size[0]:.2g} {size[loop.N]:.2g} {late(whole):.2g}"
+        found.append(
+            dict(
+                family=of.number,
+                number=number,
+                about=about,
+                kind=str(said.kind),
+                said=str(said),
+                false=falsehood(loop, said, run, whole, of),
+                remedies=[],
+            )
+        )
+        for one in said.remedies if remedies else ():
+            other, under = mended(loop, of, one)
+            if other.N <= MOST:
+                changed.append((other, under, one, loop, run, whole, found[-1]))
+    for other, under, one, loop, run, was, record, whole in grouped(changed):
+        good = improves(one, loop, run, was, other, cut(other, whole), whole, under)
+        told = dict(change=str(one.change), mends=one.mends, good=good, after=late(cut(other, whole)))
+        record["remedies"].append(told)
+    return found
+
+
+def main():
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--loops", type=int, default=2000)
+    asked.add_argument("--each", type=int, default=50, help="loops of a family")
+    asked.add_argument("--seed", type=int, default=0)
+    asked.add_argument("--only", type=int, nargs="*", help="these families alone")
+    asked.add_argument("--remedies", action=argparse.BooleanOptionalAction, default=True)
+    args = asked.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    kinds, wrong, tried, vain = Counter(), Counter(), Counter(), Counter()
+    for number in range(-(-args.loops // args.each)) if args.only is None else args.only:
+        of = family(number, args.seed)
+        print(
+            f"# {number} {of.robot} {of.task} {of.inverse} {of.limits} {of.method} {of.stage} {of.path} "
+            f"ff{of.feedforward:g} d{of.drive.delay:g} {of.drive.order} {'clamp' * of.clamp} {of.null}",
+            flush=True,
+        )
+        with ck.use_form("rolled"):
+            for one in judge(of, args.each, args.seed, args.remedies):
+                kinds[one["kind"]] += 1
+                wrong[one["kind"]] += bool(one["false"])
+                for told in one["remedies"]:
+                    key = one["kind"] + ": " + told["mends"] + " " + "+".join(eval(told["change"]))
+                    tried[key] += 1
+                    vain[key] += not told["good"]
+                bad = [told for told in one["remedies"] if not told["good"]]
+                if one["false"] or bad:
+                    print(
+                        f"{number}.{one['number']} {one['about']}: {one['false'] and 'FALSE ' + one['false']}\n   ",
+                        one["said"],
+                        *(f"\n    VAIN {told}" for told in bad),
+                        flush=True,
+                    )
+        jax.clear_caches()
+    print({k: f"{wrong[k]} of {v}" for k, v in kinds.most_common()}, sum(wrong.values()))
+    for key, count in sorted(tried.items()):
+        print(f"{vain[key]} of {count}  {key}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Settings for other tools, run in the tool or in a copy of its loop: what is promised is what happens."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from tests.bench import loops_tools
+
+CASE = "3 samples, lag 30 ms"
+
+
+def rows(tool, case=CASE):
+    return {row["way"]: row for row in loops_tools.measure((tool,), (case,))}
+
+
+def keeps_its_promise(row):
+    return row["overshoot"] < 0.01 and row["settled"] == pytest.approx(row["promised"], rel=0.05, abs=2 * row["Ts"])
+
+
+@pytest.mark.parametrize("tool", ["pink", "mink", "placo"])
+def test_a_tool_itself_with_its_posture_task(tool):
+    """And why the posture's gain is told: at its default of 1 the loop runs away."""
+    needed = [tool, *["mujoco"] * (tool == "mink")]
+    if not all(importlib.util.find_spec(name) for name in needed):
+        pytest.skip(f"{tool} is not installed")
+    found = rows("Placo" if tool == "placo" else tool)
+    assert keeps_its_promise(found["as told"]) and found["as told"]["posture"] < 1e-3
+    assert np.isinf(found["posture at its default, 1"]["overshoot"])
+    own = found["0.25 of the last command"]
+    assert own["overshoot"] < 0.01 and own["posture"] < 1e-3 and np.isfinite(own["settled"])
+
+
+@pytest.mark.parametrize("tool", ["Isaac Lab", "MoveIt Servo"])
+def test_a_copy_of_a_tools_loop(tool):
+    assert keeps_its_promise(rows(tool)["as told"])
+
+
+def test_servoj_adds_to_its_last_command_and_has_its_lag_in_alpha():
+    """By the gain of a loop without that lag it overshoots; from the measured joints it does not arrive."""
+    found = rows("UR servoj", "5 samples")
+    told, measured, whole = (
+        found[way] for way in ("as told", "from the measured joints", "alpha without servoj's lag")
+    )
+    assert told["overshoot"] < 0.01 and told["settled"] < 3.2 / told["set"]
+    assert np.isinf(measured["settled"]) and whole["overshoot"] > 0.03
