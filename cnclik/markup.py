@@ -10,7 +10,7 @@ import numpy as np
 _CELL = "padding:0.15em 0.6em;border-bottom:1px solid rgba(128,128,128,0.3);text-align:"
 WIDTH, HEIGHT = 420, 170  # of a plot [px]
 _LEFT, _RIGHT, _TOP, _BELOW = 52, 8, 8, 34
-_LEAST = 1e-15  # an error below this is none
+LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
 MOST_POINTS = 400
 GENERATOR = '<meta name="generator" content="cnclik">'  # in pages, which are known again by it
 
@@ -40,7 +40,7 @@ def error_plot(t, size, bad) -> str:
     # What is left out counts by its worst.
     size, bad = np.where(np.isfinite(size), size, 0.0), bad.astype(bool)
     size[some], bad[some] = np.maximum.reduceat(size, some), np.logical_or.reduceat(bad, some)
-    known = size[np.isfinite(size) & (size > _LEAST)]
+    known = size[np.isfinite(size) & (size > LEAST_ERROR)]
     low, high = (np.floor(np.log10(known.min())), np.ceil(np.log10(known.max()))) if known.size else (-1, 0)
     high = max(high, low + 1)
     wide, tall = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BELOW
@@ -54,7 +54,7 @@ def error_plot(t, size, bad) -> str:
         y = height(10.0**decade)
         parts.append(f"<path d='M{_LEFT} {y:.1f}h{wide}' stroke='#888' stroke-opacity='0.3'/>")
         parts.append(f"<text x='{_LEFT - 6}' y='{y + 4:.1f}' text-anchor='end'>1e{decade:.0f}</text>")
-    shown = [i for i in some if np.isfinite(size[i]) and size[i] > _LEAST]
+    shown = [i for i in some if np.isfinite(size[i]) and size[i] > LEAST_ERROR]
     points = " ".join(f"{x[i]:.1f},{height(size[i]):.1f}" for i in shown)
     parts.append(f"<polyline points='{points}' fill='none' stroke='#0072B2' stroke-width='1.5'/>")
     for i in np.flatnonzero(bad[some]):

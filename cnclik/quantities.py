@@ -85,8 +85,6 @@ def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
                 raise ValueError(f"is {text!r}, with a unit and no number before it")
             written = [mark if w is None else w for w in written]
             continue
-        if mark and unit != "x" and any(w is None and v for v, w in zip(values, written, strict=True)):
-            raise ValueError(f"is {text!r}: write a unit behind each number, or once at the end, apart")
         values.append(float(found[0]))
         written.append(mark or None)
     if not values:
@@ -110,5 +108,6 @@ def _in_own(value, mark, known, Ts):
 
 
 def in_samples(samples: float, Ts: float) -> str:
-    """Dead time as "8 samples (80 ms)"."""
-    return f"{samples:g} sample{'s' * (samples != 1)} ({1e3 * samples * Ts:.4g} ms)"
+    """A time in samples as "8 samples (80 ms)"."""
+    count = f"{samples:.4g}"
+    return f"{count} sample{'s' * (count != '1')} ({1e3 * samples * Ts:.4g} ms)"

@@ -62,10 +62,10 @@ def _run(verb, *options) -> None:
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
         with remarks.listening(), _watched(args) as spans:
-            with _nothing_collected(), terminal.whole():
-                importlib.import_module("jax")
-            if isinstance(args, common.ComputeOptions):
+            if isinstance(args, common.ComputeOptions):  # the others are quick without JAX
                 with _nothing_collected():
+                    with terminal.whole():
+                        importlib.import_module("jax")
                     _prepare(args.cache)
             module.run(args)
             if spans is not None:

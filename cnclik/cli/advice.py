@@ -41,16 +41,24 @@ def exact(drive) -> bool:
 
 def lines_of(found, said, given) -> list:
     """What the numbers mean, in sentences."""
+    from cnclik.record import in_words
+
     now, eigen = said.advice.margin, said.advice.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines += [_NOT_KNOWN] * (not exact(found.drive))
-    lines.append(f"At alpha {_present(given)}: {_margin(now, said, found.drive)}")
+    whose = "The default" if _present(given) == "by default" else "Your"
+    alpha = in_words(found.law.alpha).removesuffix(".")
+    lines.append(f"{whose} gain (alpha = {alpha} 1/s) {_margin(now, said, found.drive, found.Ts)}")
     if said.advice.times is not None:
         times = said.advice.times
-        edge = f"stable to {times.largest:.4g} s" if times.z_largest < math.inf else "any is stable"
-        lines.append(f"Sampling time at alpha {_present(given)}: {edge}.")
-    null = f"{len(eigen.null)} direction{'s' * (len(eigen.null) != 1)}, |λ| = {eigen.null_radius:.4g}"
-    lines.append(f"{said.advice.gains.evaluations} evaluations per step. Null space: {null}.")
+        some = "any sampling time"
+        if times.z_largest < math.inf:
+            some = f"sampling times up to {1e3 * times.largest:.4g} ms"
+        at_once = "and drives that follow at once " * (said.assumed_dead_time is not None)
+        lines.append(f"With this gain {at_once}the loop is stable for {some}.")
+    count = len(eigen.null)
+    null = f"{count} direction{'s' * (count != 1)}, |λ| = {eigen.null_radius:.4g}" if count else "none"
+    lines.append(f"Jacobians per step: {said.advice.gains.evaluations}. Null space: {null}.")
     lines += ["The same loop elsewhere, by explicit Euler:"] * bool(said.settings)
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
 
@@ -73,68 +81,80 @@ def or_any(value) -> str:
     return "none" if value == 0 else f"{value:.4g}" if value < math.inf else "any"
 
 
-def _margin(now, said, drive) -> str:
+def _margin(now, said, drive, Ts) -> str:
+    """What the present gain does, in words that follow its name."""
+    from cnclik.quantities import in_samples
+
     own, assumed = said.now, said.assumed_dead_time is not None
     if now.margin <= 1:
-        return f"UNSTABLE: {now.margin:.4g} of it would be stable; {now.limit}."
+        return f"is UNSTABLE: at most {now.margin:.4g} times it is stable; {now.limit}."
     if own is None:
-        return "UNSTABLE on the assumed drives; it is stable only where drives follow at once."
-    margin = own.gain_margin if assumed else now.margin
-    beyond = "any gain is stable" if margin == math.inf else f"gain margin {margin:.4g}"
-    beyond = beyond if exact(drive) else f"it leaves {100 * now.radius:.4g} % of an error each step"
-    if assumed:
-        beyond = f"on the assumed drives, {beyond}"
-    late = "" if own.delay_margin == math.inf else f", {own.delay_margin:.3g} samples of dead time more"
+        return "is UNSTABLE on the assumed drives; it is stable only where drives follow at once."
+    margin, room = own.gain_margin if assumed else now.margin, []
+    if exact(drive):
+        room.append("any larger gain is stable, too" if margin == math.inf else f"it may grow {margin:.4g} times")
+    if own.delay_margin < math.inf:
+        room.append(f"the dead time may grow by {in_samples(own.delay_margin, Ts)}")
+    stable = ": ".join(filter(None, ("is stable" + " on the assumed drives" * assumed, ", or ".join(room))))
     over = (
         f"a step overshoots by {100 * own.overshoot:.2g} % (ζ = {own.damping_ratio:.2g})"
         if own.overshoot > 1e-3
-        else "no overshoot"
+        else "a step does not overshoot"
     )
-    rest = "" if assumed else f"; {now.limit}"
-    error = "" if assumed or not exact(drive) else f"error × {now.radius:.4g} per step, "
-    return f"stable: {beyond}{late}; {error}{over}{rest}."
+    if assumed:
+        return f"{stable}. {_sentence(over)}"
+    return f"{stable}. Each step leaves {100 * now.radius:.4g} % of an error; {over}. {_sentence(now.limit)}"
+
+
+def _sentence(words) -> str:
+    return f"{words[0].upper()}{words[1:]}."
 
 
 def _costs(said, found) -> list:
     """What the recommended gain does."""
+    from cnclik.quantities import in_samples
     from cnclik.stability.settings import OWN_COMMANDS
 
-    gain, Ts = said.recommended, found.Ts
-    bears = "any dead time" if gain.delay_margin == math.inf else (
-        f"{gain.delay_margin:.3g} samples ({1e3 * gain.delay_margin * Ts:.3g} ms) of dead time more"
-    )  # fmt: skip
-    drive, margin = found.drive, gain.gain_margin
-    more = ", or any gain" if margin == math.inf else f", or {margin:.3g} times the gain"
-    more = more if exact(drive) else ""
-    lines = [f"It settles to 2 % in {gain.settling_time:.3g} s and bears {bears}{more}."]
+    gain, Ts, drive, chain = said.recommended, found.Ts, found.drive, found.law.chain
+    late = "any dead time" if gain.delay_margin == math.inf else f"{in_samples(gain.delay_margin, Ts)} more dead time"
+    more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times this gain"
+    lines = [
+        f"A step settles to within 2 % in {gain.settling_time:.3g} s. The loop stays stable with "
+        f"{late}{f', or with {more}' if exact(drive) else ''}."
+    ]
     own = drive is not None and drive.feedback == "commanded"
+    unit = "mm" if set(chain.units) == {"m"} else "mrad"
     noise = (
-        f"Noise: joints move by {gain.noise_gain:.3g} of what their measurement is off (RMS), commanded velocities by "
-        f"{gain.velocity_noise_gain:.3g} 1/s times it."
+        f"Noise: 1 {unit} RMS of measurement noise moves the joints by {gain.noise_gain:.3g} {unit} RMS, and the "
+        f"commanded velocities by {gain.velocity_noise_gain:.3g} {unit}/s RMS."
     )
     lines += [] if own else [noise]
     if found.law.task.position:
-        v = said.speed
+        v, fed = said.speed, gain.lag_fed_forward * said.speed
         lines.append(
-            f"At {v:g} m/s the tip is {_length(gain.lag * v)} behind without feed-forward, "
-            f"{_length(gain.lag_fed_forward * v)} with it, and {_length(gain.start_error * v)} for a moment after a "
-            "sudden start."
+            f"At {v:g} m/s the tip lags by {_length(gain.lag * v)} without feed-forward. With feed-forward the lag "
+            f"is {_length(fed)}, after a transient of at most {_length(gain.start_error * v)}."
         )
         if said.joint_speed == said.joint_speed:
-            lines.append(f"{v:g} m/s takes up to {100 * said.joint_speed:.3g} % of a joint's velocity limit here.")
+            lines.append(
+                f"Where the loop rests, {v:g} m/s in the worst direction needs {100 * said.joint_speed:.3g} % of a "
+                "joint's velocity limit."
+            )
     if drive is not None and not own and not drive.ideal:
         import numpy as np
 
         late = float(np.max(drive.late_by(Ts)))
         lines.append(
-            "With --feedback commanded the loop knows nothing of its drives: commands have no overshoot up to alpha = "
-            f"{OWN_COMMANDS / Ts:.4g} 1/s, the motion comes {1e3 * late:.3g} ms after its "
-            "command, and what is off stays off."
+            "With --feedback commanded the drives are outside the loop: alpha may be up to "
+            f"{OWN_COMMANDS / Ts:.4g} 1/s without overshoot, the robot follows {1e3 * late:.3g} ms late, and its "
+            "steady errors are not corrected."
         )
     return lines
 
 
 def _length(metres) -> str:
+    if not metres:
+        return "zero"
     for unit, scale in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
         if abs(metres) * scale >= 1 or unit == "µm":
             return f"{metres * scale:.3g} {unit}"

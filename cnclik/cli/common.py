@@ -65,7 +65,7 @@ class ReportOption:
 
 
 _OPTIONS = {  # what the library's remedies speak of, as it is written on the command line
-    r"damped\((.*?)\)": r"--damping \1",
+    r"\bdamped\((.*?)\)": r"--damping \1",
     r"an error_clamp of \((.*?), (.*?)\)": r"--error-clamp \1 \2",
     r"limits velocity_scaling\(\)": "--limits velocity-scaling",
     r"the stage with chord\(2\)": "the stage with --stage chord --M 2",
@@ -73,6 +73,8 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     r"\(feedforward=1\)": "(--feedforward 1)",
     r"pseudoinverse\(\)": "--inverse pseudoinverse",
     r"N = (\d+) steps": r"--N \1",
+    r"period = (\S+) s": r"--period \1",
+    r"limits saturation\(\)": "--limits saturation",
 }
 
 

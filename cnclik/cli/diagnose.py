@@ -12,6 +12,7 @@ from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import Number
 from cnclik.cli.remarks import print_json
+from cnclik.quantities import in_samples
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -113,7 +114,7 @@ def _tell(found, names):
         print("Growing: " + ", ".join(name for name, a in zip(names, found.amplitude, strict=True) if a > 0))
     if found.stable is None:
         return
-    print(f"z now {found.z:.4g}; at {found.delay:.4g} samples of dead time: stable below {found.stable:.4g}, "
+    print(f"z now {found.z:.4g}; at {in_samples(found.delay, found.Ts)} of dead time: stable below {found.stable:.4g}, "
           f"no overshoot below {found.monotone:.4g}, recommended {found.recommended:.4g}; "
           f"confidence in the dead time {found.confidence:.2f}")  # fmt: skip
 

@@ -18,7 +18,7 @@ def unless_given(given: dict, *names) -> str:
 def dead_time(made) -> str:
     """The dead time of a problem in samples and ms, or that none was given."""
     if made.drive is None or not made.drive.lumped.delay:
-        return f"dead time none{'' if made.drive is not None else ' given'}"
+        return "no dead time" + " given" * (made.drive is None)
     late = f"dead time {in_samples(made.drive.delay, made.Ts)}"
     measured = made.drive.measurement_delay
     return late + (f", and of the measurement {in_samples(measured, made.Ts)}" if measured else "")

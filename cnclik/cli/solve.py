@@ -24,7 +24,7 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
     csv: bool = False
     """Also write trajectory.csv."""
     figures: bool = True
-    """Draw joint paths, error, joint velocities and status."""
+    """Draw joint paths, error, joint velocities, status and the path of the tip."""
     json: bool = False
     """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedies as options."""
 
@@ -92,6 +92,7 @@ _CAPTIONS = {
     "error": "Norm of the error over time.",
     "velocities": "Joint velocities, held during each step; dashed: a limit that is near.",
     "status": "What was wrong in each step; an empty line is good.",
+    "tip": "Path of the tip, and of its target, in the base frame.",
 }
 
 
@@ -180,7 +181,7 @@ def _figures(data, made) -> dict:
             functools.partial(pictures.KINDS[kind], data, made.law.chain),
             {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
         )
-        for kind in ("joints", "error", "velocities", "status")
+        for kind in ("joints", "error", "velocities", "status", "tip")
     }
 
 

@@ -10,6 +10,7 @@ import tyro
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.quantities import in_samples
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -50,7 +51,7 @@ def run(args: Args) -> None:
         _check(spec)
         return
     grid = spec.grid()
-    print(f"{spec.name}: {grid.size:,} loops, {grid}", flush=True)
+    print(f"{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
     begun = time.perf_counter()
     with progress.bar("loops", quiet=place["process"] != 0) as report:
         whole = store.run(spec, out, fresh=args.fresh, overwrite=args.overwrite, progress=report, **place)
@@ -78,7 +79,7 @@ def _report(args, spec, data, grid, seconds) -> None:
     args.write_report(
         f"{spec.name}: {spec.question}",
         f"{grid.size:,} loops in {seconds:.1f} s. Expected: {spec.expectation}",
-        facts=[("grid", str(grid)), ("metrics", ", ".join(spec.metrics))],
+        facts=[("grid", str(grid)), ("dead time", _dead_time(spec)), ("metrics", ", ".join(spec.metrics))],
         figures=figures,
         tables=[("Metrics over the numeric axes", header, cells)],
         motions=lambda: loops_of(data, spec),
@@ -149,6 +150,7 @@ def _check(spec) -> None:
         "question": spec.question,
         "expectation": spec.expectation,
         "grid": f"{axes} = {found.loops:,} loops",
+        "dead time": _dead_time(spec),
         "programs": f"{found.programs} (about {found.compile_time:.1f} s each to compile)",
         "blocks": f"{found.blocks} of {found.block:,} loops",
         "memory": f"{found.memory * mebibytes:,.0f} MiB, {found.block_memory * mebibytes:,.0f} of them for blocks",
@@ -158,6 +160,14 @@ def _check(spec) -> None:
     width = max(map(len, rows))
     for name, text in rows.items():
         print(f"{name:<{width}}  {text}")
+
+
+def _dead_time(spec) -> str:
+    """The shortest and the longest dead time of the loops at the ends of all axes, such as "2 samples (8 ms)"."""
+    ends = [(program, last) for program in spec.grid().programs for last in (False, True)]
+    loops = [spec.values(**program, **spec.first(last)) for program, last in ends]
+    late = sorted((float(v["delay"]) * float(v["Ts"]), float(v["delay"]), float(v["Ts"])) for v in loops)
+    return " to ".join(dict.fromkeys(in_samples(delay, Ts) for _, delay, Ts in (late[0], late[-1])))
 
 
 def _clock(seconds) -> str:

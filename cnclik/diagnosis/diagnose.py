@@ -8,6 +8,7 @@ from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
+from cnclik.quantities import in_samples
 from cnclik.record import record
 
 LONGEST = 250  # samples of a period: what is slower is taken for a path
@@ -254,12 +255,12 @@ def _sentence(d: Diagnosis) -> str:
     if d.kind is Kind.DIVERGING and d.cause == "wrong sign":
         return f"the error grows × {d.growth:.6g} per sample and never returns"
     if d.kind in OSCILLATING and d.z is None:
-        return f"period {d.period:.4g} samples ({d.period_seconds:.4g} s) at last, × {d.growth:.4g} per sample"
-    said = f"period {d.period:.4g} samples ({d.period_seconds:.4g} s), × {d.growth:.4g} per sample"
+        return f"period {in_samples(d.period, d.Ts)} at last, × {d.growth:.4g} per sample"
+    said = f"period {in_samples(d.period, d.Ts)}, × {d.growth:.4g} per sample"
     if d.cause == "turned frames":
         return said
     more = "at least " if d.kind is Kind.SUSTAINED else ""
-    said += f", as of a loop with z = {more}{d.z:.4g} and {d.delay:.4g} samples ({d.delay_seconds:.4g} s) of dead time"
+    said += f", as of a loop with z = {more}{d.z:.4g} and {in_samples(d.delay, d.Ts)} of dead time"
     said += "" if d.lag is None else f" and a lag of {d.lag:.3g} s"
     if d.factor is None:
         return said

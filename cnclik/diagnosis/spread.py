@@ -8,6 +8,7 @@ from cnclik.record import replace
 DRAWN = 40  # drives that are drawn
 WIDE = 2.0  # standard deviations between which they are drawn
 MODEL = 0.05  # by which such a gain is off even where a fit leaves nothing
+TASK = 6  # coordinates of a pose
 TOGETHER = 0.5  # share of their motion that commands must have in common, to have moved the joints at once
 POINTS = 4000  # frequencies that are looked at
 
@@ -39,6 +40,16 @@ def stable_range(fit, deviations, gain, structured, command) -> tuple:
         return None, (
             "The largest stable gain is not known, as joints moved one at a time: together they are heavier. Record a "
             "step of all joints at once."
+        )
+    if len(gain) > TASK:
+        return None, (
+            f"The largest stable gain is not known of more than {TASK} joints: in the null space joints swing against "
+            "each other, which a step of all of them does not show."
+        )
+    if fit.shape.start.command == "velocity" and fit.shape.order == 2:
+        return (
+            None,
+            "The largest stable gain is not known of a velocity drive of second order: it integrates, or filters.",
         )
     drives = [fit.shape.drive(values) for values in fit.values]
     quick = fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts

@@ -68,7 +68,8 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         one = over_history(law, told, q, at, mark(law, reference, at, t, q), t, Ts, method, history, begun)
     made = one.moved
     if law.limits is not None:
-        made = made._replace(**dict(zip(("q", "qdot"), within(law, q, made.qdot, Ts), strict=True)))
+        after, qdot = within(law, q, made.qdot, Ts)
+        made = made._replace(q=after, qdot=qdot)
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     if one.restarted is not None:
         status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)

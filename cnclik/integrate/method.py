@@ -58,6 +58,8 @@ class Method:
         if len(c) != len(b):
             raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
         made = {"A": A, "b": b, "c": c, "order": check_order(self.order, b, _conditions(A, np.array(b), np.array(c)))}
+        # Beyond four conditions: of s stages the order is s at most, and s + 1 of implicit ones.
+        errors.integer("order", made["order"], at_least=1, at_most=len(b) + any(row[-1] != 0 for row in A))
         for name, value in made.items():
             object.__setattr__(self, name, value)
         if self.exponential and self.implicit:

@@ -9,6 +9,7 @@ values. How large z = alpha·Ts may be follows from the roots of λᵖ = Σⱼ (
 
 import dataclasses
 import functools
+import itertools
 from fractions import Fraction
 
 import jax
@@ -80,9 +81,13 @@ class Multistep:
         a, b = (weights_of(name, getattr(self, name)) for name in "ab")
         if abs(sum(a) - 1) > ROUNDING:
             raise errors.fail("a", "hold weights whose sum is 1", f"holds {list(a)}")
-        growth = max(map(abs, np.roots([1.0, *(-w for w in a)])))  # of the past, whatever Ts is (Dahlquist 1956)
+        roots = np.roots([1.0, *(-w for w in a)])  # growth of the past, whatever Ts is (Dahlquist 1956)
+        growth = max(map(abs, roots))
         if growth > 1 + ROUNDING**0.5:
             raise errors.fail("a", "have no root of λᵖ = Σⱼ aⱼ λᵖ⁻¹⁻ʲ beyond 1", f"has one of size {growth:.4g}")
+        edge = roots[np.abs(roots) > 1 - ROUNDING**0.5]
+        if any(abs(one - other) < ROUNDING**0.25 for one, other in itertools.combinations(edge, 2)):
+            raise errors.fail("a", "have no double root of λᵖ = Σⱼ aⱼ λᵖ⁻¹⁻ʲ at 1: errors would add up", "has one")
         if self.exponential and a != (1.0,):
             raise errors.fail("exponential", "be False for a formula that remembers joint values", "is True")
         made = {

@@ -30,6 +30,7 @@ class Factored(NamedTuple):
 # Of the trace of J Jᵀ, below which a shift leaves no pivot of a singular one surely positive: from 1 on they are in all
 # but some of 100,000 products of random matrices of rank 1 to 5, from 2 on in all.
 _ROUNDINGS = 4
+_OF_NONE = 1e-6  # [m², 1] trace that a J J^T of zeros counts as: of a joint with a millimetre of arm
 
 
 def remembered(rows, factor, t):
@@ -105,7 +106,7 @@ def damped_apply(rows, shift):
     thin = sp.thin(rows)
     gram = dense.gram(thin, 0.0)
     trace = lax.stop_gradient(dense.trace(gram))
-    shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6))
+    shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
     factor = dense.ldl(dense.shifted(gram, shift))
     if thin is rows:
         return lambda t: _apply(dense.ldl_solve(factor, t), rows), factor, shift
@@ -117,7 +118,7 @@ def damped_apply(rows, shift):
 def tiny_shift(rows):
     """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
     trace = sp.squares(rows)
-    return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + 1e-6))
+    return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
 
 
 @record

@@ -6,10 +6,10 @@ import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.problem.options import SWEPT
-from cnclik.robot.posture import arm_length
+from cnclik.robot.posture import arm_length, beyond_arm
 
 _TURN = 2 * math.pi
-_FAR = 10  # times the length of the arm
+_FAR = 2  # times the length of the arm: a thousandth of it, as of millimetres, is within reach
 _JOINTS = ("q0", "posture", "near")  # joint values
 _POINTS = ("target", "from", "to", "center")
 _LENGTHS = ("radius", "amplitude")
@@ -80,18 +80,23 @@ def _remark_on_joints(name, values, chain):
 
 def _remark_on_lengths(bare, chain, task):
     length = arm_length(chain)
-    if not errors.concrete(length) or not task.position:
+    if not errors.concrete(length) or not task.position or "m" in chain.units:  # how far a slide goes isn't known
         return
     for name in (*_POINTS, *_LENGTHS):
-        if name in bare:
-            values = np.atleast_1d(np.asarray(bare[name], float))
-            values = values[:3] if name in _POINTS else values
-            size = float(np.abs(values[np.isfinite(values)]).max(initial=0))
-            if size > _FAR * length:
-                errors.remark(
-                    f"`{name}` has {size:g} m, and the arm is {length:.3g} m long. Millimetres are written with their "
-                    f"unit: --{name} {_text(values)} mm."
-                )
+        if name not in bare:
+            continue
+        values = np.atleast_1d(np.asarray(bare[name], float))
+        if name in _POINTS:
+            values = values[:-4] if task.orientation and len(values) > 4 else values
+            axes = (0, 1, 2) if len(values) == 3 else task.linear
+            far = len(values) == len(axes) and beyond_arm(chain, values, axes) > (_FAR - 1) * length
+        else:
+            far = np.abs(values).max() > _FAR * length
+        if far:
+            errors.remark(
+                f"`{name}` has {np.abs(values).max():g} m, and the arm is {length:.3g} m long. Millimetres are written "
+                f"with their unit: --{name} {_text(values)} mm."
+            )
 
 
 def _text(values) -> str:

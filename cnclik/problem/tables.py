@@ -2,7 +2,9 @@
 
 import csv
 import io
+import itertools
 import pathlib
+import re
 
 import numpy as np
 
@@ -54,13 +56,24 @@ def _cells(argument, file) -> tuple:
     path = pathlib.Path(file)
     try:
         text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
-        rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+        lines = [line for line in text.splitlines() if line.strip()]
+        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
+        above = list(csv.reader(line.lstrip("# ") for line in itertools.takewhile(lambda x: x.startswith("#"), lines)))
     except (UnicodeDecodeError, csv.Error) as error:
         reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
         raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
     if rows and not any(quantities.number(cell) is not None for cell in rows[0]) and not _is_slip(rows):
         return tuple(name.strip() for name in rows[0]), rows[1:]
+    if rows and above and len(above[-1]) == len(rows[0]) > 1 and all(map(_is_name, above[-1])):
+        return tuple(name.strip() for name in above[-1]), rows  # as NumPy's savetxt writes a header
     return (), rows
+
+
+_NAME = re.compile(r"\s*[\w./-]+\s*([\[(][^\])]*[\])])?\s*")  # of a column: a word, perhaps with a unit
+
+
+def _is_name(cell) -> bool:
+    return _NAME.fullmatch(cell) is not None and quantities.number(cell) is None
 
 
 def _is_slip(rows) -> bool:

@@ -13,8 +13,8 @@ from cnclik.reaching.step import STATIONARY
 from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import kept, leaf, record, replace
-from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.posture import arm_length
+from cnclik.robot.chain import Chain
+from cnclik.robot.posture import beyond_arm
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
 FREE = 128  # tries of the search without limits
@@ -100,12 +100,10 @@ class Asked:
 
     def too_far(self, pose, xp=np):
         """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""
-        first = self.chain.joints[0]
-        turning = all(joint.kind == REVOLUTE for joint in self.chain.joints)
-        if not turning or not self.task.linear:
+        axes = self.task.linear
+        if not axes:
             return xp.zeros(pose.shape[:-1], bool)
-        away = (pose[..., :3] - xp.stack(first.origin.position))[..., np.array(self.task.linear)]
-        return xp.sqrt(xp.sum(away * away, axis=-1)) > arm_length(self.chain) + self.tolerance[0]
+        return beyond_arm(self.chain, pose[..., np.array(axes)], axes, xp) > self.tolerance[0]
 
     def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:
         """The record of answers: of one target, or of (B,) with that axis first.

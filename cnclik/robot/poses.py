@@ -99,8 +99,9 @@ def _from_quaternions(name, value):
                 must = f"hold {'unit quaternions' if len(wrong) > 1 else 'a unit quaternion'} w x y z"
                 raise errors.fail(name, must, f"has one of norm {norm.ravel()[k]:.6g}{_at(wrong, k)}")
         value = xp.where(xp.isfinite(norm), value / norm, xp.nan)
-        rows = sp.rotation_from_quaternion(xp.moveaxis(value, -1, 0))
-    return xp.moveaxis(xp.stack([xp.stack(row) for row in rows]), (0, 1), (-2, -1))
+        rows = sp.rotation_from_quaternion(value.T)
+    made = np.array(rows) if xp is np else jnp.stack([jnp.stack(row) for row in rows])
+    return made if value.ndim == 1 else xp.moveaxis(made, -1, 0)
 
 
 def _from_matrices(name, value):

@@ -28,6 +28,19 @@ def arm_length(chain: Chain, least=1e-3):
     return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), least)
 
 
+def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
+    """By how much points are farther from the first joint than the stretched arm is long [m].
+
+    Args: points: (..., len(axes)), their coordinates along those axes.
+    Returns: (...,), negative within reach; −∞ where a joint slides, as the arm has then no length of its own.
+    """
+    if any(joint.kind != REVOLUTE for joint in chain.joints):
+        return xp.full(points.shape[:-1], -math.inf)
+    origin = chain.joints[0].origin.position
+    away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
+    return xp.sqrt(xp.sum(away * away, axis=-1)) - arm_length(chain)
+
+
 def is_planar(chain: Chain) -> bool:
     """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
     return all(

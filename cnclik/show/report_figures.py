@@ -68,8 +68,9 @@ def errors_beside(motions):
         for k, motion in enumerate(motions):
             values = motion.error[what]
             look = {"color": style.COLORS[k], "linestyle": style.DASHES[k], "label": motion.name}
-            panel.plot(motion.t, np.where(values > 1e-12, values, np.nan), **look)
-        panel.set(yscale="log", ylabel=what)
+            panel.plot(motion.t, np.where(values > 0, values, np.nan), **look)
+        style.log_errors(panel, [motion.error[what] for motion in motions])
+        panel.set_ylabel(what)
     panels[-1, 0].set_xlabel("time $t$ [s]")
     style.legend(figure, panels[0, 0], columns=1)
     return figure

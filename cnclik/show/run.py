@@ -12,7 +12,9 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import one_lane
 from cnclik.measure.dataset import to_dataset
+from cnclik.robot.posture import is_planar
 from cnclik.show import style
+from cnclik.show.viewer.motion import from_arrays
 
 _TIME = "time $t$ [s]"
 _PARTS = {
@@ -27,7 +29,7 @@ def plot(run, law, kind="overview"):
 
     Args:
       run: `Trajectory` of solve(law, ...), one lane.
-      kind: "overview", "joints", "error", "velocities" or "status".
+      kind: "overview", "joints", "error", "velocities", "status" or "tip".
 
     Returns: a matplotlib Figure.
     Raises: ArgumentError for another kind, or a batch of runs.
@@ -90,6 +92,34 @@ def status(data):
     return figure
 
 
+def tip(data, chain):
+    """The path of the tip and where it was to be, in space; of a planar robot in its plane."""
+    known = (data[name].values for name in ("time", "q", "x", "e", "status"))
+    motion = from_arrays(chain, *known, axes=data.axis.values, units=data.axis_unit.values, name="")
+    axes = "xy" if is_planar(chain) else "xyz"
+    space = {} if len(axes) == 2 else {"subplot_kw": {"projection": "3d"}}
+    figure, panel = plt.subplots(figsize=(style.COLUMN, 3.2), **space)
+    paths = [(motion.way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
+    if motion.target is not None:
+        paths.append((motion.target[:, : len(axes)], {"color": "0.6", "linewidth": 2.4, "label": "target"}))
+    for points, look in paths:
+        marker = {"marker": "o", "markevery": [-1]}  # where it ends; of a target that stays this is all there is
+        panel.plot(*points.T, **marker, **look)
+    panel.plot(*paths[0][0][:1].T, "s", color=style.BLUE, markerfacecolor="white", label="start", zorder=4)
+    every = np.concatenate([points for points, _ in paths])
+    low, high = every.min(axis=0), every.max(axis=0)
+    room = max(0.55 * (high - low).max(), 1e-3)  # of a tip that rests, a millimetre
+    for name, middle in zip(axes, (low + high) / 2, strict=True):
+        panel.set(**{f"{name}lim": (middle - room, middle + room), f"{name}label": f"${name}$ [m]"})
+        getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4))
+    if space:
+        panel.set_box_aspect((1, 1, 1), zoom=0.82)  # room for the labels
+    else:
+        panel.set_aspect("equal")
+    style.legend(figure, panel)
+    return figure
+
+
 def overview(data, chain):
     """Joint values, error, joint velocities (over their limits where all joints have one) and status at a glance."""
     figure, ((joints, size), (speed, flags)) = plt.subplots(2, 2, sharex=True, figsize=(style.PAGE, 4.4))
@@ -122,6 +152,7 @@ KINDS = {
     "error": lambda data, chain: error(data),
     "velocities": joint_velocities,
     "status": lambda data, chain: status(data),
+    "tip": tip,
 }
 
 

@@ -11,6 +11,8 @@ from matplotlib import patheffects, ticker
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.transforms import Affine2D
 
+from cnclik.markup import LEAST_ERROR
+
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
 LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
@@ -158,12 +160,13 @@ def log_scale(axis, values, decades=2.0) -> None:
 
 
 def log_errors(panel, norms) -> None:
-    """A logarithmic y axis for norms of errors; a start exactly on the path does not stretch it down to rounding."""
-    shown = [norm[np.isfinite(norm) & (norm > 0)] for norm in map(np.asarray, norms)]
+    """A logarithmic y axis for norms of errors that were drawn; a start on the path does not stretch it to rounding."""
+    shown = [norm[np.isfinite(norm) & (norm > LEAST_ERROR)] for norm in map(np.asarray, norms)]
     bottom = 0.3 * min((np.quantile(norm, 0.01) for norm in shown if norm.size), default=0.0)
-    log_scale(panel.yaxis, np.concatenate([norm[norm > bottom] for norm in shown] or [[]]))
+    shown = np.concatenate([norm[norm > bottom] for norm in shown] or [[]])
+    log_scale(panel.yaxis, shown)
     if bottom and panel.get_yscale() == "log":
-        panel.set_ylim(bottom=bottom)
+        panel.set_ylim(bottom, shown.max() * (shown.max() / bottom) ** 0.05)
 
 
 def label_contours(panel, drawn, fmt) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 
 from cnclik.show import style
 
-_LEAST = 1e-16
+_LEAST = 1e-16  # a loss below it is rounding
 _APART = 1e-3  # of the step: what is less is within the width of a line
 _BEFORE = {"color": "0.7", "linewidth": 2.6, "label": "before"}  # seen behind one that coincides
 _AFTER = {"color": style.BLUE, "linewidth": 1.2, "label": "after"}
@@ -40,7 +40,7 @@ def error(tuned):
     for axis, (name, part) in zip(axes[:, 0], parts.items(), strict=True):
         norms = [np.linalg.norm(np.asarray(made.run.e)[:, part], axis=1) for made in (tuned.before, tuned.after)]
         for made, norm, look in zip((tuned.before, tuned.after), norms, (_BEFORE, _AFTER), strict=True):
-            axis.plot(np.asarray(made.run.t), np.where(np.isfinite(norm) & (norm > _LEAST), norm, np.nan), **look)
+            axis.plot(np.asarray(made.run.t), np.where(norm > 0, norm, np.nan), **look)
         style.log_errors(axis, norms)
         axis.set_ylabel(name)
     axes[0, 0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
@@ -118,6 +118,7 @@ def responses(data):
         panel.plot(one.time, one.wanted[0], color="0.55", linewidth=2.4, label="wanted", zorder=1)
         _lines(panel, one, one.response, "." if test == "step" else "", together)
         panel.set_ylabel(f"{test} response")
+    panels[1].set_title(f"sine of {1 / data.attrs['period']:.3g} Hz", loc="left", pad=2)
     sine = data.sel(test="sine")
     _lines(panels[2], sine, sine.wanted - sine.response, "", together)
     panels[2].set_ylabel("sine error")

@@ -15,6 +15,7 @@ from cnclik.record import replace
 from cnclik.stability.driven import each_drive, modes_of, overshoot
 from cnclik.stability.local import Instant, maps, radii, resting, targets
 from cnclik.stability.observed import Observed, observe, rms
+from cnclik.stability.reasons import SLOWEST
 from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_numbers, of_error, spectrum_of, staying
 
 UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
@@ -24,7 +25,6 @@ PLENTY = 5.0  # time constants from which on an error that does not shrink is be
 LEAST = 50  # and steps
 COUNTS = 0.05  # share of the last error from which on a direction of it counts
 UNMOVED = 1e-9  # a factor that is 1 to this is that of a direction that no joint moves
-SLOWEST = 1e6  # steps in which an error falls e-fold, at most
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,8 @@ class Case:
     Attributes:
       loop: Ts, method, stage, drive. end, start: postures of the run's last and first instant, where it is judged.
       target, turn: position and rotation wanted at the end. behind: how far the target moves in a step (RMS, last
-        quarter). path: time that the whole path takes [s], 0 where it is held or nobody knows.
+        quarter). path: time that the whole path takes [s], 0 where it is held or nobody knows; period: the same as
+        an option, negative where a circle is followed in the other sense, 0 where it is none.
       rows, radius, null_radius: J (m, n) and spectral radii over the task and its null space, at rest at the end.
       overshoot: how far beyond the target an error lands there, as a share of itself.
       fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold.
@@ -51,6 +52,7 @@ class Case:
     turn: np.ndarray | None
     behind: float
     path: float
+    period: float
     rows: np.ndarray
     radius: float
     null_radius: float
@@ -78,10 +80,30 @@ class Case:
     def stays(self):
         """Whether the run is long enough for an error that does not shrink to be one that stays: also for joints at
         their velocity limits, which take their time to turn half around."""
-        Ts, limit = self.loop[0], float(np.min(np.array(self.law.chain.velocity_limit, float)))
-        limited = self.law.limits is not None and self.seen.often(Status.AT_LIMIT)
-        unhurried = self.steps * Ts * limit >= np.pi or not limited
-        return self.spans >= PLENTY and self.steps >= LEAST and unhurried
+        settled = not self.stirred and not self.crawls
+        return self.spans >= PLENTY and self.steps >= max(LEAST, self.half_turn) and settled
+
+    @property
+    def half_turn(self):
+        """Steps that a joint takes to turn half around at its velocity limit; 0 where none is at a limit."""
+        limit = float(np.min(np.array(self.law.chain.velocity_limit, float)))
+        return np.pi / (self.loop[0] * limit) if self.held_back else 0.0
+
+    @property
+    def stirred(self):
+        """Whether a null-space velocity still moves the arm by more than what is left of the error."""
+        moved = np.linalg.norm(self.rows, 2) * self.seen.drift
+        return self.law.null_velocity is not None and bool(moved > self.seen.largest)
+
+    @property
+    def held_back(self):
+        """Whether the law's limits hold the joints back."""
+        return self.law.limits is not None and self.seen.often(Status.AT_LIMIT)
+
+    @property
+    def crawls(self):
+        """Whether they do so next to a singularity, where no rest tells what becomes of it."""
+        return self.held_back and self.seen.often(Status.NEAR_SINGULAR)
 
     @property
     def rounding(self):
@@ -92,8 +114,9 @@ class Case:
 
     @property
     def null_fold(self):
-        """Steps in which the null space of a law that lets it pull at the task settles e-fold; 0 of another law."""
-        return 1 / max(-np.log(self.null_radius), 1 / SLOWEST) if leaky(self.law) and 0 < self.null_radius < 1 else 0.0
+        """Steps in which a null space that pulls at the task, or stirs it up, settles e-fold; 0 of another."""
+        acts = leaky(self.law) or self.stirred
+        return 1 / max(-np.log(self.null_radius), 1 / SLOWEST) if acts and 0 < self.null_radius < 1 else 0.0
 
     @property
     def null_unstable(self):
@@ -111,14 +134,18 @@ class Case:
     @functools.cached_property
     def reached(self):
         """What `reach` finds for the target at the end; None where it can't be asked."""
+        return self.reach_to(self.target)
+
+    def reach_to(self, target):
+        """The same for another position, turned alike."""
         from cnclik.reaching.reach import reach  # here: most runs end where nothing is asked of it
 
         chain, task = self.law.chain, replace(self.law.task, weights=None)
         if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
             return None
         position, rotation = np.zeros(3), np.eye(3) if self.turn is None else self.turn
-        if self.target is not None:
-            position[list(task.linear) if len(self.target) < 3 else slice(None)] = self.target
+        if target is not None:
+            position[list(task.linear) if len(target) < 3 else slice(None)] = target
         kept = self.law.limits is not None
         return reach(chain, (position, rotation), task=task, tolerance=(1e-4, 1e-4), limits=kept)
 
@@ -133,7 +160,8 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
     t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
     last = 0 if wild else len(run.residual)
-    some = np.linspace(max(last - len(seen.late) + 1, 0), last, LOOKED_AT).round().astype(int)
+    until = 0 if seen.bad is not None else len(run.residual)
+    some = np.linspace(max(until - len(seen.late) + 1, 0), until, LOOKED_AT).round().astype(int)
     wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some])]
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
@@ -150,6 +178,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
         turn=None if wanted[1] is None else wanted[1][-1],
         behind=rms(np.linalg.norm(wanted[2], axis=1)) * Ts,
         path=whole(reference),
+        period=float(getattr(reference.curve, "period", getattr(reference.curve, "duration", 0.0))),
         e=weighted,
         size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
         **_at_rest(law, end, weighted, Ts, method, stage, drive),

@@ -27,6 +27,7 @@ class Observed(NamedTuple):
     visible: bool  # whether the late joint steps can be seen
     fades: bool  # whether they are much smaller than those of the quarter before
     swings: int  # how often the error changed its sense before it was small
+    swing: float  # steps between two such changes, the median
     status: np.ndarray  # of the late steps
     too_fast: int  # steps, of the whole run, in which a joint is faster than its limit
     excess: float  # largest joint velocity over its limit
@@ -35,6 +36,8 @@ class Observed(NamedTuple):
     share: float  # of the target's motion that the tip made, over the last two quarters
     dtype: np.dtype  # in which it ran
     still: bool  # whether late joint values are all the same, and short of the target
+    drift: float  # how far the joints get over the last quarter, going back and forth left out
+    outside: np.ndarray  # (n,) by how much each joint was beyond its limits, at most [rad, m]
     bad: object  # first instant that is not finite, or None
 
     @property
@@ -87,8 +90,10 @@ def observe(law, run, Ts, dtype) -> Observed:
     back, speed = _reversal(qdot[-2 * quarter :])
     steps = np.linalg.norm(qdot, axis=1) * Ts
     fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
-    along = e @ e[0] / max(size[0] ** 2, 1e-300)
-    along = along[np.abs(along) > max(ARRIVED, eps)] if size[0] > 0 else along[:0]
+    first = e[np.argmax(size)]  # the first one may be a rounding
+    along = e @ first / max(first @ first, 1e-300)
+    large = np.flatnonzero(np.abs(along) > max(ARRIVED, eps))
+    turned = large[1:][along[large[1:]] * along[large[:-1]] < 0]
     least = 8 * eps * (1 + arm_length(law.chain))  # error that the rounding of q itself makes
     ratio = np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
     k, moved = int(np.argmax(ratio.max(1))), np.diff(np.asarray(run.x, float)[: len(e)] + e, axis=0)
@@ -101,7 +106,8 @@ def observe(law, run, Ts, dtype) -> Observed:
         joint_speed=float(np.abs(qdot[-quarter:]).max()),
         visible=rms(steps[-quarter:]) > VISIBLE,
         fades=bool(fades),
-        swings=int(np.sum(along[1:] * along[:-1] < 0)),
+        swings=len(turned),
+        swing=float(np.median(np.diff(turned))) if len(turned) > 1 else 0.0,
         status=status[-quarter:],
         too_fast=int(np.sum(status & Status.OVER_VELOCITY != 0)),
         excess=float(ratio.max(initial=0.0)),
@@ -112,6 +118,13 @@ def observe(law, run, Ts, dtype) -> Observed:
         share=_share(*(np.asarray(v, float)[:bad][-2 * quarter :] for v in (run.x, run.e))),
         dtype=np.dtype(dtype),
         still=bool(quarter > 1 and (q[:bad][-quarter:] == q[:bad][-1]).all() and late.min() > least),
+        drift=2
+        * float(np.linalg.norm(np.diff([np.mean(v, axis=0) for v in np.array_split(q[:bad][-quarter:], 2)], axis=0)))
+        if quarter > 1
+        else 0.0,
+        outside=np.maximum(q[:bad] - np.array(law.chain.upper), np.array(law.chain.lower) - q[:bad]).max(
+            0, initial=0.0
+        ),
         bad=bad,
     )
 

@@ -9,6 +9,7 @@ from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, EE, named
 from cnclik.integrate.stage import picard
 from cnclik.precision import in_float64
+from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.stability.driven import (
     POINTS,
@@ -258,7 +259,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
     if drive.order or drive.feedback == "commanded":
         return ""
     late = drive.lumped.delay
-    said = f"Assumed: after {late:g} samples ({1e3 * late * Ts:.3g} ms) of dead time the drives follow at once"
+    said = f"Assumed: after {in_samples(late, Ts)} of dead time the drives follow at once"
     if not late:
         return "Assumed: the drives follow at once, without dead time, lag or servo."
     lagging = min(chosen, taking_back(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
@@ -270,7 +271,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
 
 def _reason(gains, chosen, drive) -> str:
     if drive is None:
-        return "the largest without overshoot on the assumed drives, also were the dead time a sample longer"
+        return "the largest gain that does not overshoot on the assumed drives, even with one more sample of dead time"
     if drive.feedback == "commanded":
         return (
             "no overshoot, of the commands not even if the loop looked at them a sample late; it knows its own "
@@ -279,7 +280,7 @@ def _reason(gains, chosen, drive) -> str:
     if chosen < gains.z_recommended:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
     late = drive.lumped.delay
-    return f"the largest without overshoot, also were the dead time a sample longer than {late:g}"
+    return f"the largest gain that does not overshoot, even with one more sample of dead time than the {late:g} given"
 
 
 def _left(loop, now) -> tuple:

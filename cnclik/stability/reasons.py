@@ -4,12 +4,15 @@ import numpy as np
 
 from cnclik.integrate.status import Status
 from cnclik.reaching.result import ReachStatus
+from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.posture import arm_length
+from cnclik.robot.posture import beyond_arm
 from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky
 
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
+LONGEST = 1e4  # steps in which an error next to a singularity falls e-fold, that are believed
+SLOWEST = 1e6  # steps in which an error falls e-fold, at most
 LEAK = 0.3  # share of what the gain asks for that the null-space velocity's pull must be
 PULLED = "the null-space velocity pulls at the task, as I − J# J of this inverse is no projector"
 
@@ -25,6 +28,31 @@ def at_limits(case) -> str:
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit" if names else ""
 
 
+def open_ended(case) -> str:
+    """Why nobody knows how long a run decides, in words; empty where the loop's time constants tell."""
+    if case.held_back:
+        where = " next to a singularity" * case.crawls
+        return f"limits hold the joints back{where}, and how long that lasts is not known"
+    if case.fold > LONGEST and case.seen.often(Status.NEAR_SINGULAR):
+        return "next to a singularity a direction of the task hardly moves, and how long it takes is not known"
+    pulled, away = leaky(case.law), case.law.null_velocity is not None and case.null_radius >= 1 - 1 / SLOWEST
+    if (pulled and case.law.limits is not None) or (away and (pulled or (case.stirred and not case.seen.shrinks))):
+        return "the null-space velocity still moves the arm, and how long it does is not known"
+    return ""
+
+
+def outside(case) -> str:
+    """Which joint was farthest beyond its limits, and by how much, in words; empty where the law keeps them inside."""
+    law, most = case.law, int(np.argmax(case.seen.outside))
+    by = float(case.seen.outside[most])
+    if getattr(law.limits, "positions", law.limits is not None) or by <= 1e-9:
+        return ""
+    unit = "rad" if law.chain.joints[most].kind == REVOLUTE else "m"
+    others = int(np.sum(case.seen.outside > 1e-9)) - 1
+    more = f", and {others} more {'is' if others == 1 else 'are'} beyond theirs" if others else ""
+    return f"joint {law.chain.joint_names[most]} is up to {by:.3g} {unit} beyond its limit{more}"
+
+
 def hopeless(case) -> bool:
     """Whether no joint motion reduces the error, in this posture."""
     size, push = np.linalg.norm(case.e), np.linalg.norm(case.rows.T @ case.e)
@@ -35,9 +63,8 @@ def beyond(case) -> float:
     """By how much the target lies beyond the stretched arm [m]; negative where it doesn't, or that isn't known."""
     if case.target is None:
         return -np.inf
-    base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
-    base = base if len(case.target) == 3 else base[list(case.law.task.linear)]
-    away = float(np.linalg.norm(case.target - base) - arm_length(case.law.chain))
+    axes = (0, 1, 2) if len(case.target) == 3 else case.law.task.linear
+    away = float(beyond_arm(case.law.chain, np.asarray(case.target), axes))
     return away if abs(away) > case.seen.floor else 0.0
 
 

@@ -13,6 +13,7 @@ from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD
 from cnclik.stability.local import fastest_share, resting, stable_share
 from cnclik.stability.reasons import REVERSING
+from cnclik.stability.spectrum import leaky
 
 MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
 ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
@@ -31,7 +32,7 @@ class Remedy:
         path moves [m].
       words: the same as a sentence's part, in the words of Python.
       mends: what gets better: "error", "motion" (shaking, swinging), "velocity" of joints, or "verdict", which a
-        longer run decides.
+        longer run decides, or "limits", which joints leave.
     """
 
     change: dict
@@ -43,9 +44,12 @@ class Remedy:
 
 
 def longer(case) -> tuple:
-    """The run that decides: enough of the loop's time constants, and all of the path."""
+    """The run that decides: enough of the loop's time constants, and all of the path; none where nobody knows it."""
+    if reasons.open_ended(case):
+        return ()
     spans = ENOUGH if case.moving else PLENTY
-    return (_steps(case, spans, "verdict", "run for N = {} steps to decide"),)
+    more = ", or more where limits hold the joints back," if case.law.limits is not None else ""
+    return (_steps(case, spans, "verdict", f"run for N = {{}} steps{more} to decide"),)
 
 
 def to_the_end(case) -> tuple:
@@ -67,7 +71,10 @@ def _steps(case, spans, mends, words):
     steps = max(steps, 2 * case.steps)
     digit = 10 ** max(math.floor(math.log10(steps)) - 1, 0)
     N = digit * math.ceil(steps / digit)  # to two digits, from above
-    return Remedy(change={"N": N}, words=words.format(N), mends=mends)
+    if not case.period:
+        return Remedy(change={"N": N}, words=words.format(N), mends=mends)
+    words = f"{words.format(N)}, with period = {case.period:.6g} s (left out, it grows with N)"
+    return Remedy(change={"N": N, "period": case.period}, words=words, mends=mends)
 
 
 # --- gain ---------------------------------------------------------------------------------------------
@@ -95,12 +102,15 @@ def lower(case) -> tuple:
         if solved:
             words = "solve the stage with chord(2)"
             made.append(Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion"))
-        astray = case.moving and case.seen.size.max() > 10 * case.seen.largest  # there is more to it than the gain
+        astray = case.moving and case.seen.size.max() > 10 * case.seen.largest
+        astray = astray or reasons.beyond(case) > 0  # there is more to it than the gain
         if not (method.exponential or solved or astray or not drive.prompt or isinstance(law.inverse, Transpose)):
             words = "use method EXP-MIDPOINT, which has no such limit"
             made.append(Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion"))
         return tuple(made)
-    return within or gentle(case, "motion")
+    if leaky(law) and case.radius <= 1:  # more damping lets it pull more
+        return less_null(case)
+    return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
 
 
 def faster(case) -> tuple:
@@ -167,17 +177,17 @@ def nearer(case) -> tuple:
         fewer = "".join(case.law.task.names[:n])
         return (Remedy(change={"task": fewer}, words=f"ask for fewer coordinates, such as {fewer}"),)
     found = []
-    if made is not None and np.isfinite(made.q).all():
+    turns = case.law.task.orientation
+    if made is not None and np.isfinite(made.q).all() and not (turns and case.moving):
         tip = np.asarray(pose(case.law.chain, made.q).position, float)
-        if reasons.beyond(case) > 0 and not case.law.task.orientation:  # a little inside: the edge itself is singular
+        if reasons.beyond(case) > 0 and not turns:  # a little inside: the edge itself is singular
             base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
             tip = base + INSIDE * (tip - base)
-        found.append(
-            _shifted(case, tip)
-            if case.moving
-            else Remedy(change={"target": tip.tolist()}, words=f"bring the target to {_point(tip)}")
-        )
-    if case.seen.visible and case.seen.reversing > REVERSING:
+        if case.moving:
+            found.append(_shifted(case, tip))
+        elif not turns or case.reach_to(tip).solved:  # turned as it is wanted, which the nearest posture is not
+            found.append(Remedy(change={"target": tip.tolist()}, words=f"bring the target to {_point(tip)}"))
+    if case.seen.visible and case.seen.reversing > REVERSING and not case.seen.shrinks:
         found += gentle(case, "motion")
     return tuple(found)
 
@@ -205,9 +215,9 @@ def elsewhere(case) -> tuple:
 
 
 def slower_path(case, share, mends="error") -> tuple:
-    if case.path:
-        period = float(f"{case.path / share:.2g}")
-        words = f"follow a slower path: one that takes {period:g} s, not {case.path:.3g} s"
+    if case.period:
+        period = float(f"{case.period / share:.2g}")
+        words = f"follow a slower path: one that takes {abs(period):g} s, not {case.path:.3g} s"
         return (Remedy(change={"period": period}, words=words, mends=mends),)
     return (Remedy(change={"speed": share}, words=f"follow the path at {share:.2g} of its speed", mends=mends),)
 
@@ -222,12 +232,21 @@ def slower_joints(case) -> tuple:
         return *gentle(case, "velocity"), *found
     if within > 0.7 * excess:
         return *found, *(replace(one, mends="velocity") for one in less_null(case, share=0.5 / within))
-    if excess <= 1 or law.null_velocity is not None:  # through a drive the joints themselves may not have moved so fast
+    if excess <= 1 or law.null_velocity is not None or not case.loop[-1].prompt:  # drives move as they will
         return tuple(found)
-    if case.moving and not case.seen.by_error:  # else it is the way onto the path that is too fast
-        return *slower_path(case, 0.8 / excess, "velocity"), *found
+    if case.path:  # where it is not the path that is too fast, gain and path have a share in it
+        return *(() if case.seen.by_error else slower_path(case, 0.8 / excess, "velocity")), *found
     words = f"reduce {_words(law, 0.9 / excess, 'to')}"
     return *found, Remedy(change={"alpha": _gain(law, 0.9 / excess)}, words=words, mends="velocity")
+
+
+def inside(case) -> tuple:
+    """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther."""
+    q, chain = case.start.q, case.law.chain
+    if np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
+        return ()
+    words = "keep the joints inside with limits saturation()"
+    return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)
 
 
 def less_pull(case) -> tuple:

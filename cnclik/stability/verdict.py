@@ -108,6 +108,8 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype):
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         what = f"{what}; {case.seen.over_velocity}"
         found = (*remedies.slower_joints(case), *found)
+    if (left := reasons.outside(case)) and kind not in _UNSTABLE_KINDS:
+        what, found = f"{what}; {left}", (*found, *remedies.inside(case))
     found = tuple({one.words: one for one in found}.values())
     words = _in_words(found)
     return Verdict(
@@ -188,7 +190,7 @@ def _held(case, error):
     if case.spans >= ENOUGH and (at := reasons.at_limits(case)):
         found = remedies.elsewhere(case) or remedies.nearer(case)
         return Behaviour.AT_LIMIT, f"{at}, and {error}", found
-    if not case.stays and _fallen(case) and np.all(np.diff(seen.late) < 0):
+    if not (case.stays or reasons.open_ended(case)) and _fallen(case) and np.all(np.diff(seen.late) < 0):
         found = (*remedies.raised(case), *remedies.to_the_end(case))
         return Behaviour.CONVERGING, f"slowly; {error}; {_radius(case)}", found
     if not case.stays:
@@ -229,7 +231,7 @@ def _moving(case, error):
         if case.covered >= 1:
             return Behaviour.AT_LIMIT, what, slower
         kind, what, found = _undecided(case, what)
-        return kind, what, (*slower, *found)
+        return kind, what, found if case.crawls else (*slower, *found)
     if _rings(case):
         return _ringing(case, error)
     if not follows and (reasons.beyond(case) > 0 or reasons.too_many(case)):
@@ -245,6 +247,9 @@ def _moving(case, error):
     if _shakes(case):
         return _shaking(case, error)
     what = f"{error}, {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on; {_radius(case)}"
+    limited = case.law.limits is not None and bool(np.any(seen.status & Status.AT_LIMIT))
+    if limited:  # more velocity may be more than they let through
+        return Behaviour.LAGGING, what, remedies.slower_path(case, 0.5)
     if float(case.law.feedforward) != 1.0:
         words = "feed the velocity forward (feedforward=1)"
         return Behaviour.LAGGING, what, (Remedy(change={"feedforward": 1.0}, words=words),)
@@ -262,7 +267,9 @@ def _rounded(case, error):
 
 
 def _rings(case):
-    return case.overshoot > OVERSHOOT and case.seen.swings >= 2 and case.radius <= UNSTABLE
+    seen = case.seen
+    by_path = case.moving and case.path and 4 * seen.swing * case.loop[0] >= case.path  # as slowly as its path turns
+    return case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE and not by_path
 
 
 def _ringing(case, error):
@@ -284,6 +291,9 @@ def _shaking(case, error):
         return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case, case.null_radius)
     if not seen.arrived and case.radius <= UNSTABLE and reasons.unreachable(case):
         return _out_of_reach(case, f"{error}, and {fast}")
+    if case.crawls and case.radius <= UNSTABLE:
+        kind, what, found = _undecided(case, f"{fast}; {error}")
+        return kind, what, found if hasattr(case.law.inverse, "damping") else (*found, *remedies.gentle(case, "motion"))
     return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", remedies.lower(case)
 
 
@@ -303,7 +313,7 @@ def _unstable(case, error):
 
 
 def _shrinking(case, error):
-    if case.spans < ENOUGH and not _fallen(case):
+    if case.crawls or (case.spans < ENOUGH and not _fallen(case)):
         return _undecided(case, error)
     if _shakes(case) and case.seen.largest > 0.8 * case.seen.before.max():
         return _shaking(case, error)
@@ -324,6 +334,8 @@ def _out_of_reach(case, error):
 
 
 def _undecided(case, error):
+    if why := reasons.open_ended(case):
+        return Behaviour.UNDECIDED, f"{error}; {why}", remedies.longer(case)
     holds = f"the run holds {case.spans:.2g} of the loop's own time constants"
     path = f" and {100 * case.covered:.2g} % of the path" if case.covered < 1 else ""
     return Behaviour.UNDECIDED, f"{error}; {holds}{path}", remedies.longer(case)

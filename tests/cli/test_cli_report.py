@@ -32,7 +32,7 @@ def page(argv, capsys):
 def test_solve(tmp_path, capsys):
     text, shown = page(["solve", *LOOP, "--N", "30", "--no-figures", "--out", "out"], capsys)
     sentence = next(line for line in shown.splitlines() if line.startswith(("Settled", "Converging")))
-    assert sentence.split(";")[0] in text and text.count("<svg") == 4 and "cnclik[viewer]" in text
+    assert sentence.split(";")[0] in text and text.count("<svg") == 5 and "cnclik[viewer]" in text
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["trajectory.nc"] and "Wrote one.html." in shown
 
 
@@ -41,7 +41,7 @@ def test_a_report_that_fails_costs_no_data(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as left:
         main(["solve", *LOOP, "--N", "3", "--out", "out", "--report", "one.html"])
     assert left.value.code == 1 and "Not in one.html: joints" in capsys.readouterr().err
-    assert len(list((tmp_path / "out").iterdir())) == 5 and (tmp_path / "one.html").exists()
+    assert len(list((tmp_path / "out").iterdir())) == 6 and (tmp_path / "one.html").exists()
 
 
 def test_figures_that_fail_cost_no_report(tmp_path, monkeypatch, capsys):
@@ -53,7 +53,7 @@ def test_figures_that_fail_cost_no_report(tmp_path, monkeypatch, capsys):
         main(["solve", *LOOP, "--N", "3", "--out", "out", "--report", "one.html"])
     told = capsys.readouterr()
     assert left.value.code == 1 and "Not drawn: joints.png" in told.err and "Wrote one.html." in told.out
-    assert (tmp_path / "one.html").read_text().count("<svg") == 4
+    assert (tmp_path / "one.html").read_text().count("<svg") == 5
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["trajectory.nc"]
 
 

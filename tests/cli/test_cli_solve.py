@@ -27,7 +27,7 @@ def solved(tmp_path_factory):
 
 
 def test_files_hold_the_run(solved):
-    names = {"trajectory.nc", "trajectory.csv", "error.png", "joints.png", "status.png", "velocities.png"}
+    names = {"trajectory.nc", "trajectory.csv", "error.png", "joints.png", "status.png", "tip.png", "velocities.png"}
     assert {p.name for p in solved.iterdir()} == names
     with xr.open_dataset(solved / "trajectory.nc") as data, (solved / "trajectory.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -120,7 +120,7 @@ def test_a_disk_that_is_full_at_any_write_loses_no_file(solved, tmp_path, monkey
         else:
             break
         assert not list(tmp_path.rglob(".partial-*"))
-    assert failing == 8  # a probe of the room and two files of data, a probe and four figures: each failed once
+    assert failing == 9  # a probe of the room and two files of data, a probe and five figures: each failed once
     assert {p.name for p in out.iterdir()} == names
 
 

@@ -12,6 +12,7 @@ from PIL import Image
 from cnclik.cli import main
 from cnclik.show import sweeps
 from cnclik.sweeps import cost, estimate, open_sweep, run_spec
+from cnclik.sweeps import spec as specs
 from tests.specs import reaching
 
 pytestmark = pytest.mark.form(None)  # as in the processes and module fixtures that these tests start
@@ -84,6 +85,15 @@ def test_a_sweep_leaves_data_summary_and_figures(path, folder):
         assert image.text["Title"] == "heat_final_error" and "Does it end well?" in image.text["Description"]
 
 
+def test_dead_time_is_told_in_samples_and_milliseconds(path, capsys, monkeypatch):
+    made = estimate(specs.read(path))
+    monkeypatch.setattr(cost, "estimate", lambda spec: made)
+    main(["sweep", str(path), "--check", "--set", "delay=2"])
+    assert "2 samples (20 ms) to 2 samples (400 ms)" in capsys.readouterr().out
+    main(["sweep", str(path), "--check", "--set", "delay=2", "--set", "axes.Ts=[0.01]"])
+    assert "dead time    2 samples (20 ms)\n" in capsys.readouterr().out
+
+
 def test_check_says_what_it_will_take_and_writes_nothing(path, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     made = []
@@ -93,7 +103,8 @@ def test_check_says_what_it_will_take_and_writes_nothing(path, capsys, tmp_path,
     said = {name.strip(): text.strip() for name, text in said.items()}
     assert said["question"] == "Does it end well?" and said["grid"] == "alpha 9 × Ts 7 = 63 loops"
     assert said["programs"].startswith("1 (about ") and said["blocks"] == f"{made[0].blocks} of {made[0].block} loops"
-    assert set(said) == {*("question", "expectation", "grid", "programs", "blocks", "memory", "on disk", "time")}
+    names = ("question", "expectation", "grid", "dead time", "programs", "blocks", "memory", "on disk", "time")
+    assert set(said) == set(names) and said["dead time"] == "0 samples (0 ms)"
     assert not list(tmp_path.iterdir())
     (found,) = made
     assert (found.loops, found.axes, found.programs) == (63, {"alpha": 9, "Ts": 7}, 1)

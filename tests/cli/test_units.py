@@ -4,12 +4,14 @@ import json
 import math
 import warnings
 
+import numpy as np
 import pytest
 
 import cnclik as ck
 from cnclik import quantities
 from cnclik.cli import arguments, diagnose, main, reach, solve, stability, tune
 from cnclik.errors import Remark
+from cnclik.problem.plausible import remark_on
 
 
 def parsed(verb, *argv):
@@ -119,6 +121,7 @@ IMPLAUSIBLE = [
     ("--q0 0 90", "`q0` has a joint at 90 rad, .* --q0 0 90 deg"),
     ("--posture 0 -45", "`posture` has a joint at -45 rad, .* --posture 0 -45 deg"),
     ("--target 300 800", "`target` has 800 m, and the arm is 2 m long. .* --target 300 800 mm"),
+    ("--target 4 -5", "`target` has 5 m, and the arm is 2 m long. .* --target 4 -5 mm"),
     ("--reference circle --radius 50 --phase 90", "`phase` is 90 rad"),
     ("--reference circle --radius 50", "`radius` has 50 m"),
 ]
@@ -133,12 +136,24 @@ def test_what_is_implausible_is_remarked_on_and_done(argv, told):
 @pytest.mark.parametrize(
     "argv",
     ["--delay 0.5", "--delay 0", "--delay 3ms", "--Ts 1", "--Ts 2000ms", "--q0 0 90 deg", "--q0 6.28 -3", "--lag 1",
-     "--target 0.3 1.2", "--target 300 1200 mm", "--q0 6rad 0rad"],
+     "--target 0.3 1.2", "--target 2 3", "--target 300 1200 mm", "--q0 6rad 0rad"],
 )  # fmt: skip
 def test_what_is_plausible_or_has_a_unit_is_not(argv):
     with warnings.catch_warnings():
         warnings.simplefilter("error", Remark)
         _problem("planar:1,1", argv)
+
+
+@pytest.mark.parametrize("place", [[9.0, 0.0, 0.0], [-3.0, -3.0, 2.0]])
+def test_lengths_are_those_from_where_the_arm_stands_and_those_of_slides_are_not_known(place):
+    stands = ck.with_base(ck.from_dh([0.5, 0.5], [0.0, 0.0], [0.0, 0.0]), place)
+    gantry = ck.from_dh([0.0] * 3, [np.pi / 2, np.pi / 2, 0.0], [0.0] * 3, kinds="PPP")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Remark)
+        remark_on({"target": tuple(np.add(place, [0.9, 0.2, 0.0]))}, stands, ck.position(), 0.01, {})
+        remark_on({"target": (4.0, 5.0, 1.0)}, gantry, ck.position(), 0.01, {})
+    with pytest.warns(Remark, match="Millimetres"):
+        remark_on({"target": (300.0, 200.0, 100.0)}, stands, ck.position(), 0.01, {})
 
 
 def _problem(robot, argv):

@@ -83,7 +83,7 @@ def test_a_gain_that_would_end_it_does():
     quiet = diagnose(loop(z * found.recommended_alpha / alpha, d, 200), TS)
     assert quiet.kind is Kind.MONOTONE
     said = str(found)
-    assert said.startswith("ringing: period ") and "3 samples (0.006 s) of dead time" in said and "1/s" in said
+    assert said.startswith("ringing: period ") and "3 samples (6 ms) of dead time" in said and "1/s" in said
 
 
 def test_values_that_return_every_second_time():

@@ -7,6 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.diagnosis import fit_drive
+from cnclik.diagnosis.response import response
 from cnclik.errors import ArgumentError
 from tests.diagnosis.recordings import servo
 
@@ -230,6 +231,17 @@ def test_the_largest_stable_gain_is_within_its_range(cells):
     motion = np.stack([servo(c, TS, 2.0, lag=0.02) for c in one_by_one.T], 1)
     alone = fit_drive(None, one_by_one, motion + 1e-4 * rng.standard_normal(motion.shape), TS)
     assert alone.largest_stable_alpha is None and "all joints at once" in str(alone)
+
+
+@pytest.mark.parametrize("joints, command_kind, numbers", [(7, "position", (0.03,)), (2, "velocity", (40.0, 0.7))])
+def test_no_range_of_the_largest_stable_gain_where_recordings_do_not_show_it(joints, command_kind, numbers):
+    """On redundant arms, and with velocity servos that integrate, it did not hold the truth: results/loops."""
+    drive = dict(zip(("lag",) if len(numbers) == 1 else ("natural_frequency", "damping_ratio"), numbers, strict=True))
+    command = np.stack([step(100, size=0.1)] * joints, 1)
+    command = command - command[0]
+    moved = response(ck.Drive(delay=2.0, command=command_kind, **drive), command, TS)
+    fit = fit_drive(None, command, moved, TS, command_kind=command_kind)
+    assert fit.largest_stable_alpha is None and "not known of" in str(fit)
 
 
 def test_a_dead_time_of_none_is_said_as_none():

@@ -49,7 +49,7 @@ def draw(rng):
         chosen += ["--columns", any_of(rng, (*names, "none"))]
     if chance(rng, 0.1):
         return damaged(rng, data), chosen
-    return _logged(rng) if chance(rng, 0.2) else (data, chosen)
+    return _logged(rng) if len(data) % 3 == 2 else (data, chosen)
 
 
 def _logged(rng):

@@ -254,6 +254,7 @@ TWO = dict(A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2)
         (dict(c=(0.0,)), "`c` must have shape"),
         (dict(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
         (dict(order=0), "`order` must be at least 1"),
+        (dict(A=ck.RK4.A, b=ck.RK4.b, c=ck.RK4.c, order=5), "`order` must be at most 4, but is 5"),
     ],
 )
 def test_tableaus_that_are_none(named, message):

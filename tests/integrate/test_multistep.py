@@ -133,6 +133,7 @@ def test_formulas_of_ones_own_of_many_instants(p):
         (dict(b=[1.5, -0.5], order=3), "`order` must be 2, that of the weights, but is 3"),
         (dict(a=[0.5, 0.4], b=[1.0], order=1), "`a` must hold weights whose sum is 1"),
         (dict(a=[-4.0, 5.0], b=[4.0, 2.0], order=3), "`a` must have no root of .* beyond 1, but has one of size 5"),
+        (dict(a=[2.0, -1.0], b=[1.0, -1.0], order=1), "`a` must have no double root of .* at 1"),
         (dict(a=[0.5, 0.5], b=[1.5], order=1, exponential=True), "`exponential` must be False"),
         (dict(b=[], order=1), "`b` must hold weights whose sum is 1"),
         (dict(b="AB2", order=1), "`b` must be an array of real numbers"),

@@ -200,7 +200,7 @@ def test_an_interrupted_run_leaves_what_was(tmp_path, monkeypatch):
     (old / "claims.json").write_text("what was here")
     for out in (old, tmp_path / "a" / "new"):
         with pytest.raises(SystemExit) as left:
-            main(["reproduce", "--out", str(out)])
+            main(["reproduce", "--overwrite", "--out", str(out)])
         assert left.value.code == 130
     assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["claims.json"]
     assert (old / "claims.json").read_text() == "what was here" and not (tmp_path / "a").exists()

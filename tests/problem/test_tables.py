@@ -1,6 +1,7 @@
 """Tables of poses are read by their columns' names; numbers are what they look like, and nothing else."""
 
 import itertools
+import warnings
 
 import numpy as np
 import pytest
@@ -61,6 +62,23 @@ def test_columns_are_read_by_name(spelling, tmp_path):
         place, turn = reference.curve(t)
         np.testing.assert_allclose(place, P[k], atol=1e-6)
         np.testing.assert_allclose(turn, Rotation.from_quat(W[k], scalar_first=True).as_matrix(), atol=1e-5)
+
+
+def test_names_in_a_comment_above_the_numbers_are_a_header(tmp_path):
+    """np.savetxt writes one so; other comments are none, nor is a row that was commented out."""
+    names = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    file = tmp_path / "targets.csv"
+    np.savetxt(
+        file, np.stack([VALUES[name] for name in names], 1), delimiter=",", header=f"made by us\n{','.join(names)}"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Remark)
+        np.testing.assert_allclose(read_targets(file, pose()), np.stack(list(VALUES.values()), 1), atol=1e-15)
+    assert read_columns("LOG", file)[0] == tuple(names)
+    for comment in ("# in metres, in the base frame, by hand", "# 1e-3,2e-3,nan", "# x y z", "#"):
+        written(file, comment, P.T)
+        with pytest.warns(Remark, match="no header; its columns were read as x y z"):
+            np.testing.assert_array_equal(read_targets(file, position()), P)
 
 
 def test_every_order_of_the_columns_is_one_file(tmp_path):

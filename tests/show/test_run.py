@@ -49,7 +49,7 @@ def limits(panel):
 
 
 @pytest.mark.parametrize(
-    "kind, panels", [("overview", 4), ("joints", 2), ("velocities", 2), ("error", 1), ("status", 1)]
+    "kind, panels", [("overview", 4), ("joints", 2), ("velocities", 2), ("error", 1), ("status", 1), ("tip", 1)]
 )
 def test_every_kind_is_a_figure(kind, panels, tmp_path):
     figure = pictures.plot(run(), LAW, kind)
@@ -76,8 +76,22 @@ def test_position_limits_where_a_path_comes_near():
 
 def test_numbers_that_are_not_finite_are_drawn_around():
     qdot = np.where(np.arange(N) < 10, 0.3, np.nan)
-    for kind in ("overview", "joints", "velocities", "error", "status"):
+    for kind in pictures.KINDS:
         pictures.plot(run(qdot), LAW, kind).canvas.draw()
+
+
+def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
+    space = ck.from_dh([0.0, 1.0], [np.pi / 2, 0.0], [0.5, 0.0])  # turns about z, then lifts
+    law = ck.Law(space, ck.position("xz"), alpha=1.0)
+    made = run()
+    way = np.array([ck.pose(space, q).position for q in made.q])
+    made = ck.replace(made, x=way[:, [0, 2]], e=[0.1, -0.2] - 0 * way[:, :2])
+    tip, target, start = pictures.plot(made, law, "tip").axes[0].lines
+    np.testing.assert_allclose(np.transpose(tip.get_data_3d()), way, atol=1e-12)
+    np.testing.assert_allclose(np.transpose(target.get_data_3d()), np.add(way, [0.1, 0.0, -0.2]), atol=1e-12)
+    np.testing.assert_allclose(np.transpose(start.get_data_3d()), way[:1], atol=1e-12)
+    flat = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=1.0)
+    assert pictures.plot(run(), flat, "tip").axes[0].name != "3d"
 
 
 def test_status_has_a_row_for_every_bit():

@@ -128,6 +128,16 @@ def test_a_start_on_the_path_does_not_stretch_the_errors():
     plt.close(figure)
 
 
+def test_errors_at_rounding_stretch_no_axis_and_the_largest_is_below_its_top():
+    figure, panel = plt.subplots()
+    norm = np.append(np.full(5, 1e-17), np.linspace(1e-5, 1e-3, 95))  # five steps of dead time on the path
+    panel.plot(norm)
+    style.log_errors(panel, [norm])
+    low, high = panel.get_ylim()
+    assert 1e-6 < low < 1e-5 and 1.1e-3 < high < 2e-3
+    plt.close(figure)
+
+
 def test_names_of_contours_are_apart_and_within_the_panel():
     x, y = np.meshgrid(np.geomspace(0.01, 1, 60), np.geomspace(1, 100, 50))
     with style.style():

@@ -55,6 +55,17 @@ def drawn(found, table, **kind):
         return sweeps.figures(found, [table | kind])
 
 
+def test_a_plane_of_few_values_has_ticks_at_them_alone():
+    few = {"method": METHODS, "alpha": np.array([1.0, 3.0, 4.0]), "delay": np.array([0, 2, 5])}
+    for kind in ("heat", "best"):
+        panel = drawn(data(limit=False, **few), {"value": "max_error", "x": "alpha", "y": "delay"}, kind=kind)
+        panel = next(iter(panel.values())).axes[0]
+        assert list(panel.get_xticks()) == [1, 3, 4] and list(panel.get_yticks()) == [0, 2, 5]
+        assert [t.get_text() for t in panel.get_xticklabels()] == ["1", "3", "4"]
+    many = drawn(data(**PLANE), {"value": "max_error", "x": "alpha", "y": "Ts"}, kind="heat")
+    assert next(iter(many.values())).axes[0].get_xscale() == "log"
+
+
 # --- what goes where ----------------------------------------------------------------------------------
 
 

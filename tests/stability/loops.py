@@ -238,11 +238,27 @@ def calm(run):
     return bool(np.isfinite(steps).all() and steps.max() < VISIBLE)
 
 
-def swings(run):
-    """How often the error changes its sense while it is larger than a thousandth of the first."""
-    along = run.e @ run.e[0] / max(float(run.e[0] @ run.e[0]), 1e-300)
-    along = along[np.abs(along) > 1e-3]
-    return int(np.sum(along[1:] * along[:-1] < 0))
+def rings(loop, run):
+    """Whether a coordinate of the error swings to the other side and back and keeps some of itself each time, faster
+    than the path turns."""
+    curve, large = loop.reference.curve, 1e-3 * np.linalg.norm(run.e, axis=1).max()
+    for e in run.e.T:
+        kept = np.flatnonzero(np.abs(e) > large)
+        ends = np.flatnonzero(e[kept][1:] * e[kept][:-1] < 0) + 1
+        lobes = np.array([np.abs(lobe).max() for lobe in np.split(e[kept], ends) if len(lobe)])
+        often = (
+            np.diff(kept[ends]).min(initial=10**9) * float(loop.Ts) < abs(float(getattr(curve, "period", np.inf))) / 4
+        )
+        if len(lobes) > 2 and (lobes[1:] / lobes[:-1]).max() > 0.3 and often:
+            return True
+    return False
+
+
+def reverses(run):
+    """Share of the joint speed that the next step takes back, in the last quarter (RMS)."""
+    v = run.qdot[-max(len(run.qdot) // 4, 2) :]
+    back = np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0)
+    return float(np.linalg.norm(back) / max(np.linalg.norm(v), 1e-300))
 
 
 def ends(loop):
@@ -288,7 +304,8 @@ def falsehood(loop, said, run, whole, of):
     N = loop.N
     floor = max(1e-9, ARRIVED * float(np.linalg.norm(run.e[0])))
     if not np.isfinite(finally_):
-        return "it is lost in the end" if kind in ("settled", "settled with lag", "converging") else ""
+        stays = ("settled", "settled with lag", "converging", "stuck at a limit", "no progress")
+        return "it is lost in the end" if kind in stays else ""
     if kind in ("settled", "settled with lag"):
         path = moving(loop, N)
         if path and ends(loop) is not None:  # while the line lasts
@@ -302,15 +319,19 @@ def falsehood(loop, said, run, whole, of):
             return f"{finally_:.2g} later"
         if kind == "settled with lag" and path and finally_ < 0.2 * claimed:
             return f"the lag is {finally_:.2g} later"
-    if kind == "converging" and finally_ > max((0.98 if "slowly" in said.sentence else 0.5) * claimed, floor):
+    if kind == "settled" and not moving(loop, N) and not calm(whole) and reverses(whole) > 0.15:
+        return "it shakes later"
+    if kind == "converging" and finally_ > max((0.9 if "slowly" in said.sentence else 0.5) * claimed, floor):
         return f"{finally_:.2g} later"
-    if kind == "diverging" and (arrived(whole) or finally_ < 0.3 * claimed) and spectral(loop, whole, of) < 1:
+    rests = calm(whole) and not moving(loop, N)
+    if kind == "diverging" and (rests or arrived(whole) or finally_ < 0.3 * claimed) and spectral(loop, whole, of) < 1:
         return f"{finally_:.2g} later"
-    if kind == "shaking" and calm(whole) and spectral(loop, whole, of) < 1:
+    if kind == "shaking" and (calm(whole) or reverses(whole) < 0.02) and spectral(loop, whole, of) < 1:
         return "it is calm later"
-    if kind == "ringing" and swings(run) < 2:
+    if kind == "ringing" and not rings(loop, run):
         return "the error does not swing"
-    if kind in ("stuck at a limit", "no progress") and not moving(loop, 0.75 * N) and finally_ < 0.5 * claimed:
+    stays = 0.7 * claimed <= finally_ <= 2 * claimed + floor
+    if kind in ("stuck at a limit", "no progress") and not moving(loop, 0.75 * N) and not stays:
         return f"{finally_:.2g} later"
     if kind == "out of reach" and ((arrived(whole) and not moving(loop, N)) or reachable(loop, N)):
         return f"it is in reach, {finally_:.2g} later"
@@ -359,8 +380,8 @@ def mended(loop, of, remedy):
         law = ck.replace(law, inverse=ck.damped(jnp.asarray(change.pop("damping"))))
     if "error_clamp" in change:
         law = ck.replace(law, error_clamp=np.asarray(change.pop("error_clamp"), float))
-    if change.pop("limits", None) == "velocity-scaling":
-        law = ck.replace(law, limits=ck.velocity_scaling())
+    if "limits" in change:
+        law = ck.replace(law, limits=getattr(ck, change.pop("limits").replace("-", "_"))())
     if "feedforward" in change:
         law = ck.replace(law, feedforward=change.pop("feedforward"))
     if "null_gain" in change:
@@ -371,9 +392,15 @@ def mended(loop, of, remedy):
 
 
 def excess(law, run):
-    """How many steps are too fast, and how much the fastest."""
-    fast = np.sum(run.status & int(Status.OVER_VELOCITY) != 0)
-    return fast > 0, float(np.max(np.abs(run.qdot) / np.array(law.chain.velocity_limit, float)))
+    """Joint velocity over its limit, at most; 0 where no step is told to be too fast."""
+    fast = np.any(run.status & int(Status.OVER_VELOCITY) != 0)
+    ratio = np.max(np.abs(run.qdot) / np.array(law.chain.velocity_limit, float))
+    return fast * float(max(ratio, 1.0))  # through a drive they may not have moved yet
+
+
+def outside(law, run):
+    """By how much a joint is beyond its limits, at most."""
+    return float(np.maximum(run.q - np.array(law.chain.upper), np.array(law.chain.lower) - run.q).max(initial=0.0))
 
 
 def chatter(run):
@@ -391,15 +418,18 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
     if not np.isfinite(run.e).all():
         return True
     if remedy.mends == "velocity":
-        return excess(loop.law, after) < excess(loop.law, run)
+        return excess(loop.law, after) < 0.8 * excess(loop.law, run)
+    if remedy.mends == "limits":
+        return outside(loop.law, after) < 1e-6 < 1e3 * outside(loop.law, run)
+    if remedy.mends == "motion":  # calmer, and not worse in the end
+        spans = (5 * loop.N, len(whole.e))  # in the end the target may be out of reach
+        least = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
+        better = chatter(after) < 0.5 * chatter(run) or min(least) < 0.5
+        calmer = better or calm(whole_after) or arrived(whole_after)
+        return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]))
     if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
         return True
-    less = late(after) < (0.3 if "N" in remedy.change else 0.95) * late(run) or arrived(after)
-    if remedy.mends == "motion" and not less:  # calmer, or better in the end
-        spans = (5 * loop.N, len(whole.e))
-        further = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
-        return min(further) < 0.95 or arrived(whole_after) or chatter(after) < 0.5 * chatter(run)
-    return less
+    return late(after) < (0.3 if "N" in remedy.change else 0.95) * late(run) or arrived(after)
 
 
 def said_of(loop, run, of):

@@ -22,6 +22,28 @@ def test_no_verdict_is_false_and_no_remedy_vain(number):
     assert len(kinds) >= 3 and short < 10  # it does not get away with saying nothing
 
 
+@pytest.mark.parametrize(
+    ("number", "loop", "kind"),
+    [
+        pytest.param(8, 19, "no progress", id="a null-space motion stirs up 2e-8 m at a target it starts on"),
+        pytest.param(9, 6, "no progress", id="how long a null-space velocity pulls is not known"),
+        pytest.param(15, 1, "shaking", id="limits next to a singularity, then it is there", marks=pytest.mark.slow),
+        pytest.param(16, 30, "ringing", id="an error that turns with its circle", marks=pytest.mark.slow),
+        pytest.param(28, 6, "converging", id="held back next to a singularity", marks=pytest.mark.slow),
+    ],
+)
+def test_what_nobody_can_know_is_not_said(number, loop, kind):
+    """These were said, with remedies that did nothing."""
+    of = loops.family(number)
+    with ck.use_form("rolled"):
+        ((drawn, _, whole),) = loops.grouped([(loops.draw(of, loop), of)])
+        run = loops.cut(drawn, whole)
+        said = loops.said_of(drawn, run, of)
+    assert str(said.kind) != kind and "not known" in said.sentence, said.sentence
+    assert not loops.falsehood(drawn, said, run, whole, of)
+    assert not any("N" in one.change for one in said.remedies)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(25))
 def test_no_verdict_of_many_is_false(number):

@@ -112,6 +112,15 @@ def test_out_of_reach():
     assert "can get no nearer than 0.55 m" in loud.sentence
 
 
+@pytest.mark.parametrize(("N", "kind"), [(30, "too short to tell"), (60, "converging"), (400, "settled")])
+def test_a_gantry_reaches_as_far_as_its_slides(N, kind):
+    """Its joints are all in one place at q = 0: an arm without any length."""
+    gantry = ck.from_dh([0.0] * 3, [np.pi / 2, np.pi / 2, 0.0], [0.0] * 3, kinds="PPP", lower=[-2] * 3, upper=[2] * 3)
+    target = ck.hold(np.asarray(ck.pose(gantry, np.ones(3)).position))
+    found = judge(ck.Law(gantry, ck.position(), alpha=0.5), target, N, q=np.zeros(3))
+    assert found.kind == Behaviour(kind) and "stretched arm" not in found.sentence
+
+
 def test_more_coordinates_than_joints():
     task = ck.pose_task("xy", "z")
     made = ck.Law(TWO, task, alpha=5.0, inverse=ck.damped(0.1))
@@ -336,3 +345,55 @@ def test_a_run_that_leaves_a_singularity_is_told_how_to_leave_it_gently():
         gentle = problem_from("ur5", **table | one.change)
         share = np.abs(gentle.run().qdot) / np.array(gentle.law.chain.velocity_limit)
         assert share.max() < 1.05
+
+
+def test_joints_that_leave_their_limits_are_told_of():
+    """A settled run said nothing of a joint that the arm has not."""
+    arm = ck.planar_arm([1.0, 0.8])
+    arm = ck.replace(arm, lower=(-2.0, -1.0), upper=(2.0, 1.3))
+    goal, q0 = ck.hold([0.2, 0.9]), np.array([0.3, 1.1])
+    made = ck.Law(arm, XY, alpha=3.0)
+    run = ck.solve(made, goal, q0, Ts, 60, ck.EE)
+    told = verdict(made, goal, run, Ts=Ts, method=ck.EE)
+    beyond = float(np.max(np.asarray(run.q)[:, 1]) - 1.3)
+    assert told.kind == Behaviour.SETTLED and f"joint q2 is up to {beyond:.3g} rad beyond" in told.sentence
+    (one,) = [one for one in told.remedies if one.mends == "limits"]
+    assert one.change == {"limits": "saturation"} and "saturation()" in told.sentence
+    kept = ck.replace(made, limits=ck.saturation())
+    run = ck.solve(kept, goal, q0, Ts, 60, ck.EE)
+    assert np.max(np.asarray(run.q)[:, 1]) <= 1.3
+    assert "beyond its limit" not in verdict(kept, goal, run, Ts=Ts, method=ck.EE).sentence
+    through = ck.solve(made, goal, q0, Ts, 60, ck.EE, drive=ck.Drive(lag=0.05))  # a drive carries them farther
+    told = verdict(made, goal, through, Ts=Ts, method=ck.EE, drive=ck.Drive(lag=0.05))
+    assert "beyond its limit" in told.sentence and not [one for one in told.remedies if one.mends == "limits"]
+
+
+@pytest.mark.parametrize("period", [None, -2.0])
+def test_a_longer_run_follows_the_path_as_it_was(period):
+    """Left out, the period is as long as the run: more steps alone would slow the path."""
+    table = dict(robot="planar:1,1,1", reference="circle", Ts=0.02, N=40, alpha=1.0)
+    table |= {} if period is None else {"period": period}
+    made = problem_from(**table)
+    told = verdict(made.law, made.reference, made.run(), Ts=made.Ts, method=made.method, stage=made.stage)
+    assert told.kind == "too short to tell", told.sentence
+    change = told.remedies[-1].change
+    assert change["N"] > 40 and change["period"] == pytest.approx(0.8 if period is None else period)
+    assert f"period = {change['period']:.6g} s" in told.sentence
+    longer = problem_from(**table | change)
+    assert float(longer.reference.curve.period) == pytest.approx(float(made.reference.curve.period))
+
+
+def test_where_the_tip_is_to_turn_a_path_out_of_reach_is_not_moved():
+    """Nobody looked whether the moved path could be turned as it was to be; a held target is asked for again."""
+    start, task = np.array([0.3, 0.4, -0.2]), ck.pose_task("xy", "z")
+    arm = ck.planar_arm([1.0, 1.0, 0.5])
+    turn = np.asarray(ck.pose(arm, start).rotation)
+    around = ck.circle([2.6, 0.3], 0.3, period=4.0, rotation=turn)
+    made = ck.Law(arm, task, alpha=2.0, inverse=ck.damped(0.1))
+    told = judge(made, around, 400, start, Ts=0.02)
+    assert told.kind == Behaviour.OUT_OF_REACH and not any("shift" in one.change for one in told.remedies)
+    told = judge(made, ck.hold([2.6, 0.3], turn), 400, start, Ts=0.02)
+    for one in told.remedies:
+        if "target" in one.change:
+            there = judge(made, ck.hold(one.change["target"][:2], turn), 2000, start, Ts=0.02)
+            assert there.error < 0.05 * told.error, there.sentence

@@ -59,6 +59,16 @@ class Panels:
             if geometric(values):
                 style.log_scale(axis, values, few)
 
+    def name_few(self, ax, x, y):
+        """Ticks at the values of the axes of a plane, where they have room: between them nothing was run."""
+        for values, axis, used in (
+            (x, ax.xaxis, sum(len(text(v)) + 2 for v in x) * LETTER / self.room()),
+            (y, ax.yaxis, 2.5 * LETTER * len(y) / self.high),
+        ):
+            if used < 1:
+                axis.set_ticks(values, [text(v) for v in values])
+                axis.set_ticks([], minor=True)
+
     def finish(self, x: str, y: str):
         """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
         setp(self.axes[-1], xlabel=x)

@@ -35,6 +35,7 @@ def heat(view, layout):
             shown = np.ma.clip(shown, scale.vmin, None)  # an error of exactly 0 is the smallest, not missing
         mesh = _mesh(ax, x, y, shown, norm=scale)
         grid.scales(ax, x, y)
+        grid.name_few(ax, x, y)
         drawn = boundary(ax, part, layout) if layout.boundary else []
         bounded = bounded or drawn
         if levels is not False:
@@ -62,6 +63,7 @@ def best(view, layout):
         winner = np.ma.masked_where(chance, finite.argmin(axis=0))
         _mesh(ax, x, y, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
         grid.scales(ax, x, y)
+        grid.name_few(ax, x, y)
         isolines = {layout.x, layout.y} == {"alpha", "Ts"} and layout.boundary
         _named(ax, x, y, winner, names, _isolines(ax) if isolines else [], grid.room())
     handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
