@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.compilation import use_cache
     from cnclik.diagnosis.diagnose import diagnose
     from cnclik.diagnosis.fit import fit_drive
+    from cnclik.engine.plan import use_engine
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
     from cnclik.integrate.drive import Drive
@@ -65,6 +66,7 @@ _ROOMS = (
 )
 _INNER = (
     "compilation",
+    "engine",
     "errors",
     "hints",
     "integrate",
@@ -81,6 +83,7 @@ _ON_USE = {
     "compilation": "use_cache",
     "diagnosis.diagnose": "diagnose",
     "diagnosis.fit": "fit_drive",
+    "engine.plan": "use_engine",
     "errors": "ArgumentError",
     "hints": "use_form use_hints",
     "integrate.drive": "Drive",
@@ -132,8 +135,9 @@ __all__ = [
     *("plot", "pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "reach"),
     *("reachability", "reaching", "recommend", "replace", "require_ok", "resampled", "saturation", "settle"),
     *("show", "singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep"),
-    *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_form", "use_hints"),
-    *("velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_base", "with_feedforward", "with_tool"),
+    *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_engine", "use_form"),
+    *("use_hints", "velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_base", "with_feedforward"),
+    "with_tool",
 ]
 
 

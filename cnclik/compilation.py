@@ -75,7 +75,7 @@ def cut(folder: pathlib.Path, most_bytes: int) -> None:
     """Remove the programs in a folder that were used longest ago, until the rest fits, and what is no file where a
     program's should be: a link may lead to a device without an end."""
     found = []
-    for path in folder.glob("jaxlib-*/*-cache"):
+    for path in (*folder.glob("jaxlib-*/*-cache"), *folder.glob("jaxlib-*/*.so")):
         with contextlib.suppress(OSError):  # another process may be at it, too
             about = path.lstat()
             if stat.S_ISREG(about.st_mode):

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from cnclik.bench import loops
+from cnclik.engine.compiler import build, opened
 from cnclik.export.load import load
 from cnclik.export.write import c
 from cnclik.hints import use_form
@@ -24,7 +25,6 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.solve import step as jax_step
 from cnclik.integrate.stage import picard
 from cnclik.law.reference import hold
-from cnclik.native.compiler import build, opened
 from cnclik.record import placed
 
 CALLS = 1_000_000

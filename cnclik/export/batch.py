@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 
 from cnclik import errors
-from cnclik.native.compiler import build, closed_after, opened
+from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 

@@ -14,11 +14,11 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.export.batch import Batch
 from cnclik.export.write import MANIFEST, c, digest, digest_of
 from cnclik.integrate.advance import Step
 from cnclik.integrate.trajectory import INSTANTS, Trajectory
-from cnclik.native.compiler import build, closed_after, opened
 from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
 from cnclik.robot.kinematics import Pose

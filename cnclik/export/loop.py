@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from cnclik.engine.cells import array_of
 from cnclik.export.trace import Asked, Stepping, read_as
-from cnclik.integrate.cells import array_of
 from cnclik.native.graph import INT, Graph
 from cnclik.native.program import Field, Program, arguments, traced
 from cnclik.native.reader import Reader, repeats

@@ -1,7 +1,8 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-On a CPU the batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in
-time is compiled as one native function (`cnclik.hints`). On a GPU the whole function becomes one kernel
+On a CPU with a C compiler the function becomes C on vectors of lanes (`cnclik.engine`), where it has such a form.
+Else the batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in time
+is compiled as one native function (`cnclik.hints`). On a GPU the whole function becomes one kernel
 (`cnclik.integrate.kernel`) where it can, else XLA compiles `jax.vmap(fn)`. Either way batches run in blocks of bounded
 size, side by side on all cores, or on all devices. Under `use_hints(False)` the same runs without hints and kernels.
 """
@@ -16,6 +17,8 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.engine.plan import in_c
+from cnclik.engine.program import Programs, lane_avals
 from cnclik.hints import QUICK_COMPILE, Recent, as_here, few_lanes, form, is_wide, known_options, quick_jit, switched_on
 from cnclik.integrate import kernel
 from cnclik.threads import cores as available
@@ -37,8 +40,8 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
 
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
-      tile: lanes per tile, by default 64, on a GPU 128 (there a power of 2).
-      block: lanes per call, a multiple of `tile`; by default 32768, on a GPU 2**20.
+      tile: lanes per tile of XLA's programs, by default 64, on a GPU 128 (there a power of 2). C has its own.
+      block: lanes per call of them, a multiple of `tile`; by default 32768, on a GPU 2**20.
       cores: how many cores of a CPU may work at once, by default all this process may use.
       quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
         slower.
@@ -61,7 +64,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
-    ready = Recent()
+    ready, programs = Recent(), Programs(fn)
 
     @functools.wraps(fn)
     def call(*args):
@@ -69,6 +72,8 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
         size = _size(leaves)
         if not all(map(errors.concrete, leaves)):
             return traced(*args)
+        if not quick and in_c() and not isinstance(found := programs.of(lane_avals(leaves), treedef), Exception):
+            return jax.tree.unflatten(found.tree, map(jnp.asarray, found(leaves, size, cores)))
         if size <= tile:
             return compiled(*args)
         return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, len(workers)), workers)

@@ -1,8 +1,8 @@
 """solve with a pace: the loop in time, whose steps are scaled to limits, and whose path waits."""
 
-import jax
 import jax.numpy as jnp
 
+from cnclik.engine.tracing import checkpointed
 from cnclik.hints import keeps_history
 from cnclik.integrate.advance import advance
 from cnclik.integrate.history import blank
@@ -66,7 +66,7 @@ def _loop(law, reference, q0, Ts, t0, stage, pace, *, N, method):
         step = replace(made, q=q, qdot=qdot, status=status, history=here)
         return (moved, here + s * Ts, pacing, history), step
 
-    one = jax.checkpoint(one, prevent_cse=False, static_argnums=0)
+    one = checkpointed(one)
     state = start, t0, pace_at_rest(q0), blank(law, start, method)
     found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
     run = assemble(t, found, evaluations_of(method, stage, law.chain.n, N))

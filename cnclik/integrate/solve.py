@@ -12,6 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.engine.tracing import checkpointed
 from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance, advanced, summed
@@ -221,7 +222,7 @@ def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
                 after, lost = summed(law, q, sp.scale(length, made.qdot), lost)
             return (after, made.history, lost), replace(made, q=q, history=None)
 
-        one = jax.checkpoint(one, prevent_cse=False, static_argnums=0)
+        one = checkpointed(one)
         lost = sp.each(jnp.zeros_like, start) if dtype == jnp.float32 else None
         state = start, memory.blank(law, start, method), lost
         steps, last = instants(one, state, k, start, law.task.m, early=early_steps(method, N))

@@ -9,7 +9,7 @@ import itertools
 import jax
 import numpy as np
 
-from cnclik.integrate.cells import array_of
+from cnclik.engine.cells import array_of
 from cnclik.native.graph import BOOL, INT, REAL
 
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from cnclik.engine.cells import array_of
 from cnclik.hints import few_lanes, use_form, use_hints
-from cnclik.integrate.cells import array_of
 from cnclik.native.graph import REAL, Graph
 from cnclik.native.reader import Reader, repeats
 

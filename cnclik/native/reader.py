@@ -10,7 +10,7 @@ from collections import Counter
 import jax
 import numpy as np
 
-from cnclik.integrate.cells import CALLS, array_of, called, consts_and_carry, each, moved, walk
+from cnclik.engine.cells import CALLS, array_of, called, consts_and_carry, each, moved, walk
 from cnclik.native.arrays import ARRAYS, UnsupportedError, kind_of
 from cnclik.native.graph import BOOL, INT, REAL, Function, Graph
 

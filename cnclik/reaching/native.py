@@ -12,8 +12,8 @@ import warnings
 
 import numpy as np
 
+from cnclik.engine.compiler import build, can_build, closed_after, opened
 from cnclik.hints import hints_on
-from cnclik.native.compiler import build, can_build, closed_after, opened
 from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width

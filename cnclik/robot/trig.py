@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from cnclik.engine.tracing import is_read
 from cnclik.hints import on_cpu, opaque
 
 RANGE = 1e4
@@ -71,9 +72,9 @@ def _sincos_jvp(primals, tangents):
 
 
 def _sincos(angles):
-    if on_cpu():
+    if on_cpu() and not is_read():
         return _own(angles)
-    return tuple(map(jnp.sin, angles)), tuple(map(jnp.cos, angles))  # a GPU's own are quick
+    return tuple(map(jnp.sin, angles)), tuple(map(jnp.cos, angles))  # a GPU's own are quick, and so are the engine's
 
 
 @opaque

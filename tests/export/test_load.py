@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.native.compiler import build
+from cnclik.engine.compiler import build
 from tests.export.combinations import arm
 
 Q = np.array([0.3, 0.5, -0.4])

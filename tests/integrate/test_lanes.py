@@ -125,13 +125,15 @@ def test_several_devices():
     """Blocks go round all devices, and come back in order; in a process of its own, told to have three."""
     code = """
 import jax, numpy as np, cnclik as ck
+from cnclik.engine.plan import use_engine
 assert len(jax.local_devices()) == 3
 seen = set()
 tell = lambda x: 2 * x
 x = np.arange(101.0, dtype=np.float32)
 before = jax.device_put
 jax.device_put = lambda part, device: seen.add(device.id) or before(part, device)
-found = ck.lanes(tell, tile=4, block=8)(x)
+with use_engine('xla'):
+    found = ck.lanes(tell, tile=4, block=8)(x)
 assert np.array_equal(found, 2 * x) and seen == {0, 1, 2}, seen
 """
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_PLATFORMS": "cpu"}

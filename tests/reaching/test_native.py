@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.native.compiler import can_build
+from cnclik.engine.compiler import can_build
 from cnclik.reaching import many, native
 from cnclik.reaching.native import Native
 from cnclik.reaching.result import PER_TARGET, fields

@@ -58,6 +58,7 @@ MOVES = {
     "expand_dims": lambda x, dimensions: np.expand_dims(x, dimensions),
     "reshape": lambda x, new_sizes, **_: x.reshape(new_sizes),
     "transpose": lambda x, permutation: x.transpose(permutation),
+    "tile": lambda x, reps: np.tile(x, reps),
     "rev": lambda x, dimensions: np.flip(x, dimensions),
     "concatenate": lambda *xs, dimension: np.concatenate(xs, dimension),
     "stack": lambda *xs, axis: np.stack(xs, axis),

@@ -1,0 +1,211 @@
+"""Algebra: what an operation on known numbers gives, and what is simpler and the same.
+
+The rules keep NaN and infinity as JAX has them, but for one that is asked for: 0 times anything is 0 where the 0 is a
+constant of the model (`Node.exact`).
+"""
+
+import numpy as np
+
+COMPARISONS = frozenset(["lt", "le", "gt", "ge", "eq", "ne"])
+COMMUTES = frozenset(["add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"])
+EXPANDED = 4  # integer powers up to which a power is written as products
+
+
+def _whole_division(a, b):
+    if b == 0:
+        return -1
+    quotient = abs(int(a)) // abs(int(b))
+    return quotient if (a < 0) == (b < 0) else -quotient
+
+
+def _remainder(a, b):
+    if np.issubdtype(np.asarray(a).dtype, np.floating):
+        return np.fmod(a, b)
+    return a if b == 0 else int(a) - int(b) * _whole_division(int(a), int(b))
+
+
+def _converted(value, dtype):
+    """XLA's cast: a float towards 0, to the nearest where it is too large, NaN to 0; whole numbers wrap around."""
+    if dtype.kind in "iu" and np.asarray(value).dtype.kind == "f":
+        if np.isnan(value):
+            return 0
+        about = np.iinfo(dtype)
+        return min(max(int(np.trunc(np.clip(value, -(2.0**70), 2.0**70))), about.min), about.max)
+    return np.asarray(value).astype(dtype)[()]
+
+
+def _clamped(low, x, high):
+    return np.minimum(np.maximum(x, low), high)
+
+
+def _rounded(value, method):
+    return np.round(value) if method == 1 else np.copysign(np.floor(np.abs(value) + 0.5), value)
+
+
+def _shifted(value, by, name):
+    """As XLA: by more bits than there are nothing is left but, arithmetically, the sign."""
+    bits, by = 8 * value.itemsize, int(by)
+    far = not 0 <= by < bits
+    if name == "shift_right_arithmetic":
+        return (value.view(f"int{bits}") >> np.asarray(bits - 1 if far else by, f"int{bits}")).astype(value.dtype)
+    plain = int(value) % (1 << bits)
+    return _wrapped(0 if far else plain << by if name == "shift_left" else plain >> by, value.dtype)
+
+
+def _wrapped(value, dtype):
+    """A whole number in as many bits as its type has."""
+    bits = 8 * dtype.itemsize
+    return np.asarray(int(value) % (1 << bits), f"uint{bits}").astype(dtype)
+
+
+_FOLDED = {
+    **{"add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt},
+    **{"max": np.maximum, "min": np.minimum, "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp},
+    **{"log": np.log, "exp2": np.exp2, "expm1": np.expm1, "log1p": np.log1p, "atan2": np.arctan2, "asin": np.arcsin},
+    **{"acos": np.arccos, "atan": np.arctan, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "pow": np.power},
+    **{"floor": np.floor, "ceil": np.ceil, "square": np.square, "is_finite": np.isfinite, "sign": np.sign},
+    **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal},
+    **{"ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert},
+    **{"rsqrt": lambda x: 1 / np.sqrt(x), "rem": _remainder, "clamp": _clamped},
+}
+
+
+def folded(name, values, dtype, params):
+    """The result of an operation on known numbers; None where it is left to run time."""
+    with np.errstate(all="ignore"):
+        if name == "div":
+            return values[0] / values[1] if dtype.kind == "f" else _wrapped(_whole_division(*values), dtype)
+        if name == "convert_element_type":
+            return _converted(values[0], dtype)
+        if name == "integer_pow":
+            return None if dtype.kind != "f" and params < 0 else values[0] ** dtype.type(params)
+        if name == "round":
+            return _rounded(values[0], params)
+        if name.startswith("shift_"):
+            return _shifted(*values, name)
+        fold = _FOLDED.get(name)
+        return None if fold is None else fold(*values)
+
+
+def _is(node, value):
+    return node.known and node.value == value
+
+
+def _power_of_two(value) -> bool:
+    return bool(np.isfinite(value)) and value != 0 and np.frexp(abs(value))[0] == 0.5
+
+
+def _add(g, args, params, dtype):
+    a, b = args
+    if dtype.kind == "b":
+        return None
+    if _is(a, 0):
+        return b
+    if _is(b, 0):
+        return a
+    if b.op == "neg":
+        return g.op("sub", a, b.args[0])
+    if a.op == "neg":
+        return g.op("sub", b, a.args[0])
+    return g.op("mul", g.const(2, dtype), a) if a is b else None
+
+
+def _sub(g, args, params, dtype):
+    a, b = args
+    if _is(b, 0):
+        return a
+    if _is(a, 0):
+        return g.op("neg", b)
+    return g.op("add", a, b.args[0]) if b.op == "neg" else None
+
+
+def _mul(g, args, params, dtype):
+    if dtype.kind == "b":
+        return None
+    for x, y in (args, args[::-1]):
+        if not x.known:
+            if x.op == "neg" and not y.known:
+                return g.op("neg", g.op("mul", x.args[0], y))
+        elif x.value == 1:
+            return y
+        elif x.value == 0 and (x.exact or dtype.kind != "f"):
+            return x
+        elif x.value == -1 and dtype.kind in "fi":
+            return g.op("neg", y)
+        elif dtype.kind == "f" and y.op == "mul" and any(a.known for a in y.args) and _power_of_two(x.value):
+            known, rest = y.args if y.args[0].known else y.args[::-1]
+            return g.op("mul", g.const(known.value * x.value, dtype), rest)
+    return None
+
+
+def _div(g, args, params, dtype):
+    a, b = args
+    if b.known and dtype.kind == "f" and _power_of_two(b.value) and np.isfinite(1 / b.value):
+        return g.op("mul", g.const(1 / b.value, dtype), a)
+    return a if _is(b, 1) else None
+
+
+def _neg(g, args, params, dtype):
+    (a,) = args
+    if a.op == "neg":
+        return a.args[0]
+    return g.op("sub", *a.args[::-1]) if a.op == "sub" else None
+
+
+def _select(g, args, params, dtype):
+    which, *cases = args
+    if which.known:
+        return cases[min(max(int(which.value), 0), len(cases) - 1)]
+    if all(c is cases[0] for c in cases):
+        return cases[0]
+    if dtype.kind == "b" and all(c.known for c in cases) and which.dtype.kind == "b" and len(cases) == 2:
+        return which if cases[1].value else g.op("not", which)
+    return None
+
+
+def _logic(absorbing):
+    def simpler(g, args, params, dtype):
+        for x, y in (args, args[::-1]):
+            if x.known and dtype.kind == "b":
+                return x if bool(x.value) is absorbing else y
+            if _is(x, 0) and dtype.kind in "iu":
+                return x if absorbing is False else y
+        return args[0] if args[0] is args[1] else None
+
+    return simpler
+
+
+def _pow(g, args, params, dtype):
+    """As XLA does: by squaring."""
+    y, x, out = abs(params), args[0], None
+    if not 1 <= y <= EXPANDED or (dtype.kind != "f" and params < 0):
+        return None
+    while y:
+        if y & 1:
+            out = x if out is None else g.op("mul", out, x)
+        y >>= 1
+        x = g.op("mul", x, x) if y else x
+    return out if params > 0 else g.op("div", g.const(1, dtype), out)
+
+
+def _square(g, args, params, dtype):
+    return g.op("mul", args[0], args[0])
+
+
+def _convert(g, args, params, dtype):
+    return args[0] if args[0].dtype == dtype else None
+
+
+def _not(g, args, params, dtype):
+    return args[0].args[0] if args[0].op == "not" else None
+
+
+def _least(g, args, params, dtype):
+    return args[0] if args[0] is args[1] else None
+
+
+SIMPLER = {
+    **{"add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select_n": _select, "square": _square},
+    **{"and": _logic(False), "or": _logic(True), "not": _not, "max": _least, "min": _least, "integer_pow": _pow},
+    "convert_element_type": _convert,
+}

@@ -1,0 +1,147 @@
+"""Arrays: rules of primitives that look at several cells of an array at once.
+
+Each is called with the graph, the equation and its inputs as arrays of scalar nodes, and gives a list of such.
+"""
+
+import functools
+import itertools
+
+import numpy as np
+
+from cnclik.engine.cells import array_of
+from cnclik.engine.graph import UnsupportedError
+
+REDUCTIONS = {
+    **{"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or"},
+    **{"reduce_prod": "mul", "reduce_xor": "xor"},
+}
+RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+MOST_SORTED = 48
+
+
+def _reduce(g, eqn, x):
+    axes, out = eqn.params["axes"], eqn.outvars[0].aval
+    op = functools.partial(g.op, REDUCTIONS[eqn.primitive.name])
+    kept = [a for a in range(x.ndim) if a not in axes]
+    rows = x.transpose(*kept, *axes).reshape(int(np.prod(out.shape)), -1)
+    return [array_of([functools.reduce(op, row) if len(row) else empty(g, eqn) for row in rows], out.shape)]
+
+
+def empty(g, eqn):
+    """What a reduction of nothing gives."""
+    name, dtype = REDUCTIONS[eqn.primitive.name], eqn.outvars[0].aval.dtype
+    if name in ("max", "min"):
+        raise UnsupportedError("the largest of no numbers has no C form")
+    return g.const({"add": 0, "mul": 1, "or": 0, "xor": 0, "and": 1}[name], dtype)
+
+
+def _running(g, eqn, x):
+    axis, back, op = eqn.params["axis"], eqn.params["reverse"], functools.partial(g.op, RUNNING[eqn.primitive.name])
+    x = np.moveaxis(np.flip(x, axis) if back else x, axis, -1)
+    rows = [cell for row in x.reshape(-1, x.shape[-1]) for cell in itertools.accumulate(row, op)] if x.size else []
+    found = np.moveaxis(array_of(rows, x.shape), -1, axis)
+    return [np.flip(found, axis) if back else found]
+
+
+def _platform(g, eqn):
+    several = eqn.params["platforms"]
+    at = next((i for i, p in enumerate(several) if p is None or "cpu" in p), len(several) - 1)
+    return [array_of([g.const(at, np.int32)], ())]
+
+
+def _split(g, eqn, x):
+    return list(np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]))
+
+
+def _pad(g, eqn, x, value):
+    (value,), out = value.flat, np.empty(eqn.outvars[0].aval.shape, object)
+    out.fill(value)
+    for at in np.ndindex(*x.shape):
+        to = tuple(low + i * (gap + 1) for i, (low, _, gap) in zip(at, eqn.params["padding_config"], strict=True))
+        if all(0 <= i < size for i, size in zip(to, out.shape, strict=True)):
+            out[to] = x[at]
+    return [out]
+
+
+def _dot_general(g, eqn, x, y):
+    (left, right), (left_batch, right_batch) = eqn.params["dimension_numbers"]
+    out = eqn.outvars[0].aval
+    rows, columns = _folded(x, left_batch, left), _folded(y, right_batch, right)
+    made = [_dot(g, a, b, out.dtype) for one, two in zip(rows, columns, strict=True) for a in one for b in two]
+    return [array_of(made, out.shape)]
+
+
+def _folded(x, batch, axes):
+    """An array as rows of what is summed over, for each of the batch."""
+    free = [a for a in range(x.ndim) if a not in batch and a not in axes]
+    size = [int(np.prod([x.shape[a] for a in group])) for group in (batch, free, axes)]
+    return x.transpose(*batch, *free, *axes).reshape(size)
+
+
+def _dot(g, a, b, dtype):
+    def widened(node):
+        return g.apply("convert_element_type", (node,), dtype)
+
+    if not len(a):
+        return g.const(0, dtype)
+    return functools.reduce(
+        functools.partial(g.op, "add"), [g.op("mul", widened(x), widened(y)) for x, y in zip(a, b, strict=True)]
+    )
+
+
+def _arg(better):
+    """The first place of the largest or smallest; of NaN where there is one."""
+
+    def rule(g, eqn, x):
+        (axis,), dtype = eqn.params["axes"], np.dtype(eqn.params["index_dtype"])
+        rows = np.moveaxis(x, axis, -1)
+
+        def best(row):
+            at, most = g.const(0, dtype), row[0]
+            for i, cell in enumerate(row[1:], 1):
+                here = g.op(better, cell, most)
+                if cell.dtype.kind == "f":
+                    here = g.op("or", here, g.op("and", g.op("ne", cell, cell), g.op("eq", most, most)))
+                at, most = g.select(here, g.const(i, dtype), at), g.select(here, cell, most)
+            return at
+
+        return [array_of([best(row) for row in rows.reshape(-1, rows.shape[-1])], rows.shape[:-1])]
+
+    return rule
+
+
+def _sort(g, eqn, *inputs):
+    """Stable, NaN last, as many arrays together as there are: by exchanging neighbours."""
+    axis, keys = eqn.params["dimension"], eqn.params["num_keys"]
+    moved = [np.moveaxis(x, axis, -1).copy() for x in inputs]
+    n = moved[0].shape[-1]
+    if n > MOST_SORTED:
+        raise UnsupportedError(f"sorting {n} entries has no C form; {MOST_SORTED} have")
+    for at in np.ndindex(*moved[0].shape[:-1]):
+        rows = [x[at] for x in moved]
+        for end in range(n - 1, 0, -1):
+            for i in range(end):
+                swap = _before(g, [(r[i + 1], r[i]) for r in rows[:keys]])
+                for r in rows:
+                    r[i], r[i + 1] = g.select(swap, r[i + 1], r[i]), g.select(swap, r[i], r[i + 1])
+    return [np.moveaxis(x, -1, axis) for x in moved]
+
+
+def _before(g, pairs):
+    """Whether one tuple of keys comes strictly before another."""
+    (a, b), *rest = pairs
+    less = g.op("lt", a, b)
+    same = g.op("eq", a, b)
+    if a.dtype.kind == "f":
+        nan_a, nan_b = g.op("ne", a, a), g.op("ne", b, b)
+        less = g.op("or", less, g.op("and", nan_b, g.op("not", nan_a)))
+        same = g.op("or", same, g.op("and", nan_a, nan_b))
+    return g.op("or", less, g.op("and", same, _before(g, rest))) if rest else less
+
+
+ARRAYS = {
+    **dict.fromkeys(REDUCTIONS, _reduce),
+    **dict.fromkeys(RUNNING, _running),
+    **{"platform_index": _platform, "split": _split, "pad": _pad, "dot_general": _dot_general},
+    **{"argmax": _arg("gt"), "argmin": _arg("lt"), "sort": _sort},
+}

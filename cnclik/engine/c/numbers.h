@@ -1,0 +1,23 @@
+/* What vectors of any numbers T have; N is one number, BITS whole numbers of the same size, K(name) a name for T. */
+static inline T K(splat)(N x) { return x - (T){0}; } /* -0 stays -0 */
+
+static inline T K(select)(M m, T a, T b)
+{
+  const BITS w = __builtin_convertvector(m, BITS);
+  return (T)((w & (BITS)a) | (~w & (BITS)b));
+}
+
+static inline T K(load)(const N *p, int64_t stride, int64_t n)
+{
+  T r;
+  if (stride == 0) return K(splat)(*p);
+  if (n == W) for (int i = 0; i < W; ++i) r[i] = p[i * stride];
+  else for (int i = 0; i < W; ++i) r[i] = p[(i < n ? i : n - 1) * stride];
+  return r;
+}
+
+static inline void K(store)(N *p, int64_t stride, T v, int64_t n)
+{
+  if (n == W) for (int i = 0; i < W; ++i) p[i * stride] = v[i];
+  else for (int i = 0; i < n; ++i) p[i * stride] = v[i];
+}

@@ -1,0 +1,149 @@
+/* What vectors of floating-point numbers have besides; SIZE is 4 or 8, LIBM(name) the library's function for one number. */
+#if SIZE == 4
+#define SIGN 0x80000000
+#define SMALL 4194304.0f /* beyond this a number is whole */
+#define MAGIC 12582912.0f
+#define FAR 1e4f
+#define TWO_OVER_PI 0.636619772f
+#define PI_LOW -8.742278e-08f
+#else
+#define SIGN 0x8000000000000000
+#define SMALL 2251799813685248.0
+#define MAGIC 6755399441055744.0
+#define FAR 1e4
+#define TWO_OVER_PI 0.6366197723675814
+#define PI_LOW 1.2246467991473532e-16
+#endif
+
+static inline T K(abs)(T x) { return (T)((BITS)x & (BITS_NUMBER)~SIGN); }
+static inline T K(max)(T a, T b) { return K(select)(MASK((a > b) | (a != a)), a, b); }
+static inline T K(min)(T a, T b) { return K(select)(MASK((a < b) | (a != a)), a, b); }
+static inline T K(sign)(T x) { return K(select)(MASK(x > 0), K(splat)(1), K(select)(MASK(x < 0), K(splat)(-1), x)); }
+
+static inline T K(sqrt)(T x)
+{
+#if W * SIZE == 64 && defined(__AVX512F__) && SIZE == 4
+  return (T)_mm512_sqrt_ps((__m512)x);
+#elif W * SIZE == 64 && defined(__AVX512F__)
+  return (T)_mm512_sqrt_pd((__m512d)x);
+#elif W * SIZE == 32 && defined(__AVX__) && SIZE == 4
+  return (T)_mm256_sqrt_ps((__m256)x);
+#elif W * SIZE == 32 && defined(__AVX__)
+  return (T)_mm256_sqrt_pd((__m256d)x);
+#elif W * SIZE == 16 && defined(__SSE2__) && SIZE == 4
+  return (T)_mm_sqrt_ps((__m128)x);
+#elif W * SIZE == 16 && defined(__SSE2__)
+  return (T)_mm_sqrt_pd((__m128d)x);
+#elif W * SIZE == 16 && defined(__aarch64__) && SIZE == 4
+  return (T)vsqrtq_f32((float32x4_t)x);
+#elif W * SIZE == 16 && defined(__aarch64__)
+  return (T)vsqrtq_f64((float64x2_t)x);
+#else
+  T r = x;
+  for (int i = 0; i < W; ++i) r[i] = LIBM(sqrt)(x[i]);
+  return r;
+#endif
+}
+
+static inline T K(power)(T x, int n)
+{
+  T r = K(splat)(1);
+  for (int k = n < 0 ? -n : n; k > 0; k >>= 1, x *= x) if (k & 1) r *= x;
+  return n < 0 ? 1 / r : r;
+}
+
+/* To the nearest whole number, halves to the even one. */
+static inline T K(round_even)(T x)
+{
+  const T m = (T)(((BITS)x & (BITS_NUMBER)SIGN) | (BITS)K(splat)(MAGIC));
+  const T rounded = (x + m) - m;
+  return K(select)(MASK(K(abs)(x) < SMALL), (T)(((BITS)rounded & (BITS_NUMBER)~SIGN) | ((BITS)x & (BITS_NUMBER)SIGN)), x);
+}
+
+/* Within low … high; NaN becomes 0. */
+static inline T K(held)(T x, N low, N high)
+{
+  x = K(select)(MASK(x == x), x, K(splat)(0));
+  x = K(select)(MASK(x < low), K(splat)(low), x);
+  return K(select)(MASK(x > high), K(splat)(high), x);
+}
+
+/* Both within 2 ulp: x = k π/2 + r (Cody and Waite 1980), minimax polynomials of r; beyond FAR the library's, lane by lane. */
+static inline void K(sincos)(T x, T *sine, T *cosine)
+{
+  const T angle = x;
+  const T turned = x * TWO_OVER_PI + MAGIC, k = turned - MAGIC;
+  const BITS quadrant = (BITS)turned; /* the last bits are k's */
+  T r, s, t, z;
+#if SIZE == 4
+  x = x - k * 1.5703125f;
+  x = x - k * 0.0004837512969970703f;
+  r = x - k * 7.549533620476723e-08f;
+  r = r + (((x - r) - k * 7.549533620476723e-08f) - k * 2.5633441e-12f);
+  z = r * r;
+  s = (-0.000195172025549268638f * z + 0.00833217745665272256f) * z - 0.166666549331917384f;
+  t = (0.0000244383434232972141f * z - 0.00138873666071656574f) * z + 0.0416666468486836209f;
+#else
+  x = x - k * 1.5707963267941523;
+  r = x - k * 7.443547480480255e-13;
+  r = r + (((x - r) - k * 7.443547480480255e-13) - k * 6.36831716351095e-25);
+  z = r * r;
+  s = (((((1.58967795431892491e-10 * z - 2.50507578467316194e-8) * z + 2.75573136902666746e-6) * z
+    - 0.000198412698298032444) * z + 0.0083333333333224082) * z) - 0.16666666666666632;
+  t = (((((-1.13596367512304589e-11 * z + 2.08757230672177435e-9) * z - 2.75573143508751314e-7) * z
+    + 0.000024801587289477352) * z - 0.00138888888888741166) * z) + 0.0416666666666665994;
+#endif
+  s = r + r * z * s;
+  t = (1 - (N)0.5 * z) + z * z * t;
+  {
+    const BITS swap = (quadrant & 1) != 0;
+    const BITS down = (quadrant & 2) << (8 * SIZE - 2), back = ((quadrant + 1) & 2) << (8 * SIZE - 2);
+    const T a = (T)((swap & (BITS)t) | (~swap & (BITS)s)), b = (T)((swap & (BITS)s) | (~swap & (BITS)t));
+    *sine = (T)((BITS)a ^ down);
+    *cosine = (T)((BITS)b ^ back);
+  }
+  {
+    const M far = MASK(~(K(abs)(angle) <= FAR));
+    if (ANY(far)) {
+      for (int i = 0; i < W; ++i) {
+        if (far[i]) {
+          (*sine)[i] = LIBM(sin)(angle[i]);
+          (*cosine)[i] = LIBM(cos)(angle[i]);
+        }
+      }
+    }
+  }
+}
+
+/* The angle of (x, y), within 3 ulp: atan t = t + t z A(z) for t up to tan(π/8), by symmetry beyond. */
+static inline T K(atan2)(T y, T x)
+{
+  const T ax = K(abs)(x), ay = K(abs)(y);
+  const M steep = MASK(ay > ax), left = MASK((BITS)x < 0);
+  const T small = K(select)(steep, ax, ay), large = K(select)(steep, ay, ax);
+  const M endless = MASK((ax == ay) & (ax == K(splat)(INFINITY)));
+  const M beyond = MASK(small > large * (N)0.41421356237309503) | endless;
+  const T up = K(select)(beyond, small - large, small), down = K(select)(beyond, small + large, large);
+  const M nowhere = MASK(down == 0);
+  const T t = K(select)(endless | nowhere, K(splat)(0), up / K(select)(nowhere, K(splat)(1), down)), z = t * t;
+#if SIZE == 4
+  T r = (((-0.06451718869358958f * z + 0.10743668324830098f) * z - 0.14263949753605723f) * z + 0.1999954031495797f) * z
+    - 0.33333331760434554f;
+#else
+  T r = (((((((((-0.019175404711104935 * z + 0.03923044778479309) * z - 0.050854078345894844) * z
+    + 0.05858140904866328) * z - 0.06664510525508936) * z + 0.07692183125376892) * z - 0.0909090457530649) * z
+    + 0.11111111015187018) * z - 0.14285714284665682) * z + 0.19999999999995516) * z - 0.3333333333333333;
+#endif
+  r = t + t * z * r;
+  r = K(select)(beyond, r + (N)0.78539816339744831, r);
+  r = K(select)(steep, ((N)1.5707963267948966 - r) + (N)0.5 * PI_LOW, r);
+  r = K(select)(left, ((N)3.1415926535897931 - r) + PI_LOW, r);
+  r = K(select)(MASK((x == x) & (y == y)), r, x + y);
+  return (T)((BITS)K(abs)(r) | ((BITS)y & (BITS_NUMBER)SIGN));
+}
+
+/* The library's functions, lane by lane. */
+#define LANE_BY_LANE(name) \
+  static inline T K(name)(T x) { T r = x; for (int i = 0; i < W; ++i) r[i] = LIBM(name)(x[i]); return r; }
+#define LANE_BY_LANE_OF_TWO(name) \
+  static inline T K(name)(T x, T y) { T r = x; for (int i = 0; i < W; ++i) r[i] = LIBM(name)(x[i], y[i]); return r; }

@@ -1,0 +1,191 @@
+"""Compiler: the system's own C compiler, or that of the Python package `ziglang`, where there is one."""
+
+import _ctypes
+import ctypes
+import functools
+import hashlib
+import importlib.util
+import os
+import pathlib
+import platform
+import shlex
+import shutil
+import signal
+import subprocess
+import tempfile
+import weakref
+
+from cnclik import errors
+
+FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+# Of the engine's programs, as measured: -O3 gains nothing, and scheduling before registers are allocated 6 to 16 %, up
+# to some 3,000 operations (it loses beyond). Contraction gains 7 % and is as accurate as none.
+LANES = (
+    *("-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
+    *("-fno-strict-aliasing", "-fPIC", "-shared"),
+)
+SCHEDULED = "-fschedule-insns"
+MOST_SCHEDULED = 3_000
+UNSAFE = (
+    "-Ofast",
+    "-ffast-math",
+    "-funsafe-math",
+    "-ffinite-math",
+    "-fassociative-math",
+    "-freciprocal-math",
+    "-ffp-model",
+)
+LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
+LIMIT = 300.0  # [s] that a compiler may take; the largest exports take half a minute
+MOST_SECONDS = 120  # the same where lanes wait for it, and XLA could do it
+
+
+class CompilerError(Exception):
+    """The compiler refused, or took too long."""
+
+
+class SlowCompilerError(CompilerError):
+    """It took too long."""
+
+
+def _command() -> list | None:
+    for words in (shlex.split(os.environ.get("CC", "")), ["cc"], ["gcc"], ["clang"]):
+        if words and shutil.which(words[0]):
+            return words
+    return _of_a_package()
+
+
+@functools.cache
+def _of_a_package() -> list | None:
+    found = importlib.util.find_spec("ziglang")
+    places = [] if found is None else found.submodule_search_locations or []
+    several = [shutil.which("zig", path=str(place)) for place in places]
+    return next(([zig, "cc"] for zig in several if zig), None)
+
+
+def can_build() -> bool:
+    """Whether there is a C compiler whose libraries can be opened."""
+    return _command() is not None and hasattr(_ctypes, "dlclose")  # not on Windows
+
+
+def command() -> list:
+    """The words that call the C compiler: that of the environment's CC, else cc, gcc, clang or zig. ArgumentError where
+    there is none."""
+    if found := _command():
+        return found
+    raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
+
+
+def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
+    """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected,
+    but for those by which NaN and infinity would mean nothing.
+
+    Args:
+      sources: C files of one folder.
+      folder: where it is kept; in the system's temporary files where that can't be written to.
+      flags: further ones.
+      limit: seconds that the compiler may take, `LIMIT` where nothing is said; then it is ended.
+    """
+    texts = [pathlib.Path(s).read_bytes() for s in sources]
+    care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
+    line = [*command(), "-std=c99", *FLAGS, *care, *flags, *_own_flags()]
+    headers = sorted(pathlib.Path(sources[0]).parent.glob("*.h"))
+    name = f"{pathlib.Path(sources[0]).stem}-{_key(line, texts + [h.read_bytes() for h in headers])}"
+    folder = pathlib.Path(folder)
+    if (found := _kept(folder, name)) is not None:
+        return found
+    if not os.access(folder, os.W_OK):
+        folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
+    try:
+        return _compiled(line, sources, folder, name, limit or LIMIT)
+    except SlowCompilerError:
+        raise errors.fail("compiler", f"be done within {limit or LIMIT:g} s", f"{line[0]} is not") from None
+    except CompilerError as error:
+        raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {error}") from None
+
+
+def build_text(text, operations, folder, *, include=()) -> pathlib.Path:
+    """A shared library of the engine's C text, named by its content; the one that is there already if there is one.
+
+    Raises: CompilerError.
+    """
+    flags = [*LANES, *[SCHEDULED] * (operations <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
+    line, folder = [*command(), *flags], pathlib.Path(folder)
+    name = f"lanes-{_key(line, [text.encode()])}"
+    if (found := _kept(folder, name)) is not None:
+        return found
+    with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
+        source = pathlib.Path(own, "lanes.c")
+        source.write_text(text, encoding="utf-8")
+        return _compiled(line, [source], folder, name, MOST_SECONDS)
+
+
+def _own_flags():
+    return [word for word in os.environ.get("CFLAGS", "").split() if not word.startswith(UNSAFE)]
+
+
+def _key(line, texts) -> str:
+    return hashlib.sha256("\0".join([*line, _processor()]).encode() + b"\0".join(texts)).hexdigest()[:32]
+
+
+def _kept(folder, name):
+    """The library of a name that was built before; None where there is none."""
+    return next(filter(_whole, folder.glob(f"{name}-*.so")), None)
+
+
+def _compiled(line, sources, folder, name, limit):
+    part = folder / f"{name}.{os.getpid()}.part"
+    try:
+        code, said = _run([*line, "-o", str(part), *map(str, sources), "-lm"], limit)
+        if code:
+            raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80]))
+        library = folder / f"{name}-{_digest(part)}.so"
+        part.replace(library)
+    finally:
+        part.unlink(missing_ok=True)
+    return library
+
+
+def _digest(library) -> str:
+    with open(library, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def _whole(library) -> bool:
+    """Whether a library is the one that was built: one that is cut off would end the process that loads it."""
+    return os.path.isfile(library) and library.stem.endswith(f"-{_digest(library)}")
+
+
+def _run(line, limit):
+    """What a command returns and what it says; ended, with all that it has started, after so many seconds."""
+    group = {"start_new_session": True} if hasattr(os, "killpg") else {}
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **group) as process:
+        try:
+            _, said = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            raise SlowCompilerError(f"nothing within {limit:g} s") from None
+        finally:  # an interrupt ends it, too
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+    return process.returncode, said
+
+
+@functools.cache
+def _processor() -> str:
+    """What code for this processor depends on."""
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+
+
+def opened(library, *, lets_go=True):
+    """The library; `lets_go` of Python's lock while it runs, for calls that take longer than a step."""
+    return (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
+
+
+def closed_after(library):
+    """The library, which is closed when nothing holds it any more: its functions alone don't."""
+    weakref.finalize(library, _ctypes.dlclose, library._handle).atexit = False  # a thread may still be at work in it
+    return library

@@ -1,0 +1,233 @@
+"""native(fn): a function of small arrays as C, for use inside a JAX program of one's own.
+
+A JAX primitive whose CPU lowering is a call of the C library by XLA's foreign function interface. Its batching rule
+widens the batch; its derivative is another such function, read from JAX's own jvp, which is linear in the tangents and
+whose transpose is read from JAX's own vjp: `jit`, `vmap`, `jvp`, `grad` and `lax.scan` go through, of any order.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+from cnclik import errors
+from cnclik.engine.plan import in_c
+from cnclik.engine.program import Program, Programs
+
+_registered = {}  # {name of a library: the program}: XLA may call it as long as the process lives
+
+
+def native(fn):
+    """Same arguments and, to rounding, same results as `fn`, by C where there is a compiler and `fn` has a C form.
+
+    Args: fn: a function of trees of small arrays, of one lane; `jax.vmap` it for many.
+
+    It is fit for arithmetic, loops, branches and small matrices. Elsewhere than on a CPU, without a C compiler, or
+    where it does what has no C form, it is `fn` itself.
+    """
+    if not callable(fn):
+        raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
+    made = {}
+
+    @functools.wraps(fn)
+    def call(*args):
+        leaves, treedef = jax.tree.flatten(args)
+        leaves = [jnp.asarray(x) for x in leaves]
+        function = made.setdefault(treedef, Function(lambda *x: fn(*jax.tree.unflatten(treedef, x))))
+        tree = function.tree(leaves)
+        return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
+
+    return call
+
+
+class Function:
+    """A function of flat arrays with its programs, and the functions of its derivatives.
+
+    `linear` is how many of the last arguments it is linear in; `of` then is (what it is the derivative of, by which of
+    its arguments, which of its results are real).
+    """
+
+    def __init__(self, fn, linear=0, of=None):
+        self.fn, self.linear, self.of = fn, linear, of
+        self.programs, self.derivatives, self.shapes = Programs(self._flat), {}, {}
+
+    def _flat(self, *leaves):
+        return jax.tree.leaves(self.fn(*leaves))
+
+    def out(self, avals) -> tuple:
+        """(avals of the results, leaf by leaf, their tree)"""
+        key = jax.config.jax_enable_x64, *((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in avals)
+        if key not in self.shapes:
+            given = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) for a in avals]
+            self.shapes[key] = jax.tree.flatten(jax.eval_shape(self.fn, *given))
+        return self.shapes[key]
+
+    def tree(self, leaves):
+        """The tree of the results."""
+        return self.out([jax.typeof(x) for x in leaves])[1]
+
+    def jvp(self, by, real):
+        """The tangents of the results, as a function of the arguments and of the tangents of those numbered `by`.
+
+        Args: real: which results have tangents.
+        """
+        key = "jvp", by, real
+        if key not in self.derivatives:
+            made = functools.partial(_pushed, self._flat, by, real)
+            self.derivatives[key] = Function(made, len(by), (self, by, real))
+        return self.derivatives[key]
+
+    def transposed(self):
+        """The cotangents of the last, linear arguments, as a function of the others and of the results' cotangents."""
+        if "vjp" not in self.derivatives:
+            of, by, real = self.of
+            self.derivatives["vjp"] = Function(functools.partial(_pulled_back, of._flat, by, real))
+        return self.derivatives["vjp"]
+
+
+def _restricted(fn, by, real, args):
+    """A function of the arguments numbered `by`, the others fixed, to its real results; and those arguments."""
+
+    def of_some(*some):
+        full = list(args)
+        for i, x in zip(by, some, strict=True):
+            full[i] = x
+        return [x for x, wanted in zip(fn(*full), real, strict=True) if wanted]
+
+    return of_some, [args[i] for i in by]
+
+
+def _pushed(fn, by, real, *args):
+    first = len(args) - len(by)
+    return jax.jvp(*_restricted(fn, by, real, args[:first]), list(args[first:]))[1]
+
+
+def _pulled_back(fn, by, real, *args):
+    first = len(args) - sum(real)
+    of_some, some = _restricted(fn, by, real, args[:first])
+    return jax.vjp(of_some, *some)[1](list(args[first:]))
+
+
+native_p = Primitive("cnclik_native")
+native_p.multiple_results = True
+
+
+def _lanes(avals, batched):
+    """(avals of one lane's arguments, how many lanes; None: one without an axis of its own)"""
+    size = next((a.shape[0] for a, b in zip(avals, batched, strict=True) if b), None)
+    return [_aval(a.shape[1:] if b else a.shape, a) for a, b in zip(avals, batched, strict=True)], size
+
+
+def _aval(shape, like):
+    return jax.ShapeDtypeStruct(shape, like.dtype, weak_type=getattr(like, "weak_type", False))
+
+
+@native_p.def_abstract_eval
+def _abstract(*avals, function, batched):
+    lane, size = _lanes(avals, batched)
+    outs, _ = function.out(lane)
+    shape = () if size is None else (size,)
+    return [jax.core.ShapedArray((*shape, *o.shape), o.dtype) for o in outs]
+
+
+def _plain(*args, function, batched):
+    """The function by JAX itself."""
+    axes = [0 if b else None for b in batched]
+    fn = function._flat
+    return jax.vmap(fn, axes)(*args) if any(batched) else fn(*args)
+
+
+def _called(*args, function, batched):
+    """The function by the C library, or by JAX where there is none."""
+    lane, size = _lanes([jax.typeof(x) for x in args], batched)
+    program = function.programs.of(lane, jax.tree.structure(tuple(lane))) if in_c() else None
+    if not isinstance(program, Program) or size == 0:
+        return _plain(*args, function=function, batched=batched)
+    if program.path not in _registered:
+        jax.ffi.register_ffi_target(program.path, jax.ffi.pycapsule(program.library.call), platform="cpu")
+        _registered[program.path] = program
+    shape = () if size is None else (size,)
+    outs = [jax.ShapeDtypeStruct((*shape, *s.shape), s.dtype) for s in program.shapes]
+    return jax.ffi.ffi_call(program.path, outs)(*args)
+
+
+mlir.register_lowering(native_p, mlir.lower_fun(_plain, multiple_results=True))
+mlir.register_lowering(native_p, mlir.lower_fun(_called, multiple_results=True), platform="cpu")
+
+
+@native_p.def_impl
+def _now(*args, function, batched):
+    return _jitted(*args, function=function, batched=batched)
+
+
+@functools.partial(jax.jit, static_argnames=("function", "batched"))
+def _jitted(*args, function, batched):
+    return native_p.bind(*args, function=function, batched=batched)
+
+
+def _batch(args, dims, *, function, batched):
+    size = next(x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None)
+    args = [x if d is None else jnp.moveaxis(x, d, 0) for x, d in zip(args, dims, strict=True)]
+    if not any(batched):
+        made = native_p.bind(*args, function=function, batched=tuple(d is not None for d in dims))
+        return made, [0] * len(made)
+    inner = next(x.shape[1 if d is not None else 0] for x, d, b in zip(args, dims, batched, strict=True) if b)
+
+    def widened(x, d, b):  # both axes as one
+        if d is None and not b:
+            return x
+        lane = x.shape[(d is not None) + b :]
+        x = x if d is not None else x[None]
+        x = x if b else x[:, None]
+        return jnp.broadcast_to(x, (size, inner, *lane)).reshape(size * inner, *lane)
+
+    wide = [widened(*one) for one in zip(args, dims, batched, strict=True)]
+    both = tuple(d is not None or b for d, b in zip(dims, batched, strict=True))
+    made = native_p.bind(*wide, function=function, batched=both)
+    return [x.reshape(size, inner, *x.shape[1:]) for x in made], [0] * len(made)
+
+
+def _is_real(aval):
+    return np.issubdtype(aval.dtype, np.floating)
+
+
+def _nothing(primal):
+    return ad.Zero(jax.typeof(primal).to_tangent_aval())
+
+
+def _jvp(primals, tangents, *, function, batched):
+    made = native_p.bind(*primals, function=function, batched=batched)
+    by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
+    real = tuple(_is_real(x) for x in made)
+    if not by or not any(real):
+        return made, list(map(_nothing, made))
+    found = iter(
+        native_p.bind(
+            *primals,
+            *(tangents[i] for i in by),
+            function=function.jvp(by, real),
+            batched=(*batched, *(batched[i] for i in by)),
+        )
+    )
+    return made, [next(found) if r else _nothing(x) for x, r in zip(made, real, strict=True)]
+
+
+def _transpose(cotangents, *args, function, batched):
+    first = len(args) - function.linear
+    avals = [x.aval if ad.is_undefined_primal(x) else jax.typeof(x) for x in args]
+    known, size = args[:first], _lanes(avals, batched)[1]
+    given = [ad.instantiate_zeros(c) for c in cotangents]
+    wide = (*batched[:first], *(size is not None for _ in given))
+    found = native_p.bind(*known, *given, function=function.transposed(), batched=wide)
+    out = [None] * first
+    for x, b, aval in zip(found, batched[first:], avals[first:], strict=True):
+        out.append(x if b or size is None else jnp.sum(x, 0).astype(aval.dtype))
+    return out
+
+
+batching.primitive_batchers[native_p] = _batch
+ad.primitive_jvps[native_p] = _jvp
+ad.primitive_transposes[native_p] = _transpose

@@ -1,0 +1,148 @@
+"""Operations: how each elementwise operation is written in C, on vectors of lanes, and what it costs."""
+
+import math
+
+import numpy as np
+
+from cnclik.engine.graph import UnsupportedError
+
+TYPES = {  # of NumPy: (a vector of lanes, a number)
+    "float32": ("F32", "float"),
+    "float64": ("F64", "double"),
+    **{f"int{b}": (f"S{b}", f"int{b}_t") for b in (8, 16, 32, 64)},
+    **{f"uint{b}": (f"U{b}", f"uint{b}_t") for b in (8, 16, 32, 64)},
+    "bool": ("M", "uint8_t"),
+}
+_BY_DTYPE = {np.dtype(name): both for name, both in TYPES.items()}
+_COSTLY = "sin cos tan exp log atan2 expm1 log1p pow tanh asin acos sinh cosh exp2 logistic"
+COST = dict.fromkeys(_COSTLY.split(" "), 30)
+COST |= {"div": 6, "sqrt": 8, "rsqrt": 10, "rem": 10}
+
+_BINARY = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+_COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+_BITS = {"and": "&", "or": "|", "xor": "^"}
+_TRUTH = {  # operations on masks
+    **{"eq": "~({0} ^ {1})", "ne": "{0} ^ {1}", "lt": "~{0} & {1}", "le": "~{0} | {1}", "gt": "{0} & ~{1}"},
+    **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
+}
+_LIBRARY = "tan exp log expm1 log1p tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
+# Functions of C's library, called lane by lane: how many arguments they have.
+LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextafter": 2}
+
+
+def vector(dtype) -> str:
+    """The name in C of a vector of lanes."""
+    return _BY_DTYPE[dtype][0]
+
+
+def scalar(dtype) -> str:
+    """The name in C of one lane's number, as it lies in arguments and results."""
+    return _BY_DTYPE[dtype][1]
+
+
+def number(value, dtype) -> str:
+    """A constant in C, exact."""
+    dtype = np.dtype(dtype)
+    if dtype.kind == "b":
+        return str(-int(value))
+    if dtype.kind in "iu":
+        suffix = ("U" if dtype.kind == "u" else "") + "LL" * (dtype.itemsize == 8)
+        least = dtype.kind == "i" and value == np.iinfo(dtype).min
+        return f"(-{-(int(value) + 1)}{suffix} - 1)" if least else f"{int(value)}{suffix}"
+    if math.isnan(value):
+        return "NAN"
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return str(np.float32(value)) + "f" if dtype.itemsize == 4 else repr(float(value))
+
+
+def splat(node) -> str:
+    """A constant as a vector."""
+    text = number(node.value, node.dtype)
+    return f"splat_{vector(node.dtype)}({text})"
+
+
+def is_operation(node) -> bool:
+    """Whether a node is an elementwise operation on its arguments."""
+    return node.op in _NAMES
+
+
+def text(node, of) -> str:
+    """An operation in C; `of(argument, plain)` gives an argument's text, a plain constant as a number."""
+    name, args = node.op, node.args
+    kind, T = args[-1].dtype.kind, vector(args[-1].dtype)
+    if name == "convert_element_type":
+        return _converted(of(args[0], False), args[0].dtype, node.dtype)
+    if kind == "b" and name in _TRUTH:
+        return _TRUTH[name].format(*(of(a, False) for a in args))
+    if kind == "f" and name in _BINARY:
+        plain = not all(a.known for a in args)
+        return f" {_BINARY[name]} ".join(of(a, plain) for a in args)
+    if name in _COMPARED:
+        plain = kind == "f" and not all(a.known for a in args)
+        return f"MASK({f' {_COMPARED[name]} '.join(of(a, plain) for a in args)})"
+    a = [of(x, False) for x in args]
+    if name in _BITS:
+        return f"{a[0]} {_BITS[name]} {a[1]}"
+    if name == "select_n":
+        return _selected(node, a, vector(node.dtype), args[0].dtype.kind)
+    if kind in "iu" and name in ("add", "sub", "mul"):
+        return f"{a[0]} {_BINARY[name]} {a[1]}"
+    if name in _SIMPLE:
+        return _SIMPLE[name].format(*a, T=T)
+    if name == "integer_pow":
+        return f"power_{T}({a[0]}, {node.params})"
+    if name == "round":
+        return f"round_even_{T}({a[0]})" if node.params == 1 else f"round_{T}({a[0]})"
+    if name == "pow" and args[0].dtype != args[1].dtype:
+        T = vector(args[0].dtype)
+        return f"pow_{T}({a[0]}, {_converted(a[1], args[1].dtype, args[0].dtype)})"
+    if name == "rem" and kind == "f":
+        return f"fmod_{T}({a[0]}, {a[1]})"
+    if name not in _NAMES:
+        raise UnsupportedError(f"the operation `{name}` has no C form")
+    return f"{name}_{T}({', '.join(a)})"
+
+
+def _selected(node, a, T, kind):
+    pick = f"select_{T}"
+    if kind == "b":
+        return f"{pick}({a[0]}, {a[2]}, {a[1]})"
+    made = a[-1]
+    for k in range(len(a) - 3, -1, -1):
+        made = f"{pick}(MASK({a[0]} == {k}), {a[k + 1]}, {made})"
+    return made
+
+
+def _converted(x, old, new):
+    old, new = np.dtype(old), np.dtype(new)
+    T, S = vector(new), vector(old)
+    if old == new:
+        return x
+    if new.kind == "b":
+        return f"MASK({x} != 0)"
+    if old.kind == "b":
+        return (
+            f"({T})-__builtin_convertvector({x}, {T})"
+            if new.kind != "f"
+            else f"select_{T}({x}, splat_{T}(1), splat_{T}(0))"
+        )
+    if old.kind == "f" and new.kind in "iu":
+        about = np.iinfo(new)
+        top = old.type(2.0**about.bits if new.kind == "u" else 2.0 ** (about.bits - 1))
+        below, low = number(np.nextafter(top, old.type(0)), old), number(about.min, old)
+        held = f"held_{S}({x}, {low}, {below})"
+        most, inside = f"splat_{T}({number(about.max, new)})", f"__builtin_convertvector({held}, {T})"
+        return f"select_{T}(MASK({x} >= {number(top, old)}), {most}, {inside})"
+    return f"__builtin_convertvector({x}, {T})"
+
+
+_SIMPLE = {
+    **{"neg": "-{0}", "not": "~{0}", "square": "{0} * {0}", "rsqrt": "1 / sqrt_{T}({0})"},
+    **{"is_finite": "MASK(({0} - {0}) == ({0} - {0}))", "clamp": "min_{T}(max_{T}({1}, {0}), {2})"},
+    "logistic": "1 / (1 + exp_{T}(-{0}))",
+}
+_NAMES = frozenset([
+    *_BINARY, *_COMPARED, *_BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min", "sign", "rem",
+    "convert_element_type", "integer_pow", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical",
+])  # fmt: skip

@@ -1,0 +1,215 @@
+"""Over rows: rules of primitives on what scans stack up, which leave it rows; a reduction over the rounds is a loop."""
+
+import functools
+
+import numpy as np
+
+from cnclik.engine.cells import MOVES, array_of
+from cnclik.engine.graph import Scan
+from cnclik.engine.stacks import Rows, as_rows, entry, is_cells, stacked_node
+
+MOST_MOVED = 1 << 22  # entries up to which a move of data is looked at
+
+
+def elementwise(g, eqn, inputs, params, name):
+    """An elementwise operation on rows, None where the inputs are no rows of one length."""
+    out = eqn.outvars[0].aval
+    N, shape = out.shape[0], out.shape[1:]
+    several = []
+    for x in inputs:
+        rows = as_rows(g, x, N)
+        if rows is None or rows.length != N:
+            return None
+        several.append(np.broadcast_to(rows.cells, shape))
+    flat = zip(*(s.flat for s in several), strict=True)
+    return [Rows(array_of([g.apply(name, cells, out.dtype, params) for cells in flat], shape), N)]
+
+
+def slid(g, row, start, stride, length):
+    """Some entries of a row: start, start + stride, ..."""
+    if not row.shape or (start, stride, length) == (0, 1, row.shape[0]):
+        return row
+    if row.op == "array":
+        return g.array(row.value[[start + stride * k for k in range(length)]])
+    return g.shared("slid", (row,), (start, stride), (length,), row.dtype)
+
+
+def _joined(g, pieces, lengths, dtype):
+    if all(p is pieces[0] and not p.shape for p in pieces):
+        return pieces[0]
+    return g.shared("joined", tuple(pieces), tuple(lengths), (sum(lengths),), dtype)
+
+
+def _each(rows, fn, length):
+    return Rows(array_of([fn(c) for c in rows.cells.flat], rows.cells.shape), length)
+
+
+def _slice(g, eqn, x):
+    p, ndim = eqn.params, eqn.outvars[0].aval.ndim
+    strides = p["strides"] or (1,) * ndim
+    cuts = list(zip(p["start_indices"], p["limit_indices"], strides, strict=True))
+    start, _, stride = cuts[0]
+    length = eqn.outvars[0].aval.shape[0]
+    inner = Rows(x.cells[(..., *(slice(*cut) for cut in cuts[1:]))], x.length)
+    return [_each(inner, lambda c: slid(g, c, start, stride, length), length)]
+
+
+def _rev(g, eqn, x):
+    dimensions = eqn.params["dimensions"]
+    x = Rows(np.flip(x.cells, [d - 1 for d in dimensions if d]), x.length)
+    return [_each(x, lambda c: slid(g, c, x.length - 1, -1, x.length), x.length) if 0 in dimensions else x]
+
+
+def _concatenate(g, eqn, *inputs):
+    out = eqn.outvars[0].aval
+    if eqn.params["dimension"] != 0:
+        rows = [as_rows(g, x, out.shape[0]) for x in inputs]
+        if None in rows:
+            return None
+        return [Rows(np.concatenate([r.cells for r in rows], eqn.params["dimension"] - 1), out.shape[0])]
+    rows = [as_rows(g, x, v.aval.shape[0]) for x, v in zip(inputs, eqn.invars, strict=True)]
+    if None in rows:
+        return None
+    lengths = [v.aval.shape[0] for v in eqn.invars]
+    flat = zip(*(r.cells.flat for r in rows), strict=True)
+    return [Rows(array_of([_joined(g, c, lengths, out.dtype) for c in flat], out.shape[1:]), out.shape[0])]
+
+
+def _pad(g, eqn, x, value):
+    out = eqn.outvars[0].aval
+    (low, high, between), *others = eqn.params["padding_config"]
+    if between or any(config != (0, 0, 0) for config in others) or not is_cells(value):
+        return None
+    (value,) = value.flat
+    cut = max(-low, 0), max(-high, 0)
+    length = x.length - sum(cut)
+
+    def one(c):
+        parts = [(value, max(low, 0)), (slid(g, c, cut[0], 1, length), length), (value, max(high, 0))]
+        parts = [p for p in parts if p[1]]
+        return _joined(g, *zip(*parts, strict=True), out.dtype)
+
+    return [_each(x, one, out.shape[0])]
+
+
+def _broadcast(g, eqn, x):
+    """Rows to rows of a larger shape, where axis 0 stays what it is."""
+    shape, where = eqn.params["shape"], eqn.params["broadcast_dimensions"]
+    if not where or where[0] != 0 or shape[0] != x.length:
+        return None
+    sizes = [1] * (len(shape) - 1)
+    for axis, size in zip(where[1:], x.cells.shape, strict=True):
+        sizes[axis - 1] = size
+    return [Rows(np.broadcast_to(x.cells.reshape(sizes), shape[1:]), x.length)]
+
+
+def _stack(g, eqn, *inputs):
+    axis, out = eqn.params["axis"], eqn.outvars[0].aval
+    rows = [as_rows(g, x, out.shape[0]) for x in inputs]
+    return None if axis == 0 or None in rows else [Rows(np.stack([r.cells for r in rows], axis - 1), out.shape[0])]
+
+
+def _dot(g, eqn, x, y):
+    """A contraction of inner axes of rows with an array that is the same at all instants."""
+    (left, right), (bx, by) = eqn.params["dimension_numbers"]
+    out = eqn.outvars[0].aval
+    if bx or by or not isinstance(x, Rows) or not is_cells(y) or 0 in left:
+        return None
+    cells = np.tensordot(_Sum.of(g, x.cells, out.dtype), _Sum.of(g, y, out.dtype), ([a - 1 for a in left], right))
+    return [Rows(array_of([c.node for c in np.asarray(cells, object).flat], out.shape[1:]), x.length)]
+
+
+class _Sum:
+    """A node with + and *, for NumPy's tensordot."""
+
+    def __init__(self, g, node):
+        self.g, self.node = g, node
+
+    @staticmethod
+    def of(g, cells, dtype):
+        return array_of([_Sum(g, c) for c in cells.flat], cells.shape)
+
+    def __add__(self, other):
+        return _Sum(self.g, self.g.op("add", self.node, other.node))
+
+    def __mul__(self, other):
+        return _Sum(self.g, self.g.op("mul", self.node, other.node))
+
+
+def reduced(g, x, axes, name, dtype):
+    """A reduction of rows: over inner axes cell by cell, over axis 0 by a loop."""
+    inner = tuple(a - 1 for a in axes if a)
+    cells = x.cells
+    if inner:
+        kept = [a for a in range(cells.ndim) if a not in inner]
+        shape = [cells.shape[a] for a in kept]
+        flat = cells.transpose(*kept, *inner).reshape(int(np.prod(shape)), -1)
+        cells = array_of([functools.reduce(functools.partial(g.op, name), r) for r in flat], shape)
+    if 0 not in axes:
+        return Rows(cells, x.length)
+    moving = [c for c in cells.flat if c.shape]
+    ends = iter(_over_rounds(g, moving, x.length, name))
+
+    def still(node):  # the same at all instants
+        if name == "add":
+            return g.op("mul", g.const(x.length, dtype), node)
+        if name == "mul":
+            return g.apply("integer_pow", (node,), dtype, x.length)
+        return node
+
+    return array_of([next(ends) if c.shape else still(c) for c in cells.flat], cells.shape)
+
+
+def _over_rounds(g, rows, length, name):
+    """One node for each row: all its entries put together by an operation."""
+    return _loop(g, rows, length, name).outs if rows else []
+
+
+def _loop(g, rows, length, name, *, reverse=False) -> Scan:
+    """A loop that puts the entries of rows together by an operation."""
+    r, shapes = Scan(g.block, length, reverse), [((), c.dtype) for c in rows]
+    r.xs, r.first = list(rows), [_start(g, name, c, length - 1 if reverse else 0) for c in rows]
+    r.carries = g.nodes(r, "carry", shapes, r.block)
+    r.rows = g.nodes(r, "row", shapes, r.block)
+    outside, g.block = g.block, r.block
+    r.then = [g.op(name, a, b) for a, b in zip(r.carries, r.rows, strict=True)]
+    g.block = outside
+    outside.items.append(r)
+    r.outs = g.nodes(r, "end", shapes, outside)
+    return r
+
+
+def running(g, eqn, x, name):
+    """A running reduction over axis 0 of rows: cumsum and its kin; None over another axis."""
+    if eqn.params["axis"] != 0:
+        return None
+    moving = [c if c.shape else g.shared("list", (c,) * x.length, None, (x.length,), c.dtype) for c in x.cells.flat]
+    r = _loop(g, moving, x.length, name, reverse=eqn.params["reverse"])
+    r.ys = list(r.then)
+    return [Rows(array_of([stacked_node(g, r, i) for i in range(len(r.ys))], x.cells.shape), x.length)]
+
+
+def _start(g, name, row, k):
+    if name in ("max", "min"):
+        return entry(g, row, k)
+    return g.const({"add": 0, "mul": 1, "or": 0, "xor": 0, "and": -1 if row.dtype.kind in "iu" else 1}[name], row.dtype)
+
+
+def moved(g, eqn, x):
+    """A move of data that leaves axis 0 where it is; None for any other."""
+    out, N = eqn.outvars[0].aval, x.length
+    if not out.ndim or out.shape[0] != N or out.size > MOST_MOVED:
+        return None
+    size = x.cells.size
+    numbers = np.asarray(MOVES[eqn.primitive.name](np.arange(N * size).reshape(x.shape), **eqn.params))
+    here = numbers.reshape(N, -1) - size * np.arange(N)[:, None]
+    if not here.size or not (here == here[0]).all() or here.min() < 0 or here.max() >= size:
+        return None
+    flat = x.cells.reshape(-1)
+    return [Rows(array_of([flat[i] for i in here[0]], out.shape[1:]), N)]
+
+
+OVER_ROWS = {
+    **{"slice": _slice, "rev": _rev, "concatenate": _concatenate, "pad": _pad, "broadcast_in_dim": _broadcast},
+    **{"stack": _stack, "dot_general": _dot},
+}

@@ -1,0 +1,200 @@
+"""Places: rules of primitives that take out, or put in, entries at given places, known or not."""
+
+import itertools
+
+import numpy as np
+from jax import lax
+
+from cnclik.engine.cells import array_of
+from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.stacks import Rows, as_rows, entry, is_cells
+
+CHOSEN = 16  # cells up to which one of them is chosen by selects; beyond, they lie in an array
+MOST_WRITES = 1 << 14  # pairs of an update and a cell that it may go to
+
+_Mode = lax.GatherScatterMode
+
+
+def pick(g, cells, index):
+    """The cell whose number is the node `index`, which is within bounds."""
+    cells = list(cells)
+    if index.known:
+        return cells[int(index.value)]
+    if all(c is cells[0] for c in cells):
+        return cells[0]
+    if len(cells) > CHOSEN:
+        return g.shared("pick", (index, *cells), None, (), cells[0].dtype)
+    found = cells[0]
+    for i, cell in enumerate(cells[1:], 1):
+        found = g.select(g.op("eq", index, g.const(i, index.dtype)), cell, found)
+    return found
+
+
+def _number(g, coords, shape, dtype):
+    """The number of a cell from its coordinates, numbers or nodes."""
+    total = g.const(0, dtype)
+    for i, c in enumerate(coords):
+        stride = int(np.prod(shape[i + 1 :]))
+        node = g.const(c * stride, dtype) if not hasattr(c, "op") else g.op("mul", g.const(stride, dtype), c)
+        total = g.op("add", total, node)
+    return total
+
+
+def _taken(g, x, coords, dtype):
+    """The entry of cells or rows at coordinates, numbers or nodes within bounds."""
+    if is_cells(x):
+        return pick(g, x.flat, _number(g, coords, x.shape, dtype))
+    time, *inner = coords
+    rows = x.cells.flat if inner else [x.cells.item()]
+    row = pick(g, rows, _number(g, inner, x.cells.shape, dtype)) if inner else rows[0]
+    if row.op in ("pick", "select_n") and any(c.shape for c in x.cells.flat):
+        raise UnsupportedError("rows at places that are not known have no C form")
+    if not row.shape:
+        return row
+    if not hasattr(time, "op") or time.known:
+        return entry(g, row, int(getattr(time, "value", time)))
+    return g.shared("take", (row, time), None, (), row.dtype)
+
+
+def _held(g, index, most):
+    """A start moved within 0 … most, as JAX does."""
+    low, high = g.const(0, index.dtype), g.const(most, index.dtype)
+    return g.op("min", g.op("max", index, low), high)
+
+
+def _plus(g, start, offset):
+    if not hasattr(start, "op"):
+        return start + offset
+    return g.op("add", start, g.const(offset, start.dtype))
+
+
+def _known(node):
+    return int(node.value) if node.known else node
+
+
+def _dynamic_slice(g, eqn, x, *starts):
+    sizes = eqn.params["slice_sizes"]
+    at = [_known(_held(g, s.item(), m - n)) for s, m, n in zip(starts, x.shape, sizes, strict=True)]
+    dtype = starts[0].item().dtype if starts else np.dtype(np.int32)
+    made = [_taken(g, x, list(map(_plus, itertools.repeat(g), at, where)), dtype) for where in np.ndindex(*sizes)]
+    return [array_of(made, sizes)]
+
+
+def _dynamic_update_slice(g, eqn, x, update, *starts):
+    at = [_known(_held(g, s.item(), m - n)) for s, m, n in zip(starts, x.shape, update.shape, strict=True)]
+    out, dtype = x.reshape(-1).copy(), starts[0].item().dtype
+    for where in np.ndindex(*update.shape):
+        number = _number(g, list(map(_plus, itertools.repeat(g), at, where)), x.shape, dtype)
+        _put(g, out, number, None, update[where], lambda old, new: new)
+    return [out.reshape(x.shape)]
+
+
+def _put(g, out, number, inside, update, combine):
+    """Put an update into the cell of a number, where it is inside."""
+    for i in [int(number.value)] if number.known else range(len(out)):
+        here = inside if number.known else g.op("eq", number, g.const(i, number.dtype))
+        if inside is not None and not number.known:
+            here = g.op("and", here, inside)
+        made = combine(out[i], update)
+        out[i] = made if here is None else g.select(here, made, out[i])
+
+
+def _start(g, index, most, mode):
+    """(a start within bounds, whether it was so; None: it is)."""
+    if mode == _Mode.PROMISE_IN_BOUNDS or (index.known and 0 <= int(index.value) <= most):
+        return index, None
+    held = _held(g, index, most)
+    return held, None if mode == _Mode.CLIP else g.op("eq", held, index)
+
+
+def _starts(g, vector, dims, sizes, shape, mode):
+    """({dim: start}, whether all are inside; None: they are) of one index vector."""
+    found, several = {}, []
+    for index, d in zip(vector, dims, strict=True):
+        start, ok = _start(g, index, shape[d] - sizes[d], mode)
+        found[d] = _known(start)
+        several += [] if ok is None else [ok]
+    inside = None
+    for ok in several:
+        inside = ok if inside is None else g.op("and", inside, ok)
+    return found, inside
+
+
+def _gather(g, eqn, x, places):
+    p, out = eqn.params, eqn.outvars[0].aval
+    numbers, sizes, mode = p["dimension_numbers"], p["slice_sizes"], p["mode"]
+    hidden = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+    kept = [d for d in range(len(x.shape)) if d not in hidden]
+    batch = [d for d in range(out.ndim) if d not in numbers.offset_dims]
+    known, made = {}, []
+    for at in np.ndindex(*out.shape):
+        which = tuple(at[d] for d in batch)
+        if which not in known:
+            known[which] = _starts(g, places[which], numbers.start_index_map, sizes, x.shape, mode)
+        starts, inside = known[which]
+        starts = starts | {
+            d: which[b] for d, b in zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
+        }
+        offsets = dict(zip(kept, (at[d] for d in numbers.offset_dims), strict=True))
+        coords = [_plus(g, starts.get(d, 0), offsets.get(d, 0)) for d in range(len(x.shape))]
+        cell = _taken(g, x, coords, places.flat[0].dtype)
+        made.append(cell if inside is None else g.select(inside, cell, _fill(g, p["fill_value"], cell.dtype)))
+    return [array_of(made, out.shape)]
+
+
+def _fill(g, value, dtype):
+    if value is None:
+        limits = {"f": lambda: np.nan, "i": lambda: np.iinfo(dtype).min, "u": lambda: np.iinfo(dtype).max}
+        value = limits.get(dtype.kind, lambda: True)()
+    return g.const(value, dtype)
+
+
+def _scatter(combine):
+    def rule(g, eqn, x, places, updates):
+        p = eqn.params
+        numbers, mode, out = p["dimension_numbers"], p["mode"], x.reshape(-1).copy()
+        hidden = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
+        kept = [d for d in range(x.ndim) if d not in hidden]
+        sizes = dict(zip(kept, (updates.shape[d] for d in numbers.update_window_dims), strict=True))
+        sizes = [sizes.get(d, 1) for d in range(x.ndim)]
+        batch = [d for d in range(updates.ndim) if d not in numbers.update_window_dims]
+        if not all(c.known for c in places.flat) and updates.size * x.size > MOST_WRITES:
+            raise UnsupportedError(f"`{eqn.primitive.name}` of {updates.size} entries at unknown places has no C form")
+        for at in np.ndindex(*updates.shape):
+            which = tuple(at[d] for d in batch)
+            starts, inside = _starts(g, places[which], numbers.scatter_dims_to_operand_dims, sizes, x.shape, mode)
+            starts |= {
+                d: which[b]
+                for d, b in zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
+            }
+            offsets = dict(zip(kept, (at[d] for d in numbers.update_window_dims), strict=True))
+            coords = [_plus(g, starts.get(d, 0), offsets.get(d, 0)) for d in range(x.ndim)]
+            if inside is not None and inside.known:
+                if not inside.value:
+                    continue
+                inside = None
+            number = _number(g, coords, x.shape, places.flat[0].dtype)
+            _put(g, out, number, inside, updates[at], lambda old, new: combine(g, old, new))
+        return [out.reshape(x.shape)]
+
+    return rule
+
+
+def _by(name):
+    return _scatter(lambda g, old, new: g.op(name, old, new))
+
+
+def out_of_whole(g, eqn, inputs):
+    """Entries of rows at given places; None where an equation does something else."""
+    name, x = eqn.primitive.name, inputs[0]
+    if name not in ("dynamic_slice", "gather") or is_cells(x) or not all(map(is_cells, inputs[1:])):
+        return None
+    x = x if isinstance(x, Rows) else as_rows(g, x, x.shape[0])
+    return PLACES[name](g, eqn, x, *inputs[1:])
+
+
+PLACES = {
+    **{"dynamic_slice": _dynamic_slice, "dynamic_update_slice": _dynamic_update_slice, "gather": _gather},
+    **{"scatter": _scatter(lambda g, old, new: new), "scatter-add": _by("add"), "scatter-mul": _by("mul")},
+    **{"scatter-min": _by("min"), "scatter-max": _by("max"), "scatter-sub": _by("sub")},
+}

@@ -1,0 +1,112 @@
+"""Program: a function of one lane, built as a C library, and called for a batch."""
+
+import ctypes
+import pathlib
+import tempfile
+
+import jax
+import numpy as np
+
+from cnclik.engine.compiler import CompilerError, build_text, can_build, closed_after, opened
+from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.reader import read
+from cnclik.engine.source import write
+from cnclik.engine.tracing import to_be_read
+from cnclik.hints import Recent
+from cnclik.threads import side_by_side
+
+MOST_WORK = 64 << 20  # bytes of a tile's memory
+FEW_TILES = 4  # that one thread runs alone
+CALLS = 4  # of each thread: lanes that need longer than others don't keep one core busy alone
+
+
+class Program:
+    """A function of one lane as a C library. Raises UnsupportedError where it has no C form."""
+
+    def __init__(self, fn, avals, treedef):
+        """avals: of one lane's arguments, leaf by leaf. treedef: how they make up the arguments."""
+        if not can_build():
+            raise UnsupportedError("there is no C compiler")
+        with to_be_read():
+            graph, given, outs, (self.shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
+        self.avals = avals
+        text, self.operations = write(graph, given, outs, self.shapes)
+        self.library, self.path = _built(text, self.operations)
+        self.lanes, self.work = self.library.width(), self.library.work_bytes()
+        if self.work > MOST_WORK:
+            raise UnsupportedError(f"a tile needs {self.work >> 20} MiB of memory")
+
+    def __call__(self, leaves, size, cores=1) -> list:
+        """Results of a batch of `size` lanes, as NumPy arrays.
+
+        Args: leaves: arrays (size, ...), or (...) for what all lanes share.
+        """
+        leaves = [np.asarray(x, a.dtype, order="C") for x, a in zip(leaves, self.avals, strict=True)]
+        strides = [a.size if x.ndim > len(a.shape) else 0 for x, a in zip(leaves, self.avals, strict=True)]
+        made = [np.empty((size, *s.shape), s.dtype) for s in self.shapes]
+        ins = (ctypes.c_void_p * len(leaves))(*[x.ctypes.data for x in leaves])
+        stride = (ctypes.c_int64 * len(leaves))(*strides)
+        out = (ctypes.c_void_p * len(made))(*[x.ctypes.data for x in made])
+
+        def part(start, end):
+            memory = np.empty(self.work, np.uint8)
+            self.library.run(start, end, ins, stride, out, memory.ctypes.data)
+
+        if cores == 1 or size <= FEW_TILES * self.lanes:
+            part(0, size)
+            return made
+        step = -(-size // (CALLS * cores * self.lanes)) * self.lanes
+        with side_by_side(cores) as pool:
+            for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
+                pass
+        return made
+
+
+def _built(text, operations):
+    """(the opened library, where it is kept or None)"""
+    folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
+    include = [jax.ffi.include_dir()]
+    text = f"#define XLA_HANDLER\n{text}"
+    try:
+        if folder:
+            pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
+            path = build_text(text, operations, folder, include=include)
+            library = opened(path)
+        else:
+            with tempfile.TemporaryDirectory(prefix="cnclik-") as own:  # not needed once it is open
+                path = build_text(text, operations, own, include=include)
+                library = opened(path)
+    except (CompilerError, OSError) as error:
+        raise UnsupportedError(f"the C compiler failed: {error}") from None
+    library.width.restype = library.work_bytes.restype = ctypes.c_int64
+    library.run.restype = None
+    library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
+    return closed_after(library), path.name
+
+
+class Programs:
+    """The programs of one function, by the shapes of its arguments; of those that have none, the reason."""
+
+    def __init__(self, fn):
+        self.fn, self.found = fn, Recent()
+
+    def of(self, avals, treedef) -> Program | UnsupportedError:
+        """The program for arguments of these avals, or why there is none."""
+        about = ((a.shape, np.dtype(a.dtype).str, a.weak_type) for a in avals)
+        key = jax.config.jax_enable_x64, treedef, *about
+        return self.found.made(key, lambda _: self._made(avals, treedef))
+
+    def _made(self, avals, treedef):
+        try:
+            return Program(self.fn, avals, treedef)
+        except UnsupportedError as error:
+            return error
+
+
+def lane_avals(leaves, *, batched=True) -> list:
+    """What one lane of arrays looks like, as JAX sees it."""
+    found = []
+    for x in leaves:
+        a = jax.typeof(x)
+        found.append(jax.ShapeDtypeStruct(a.shape[1:] if batched else a.shape, a.dtype, weak_type=a.weak_type))
+    return found

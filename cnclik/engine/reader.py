@@ -1,0 +1,213 @@
+"""Reader: a traced function of one lane becomes a `Graph`.
+
+What is small is taken apart into scalars, so that moving data about costs nothing; what scans stack up stays rows
+(`stacks`); loops stay loops (`regions`). A primitive that has no rule raises UnsupportedError, which names it.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.interpreters import partial_eval
+
+from cnclik.engine import over_rows, stacks
+from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
+from cnclik.engine.cells import CALLS, MOVES, array_of, called, walk
+from cnclik.engine.constants import model_p
+from cnclik.engine.graph import Graph, Node, UnsupportedError
+from cnclik.engine.matrices import MATRICES
+from cnclik.engine.operations import TYPES
+from cnclik.engine.places import PLACES, out_of_whole
+from cnclik.engine.regions import REGIONS
+from cnclik.engine.stacks import Deep, Rows, is_cells
+
+LIMIT = 1 << 14  # entries up to which an array is taken apart
+LARGE_INPUT = 2048  # entries from which on an argument stays whole
+
+_NAMES = """
+    abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq erf
+    exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter
+    not or pow rem round rsqrt select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square
+    sub tan tanh xor
+"""
+ELEMENTWISE = frozenset(_NAMES.split())
+_SAME = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
+_PASSED_ON = frozenset(["reduce_precision", "optimization_barrier", "real", "pcast", "pvary", "name"])
+_PARAMS = {"integer_pow": "y", "round": "rounding_method"}
+RULES = ARRAYS | PLACES | MATRICES
+
+
+def params_of(eqn):
+    """What an elementwise operation needs besides its arguments."""
+    key = _PARAMS.get(eqn.primitive.name)
+    return None if key is None else int(eqn.params[key])
+
+
+class Opaque(NamedTuple):
+    """What is known and no array of numbers: a key of random numbers."""
+
+    value: object
+
+
+class Reader:
+    """Reads jaxprs into a graph. Values are cells, rows or whole arrays, see `stacks`, or opaque."""
+
+    def __init__(self, graph: Graph):
+        self.g = graph
+
+    def constant(self, value, aval=None):
+        """A known array."""
+        if _is_extended(getattr(value, "dtype", None)):
+            return Opaque(value)
+        value = np.asarray(value, getattr(aval, "dtype", None))
+        check_dtype(value.dtype)
+        return stacks.constant(self.g, value, LIMIT)
+
+    def cells(self, x):
+        """Any value as cells."""
+        return stacks.cells_of(self.g, x, LIMIT)
+
+    def run(self, jaxpr, consts, values) -> list:
+        """Results of an open jaxpr."""
+        return walk(jaxpr, map(self.constant, consts), values, lambda v: self.constant(v.val, v.aval), self.equation)
+
+    def equation(self, eqn, inputs) -> list:
+        """Results of one equation."""
+        name = eqn.primitive.name
+        if name in CALLS:
+            return self.run(*called(eqn.params), inputs)
+        if name in _PASSED_ON:
+            return list(inputs)
+        if name == model_p.name:
+            return [self._of_the_model(*inputs)]
+        if name == "iota":
+            return [self.constant(_counted(eqn))]
+        if name in REGIONS:
+            return REGIONS[name](self, eqn, *inputs)
+        if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
+            return list(inputs)
+        if any(isinstance(x, Opaque) for x in inputs) or any(_is_extended(v.aval.dtype) for v in eqn.outvars):
+            return self._by_jax(eqn, inputs)
+        for v in eqn.outvars:
+            check_dtype(v.aval.dtype)
+        inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
+        if not all(map(is_cells, inputs)) and (found := self._whole(eqn, inputs)) is not None:
+            return found
+        if (found := self._repeated(eqn, inputs)) is not None:
+            return found
+        cells = [self.cells(x) for x in inputs]
+        if sum(v.aval.size for v in eqn.outvars) > LIMIT:
+            raise UnsupportedError(f"`{name}` makes an array of {eqn.outvars[0].aval.size} entries")
+        return self._of_cells(name, eqn, cells)
+
+    def _of_the_model(self, x):
+        """The same, with what is known marked."""
+        if not is_cells(x):
+            return x
+        return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
+
+    def _of_cells(self, name, eqn, cells):
+        if name in MOVES:
+            return [MOVES[name](*cells, **eqn.params)]
+        if name == "unstack":
+            x, axis = cells[0], eqn.params["axis"]
+            return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
+        if name in ELEMENTWISE:
+            return [self._elementwise(eqn, cells)]
+        rule = RULES.get(name)
+        if rule is None:
+            return self._by_jax(eqn, cells)
+        return rule(self.g, eqn, *cells)
+
+    def _by_jax(self, eqn, inputs):
+        """What has no C form, where all that it needs is known: by JAX, now."""
+        values = [x.value if isinstance(x, Opaque) else stacks.known_value(x) for x in inputs]
+        if any(v is None for v in values):
+            raise UnsupportedError(f"the operation `{eqn.primitive.name}` has no C form")
+        for i, v in enumerate(eqn.invars):
+            values[i] = values[i] if isinstance(inputs[i], Opaque) else values[i].astype(v.aval.dtype)
+        with jax.ensure_compile_time_eval():
+            made = eqn.primitive.bind(*values, **eqn.params)
+        return [self.constant(x) for x in (made if eqn.primitive.multiple_results else [made])]
+
+    def _elementwise(self, eqn, inputs):
+        (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
+        name = _SAME.get(name, name)
+        flat = [x.flat if x.shape == out.shape else np.broadcast_to(x, out.shape).flat for x in inputs]
+        made = [self.g.apply(name, cells, out.dtype, params) for cells in zip(*flat, strict=True)]
+        return array_of(made, out.shape)
+
+    def _whole(self, eqn, inputs):
+        """Results where some input is rows, or stays whole; None where it has to be taken apart."""
+        name = eqn.primitive.name
+        if (found := out_of_whole(self.g, eqn, inputs)) is not None:
+            return found
+        rows = [stacks.columns(self.g, x) if isinstance(x, Node) and x.shape else x for x in inputs]
+        if not any(isinstance(x, Rows) for x in rows):
+            return None
+        if name in ELEMENTWISE:
+            return over_rows.elementwise(self.g, eqn, rows, params_of(eqn), _SAME.get(name, name))
+        if name in REDUCTIONS and isinstance(rows[0], Rows):
+            return [over_rows.reduced(self.g, rows[0], eqn.params["axes"], REDUCTIONS[name], eqn.outvars[0].aval.dtype)]
+        if name in RUNNING and (found := over_rows.running(self.g, eqn, rows[0], RUNNING[name])) is not None:
+            return found
+        if name in over_rows.OVER_ROWS and (found := over_rows.OVER_ROWS[name](self.g, eqn, *rows)) is not None:
+            return found
+        return over_rows.moved(self.g, eqn, rows[0]) if name in MOVES and len(rows) == 1 else None
+
+    def _repeated(self, eqn, inputs):
+        """Cells broadcast along a new axis 0 that is long: rows that are the same at all instants."""
+        out = eqn.outvars[0].aval
+        if eqn.primitive.name != "broadcast_in_dim" or not out.ndim or out.shape[0] < stacks.MANY:
+            return None
+        x, where = inputs[0], eqn.params["broadcast_dimensions"]
+        if not is_cells(x) or 0 in where:
+            return None
+        sizes = [1] * (out.ndim - 1)
+        for axis, size in zip(where, x.shape, strict=True):
+            sizes[axis - 1] = size
+        return [Rows(np.broadcast_to(x.reshape(sizes), out.shape[1:]), out.shape[0])]
+
+
+def _counted(eqn):
+    """What an iota gives."""
+    params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
+    sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
+    return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)
+
+
+def check_dtype(dtype):
+    """Raise UnsupportedError where numbers of a type have no C form."""
+    if _is_extended(dtype) or np.dtype(dtype).name not in TYPES:
+        raise UnsupportedError(f"numbers of type {dtype} have no C form")
+
+
+def _is_extended(dtype) -> bool:
+    return dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.extended)
+
+
+def read(fn, *avals):
+    """(graph, input nodes, output values, (output leaves' avals, their tree)) of a function of one lane's arrays."""
+    closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
+    return (*read_jaxpr(closed), jax.tree.flatten(shapes))
+
+
+def read_jaxpr(closed):
+    """(graph, input nodes, output values) of a closed jaxpr of one lane."""
+    if closed.effects:
+        raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
+    jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+    g = Graph()
+    reader, given, values = Reader(g), [], []
+    for i, a in enumerate(closed.in_avals):
+        check_dtype(a.dtype)
+        node = g.new("input", (), None, a.shape, a.dtype, i, g.root)
+        given.append(node)
+        if not a.shape:
+            values.append(array_of([node], ()))
+        elif a.shape[0] >= stacks.MANY:
+            values.append(stacks.columns(g, node))
+        else:
+            values.append(reader.cells(node) if a.size <= LARGE_INPUT else node)
+    found = reader.run(jaxpr, closed.consts, values)
+    return g, given, [stacks.shallow(g, x) if isinstance(x, Deep) else x for x in found]

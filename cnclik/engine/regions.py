@@ -1,0 +1,141 @@
+"""Regions: scan, while, cond and linear solves, read as loops and branches."""
+
+import numpy as np
+
+from cnclik.engine import stacks
+from cnclik.engine.cells import array_of, consts_and_carry
+from cnclik.engine.graph import Block, Cond, Scan, UnsupportedError, While
+from cnclik.engine.residuals import computed_anew
+from cnclik.engine.stacks import Deep, Rows, row_node, stacked_node
+
+LARGEST_ROW = 4096  # entries of one round of what is scanned over or stacked up
+
+
+def _shapes(avals):
+    return [((), a.dtype) for a in avals for _ in range(a.size)]
+
+
+def _flat(reader, values):
+    """Scalar nodes of values."""
+    return [cell for v in values for cell in reader.cells(v).flat]
+
+
+def _unflat(nodes, avals):
+    nodes = iter(nodes)
+    return [array_of([next(nodes) for _ in range(a.size)], a.shape) for a in avals]
+
+
+def _small(avals, what):
+    largest = max((a.size for a in avals), default=0)
+    if largest > LARGEST_ROW:
+        raise UnsupportedError(f"{what} of {largest} entries has no C form")
+
+
+def _scan(reader, eqn, *inputs):
+    g, params = reader.g, eqn.params
+    jaxpr, length = params["jaxpr"], params["length"]
+    nc, nk = consts_and_carry(eqn, jaxpr)
+    inputs = [stacks.shallow(g, x) if isinstance(x, Deep) and i < nc + nk else x for i, x in enumerate(inputs)]
+    consts, first, xs = inputs[:nc], inputs[nc : nc + nk], inputs[nc + nk :]
+    carried, stacked = [v.aval for v in eqn.outvars[:nk]], [v.aval for v in jaxpr.jaxpr.outvars[nk:]]
+    scanned = [v.aval for v in jaxpr.jaxpr.invars[nc + nk :]]
+    _small([*carried, *stacked, *scanned], "a round of a scan")
+    if not length:
+        return [*first, *(array_of([], (0, *a.shape)) for a in stacked)]
+    r = Scan(g.block, length, params["reverse"])
+    r.first = _flat(reader, first)
+    r.carries = g.nodes(r, "carry", _shapes(carried), r.block)
+    rows = _rows_of(reader, r, xs, scanned)
+    outside, g.block = g.block, r.block
+    made = reader.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *_unflat(r.carries, carried), *rows])
+    r.then = _flat(reader, made[:nk])
+    deep = [type(v) is Rows and all(not c.shape or (c.op == "stacked" and c.block is r.block) for c in v.cells.flat)
+            for v in made[nk:]]  # fmt: skip
+    for v, is_deep in zip(made[nk:], deep, strict=True):
+        r.ys += list(v.cells.flat) if is_deep else list(reader.cells(v).flat)
+    g.block = outside
+    outside.items.append(r)
+    ends = r.outs = g.nodes(r, "end", _shapes(carried), outside)
+    r.outs = list(ends)
+    ys = iter([stacked_node(g, r, i) for i in range(len(r.ys))])
+    out = []
+    for a, is_deep in zip(stacked, deep, strict=True):
+        shape = a.shape[1:] if is_deep else a.shape
+        cells = array_of([next(ys) for _ in range(int(np.prod(shape)))], shape)
+        out.append(Deep(cells, length, a.shape[0]) if is_deep else Rows(cells, length))
+    return [*_unflat(ends, carried), *out]
+
+
+def _rows_of(reader, r, xs, scanned):
+    """The values in the loop of what a scan goes over."""
+    g, wanted = reader.g, []
+    for x in xs:
+        rows = x if isinstance(x, Deep) and x.length == r.length else stacks.as_rows(g, x, r.length)
+        if rows is None or rows.length != r.length:
+            raise UnsupportedError("a scan over an array in an unknown form has no C form")
+        wanted.append(rows)
+    again = computed_anew(g, r, [c for x in wanted for c in x.cells.flat])
+
+    def here(c):
+        return c if not c.shape else again[c.number] if c.number in again else row_node(g, r, c)
+
+    values = []
+    for x, a in zip(wanted, scanned, strict=True):
+        cells = [here(c) for c in x.cells.flat]
+        values.append(Rows(array_of(cells, a.shape[1:]), x.inner) if isinstance(x, Deep) else array_of(cells, a.shape))
+    return values
+
+
+def _while(reader, eqn, *inputs):
+    g, params = reader.g, eqn.params
+    cond, body, ahead = params["cond_jaxpr"], params["body_jaxpr"], params["cond_nconsts"]
+    of_cond, of_body = inputs[:ahead], inputs[ahead:][: params["body_nconsts"]]
+    carried = [v.aval for v in eqn.outvars]
+    _small(carried, "a round of a loop")
+    r = While(g.block)
+    r.first = _flat(reader, inputs[ahead + params["body_nconsts"] :])
+    r.carries = g.nodes(r, "carry", _shapes(carried), r.asking)
+    outside, g.block = g.block, r.asking
+    (begins,) = reader.run(cond.jaxpr, cond.consts, [*of_cond, *_unflat(r.carries, carried)])
+    r.begins, g.block = begins.item(), r.block
+    r.then = _flat(reader, reader.run(body.jaxpr, body.consts, [*of_body, *_unflat(r.carries, carried)]))
+    g.block = outside
+    outside.items.append(r)
+    r.outs = g.nodes(r, "end", _shapes(carried), outside)
+    return _unflat(r.outs, carried)
+
+
+def _cond(reader, eqn, index, *inputs):
+    g, branches = reader.g, eqn.params["branches"]
+    which = reader.cells(index).item()
+    if which.known:
+        b = branches[min(max(int(which.value), 0), len(branches) - 1)]
+        return reader.run(b.jaxpr, b.consts, inputs)
+    avals = [v.aval for v in eqn.outvars]
+    _small(avals, "a branch's result")
+    last = g.const(len(branches) - 1, which.dtype)
+    if which.dtype.kind != "b":
+        which = g.op("min", g.op("max", which, g.const(0, which.dtype)), last)
+        which = g.op("eq", which, last) if len(branches) == 2 else which
+    r, outside = Cond(which), g.block
+    for b in branches:
+        g.block = Block(outside, branch=True)
+        r.blocks.append(g.block)
+        r.results.append(_flat(reader, reader.run(b.jaxpr, b.consts, inputs)))
+        g.block = outside
+    outside.items.append(r)
+    r.outs = g.nodes(r, "out", _shapes(avals), outside)
+    same = [all(n is several[0] for n in several) and several[0].block.depth <= outside.depth
+            for several in zip(*r.results, strict=True)]  # fmt: skip
+    found = [r.results[0][i] if s else node for i, (s, node) in enumerate(zip(same, r.outs, strict=True))]
+    return _unflat(found, avals)
+
+
+def _linear_solve(reader, eqn, *inputs):
+    lengths, solve = eqn.params["const_lengths"], eqn.params["jaxprs"].solve
+    before = lengths.matvec + lengths.vecmat
+    own = inputs[before : before + lengths.solve]
+    return reader.run(solve.jaxpr, solve.consts, [*own, *inputs[before + lengths.solve + lengths.transpose_solve :]])
+
+
+REGIONS = {"scan": _scan, "while": _while, "cond": _cond, "custom_linear_solve": _linear_solve}

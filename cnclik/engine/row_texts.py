@@ -1,0 +1,137 @@
+"""Rows in C: an entry of a row at a round k, wherever it lies; operations on rows are written where they are read."""
+
+import numpy as np
+
+from cnclik.engine.graph import Node, Scan, UnsupportedError
+from cnclik.engine.operations import is_operation, number, scalar, vector
+
+_PLACED = ("stacked", "array")  # rows of which any entry can be named
+
+
+def all_items(*blocks):
+    """All nodes and regions in blocks, those inside regions among them."""
+    blocks = list(blocks)
+    for block in blocks:
+        for item in block.items:
+            yield item
+            if not isinstance(item, Node):
+                blocks += item.blocks
+
+
+def needed_rows(graph, needed, others) -> set:
+    """Numbers of the rows that are read somewhere: by other loops, nodes or results that are written at the end."""
+    read = [n for n in others if n.shape]
+    for item in all_items(graph.root):
+        if isinstance(item, Scan) and id(item) in needed:
+            read += [x for x, row in zip(item.xs, item.rows, strict=True) if x.shape and row.number in needed]
+        elif isinstance(item, Node) and item.number in needed and not item.shape:
+            read += [a for a in item.args if a.shape]
+    found, queue = set(), read
+    while queue:
+        n = queue.pop()
+        if n.number not in found:
+            found.add(n.number)
+            queue += [a for a in n.args if a.shape]
+            if n.op == "stacked" and len(n.shape) == 2:
+                queue.append(n.value[0].ys[n.value[2]])
+    return found
+
+
+def places_needed(graph, needed) -> set:
+    """Numbers of the rows that are computed into memory: they are read at other rounds than they are made in."""
+    found = set()
+
+    def placed(n):
+        if not n.shape or n.op in _PLACED or n.op == "row" or n.number in found:
+            return
+        if n.op == "slid":
+            placed(n.args[0])
+        elif n.op == "joined":
+            for a in n.args:
+                placed(a)
+        else:
+            found.add(n.number)
+
+    for item in all_items(graph.root):
+        if isinstance(item, Node) and item.number in needed:
+            if item.op in ("slid", "joined"):
+                for a in item.args:
+                    if item.op == "joined" or is_operation(a):
+                        placed(a)
+            elif item.op == "take":
+                placed(item.args[0])
+    return found
+
+
+class RowTexts:
+    """The part of a writer that knows rows."""
+
+    def materialise(self, n):
+        """A row, computed into memory."""
+        k, base = self.new("k"), self.room(n.dtype, n.shape[0])
+        self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
+        self.scopes.append([])
+        self.line(f"AT({self.type(n)}, {base})[{k}] = {self.row(n, k, {})};")
+        for key in self.scopes.pop():
+            self.names.pop(key, None)
+        self.line("}")
+        self.where[n.number] = lambda k, T=self.type(n): f"AT({T}, {base})[{k}]"
+
+    def row(self, c, k, memo) -> str:
+        """The text of a row at round k; lines before it where it has to be computed."""
+        if not c.shape:
+            return self.of(c)
+        if c.number not in memo:
+            memo[c.number] = self._row(c, k, memo)
+        return memo[c.number]
+
+    def _row(self, c, k, memo):
+        if c.number in self.where:
+            return self.where[c.number](k)
+        if c.op == "array":
+            return self.table(c.value, k)
+        if c.op == "column":
+            (whole,) = c.args
+            size = int(np.prod(whole.shape[1:]))
+            at = int(np.ravel_multi_index(c.params, whole.shape[1:])) if whole.shape[1:] else 0
+            return self._named(c, self.load(whole, f"({k}) * {size} + {at}"))
+        if c.op == "within":
+            return self.where[c.args[0].number](k, c.params)
+        if c.op == "slid":
+            start, stride = c.params
+            return self.row(c.args[0], f"({start} + {stride} * ({k}))", {})
+        if c.op == "joined":
+            return self._joined(c, k)
+        if c.op == "list":
+            name = self.new("l")
+            self.line(f"const {self.type(c)} {name}[{len(c.args)}] = {{{', '.join(map(self.of, c.args))}}};")
+            return f"{name}[{k}]"
+        if is_operation(c):
+            words = self.applied(c, lambda a, plain: self.row(a, k, memo) if a.shape else self.of(a, plain))
+            return words if c.op in ("sin", "cos") else self._named(c, words)
+        raise UnsupportedError(f"rows of `{c.op}` have no C form")
+
+    def _named(self, node, words):
+        name = self.new()
+        self.line(f"const {self.type(node)} {name} = {words};")
+        return name
+
+    def _joined(self, c, k):
+        made, ends = None, np.cumsum(c.params).tolist()
+        for a, end, length in reversed(list(zip(c.args, ends, c.params, strict=True))):
+            piece = self.row(a, f"(({k}) - {end - length})", {})
+            made = piece if made is None else f"(({k}) < {end} ? {piece} : {made})"
+        return made
+
+    def table(self, values, k) -> str:
+        """An entry of a known row."""
+        T, N = vector(values.dtype), scalar(values.dtype)
+        self.dtypes.add(values.dtype)
+        if values.dtype.kind in "iu" and len(values) > 1:
+            gap = int(values[1]) - int(values[0])
+            if all(int(v) == int(values[0]) + gap * i for i, v in enumerate(values)):
+                return f"splat_{T}(({N})({int(values[0])} + {gap} * ({k})))"
+        name = f"table{len(self.tables)}"
+        kind = "int8_t" if values.dtype.kind == "b" else N
+        self.tables.append(f"static const {kind} {name}[] = {{{', '.join(number(v, values.dtype) for v in values)}}};")
+        return f"splat_{T}({name}[{k}])"

@@ -1,0 +1,100 @@
+"""Source: the whole C file of a graph: types, functions of lanes, the tile, and the entries that run it."""
+
+import functools
+import pathlib
+
+import numpy as np
+
+from cnclik.engine.graph import Node
+from cnclik.engine.operations import LIBRARY, TYPES
+from cnclik.engine.row_texts import all_items
+from cnclik.engine.to_c import Writer
+
+FOLDER = pathlib.Path(__file__).parent / "c"
+LONG = 20_000  # operations from which on a program is written in pieces
+PIECE = 1_000
+_TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *work"
+_REAL = {"float32": ("S32", "int32_t", "f"), "float64": ("S64", "int64_t", "")}
+
+
+def main_type(graph, given, shapes) -> np.dtype:
+    """The type that decides on how many lanes a vector has: float64 where most numbers are of it, else float32."""
+    several = [n.dtype for n in all_items(graph.root) if isinstance(n, Node)]
+    several += [np.dtype(x.dtype) for x in (*given, *shapes)]
+    wide, narrow = (sum(d == t for d in several) for t in (np.float64, np.float32))
+    return np.dtype(np.float64 if wide > narrow else np.float32)
+
+
+@functools.cache
+def header(name) -> str:
+    """The text of one of the C files of this folder."""
+    return (FOLDER / name).read_text(encoding="utf-8")
+
+
+def write(graph, given, outs, shapes) -> tuple:
+    """(C text, number of operations) of a graph; `shapes` are the results' avals."""
+    main = main_type(graph, given, shapes)
+    writer = _written(graph, given, outs, main, 0)
+    if writer.operations > LONG:
+        writer = _written(graph, given, outs, main, PIECE)
+    size = main.itemsize
+    text = [f"#define MAIN {size}", header("vectors.h"), *_types(writer, main)]
+    text += [f"#define WORK ((int64_t){writer.work})", *writer.tables, *(body for _, body in writer.parts)]
+    text += [f"static void tile({_TILE})"]
+    text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes), header("handler.h")]
+    return "\n".join(text) + "\n", writer.operations
+
+
+def _written(graph, given, outs, main, piece):
+    writer = Writer(graph, given, outs, main, piece=piece)
+    writer.statements()
+    return writer
+
+
+def _types(writer, main):
+    """What the vectors that are used have."""
+    used = {dtype.name for dtype in writer.dtypes if dtype.kind != "b"} | {main.name}
+    for name in TYPES:
+        if name not in used:
+            continue
+        T, N = TYPES[name]
+        dtype, real = np.dtype(name), name in _REAL
+        bits, number, suffix = _REAL[name] if real else (f"S{8 * dtype.itemsize}", "", "")
+        defined = {"T": T, "N": N, "K(name)": f"name##_{T}", "BITS": bits, "SIZE": dtype.itemsize}
+        defined |= {
+            "LIBM(name)": f"name##{suffix}" if suffix else "name",
+            "BITS_NUMBER": number,
+            "SIGNED": int(dtype.kind == "i"),
+        }
+        yield from (f"#define {key} {value}" for key, value in defined.items())
+        yield header("numbers.h")
+        yield header("real.h" if real else "whole.h")
+        if real:
+            yield from _library(writer, T)
+        yield from (f"#undef {key.split('(')[0]}" for key in defined)
+        if real:
+            yield from (f"#undef {key}" for key in ("SIGN", "SMALL", "MAGIC", "FAR", "TWO_OVER_PI", "PI_LOW"))
+            yield from ("#undef LANE_BY_LANE", "#undef LANE_BY_LANE_OF_TWO")
+
+
+def _library(writer, T):
+    """Functions of C's library that are used."""
+    asked = {op for op, of, _ in writer.functions if of == T}
+    asked |= {"exp"} if "logistic" in asked else set()
+    asked |= {"fmod"} if "rem" in asked else set()
+    for name in sorted(asked & set(LIBRARY)):
+        yield f"LANE_BY_LANE{'_OF_TWO' * (LIBRARY[name] == 2)}({name})"
+
+
+def _call(given, shapes):
+    """Tables that the entry for XLA reads."""
+    ins = [(len(n.shape), int(np.prod(n.shape))) for n in given]
+    outs = [(s.ndim, int(np.prod(s.shape))) for s in shapes]
+
+    def table(name, values):
+        return f"static const int64_t {name}[] = {{{', '.join(map(str, values)) or '0'}}};"
+
+    yield f"#define ARGUMENTS {len(ins)}\n#define RESULTS {len(outs)}"
+    yield table("argument_rank", [r for r, _ in ins])
+    yield table("argument_size", [s for _, s in ins])
+    yield table("result_rank", [r for r, _ in outs])

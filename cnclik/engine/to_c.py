@@ -1,0 +1,358 @@
+"""To C: a graph as the statements of a C function on vectors of lanes.
+
+A scalar becomes a vector of lanes, a comparison a mask. Loops stay loops; a branch runs where some lane needs it, and
+each lane keeps what is its own. What scans stack up lies in the caller's work memory, lane by lane. A result that one
+scan stacks up is stored where it belongs as each round ends.
+"""
+
+import numpy as np
+
+from cnclik.engine.graph import Cond, Node, Scan, While, live
+from cnclik.engine.operations import COST, is_operation, number, scalar, splat, text, vector
+from cnclik.engine.pieces import in_pieces
+from cnclik.engine.row_texts import RowTexts, needed_rows, places_needed
+from cnclik.engine.stacks import Rows
+
+HEAVY = 60  # operations from which on a branch is left out where no lane needs it
+REGION_WEIGHT = 1000
+ALIGNED = 256  # bytes
+
+
+class Writer(RowTexts):
+    """Writes the statements of a graph."""
+
+    def __init__(self, graph, given, outs, main, *, piece=0):
+        """
+        Args:
+          given: input nodes. outs: results: cells, rows or nodes.
+          main: the type that decides on how many lanes a vector has.
+          piece: statements of one function; 0: all in one.
+        """
+        self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
+        self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
+        self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
+        self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
+        ends = [node for out in outs for node in cells_of(out)]
+        self.needed = live(ends)
+        self.direct = _direct(outs)
+        others = [node for k, out in enumerate(outs) if k not in self.direct for node in cells_of(out)]
+        self.stored = needed_rows(graph, self.needed, others)
+        self.material = places_needed(graph, self.needed)
+
+    # --- text -----------------------------------------------------------------------------------------
+
+    def line(self, words):
+        """One line."""
+        self.lines.append(words)
+
+    def new(self, letter="t") -> str:
+        """A name not in use."""
+        self.counted += 1
+        return f"{letter}{self.counted}"
+
+    def type(self, node) -> str:
+        """The vector type of a node."""
+        self.dtypes.add(node.dtype)
+        return vector(node.dtype)
+
+    def of(self, node, plain=False) -> str:
+        """A node in an expression; a plain constant as a number."""
+        self.dtypes.add(node.dtype)
+        if node.known:
+            return f"({number(node.value, node.dtype)})" if plain else splat(node)
+        return self.names[node.number]
+
+    def declare(self, node, words) -> str:
+        """A constant of the node's type."""
+        self.operations += 1
+        name = self.names[node.number] = self.new()
+        self.line(f"const {self.type(node)} {name} = {words};")
+        return name
+
+    def variable(self, node, words, letter="c") -> str:
+        """A variable of a node's type."""
+        name = self.new(letter)
+        self.line(f"{self.type(node)} {name} = {words};")
+        return name
+
+    def room(self, dtype, entries) -> int:
+        """Where in the work memory there is room for vectors of a dtype, in bytes."""
+        place, self.work = self.work, self.work + -(-entries * self.vector_bytes(dtype) // ALIGNED) * ALIGNED
+        return place
+
+    def vector_bytes(self, dtype) -> int:
+        """Bytes of a vector, at most: with as many lanes as AVX-512 has."""
+        dtype = np.dtype(dtype)
+        return 64 * max(1, (self.main.itemsize if dtype.kind == "b" else dtype.itemsize) // self.main.itemsize)
+
+    def applied(self, node, of) -> str:
+        """An operation; what it uses of C's library is remembered."""
+        for a in (*node.args, node):
+            self.dtypes.add(a.dtype)
+        if node.op in ("sin", "cos"):
+            return self.sincos(node, of)
+        self.functions.add((node.op, vector(node.args[0].dtype), getattr(node, "params", None)))
+        return text(node, of)
+
+    def sincos(self, node, of) -> str:
+        """The name of a sine or cosine; both of an angle are computed at once."""
+        angle = of(node.args[0], False)
+        key = "sincos", angle
+        if key not in self.names:
+            s, c, T = self.new(), self.new(), self.type(node)
+            self.line(f"{T} {s}, {c}; sincos_{T}({angle}, &{s}, &{c});")
+            self.names[key] = s, c
+            self.scopes[-1].append(key)
+        return self.names[key][node.op == "cos"]
+
+    # --- statements -----------------------------------------------------------------------------------
+
+    def is_needed(self, item) -> bool:
+        """Whether a node or a region has a part in the results."""
+        return (item.number if isinstance(item, Node) else id(item)) in self.needed
+
+    def block(self, block, ending=()):
+        """Everything in a block; `ending` are the nodes that are used after it. To be followed by `leave`."""
+        items = [i for i in block.items if self.is_needed(i)]
+        items = [i for i in items if not (isinstance(i, Node) and i.shape and i.number not in self.material)]
+        self.scopes.append([])
+        if self.piece and len(items) > 1.5 * self.piece:
+            in_pieces(self, items, ending)
+        else:
+            self.items(items)
+
+    def items(self, items):
+        """Nodes and regions, one after the other."""
+        for item in items:
+            self.node(item) if isinstance(item, Node) else self.region(item)
+
+    def region(self, r):
+        """A loop or branch."""
+        {Scan: self.scan, While: self.loop, Cond: self.choice}[type(r)](r)
+
+    def leave(self):
+        """The end of a block: what was computed in it is out of reach."""
+        for key in self.scopes.pop():
+            self.names.pop(key, None)
+
+    def node(self, n):
+        """One node."""
+        if n.number in self.names or n.number in self.where:
+            return
+        if n.number in self.material:
+            self.materialise(n)
+        elif is_operation(n):
+            words = self.applied(n, self.of)
+            if n.op in ("sin", "cos"):
+                self.names[n.number] = words
+                self.operations += 1
+            else:
+                self.declare(n, words)
+        elif n.op == "index":
+            self.index(n)
+        elif n.op == "pick":
+            self.pick(n)
+        elif n.op == "take":
+            self.take(n)
+
+    def index(self, n):
+        """One entry of an argument, or of a row."""
+        (whole,) = n.args
+        if whole.op == "input":
+            at = int(np.ravel_multi_index(n.params, whole.shape))
+            self.declare(n, self.load(whole, str(at)))
+        else:
+            self.names[n.number] = self.row(whole, str(n.params[0]), {})
+
+    def load(self, node, at) -> str:
+        """An entry of an argument."""
+        i = self.given.index(node)
+        T, N = self.type(node), scalar(node.dtype)
+        return f"load_{T}((const {N} *)in[{i}] + first * stride[{i}] + {at}, stride[{i}], n)"
+
+    def pick(self, n):
+        """The cell of a number that each lane has for itself."""
+        index, *cells = n.args
+        table, name, T = self.new("l"), self.new(), self.type(n)
+        self.names[n.number] = name
+        self.line(f"const {T} {table}[{len(cells)}] = {{{', '.join(map(self.of, cells))}}};")
+        self.line(f"{T} {name};")
+        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {table}[{self.of(index)}[i]][i];")
+
+    def take(self, n):
+        """The entry of a row at a round that each lane has for itself."""
+        row, index = n.args
+        name = self.names[n.number] = self.new()
+        self.line(f"{self.type(n)} {name};")
+        at = self.row(row, f"{self.of(index)}[i]", {})
+        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at}[i];")
+
+    # --- regions --------------------------------------------------------------------------------------
+
+    def scan(self, r):
+        """A loop, with what it takes from rows and what it stacks up."""
+        nk = len(r.carries)
+        alive = [i for i, c in enumerate(r.carries) if {c.number, r.outs[i].number} & self.needed]
+        rows = [i for i, row in enumerate(r.rows) if row.number in self.needed]
+        stacked = [
+            (y, node) for y, node in zip((r.ys[s] for s in r.stacks), r.outs[nk:], strict=True) if self.is_needed(node)
+        ]
+        j, k = self.new("j"), self.new("k")
+        stores = self.make_room(r, stacked, k)
+        direct = [(o, out) for o, out in self.direct.items() if out.cells.flat[0].value[0] is r]
+        names = {i: self.variable(r.carries[i], self.of(r.first[i])) for i in alive}
+        self.names |= {r.carries[i].number: name for i, name in names.items()}
+        self.line(f"for (int64_t {j} = 0; {j} < {r.length}; ++{j}) {{")
+        self.line(f"const int64_t {k} = {f'{r.length - 1} - {j}' if r.reverse else j};")
+        self.scopes.append([])
+        memo = {}
+        for i in rows:
+            if r.rows[i].shape:
+                self.where[r.rows[i].number] = self.rows_within(r.xs[i], k)
+            else:
+                self.names[r.rows[i].number] = self.row(r.xs[i], k, memo)
+        ends = [r.then[i] for i in alive] + [y for y, _ in stores]
+        ends += [r.ys[c.value[2]] for _, out in direct for c in out.cells.flat]
+        self.block(r.block, ends)
+        for y, node in stores:
+            self.line(f"{self.where[node.number](k)} = {self.of(y)};")
+        for o, out in direct:
+            self.store_round(o, out.cells.size, r.length, k, [r.ys[c.value[2]] for c in out.cells.flat])
+        self.move_on(r, names)
+        self.line("}")
+        self.leave()
+        self.leave()
+        self.names |= {r.outs[i].number: name for i, name in names.items()}
+
+    def make_room(self, r, stacked, k) -> list:
+        """Places in the work memory for what is stacked up; (y, node) of what is stored as a round ends."""
+        stores, groups = [], {}
+        for y, node in stacked:
+            if len(node.shape) == 2 and node.number in self.stored:  # an inner loop stores into it
+                size = node.shape[1]
+                base, T = self.room(node.dtype, node.shape[0] * size), self.type(node)
+                self.where[node.number] = lambda o, i, b=base, T=T, s=size: f"AT({T}, {b})[({o}) * {s} + ({i})]"
+                self.where[y.number] = lambda i, node=node: self.where[node.number](k, i)
+            elif node.number in self.where:
+                stores.append((y, node))
+            elif node.number in self.stored:
+                groups.setdefault(node.dtype, []).append((y, node))
+        for dtype, some in groups.items():
+            base, T = self.room(dtype, len(some) * r.length), vector(dtype)
+            for i, (y, node) in enumerate(some):
+                self.where[node.number] = lambda k, b=base, T=T, m=len(some), i=i: f"AT({T}, {b})[({k}) * {m} + {i}]"
+                stores.append((y, node))
+        return stores
+
+    def rows_within(self, x, k):
+        """Where a round's part of a stack of stacks lies."""
+        return lambda i: self.where[x.number](k, i)
+
+    def move_on(self, r, names):
+        """The next values of what is carried; one that is another's old value is put aside first."""
+        carried = {r.carries[i].number for i in names}
+        texts = {}
+        for i, name in names.items():
+            then = r.then[i]
+            if then is r.carries[i]:
+                continue
+            texts[name] = self.variable(then, self.of(then), "t") if then.number in carried else self.of(then)
+        for name, words in texts.items():
+            self.line(f"{name} = {words};")
+
+    def loop(self, r):
+        """Rounds as long as some lane goes on."""
+        names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
+        self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
+        self.line("for (;;) {")
+        self.block(r.asking, [r.begins])
+        asked, among = self.new(), f" & {self.active[-1]}" if self.active else ""
+        self.line(f"const M {asked} = {self.of(r.begins)}{among};")
+        self.line(f"if (!ANY({asked})) break;")
+        self.active.append(asked)
+        self.block(r.block, r.then)
+        self.active.pop()
+        texts = [self.variable(n, self.of(n), "t") for n in r.then]
+        for c, name, words in zip(r.carries, names, texts, strict=True):
+            self.line(f"{name} = select_{self.type(c)}({asked}, {words}, {name});")
+        self.line("}")
+        self.leave()
+        self.leave()
+        self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+
+    def weight(self, block) -> int:
+        """What a block costs, in operations."""
+        return sum(
+            COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in block.items if self.is_needed(i)
+        )
+
+    def choice(self, r):
+        """A branch."""
+        alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
+        which, names = self.new(), {}
+        self.line(f"const {self.type(r.which)} {which} = {self.of(r.which)};")
+        for i in alive:
+            names[i] = self.variable(r.outs[i], f"splat_{self.type(r.outs[i])}(0)", "t")
+        for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
+            mask = self.new()
+            truth = (f"~{which}", which)[k] if r.which.dtype.kind == "b" else f"MASK({which} == {k})"
+            among = f" & {self.active[-1]}" if self.active else ""
+            self.line(f"const M {mask} = {truth}{among};")
+            self.line(f"if (ANY({mask})) {{" if self.weight(block) >= HEAVY else "{")
+            self.active.append(mask)
+            self.block(block, [results[i] for i in alive])
+            for i in alive:
+                self.line(f"{names[i]} = select_{self.type(r.outs[i])}({mask}, {self.of(results[i])}, {names[i]});")
+            self.active.pop()
+            self.line("}")
+            self.leave()
+        self.names |= {r.outs[i].number: name for i, name in names.items()}
+
+    # --- results --------------------------------------------------------------------------------------
+
+    def statements(self) -> list:
+        """All lines of the function."""
+        for node in self.given:
+            if node.number in self.needed and not node.shape:
+                self.declare(node, self.load(node, "0"))
+        self.block(self.graph.root, [n for out in self.outs if not isinstance(out, Rows) for n in cells_of(out)])
+        for o, out in enumerate(self.outs):
+            if o in self.direct:
+                continue
+            if isinstance(out, Rows):
+                self.line(f"for (int64_t k = 0; k < {out.length}; ++k) {{")
+                memo = {}
+                rows = [self.row(c, "k", memo) for c in out.cells.flat]
+                self.store_texts(o, list(out.cells.flat), rows, out.cells.size * out.length, f"k * {out.cells.size} + ")
+                self.line("}")
+            else:
+                cells = cells_of(out)
+                self.store_texts(o, cells, list(map(self.of, cells)), len(cells))
+        self.leave()
+        return self.lines
+
+    def store_round(self, o, size, length, k, nodes):
+        """What one round adds to a result."""
+        self.store_texts(o, nodes, list(map(self.of, nodes)), size * length, f"({k}) * {size} + ")
+
+    def store_texts(self, o, nodes, texts, total, offset=""):
+        """Entries of a result, of `total` for each lane."""
+        for c, (node, words) in enumerate(zip(nodes, texts, strict=True)):
+            T, N = self.type(node), scalar(node.dtype)
+            self.line(f"store_{T}(({N} *)out[{o}] + first * {total} + {offset}{c}, {total}, {words}, n);")
+
+
+def cells_of(out) -> list:
+    """All nodes of a result."""
+    return list(out.cells.flat if isinstance(out, Rows) else out.flat if isinstance(out, np.ndarray) else [out])
+
+
+def _direct(outs) -> dict:
+    """{number: result} of those results that one scan stacks up whole, and that lies in no other region."""
+    found = {}
+    for k, out in enumerate(outs):
+        cells = cells_of(out)
+        whole = isinstance(out, Rows) and cells and all(c.op == "stacked" and len(c.shape) == 1 for c in cells)
+        if whole and len({id(c.value[0]) for c in cells}) == 1 and cells[0].block.parent is None:
+            found[k] = out
+    return found

@@ -1,0 +1,145 @@
+"""What lies around a law as C: drives, paces, paths, derivatives, long runs; lanes with and without a compiler."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.engine import compiler
+from cnclik.engine.plan import in_c as runs_in_c
+from cnclik.engine.plan import use_engine
+from cnclik.engine.program import Programs, lane_avals
+from engine.compare import check, in_c, same
+from tests.export.combinations import arm
+
+pytestmark = pytest.mark.skipif(not compiler.can_build(), reason="no C compiler")
+
+SIZE = 11
+LAW = ck.Law(arm(3), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
+
+
+def solve(q0, x, *, N=6, method="EE", stage=None, law=LAW, path=ck.hold, **around):
+    return ck.solve(law, path(x), q0, 0.02, N, method, ck.picard(2) if stage is None else stage, **around)
+
+
+def line(x):
+    return ck.line(x, x + 0.1, duration=0.1)
+
+
+def circle(x):
+    return ck.circle(x, 0.1, period=0.3)
+
+
+def given(size=SIZE, dtype="float64"):
+    rng = np.random.default_rng(2)
+    q0 = rng.uniform(0.3, 1.2, (size, 3))
+    at = jax.vmap(lambda q: ck.pose(LAW.chain, q).position[:2])(q0 + 0.2)
+    return q0.astype(dtype), np.asarray(at, dtype)
+
+
+AROUND = {
+    "dead time and lag": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
+    "servo of second order": dict(drive=ck.Drive(delay=1, natural_frequency=60.0)),
+    "position commands": dict(drive=ck.Drive(delay=1, lag=0.02, command="position", feedback="rebased")),
+    "own commands": dict(drive=ck.Drive(delay=1, feedback="commanded")),
+    "late measurements": dict(drive=ck.Drive(delay=1, measurement_delay=2, resolution=1e-3)),
+    "limits of the drive": dict(drive=ck.Drive(lag=0.02, drive_velocity=1.0, drive_acceleration=9.0)),
+    "pace": dict(pace=ck.Pace(acceleration=10.0, jerk=200.0), path=line),
+    "circle": dict(path=circle, method="RK4"),
+    "long": dict(N=90, path=line),
+    "joint limits and posture": dict(
+        law=ck.replace(LAW, limits=ck.saturation(), null_velocity=ck.posture(np.full(3, 0.3)))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", AROUND)
+def test_what_lies_around_a_law(name):
+    check(functools.partial(solve, **AROUND[name]), *given(), ulps=3e4)
+
+
+def squares(q0, x, **around):
+    return jnp.sum(solve(q0, x, **around).e ** 2)
+
+
+IMPLICIT = dict(method="CN", stage=ck.newton(2, implicit=True))
+SLOPES = {
+    "EE": {},
+    "long": dict(N=90),
+    "CN": dict(method="CN"),
+    "CN implicit": IMPLICIT,
+    "AB2": dict(method="AB2"),
+    "EXP-MIDPOINT": dict(method="EXP-MIDPOINT"),
+    "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
+    "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
+}
+
+
+@pytest.mark.parametrize("name", SLOPES)
+def test_gradients(name):
+    """In both arguments, reverse; what C stores and computes anew is its own choice."""
+    check(jax.value_and_grad(functools.partial(squares, **SLOPES[name]), argnums=(0, 1)), *given(), ulps=3e4)
+
+
+def test_forward_derivatives_and_a_gain_for_each_lane():
+    def of(alpha, q0, x):
+        return squares(q0, x, law=ck.replace(LAW, alpha=alpha))
+
+    check(jax.jacfwd(of), np.linspace(1, 5, SIZE), *given(), ulps=3e4)
+
+
+@pytest.mark.form("unrolled")
+def test_lanes_are_the_same_by_both_engines():
+    run = ck.lanes(functools.partial(solve, N=3), tile=4, cores=2)
+    with use_engine("native"):
+        found = run(*given())
+    with use_engine("xla"):
+        wanted = run(*given())
+    same(found, wanted, ulps=3e4)
+
+
+def test_lanes_of_what_has_no_c_form_are_xlas():
+    def of(x):
+        return jnp.linalg.svd(x, compute_uv=False)
+
+    x = np.random.default_rng(0).normal(size=(5, 2, 2))
+    why = Programs(of).of(lane_avals([x]), jax.tree.structure((0,)))
+    assert "`svd` has no C form" in str(why)
+    same(ck.lanes(of)(x), jax.vmap(of)(x))
+
+
+def test_without_a_compiler_lanes_are_xlas(monkeypatch):
+    monkeypatch.setattr(compiler, "_command", lambda: None)
+    assert not runs_in_c()
+    x = np.linspace(0, 1, 9)
+    same(ck.lanes(jnp.sin)(x), jnp.sin(x))
+
+
+@pytest.mark.parametrize("fault", ["exit 1", "sleep 9", "echo >&2 'x.c: error: no room'; exit 2"])
+def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
+    broken = tmp_path / "broken cc"
+    broken.write_text(f"#!/bin/sh\n{fault}\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", f"'{broken}'")
+    monkeypatch.setattr(compiler, "MOST_SECONDS", 0.3)
+    x = np.linspace(0, 1, 9)
+    assert runs_in_c()
+    why = Programs(jnp.cos).of(lane_avals([x]), jax.tree.structure((0,)))
+    assert str(why).startswith("the C compiler failed")
+    same(ck.lanes(jnp.cos)(x), jnp.cos(x))
+
+
+def test_a_library_is_kept_where_jax_keeps_its_programs(tmp_path):
+    x = np.linspace(0, 1, 9)
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "new"))
+    try:
+        first, second = in_c(lambda x: x * 7.25, x), in_c(lambda x: x * 7.25, x)
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+    assert np.array_equal(first, second)
+    (library,) = (tmp_path / "new").iterdir()
+    assert library.suffix == ".so" and library.name.startswith("lanes-")

@@ -1,0 +1,94 @@
+"""native(fn): C inside JAX programs, under every transformation and to any order."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from cnclik.engine.compiler import can_build
+from cnclik.engine.native import native
+from cnclik.errors import ArgumentError
+from engine.compare import same
+
+pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
+
+
+def own(case, k):
+    """Nothing with robots in it: a loop, a stack, a whole number beside."""
+
+    def step(c, _):
+        return jnp.sin(c) * case["x"].sum() + k, c
+
+    end, stack = lax.scan(step, case["x"], None, length=5)
+    return {"end": end, "sum": jnp.sum(stack**2) * case["y"], "k": k + 1}
+
+
+NATIVE = native(own)
+X, Y, K = np.linspace(0, 0.6, 3), 0.7, np.int32(2)
+MANY = np.random.default_rng(0).normal(size=(4, 3))
+
+
+def loss(fn):
+    def of(x, y=Y, k=K):
+        made = fn({"x": x, "y": y}, k)
+        return jnp.sum(made["end"]) * made["sum"] + made["k"]
+
+    return of
+
+
+def through(fn):
+    """Of a loop of one's own."""
+    return jax.grad(
+        lambda x: jnp.sum(lax.scan(lambda c, _: (fn({"x": c, "y": Y}, K)["end"] * 0.05, None), x, None, 3)[0])
+    )
+
+
+TRANSFORMED = {
+    "call": lambda fn: fn({"x": X, "y": Y}, K),
+    "jit": lambda fn: jax.jit(fn)({"x": X, "y": Y}, K),
+    "vmap": lambda fn: jax.vmap(fn, ({"x": 0, "y": None}, None))({"x": MANY, "y": Y}, K),
+    "vmap of last axes": lambda fn: jax.vmap(loss(fn), (1, 0))(MANY.T, jnp.arange(4.0)),
+    "vmap twice": lambda fn: jax.vmap(jax.vmap(loss(fn), (0, None)), (None, 0))(MANY, jnp.arange(2.0)),
+    "vmap twice, together": lambda fn: jax.vmap(jax.vmap(loss(fn)))(MANY[None], jnp.ones((1, 4))),
+    "jvp": lambda fn: jax.jvp(loss(fn), (X,), (X + 1,)),
+    "grad": lambda fn: jax.grad(loss(fn), (0, 1))(X, Y),
+    "vmap of grad": lambda fn: jax.jit(jax.vmap(jax.grad(loss(fn))))(MANY),
+    "grad of vmap": lambda fn: jax.grad(lambda m, y: jnp.sum(jax.vmap(lambda x: loss(fn)(x, y))(m)), (0, 1))(MANY, Y),
+    "jacfwd": lambda fn: jax.jacfwd(lambda x: fn({"x": x, "y": Y}, K)["end"])(X),
+    "jacrev": lambda fn: jax.jacrev(lambda x: fn({"x": x, "y": Y}, K)["end"])(X),
+    "hessian": lambda fn: jax.hessian(loss(fn), (0, 1))(X, Y),
+    "reverse over reverse": lambda fn: jax.grad(lambda x: jnp.sum(jax.grad(loss(fn))(x) ** 2))(X),
+    "scan": lambda fn: jax.jit(through(fn))(X),
+    "checkpoint": lambda fn: jax.grad(jax.checkpoint(loss(fn)))(X),
+    "no lanes": lambda fn: jax.vmap(loss(fn))(MANY[:0]),
+}
+
+
+@pytest.mark.parametrize("name", TRANSFORMED)
+def test_transformations(name):
+    found, wanted = (TRANSFORMED[name](fn) for fn in (NATIVE, own))
+    same(jax.tree.map(np.asarray, found), jax.tree.map(np.asarray, wanted), ulps=400)
+
+
+def test_it_is_c():
+    text = jax.jit(jax.vmap(lambda x: NATIVE({"x": x, "y": Y}, K))).lower(MANY).as_text()
+    assert "lanes-" in text and "sine" not in text
+
+
+def test_without_a_c_form_it_is_the_function():
+    def of(x):
+        return jnp.linalg.svd(x, compute_uv=False)
+
+    x = np.random.default_rng(0).normal(size=(5, 2, 2))
+    same(jax.vmap(native(of))(x), jax.vmap(of)(x))
+    same(jax.jacrev(native(of))(x[0]), jax.jacrev(of)(x[0]), ulps=100)
+
+
+def test_errors_are_the_functions_own():
+    with pytest.raises(ArgumentError, match="`fn` must be a function of one lane"):
+        native(3)
+    with pytest.raises(ZeroDivisionError):
+        native(lambda x: 1 / 0)(X)
+    with pytest.raises(TypeError, match="dot_general"):
+        native(lambda x: x @ MANY)(X)

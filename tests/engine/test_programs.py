@@ -1,0 +1,256 @@
+"""Programs: loops, branches, stacks, derivatives and odd shapes, by jax.vmap and as C."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from cnclik.engine.compiler import can_build
+from cnclik.engine.constants import of_the_model
+from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.program import Program
+from engine.compare import check, in_c, same
+
+pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
+
+SIZE = 19
+A = np.random.default_rng(5).normal(size=(3, 3)) / 3
+
+
+def batch(*shape, seed=0, dtype="float64"):
+    return np.random.default_rng(seed).normal(size=(SIZE, *shape)).astype(dtype)
+
+
+def step(q, p):
+    q = q + 0.1 * jnp.tanh(A @ q + p)
+    return q, (q, jnp.sum(q * q))
+
+
+def track(q, path):
+    """A loop along a path of this lane's own; all that it passes."""
+    end, (qs, sizes) = lax.scan(step, q, path)
+    return end, qs, sizes
+
+
+def smooth(q, path):
+    """A number of a whole trajectory: its start, its differences, its end."""
+    end, qs, sizes = track(q, path)
+    qs = jnp.concatenate([q[None], qs])
+    gaps = qs[1:] - qs[:-1]
+    return jnp.sum(gaps**2) + jnp.mean(sizes) + jnp.sum(end) + jnp.max(sizes)
+
+
+def nested(q, path):
+    """A loop within a loop, and what both stack up."""
+
+    def outer(q, p):
+        q, ins = lax.scan(lambda q, k: (q + 0.05 * jnp.sin(A @ q + k * p), jnp.cos(q)), q, jnp.arange(4.0))
+        return q, (q, ins)
+
+    q, (qs, ins) = lax.scan(outer, q, path)
+    return jnp.sum(q**2) + jnp.sum(jnp.sin(qs)) + jnp.sum(ins[:, 1] * ins[:, 2])
+
+
+def at_the_counter(q, path):
+    """path[k] at the loop's counter, there and at the step before."""
+
+    def one(q, k):
+        return q + 0.1 * jnp.sin(path[k]) - 0.01 * path[jnp.maximum(k - 1, 0)], path[k] @ q
+
+    return lax.scan(one, q, jnp.arange(len(path)))
+
+
+@pytest.mark.parametrize("length", [9, 70])
+@pytest.mark.parametrize("fn", [track, smooth, nested, at_the_counter], ids=lambda f: f.__name__)
+def test_loops_along_a_path(fn, length):
+    check(fn, batch(3), batch(length, 3, seed=1), ulps=50)
+
+
+@pytest.mark.parametrize("kind", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("fn", [smooth, nested], ids=lambda f: f.__name__)
+def test_derivatives(fn, kind):
+    check(kind(fn, argnums=(0, 1)) if kind is jax.grad else kind(fn), batch(3), batch(7, 3, seed=1), ulps=500)
+
+
+def test_a_long_gradient_keeps_what_is_cheap_to_keep():
+    given = batch(3), batch(400, 3, seed=1)
+    check(jax.value_and_grad(smooth), *given, ulps=5000)
+    check(jax.value_and_grad(lambda q, p: smooth(q, p[::-1])), *given, ulps=5000)
+
+
+def test_moves_along_time():
+    def fn(x, q):
+        y = jnp.cumsum(jnp.sin(x), 0)
+        back = lax.scan(lambda q, p: (q * 0.9 + p, q), q, y, reverse=True)[1]
+        both = jnp.stack([y, back], 1)
+        found = [y[::-1], y[3:40:3], jnp.pad(y, ((2, 1), (0, 0))), both[:, 0] + both[:, 1], y.T[1], y[-1], y[5, 1]]
+        found += [lax.cummax(x, 0), lax.cumsum(x, 0, reverse=True), jnp.roll(y, 3, 0), y @ A, jnp.max(y, 1)]
+        found += [
+            jnp.any(y > 3, 0),
+            jnp.all(y > -99),
+            jnp.min(back),
+            jnp.where(y[:, :1] > 0, y, q),
+            jnp.zeros((70, 2)) + q[0],
+        ]
+        return found, jnp.concatenate([y[1:], y[:1]]) - y, jnp.arange(70) * q[0], jnp.linspace(0, 1, 70) + x[:, 2]
+
+    check(fn, batch(70, 3), batch(3, seed=1), ulps=200)
+
+
+def test_branches():
+    def heavy(x):
+        return lax.fori_loop(0, 5, lambda i, x: jnp.exp(jnp.sin(x)) + i, x)
+
+    def fn(x, k):
+        one = lax.cond(x[0] > 0, heavy, lambda x: -x, x)
+        several = lax.switch(k, [lambda x: x, heavy, lambda x: x * 2, lambda x: jnp.flip(x)], x)
+        known = lax.cond(True, lambda x: x + 1, heavy, x)
+        within = lax.scan(
+            lambda c, _: (lax.cond(c.sum() > 1, lambda c: c * 0.5, lambda c: c + 0.7, c), None), x, length=6
+        )
+        return one, several, known, within[0]
+
+    check(fn, batch(3), np.arange(SIZE, dtype=np.int32) - 2, ulps=20)
+
+
+def test_while_loops_end_for_each_lane_at_its_own_time():
+    def halved(x):
+        return lax.while_loop(lambda s: s[0] > 1, lambda s: (s[0] / 2, s[1] + 1), (x, jnp.int32(0)))
+
+    def fn(x, y, guard=True):
+        def body(s):
+            inner, count = halved(s[0] + 5)
+            return inner + s[1], s[1] + 1, s[2] + count
+
+        def up(y):  # never ends where y < 0: jax.vmap runs it there too, C does not
+            return lax.while_loop(lambda v: (v < 3) & (guard | (y > 0)), lambda v: v + jnp.maximum(y, -1), 0.0)
+
+        def down(a):  # the inner loop never ends for lanes that are through with the outer one
+            return up(a - 0.5) * 0 + a / 2
+
+        whole = lax.while_loop(lambda s: (s[0] < y) & (s[1] < 9), body, (x, 0.0, jnp.int32(0)))
+        deep = lax.while_loop(lambda a: a > 0.5, down, jnp.abs(x) + 0.6)
+        return deep, halved(jnp.abs(x) * 100), whole, lax.cond(y > 0, up, lambda y: y, y)
+
+    check(fn, batch(), np.where(np.abs(y := batch(seed=1)) < 0.1, 0.1, y), by=lambda x, y: fn(x, y, False))
+
+
+def test_odd_arguments_and_results():
+    def fn(case, flags):
+        x, k = case["x"], case["k"]
+        return {
+            "same": x,
+            "known": jnp.arange(3),
+            "none": x[:0],
+            "k": k + 1,
+            "on": ~flags,
+            "sum": x.sum() * k,
+            "p": 2.0,
+        }
+
+    case = {"x": batch(2, 2), "k": np.arange(SIZE, dtype=np.int64) - 3}
+    check(fn, case, batch(4) > 0)
+    check(lambda x: (x, (x > 0, None)), batch(dtype="float32"))
+    check(lambda x: x + jax.random.normal(jax.random.key(3), (4,)), batch(4))
+
+
+@pytest.mark.parametrize("size", [1, 2, 15, 16, 17, 130])
+@pytest.mark.parametrize("cores", [1, 3])
+def test_any_number_of_lanes_on_any_number_of_cores(size, cores):
+    rng = np.random.default_rng(size)
+    given = rng.normal(size=(size, 3)), rng.normal(size=(size, 9, 3))
+    wanted = jax.jit(jax.vmap(track))(*given)
+    same(in_c(track, *given, cores=cores), wanted, ulps=50)
+
+
+def test_long_bodies_are_written_in_pieces(monkeypatch):
+    from cnclik.engine import source
+
+    def fn(x, k):
+        def body(x, i):
+            for j in range(8):
+                x = jnp.sin(A @ x) + x[k] * 0.1 + j
+                x = lax.cond(x[0] > 5, lambda x: x * 0.5, lambda x: x, x)
+            return x, x * i
+
+        return lax.scan(body, x, jnp.arange(6.0)), jnp.flip(x) * 2
+
+    given = batch(3), np.arange(SIZE, dtype=np.int32) % 3
+    monkeypatch.setattr(source, "LONG", 50)
+    monkeypatch.setattr(source, "PIECE", 20)
+    check(fn, *given, ulps=50)
+
+
+def test_zeros_of_a_model_vanish_and_others_stay():
+    eye = np.eye(3)
+
+    def plain(x, eye=eye):
+        return jnp.asarray(eye) @ x
+
+    def marked(x):
+        return plain(x, of_the_model(eye))
+
+    x = batch(3)
+    check(marked, x, by=plain)
+    x[0, 0] = np.inf
+    assert np.isnan(check(plain, x)[0, 1:]).all() and np.array_equal(in_c(marked, x), x)
+    check(jax.jacfwd(marked), x, by=lambda x: jnp.asarray(eye))
+
+
+@pytest.mark.parametrize(
+    ("fn", "name"),
+    [
+        (lambda x: jnp.linalg.svd(x.reshape(2, 2))[1], "svd"),
+        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int)), (4,)) + x, "random_seed"),
+        (lambda x: (jax.debug.print("here"), x)[1], "effects"),
+        (lambda x: x + 1j, "complex"),
+        (lambda x: jnp.sort(jnp.concatenate([x] * 20)), "sorting"),
+        (lambda x: jnp.broadcast_to(x, (200, 100, 4)).swapaxes(0, 1)[3], "entries"),
+    ],
+)
+def test_what_has_no_c_form_is_named(fn, name):
+    with pytest.raises(UnsupportedError, match=name):
+        in_c(fn, batch(4))
+
+
+def test_random_programs():
+    for seed in range(2):
+        random_program(seed)
+
+
+@pytest.mark.slow
+def test_many_random_programs():
+    for seed in range(2, 200):
+        random_program(seed)
+
+
+def random_program(seed):
+    """Some forty operations on arrays of three, put together at random, in a loop and out of it, and its derivative."""
+    rng = np.random.default_rng(seed)
+    one = [jnp.sin, jnp.cos, jnp.tanh, jnp.flip, jnp.cumsum, jnp.square, jnp.sort, jnp.abs, lambda x: x / (1 + x**2)]
+    two = [jnp.add, jnp.subtract, jnp.multiply, jnp.maximum, jnp.arctan2, lambda x, y: jnp.where(x > y, x, y * 0.5)]
+    two += [lambda x, y: lax.cond(x[0] > y[1], lambda: x + y, lambda: y), lambda x, y: jnp.outer(x, y)[1]]
+    two += [lambda x, y: x.at[1].set(y[2]), lambda x, y: jnp.concatenate([x[1:], y[:1]]), lambda x, y: A @ x + y @ A]
+    plan = [(int(rng.integers(len(one) + len(two))), rng.integers(0, 10**6, 2)) for _ in range(12)]
+
+    def body(x, y):
+        made = [x, y]
+        for k, at in plan:
+            a, b = (made[i % len(made)] for i in at)
+            made.append(one[k](a) if k < len(one) else two[k - len(one)](a, b))
+        return sum(jnp.tanh(m) for m in made[-4:]) / 4
+
+    def fn(x, y):
+        end, stack = lax.scan(lambda c, k: (body(c, y * k), c), x, jnp.arange(5.0))
+        return end, stack[1:] - stack[:-1], body(stack[2], y)
+
+    given = batch(3, seed=seed), batch(3, seed=seed + 1)
+    check(fn, *given, ulps=1000)
+    check(jax.grad(lambda x, y: jnp.sum(jnp.sin(fn(x, y)[1])) + jnp.sum(fn(x, y)[0])), *given, ulps=5000)
+
+
+def test_a_program_tells_how_long_it_is():
+    made = Program(track, [jax.ShapeDtypeStruct((3,), "float64"), jax.ShapeDtypeStruct((9, 3), "float64")],
+                   jax.tree.structure((0, 0)))  # fmt: skip
+    assert 20 < made.operations < 100 and made.work == 256
