@@ -5,18 +5,16 @@ times. `opaque` puts a stage behind a call the compiler may not inline. Hints ch
 meaning: `with use_hints(False): ...` (or CNCLIK_HINTS=0 in the environment) runs the same code without them.
 """
 
-import collections
-import contextlib
 import functools
 import os
 import threading
-import weakref
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
+from cnclik.cache import Recent, bounded_jit
 from cnclik.programs import keeping
 from cnclik.programs import kept as kept_whole
 from cnclik.record import combine, partition
@@ -24,10 +22,6 @@ from cnclik.record import combine, partition
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
 _form = jax.make_user_context(default_value=None)
-# Programs that a cache keeps. Of `Recent` the least recently used one goes, a `bounded_jit` begins anew.
-KEPT_PROGRAMS = 128
-MOST_PROGRAMS = 64  # of all `bounded_jit` together, at some 6 MiB and 200 mappings of memory each
-KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
 
 
 def use_hints(on: bool):
@@ -164,80 +158,6 @@ def _is_known(name, value, backend) -> bool:
     return True
 
 
-def bounded_jit(fn=None, **options):
-    """`jax.jit` that forgets its programs when there are too many, see `_bound`. Decorator, with jit's arguments.
-
-    Numbers of steps, literals and lambdas are parts of a program: a process meets new ones all day.
-    """
-    if fn is None:
-        return functools.partial(bounded_jit, **options)
-    traced = []  # once for each program, those within a gradient or a batch too, of which jit's own count knows nothing
-
-    @functools.wraps(fn)
-    def counted(*args, **kwargs):
-        traced.append(None)
-        _traced.append(None)
-        return fn(*args, **kwargs)
-
-    jitted = jax.jit(counted, **options)
-    _bounded[jitted] = traced
-
-    @functools.wraps(fn)
-    def call(*args, **kwargs):
-        before = len(traced)
-        made = jitted(*args, **kwargs)
-        if len(traced) != before:
-            _bound(jitted)
-        return made
-
-    call._cache_size = jitted._cache_size
-    return call
-
-
-_bounded = weakref.WeakKeyDictionary()  # {a function: its list of programs}
-
-
-def _bound(jitted):
-    """Forget what is too much: programs, of the function that has most; and JAX's traces."""
-    every = {one: _bounded[one] for ref in _bounded.keyrefs() if (one := ref()) is not None}
-    while len(every[jitted]) > KEPT_PROGRAMS or sum(map(len, every.values())) > MOST_PROGRAMS:
-        most = max(every, key=lambda one: len(every[one]))
-        most.clear_cache()
-        every[most].clear()
-    if len(_traced) > KEPT_TRACES:
-        _forget_traces()
-
-
-_traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten
-
-
-def _forget_traces():
-    """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs.
-
-    Not in the midst of tracing; and where this version of JAX has no way to do it, they stay until there are as many.
-    """
-    try:
-        from jax._src import core, util
-
-        if not core.trace_state_clean():
-            return  # the next call tries again
-        util.clear_all_caches()
-    except (ImportError, AttributeError):
-        pass
-    _traced.clear()
-    give_back()
-
-
-def give_back():
-    """Hand memory that is free back to the system: C's library on Linux keeps it, in pieces that nothing else fits."""
-    import ctypes
-    import gc
-
-    gc.collect()
-    with contextlib.suppress(OSError, TypeError, AttributeError):  # another system, another library
-        ctypes.CDLL(None).malloc_trim(0)
-
-
 def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
     """`jax.jit` for programs whose compile time is most of what a user waits for. Decorator, with jit's arguments.
 
@@ -273,29 +193,6 @@ def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
 
     call._cache_size = lambda: now()._cache_size()
     return call
-
-
-class Recent(collections.OrderedDict):
-    """A dict of at most KEPT_PROGRAMS entries: what was asked for longest ago makes room."""
-
-    def get(self, key, default=None):
-        """The value of a key, which thereby becomes the newest."""
-        value = super().get(key, default)
-        with contextlib.suppress(KeyError):  # another thread may have let it go, and there may be none
-            self.move_to_end(key)
-        return value
-
-    def made(self, key, make):
-        """The value of a key; where there is none, make(key)."""
-        value = self.get(key)
-        if value is None:
-            value = self[key] = make(key)
-        return value
-
-    def __setitem__(self, key, value):
-        super().__setitem__(key, value)
-        while len(self) > KEPT_PROGRAMS:
-            self.popitem(last=False)
 
 
 def few_lanes(count: int):

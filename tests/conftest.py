@@ -28,7 +28,8 @@ import gc
 import jax
 import pytest
 
-from cnclik.hints import give_back, use_form
+from cnclik.cache import give_back
+from cnclik.hints import use_form
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them

@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik import hints
+from cnclik import cache
 from cnclik.cli import main as cnclik
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
@@ -113,7 +113,7 @@ def main():
     parser.add_argument("--only", nargs="*", help="names of calls, such as lanes")
     parser.add_argument("--kept", type=int, default=16, help="programs that a cache keeps")
     args = parser.parse_args()
-    hints.KEPT_PROGRAMS = hints.MOST_PROGRAMS = args.kept
+    cache.KEPT_PROGRAMS = cache.MOST_PROGRAMS = args.kept
     rng, begun, held, calls, spent = np.random.default_rng(args.seed), time.time(), [], {}, {}
     with tempfile.TemporaryDirectory() as name, bar("minutes") as report:
         folder, out = pathlib.Path(name), sys.stdout

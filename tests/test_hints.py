@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik import hints
+from cnclik import cache, hints
 from cnclik.integrate import lanes as tiles
 from cnclik.integrate.lanes import lanes
 
@@ -124,14 +124,14 @@ def test_many_literal_geometries_do_not_pile_up():
     def stage(length, x):
         return length * x
 
-    for i in range(hints.KEPT_PROGRAMS + 40):
+    for i in range(cache.KEPT_PROGRAMS + 40):
         jax.eval_shape(lambda x, i=i: stage(float(i), x), 1.0)
-    assert len(stage.kept) == hints.KEPT_PROGRAMS
+    assert len(stage.kept) == cache.KEPT_PROGRAMS
 
 
 def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
-    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 3)
-    recent = hints.Recent()
+    monkeypatch.setattr(cache, "KEPT_PROGRAMS", 3)
+    recent = cache.Recent()
     for i in range(5):
         recent[i] = str(i)
         recent.get(0)  # in use all the time: it stays
@@ -142,7 +142,7 @@ def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
 def test_what_jax_traced_does_not_pile_up_and_what_is_compiled_stays(monkeypatch):
     from jax._src import util
 
-    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 3)
+    monkeypatch.setattr(cache, "KEPT_PROGRAMS", 3)
     again = []
 
     @jax.jit
@@ -150,7 +150,7 @@ def test_what_jax_traced_does_not_pile_up_and_what_is_compiled_stays(monkeypatch
         again.append(None)
         return 2 * x
 
-    @functools.partial(hints.bounded_jit, static_argnames="n")
+    @functools.partial(cache.bounded_jit, static_argnames="n")
     def power(x, *, n):
         return jax.vmap(jax.jit(lambda v: v**n))(x)
 
@@ -165,10 +165,10 @@ def test_what_jax_traced_does_not_pile_up_and_what_is_compiled_stays(monkeypatch
     assert others(1.0) == 2 and len(again) == 1
 
 
-@pytest.mark.parametrize("jit", [hints.bounded_jit, hints.quick_jit])
+@pytest.mark.parametrize("jit", [cache.bounded_jit, hints.quick_jit])
 def test_programs_of_a_function_are_few_and_right(jit, monkeypatch):
     """As in a process that meets new numbers of steps, literals and lambdas all day."""
-    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 3)
+    monkeypatch.setattr(cache, "MOST_PROGRAMS", 3)
     sizes = []
 
     @jit(static_argnames="power")
@@ -179,6 +179,18 @@ def test_programs_of_a_function_are_few_and_right(jit, monkeypatch):
         assert raised(2.0, power=k) == 2.0**k
         sizes.append(raised._cache_size())
     assert sizes[:10] == [1, 2, 3, 0, 1, 2, 3, 0, 1, 1]  # the fourth makes room, and what is asked for again is there
+
+
+def test_the_function_used_longest_ago_makes_room(monkeypatch):
+    """Never one that has just been used: what alternates with a new one would be made again and again."""
+    monkeypatch.setattr(cache, "MOST_PROGRAMS", 4)
+    old, used, new = (cache.bounded_jit(lambda x, *, k: k * x, static_argnames="k") for _ in range(3))
+    for k in range(2):
+        old(1.0, k=k), used(1.0, k=k)
+    used(1.0, k=0)
+    for k in range(2):
+        new(1.0, k=k), used(1.0, k=0)
+        assert [one._cache_size() for one in (old, used, new)] == [0, 2, k + 1]
 
 
 def test_threads_that_ask_first_at_once_share_one_program(monkeypatch):
@@ -202,7 +214,7 @@ def test_threads_that_ask_first_at_once_share_one_program(monkeypatch):
 
 
 def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
-    monkeypatch.setattr(hints, "KEPT_PROGRAMS", 4)
+    monkeypatch.setattr(cache, "MOST_PROGRAMS", 4)
     law = ck.Law(ck.planar_arm([0.5]), ck.position("x"), alpha=1.0)
     from cnclik.integrate import solve as solving
 

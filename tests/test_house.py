@@ -13,8 +13,8 @@ import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
-    *("errors", "markup", "record", "programs", "hints", "precision", "compilation", "threads", "lazy", "reading"),
-    *("writing", "version", "quantities"),
+    *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads", "lazy"),
+    *("reading", "writing", "version", "quantities"),
 )
 BASE = ("engine", "robot", "law", "integrate", "native")  # reached through the names of the package alone
 ROOMS = (

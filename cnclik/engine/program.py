@@ -7,12 +7,12 @@ import tempfile
 import jax
 import numpy as np
 
+from cnclik.cache import Recent
 from cnclik.engine.compiler import CompilerError, build_text, can_build, closed_after, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.reader import read
 from cnclik.engine.source import write
 from cnclik.engine.tracing import to_be_read
-from cnclik.hints import Recent
 from cnclik.threads import side_by_side
 
 MOST_WORK = 64 << 20  # bytes of a tile's memory

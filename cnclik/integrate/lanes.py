@@ -17,9 +17,10 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.cache import Recent
 from cnclik.engine.plan import in_c
 from cnclik.engine.program import Programs, lane_avals
-from cnclik.hints import QUICK_COMPILE, Recent, as_here, few_lanes, form, is_wide, known_options, quick_jit, switched_on
+from cnclik.hints import QUICK_COMPILE, as_here, few_lanes, form, is_wide, known_options, quick_jit, switched_on
 from cnclik.integrate import kernel
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side

@@ -19,7 +19,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.record import leaf, record, replace
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain

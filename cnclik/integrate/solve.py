@@ -12,8 +12,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.cache import bounded_jit
 from cnclik.engine.tracing import checkpointed
-from cnclik.hints import alone, bounded_jit, few_lanes, keeps_history, one_function, quick_jit
+from cnclik.hints import alone, few_lanes, keeps_history, one_function, quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance, advanced, summed
 from cnclik.integrate.drive import Drive, check_drive

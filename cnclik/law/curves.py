@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.record import record
 from cnclik.robot import poses
 from cnclik.robot import spatial as sp

@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of, rows, vector
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace

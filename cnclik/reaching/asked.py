@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import Recent
+from cnclik.cache import Recent
 from cnclik.law.task import Task
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.seeds import turned

@@ -6,7 +6,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.record import cast, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import bounded_jit, form, in_a_kernel, quick_jit, use_form, use_hints
+from cnclik.cache import bounded_jit
+from cnclik.hints import form, in_a_kernel, quick_jit, use_form, use_hints
 from cnclik.record import kept, mapped, record
 from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.integrate.drive import MOST
 from cnclik.integrate.march import march
 from cnclik.integrate.method import named

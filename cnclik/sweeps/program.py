@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import as_here, give_back, shares_threads
+from cnclik.cache import give_back
+from cnclik.hints import as_here, shares_threads
 from cnclik.integrate.lanes import lanes, options
 from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.record import record
 from cnclik.robot.rolled import one_off
 from cnclik.tuning.parameters import values_of

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
 from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import record, replace
