@@ -28,10 +28,19 @@ def gains_of(found, said, given) -> list:
     return [*rows, (_present(given), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
 
 
-_NOT_KNOWN = (
+NOT_KNOWN = (
     "The largest stable gain is not known from a lag or servo alone: joints that move together are heavier. A recorded "
     "step of all joints says between which gains it lies (cnclik diagnose LOG.csv --step)."
 )
+
+
+_OF_LARGEST = ("largest_stable_alpha", "gain_margin")
+
+
+def without_largest(told: dict) -> dict:
+    """The advice as plain numbers without those that rest on the largest stable gain."""
+    kept = {name: v for name, v in told.items() if name not in _OF_LARGEST}
+    return {name: without_largest(v) if isinstance(v, dict) else v for name, v in kept.items()}
 
 
 def exact(drive) -> bool:
@@ -45,7 +54,7 @@ def lines_of(found, said, given) -> list:
 
     now, eigen = said.advice.margin, said.advice.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
-    lines += [_NOT_KNOWN] * (not exact(found.drive))
+    lines += [NOT_KNOWN] * (not exact(found.drive))
     whose = "The default" if _present(given) == "by default" else "Your"
     alpha = in_words(found.law.alpha).removesuffix(".")
     lines.append(f"{whose} gain (alpha = {alpha} 1/s) {_margin(now, said, found.drive, found.Ts)}")
@@ -87,7 +96,8 @@ def _margin(now, said, drive, Ts) -> str:
 
     own, assumed = said.now, said.assumed_dead_time is not None
     if now.margin <= 1:
-        return f"is UNSTABLE: at most {now.margin:.4g} times it is stable; {now.limit}."
+        most = f"at most {now.margin:.4g} times it is stable; " if exact(drive) else ""
+        return f"is UNSTABLE: {most}{now.limit}."
     if own is None:
         return "is UNSTABLE on the assumed drives; it is stable only where drives follow at once."
     margin, room = own.gain_margin if assumed else now.margin, []

@@ -12,7 +12,18 @@ import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.advice import COLUMNS, escaped, gains_of, lines_of, name_of, or_any, title_of
+from cnclik.cli.advice import (
+    COLUMNS,
+    NOT_KNOWN,
+    escaped,
+    exact,
+    gains_of,
+    lines_of,
+    name_of,
+    or_any,
+    title_of,
+    without_largest,
+)
 from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import dead_time, start_and_target
@@ -152,7 +163,7 @@ def _tell(args, advised):
 
 
 def _as_table(found, said) -> dict:
-    """The advice as plain numbers; null is any, or not known."""
+    """The advice as plain numbers; null is any, and what is not known is not there."""
     from cnclik.measure.files import plain
 
     margin = said.advice.margin
@@ -162,6 +173,7 @@ def _as_table(found, said) -> dict:
     about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
+    told = told if exact(found.drive) else without_largest(told) | {"not_known": NOT_KNOWN}
     return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}
 
 
