@@ -31,6 +31,11 @@ OTHER_UNIT = 5.0  # factor from which on a gain is none: degrees for radians, an
 STRUCTURE = 4.0  # samples over which what is left hangs together, from which on a drive is more than its model
 SEEN = 2e-3  # or share of a motion's range that is left, below which that is worth no word
 PARTS = (("gain", "drift"), ("gain",), ())  # what a joint has besides its offset
+CAUGHT_UP = 0.5  # of the time by which a velocity drive is late: more than this that is left hides a lag
+NOT_REBASED = (
+    "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
+    "difference adds up, so that it runs away or does not arrive. Begin each command at the last one."
+)
 
 
 @record
@@ -112,18 +117,38 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
     if t is not None and len(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {len(t)}")
     log = _Log(command, motion, Ts)
-    found = [
-        one for order in orders for one in _fits(Shape(start=Drive(command=command_kind), Ts=Ts, order=order), log)
-    ]
-    found.sort(key=lambda one: one.count)
+    shapes = [Shape(start=Drive(command=command_kind), Ts=Ts, order=order) for order in orders]
+    best = _best(shapes, log)
+    if hides := _catches_up(best, log):
+        log.rates = True
+        best = _best(shapes if kind else shapes[1:2], log)
+    return _made(best, log, hides)
+
+
+def _best(shapes, log):
+    """The simplest fit that none beats by much."""
+    found = sorted((one for shape in shapes for one in _fits(shape, log)), key=lambda one: one.count)
     best = found[0]
     for other in found[1:]:
         if other.score < best.score - BETTER:
             best = other
-    return _made(best, log)
+    return best
 
 
-def _made(fit, log) -> DriveFit:
+def _catches_up(fit, log) -> bool:
+    """Whether what is left is worth more time than half of what the fit is late by. A velocity servo with an integral
+    part makes up for its lag, so that in the end its joints are hardly late: its lag is seen in the velocities."""
+    if fit.shape.start.command != "velocity":
+        return False
+    left = log.motion - log.motions(fit.shape, fit.values, fit.parts)[0]
+    length, most = np.array([correlated(c) for c in left.T]), np.abs(left).max(0)
+    speed = np.abs(np.diff(log.motion, axis=0)).max(0) / log.Ts
+    late = max(float(fit.shape.drive(values).late_by(log.Ts)) for values in fit.values)
+    seen = (length > STRUCTURE) & (most > SEEN * np.ptp(log.motion, axis=0))
+    return bool(np.any(seen & (most > CAUGHT_UP * late * speed)))
+
+
+def _made(fit, log, hides) -> DriveFit:
     motion, k = log.motion, log.motion.shape[1]
     made, gain, drift = log.motions(fit.shape, fit.values, fit.parts)
     left = motion - made
@@ -141,7 +166,7 @@ def _made(fit, log) -> DriveFit:
     changes = {n: float(numbers[0][n]) if same else np.array([one[n] for one in numbers]) for n in numbers[0]}
     drive = replace(fit.shape.start, **changes | {"delay": numbers[0]["delay"]})
     rms = np.sqrt(np.mean(left**2, axis=0))
-    structured = bool(np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(motion, axis=0))))
+    structured = hides or bool(np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(motion, axis=0))))
     scale = np.array([[1.0, *list(one.values())[1:]] for one in numbers])  # of a logarithm the relative deviation
     stable, why = stable_range(fit, deviations, gain, structured, log.command)
     uncertainty = dict(zip(numbers[0], (deviations * scale).max(0).tolist(), strict=True))
@@ -154,11 +179,11 @@ def _made(fit, log) -> DriveFit:
         explained=explained,
         largest_stable_alpha=stable,
         motion=made,
-        note=" ".join(_notes(gain, structured, k, why)),
+        note=" ".join(_notes(gain, structured, k, why, drive.command)),
     )
 
 
-def _notes(gain, structured, k, why) -> list:
+def _notes(gain, structured, k, why, command_kind) -> list:
     said = []
     off = np.flatnonzero(np.abs(gain - 1) > OFF)
     if len(off):
@@ -169,6 +194,7 @@ def _notes(gain, structured, k, why) -> list:
             f"Motion is {span} times what is commanded{where}, and a loop has as many times its alpha: divide the "
             f"gains that are recommended for this drive by {gain.max():.3g}."
         )
+        said += [NOT_REBASED] * (command_kind == "position")
     if structured:
         said.append(
             "What is left has a structure: the drive has friction, play, a limit or a higher order, which the numbers "
@@ -180,14 +206,14 @@ def _notes(gain, structured, k, why) -> list:
 class _Log:
     """A recording, and what of a motion a drive leaves."""
 
-    def __init__(self, command, motion, Ts):
-        self.command, self.motion, self.Ts = command, motion, Ts
-        self.size = np.std(motion, axis=0)
+    def __init__(self, command, motion, Ts, rates=False):
+        self.command, self.motion, self.Ts, self.rates = command, motion, Ts, rates
+        self.size, self.change = np.std(motion, axis=0), np.std(np.diff(motion, axis=0), axis=0)
         self.time = np.linspace(-1, 1, len(motion))
 
     def joint(self, j):
         """The recording of one joint."""
-        return _Log(self.command[:, [j]], self.motion[:, [j]], self.Ts)
+        return _Log(self.command[:, [j]], self.motion[:, [j]], self.Ts, self.rates)
 
     def moved(self, shape, values):
         """(N, k) of drives by their values (k, p), without offsets."""
@@ -214,8 +240,9 @@ class _Log:
         return made, gain, drift
 
     def left(self, shape, values, parts):
-        """(N, k) of each motion, as shares of its standard deviation."""
-        return (self.motion - self.motions(shape, values, parts)[0]) / self.size
+        """(N, k) of each motion, or of its changes, as shares of its standard deviation."""
+        left = self.motion - self.motions(shape, values, parts)[0]
+        return np.diff(left, axis=0) / self.change if self.rates else left / self.size
 
 
 @record
