@@ -26,6 +26,7 @@ from cnclik.stability.driven import (
     until_settled,
 )
 from cnclik.stability.linear import first_above
+from cnclik.stability.rebased import WHERE, bearable_delay
 from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
 from cnclik.stability.settings import MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
@@ -87,7 +88,8 @@ class Practice:
       recommended_method: by name.
       speed: of the tip [m/s]. joint_speed: largest share of a joint's velocity limit that it takes, in the worst
         direction at rest; NaN where there is no limit, or no position among the task's coordinates.
-      settings: {where: what to set there, in words}; empty where explicit Euler is stable with no gain.
+      settings: {where: what to set there, or why no gain is named, in words}; empty where explicit Euler is stable
+        with no gain.
       notes: what limits these numbers, in sentences; measured in results/loops.
       advice: `Advice`, on which this rests.
     """
@@ -121,7 +123,8 @@ def practice(
       drive: what lies between command and motion; None: nothing is known of it. What is stable is then told of drives
         that follow at once, and a gain is recommended for ASSUMED_DELAY of dead time and a lag of ASSUMED_LAG.
       speed: of the tip [m/s], for the joint velocities.
-    Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself.
+    Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself, or with
+      some servos whose commands begin at the measured joints.
     """
     Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(errors.number("speed", speed, at_least=0))
     method, known = named(method), Drive() if drive is None else drive
@@ -176,6 +179,13 @@ def shares(delay: float, lag: float, Ts: float) -> tuple:
 
 def _no_gain(loop, gains, Ts):
     """The error that says why not the smallest gain can be recommended."""
+    if loop.drive.feedback == "rebased":
+        must = (
+            "be commanded (begin each position at the last command), or the command be a velocity: from "
+            f"{in_samples(bearable_delay(loop.drive, Ts), Ts)} of dead time on this servo may swing and grow however "
+            "small the gain is, and where damping, limits or a null space leave little of it"
+        )
+        return errors.fail("feedback", must, f"is rebased, with {in_samples(loop.drive.lumped.delay, Ts)}")
     name = "law" if loop.law.null_velocity is None else "null_velocity"
     what, why = "stable", gains.limit
     if gains.z_largest > 0:
@@ -320,7 +330,7 @@ def _notes(drive, steps) -> tuple:
         )
     if drive is not None and drive.feedback == "rebased":
         said.append(
-            f"Each position command begins at the measured joints: {REBASED}. Begin each command at the last one "
-            "(feedback commanded), or send velocities."
+            f"Each position command begins at the measured joints: {REBASED}, and steady errors of the drives add up. "
+            f"{WHERE}."
         )
     return tuple(said)

@@ -25,6 +25,7 @@ from cnclik.stability.driven import (
     radius,
 )
 from cnclik.stability.linear import checked, delay_limit, first_above, least_on
+from cnclik.stability.rebased import WHERE, runs_away
 from cnclik.stability.spectrum import (
     MEETING,
     Spectrum,
@@ -54,7 +55,8 @@ class Recommendation:
         as with a null-space velocity that is unstable by itself.
       fastest: the value with the smallest spectral radius; inf where larger is faster without end.
       monotone: of alpha, the largest value without overshoot; None of Ts.
-      recommended: of alpha, the largest value without overshoot were the dead time a sample longer; None of Ts.
+      recommended: of alpha, the largest value without overshoot were the dead time a sample longer; None of Ts. It and
+        `monotone` are 0 where none is safe, as with some servos whose commands begin at the measured joints.
       z_largest, z_fastest, z_monotone, z_recommended: alpha·Ts there (largest |eigenvalue| of a gain matrix).
       radius: spectral radius at `fastest`: the factor by which a step then multiplies the error.
       limit: what gives way first beyond `largest`, in words.
@@ -80,6 +82,8 @@ class Recommendation:
         first = ""
         if self.recommended is not None:
             first = f"recommended {in_words(self.recommended)} (z = {self.z_recommended:.4g}), "
+        if self.z_recommended == 0:
+            return f"{self.name}: none is recommended; {self.limit}"
         return (
             f"{self.name}: {first}stable to {in_words(self.largest)} (z = {self.z_largest:.4g}), fastest at "
             f"{in_words(self.fastest)} (z = {self.z_fastest:.4g}, error × {self.radius:.3g} per step); {self.limit}"
@@ -257,9 +261,11 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
     if z_fastest >= reach:
         z_fastest = np.inf
     z_monotone = z_recommended = None
+    astray = Ts is not None and runs_away(drive, Ts)
     if Ts is not None:
+        some = z_largest and not astray
         z_monotone, z_recommended = (
-            without_overshoot(loop, one, Ts, z_largest, reach) if z_largest else 0.0 for one in (drive, longer(drive))
+            without_overshoot(loop, one, Ts, z_largest, reach) if some else 0.0 for one in (drive, longer(drive))
         )
         z_recommended = min(z_recommended, z_monotone)
     bounded = np.isfinite(z_largest)
@@ -277,9 +283,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         z_monotone=z_monotone,
         z_recommended=z_recommended,
         radius=least,
-        limit=_what_limits(loop, beyond, z_largest)
-        if bounded
-        else f"no limit from stability: {_how(loop)} {_why(loop)}",
+        limit=_what_limits(loop, beyond, z_largest, astray),
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
@@ -332,8 +336,15 @@ def _how(loop):
     return str(loop.method) + (f" with {loop.stage}" if loop.method.implicit else "")
 
 
-def _what_limits(loop, beyond, z_largest) -> str:
+def _what_limits(loop, beyond, z_largest, astray) -> str:
     """The first thing to give way just beyond the largest stable value, in words."""
+    if astray:
+        return (
+            "each position command begins at the measured joints, and with this servo and dead time the loop may swing "
+            f"and grow however small alpha is. {WHERE}"
+        )
+    if not np.isfinite(z_largest):
+        return f"no limit from stability: {_how(loop)} {_why(loop)}"
     if z_largest == 0 and loop.law.null_velocity is not None:
         factor, what = max((beyond.null_radius, "a motion"), (beyond.radius, "an error, through this J#,"))
         return f"none is stable: the null-space velocity multiplies {what} by {factor:.4g} each step"

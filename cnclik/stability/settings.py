@@ -8,18 +8,24 @@ import numpy as np
 from cnclik.integrate.drive import MOST, Drive
 from cnclik.record import replace
 from cnclik.stability.driven import SPARE, longer, settling
+from cnclik.stability.rebased import WHERE, runs_away
 from cnclik.stability.recommend import without_overshoot
 
 OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
 LOOKAHEAD = 0.03  # [s], the least that a UR's servoj takes: a lag of its own
 UR = 0.03  # [s] of dead time, where nothing is known
-UNKNOWN = 0.25  # k_val where nothing is known: then a servo of ζ = 0.4 does as one of ζ = 0.8
-REBASED = "servos with ζ below 0.71 and dead time may swing or run away at any gain"  # measured: results/loops
+REBASED = "servos with ζ below 0.71 and dead time may swing or run away, and a smaller gain does not help"
+BEGINS = "each position target begins at the measured joints"
+KNOWN = (
+    "Record a step of all joints, and ask again with what `cnclik diagnose LOG.csv --step` prints: natural frequency, "
+    "damping ratio and dead time decide"
+)
 MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
 
 
 def settings(loop, drive, safe: Drive, Ts: float) -> dict:
-    """The same loop by explicit Euler elsewhere: {where: what to set there}; what has no gain there is left out.
+    """The same loop by explicit Euler elsewhere: {where: what to set there}; what has no gain there is left out, or
+    says why.
 
     Args:
       loop: `LoopAtRest` of explicit Euler. drive: as it was given, or None. safe: the one that is assumed then.
@@ -27,7 +33,6 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     drives = (replace(safe, feedback="measured"), _rebased(safe), _of_servoj(drive, Ts))
     measured, rebased, servoj = (MOST_Z if one is None else _recommended(loop, one, Ts) for one in drives)
     own = f"{OWN_COMMANDS:g} where it is the last command"
-    rebased = min(rebased, UNKNOWN) if drive is None else rebased
     made = {}
     if measured:
         z = f"{measured:.4g}"
@@ -37,10 +42,14 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
             f"each solve takes the whole error: give tasks a target {z} of the way from the measured state "
             f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {own}"
         )
-    if rebased:
+    if drive is None or (drive.order == 0 and not drive.prompt):
+        made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {REBASED}. {KNOWN}"
+    elif drive.order and runs_away(_rebased(safe), Ts):
+        made["Isaac Lab"] = f"no k_val is safe: {BEGINS}, and with this servo that may swing or run away. {WHERE}"
+    elif rebased:
         made["Isaac Lab"] = (
-            f'DifferentialIKControllerCfg(ik_method="pinv", ik_params={{"k_val": {rebased:.4g}}}): each position '
-            f"target begins at the measured joints{_settles(_rebased(safe), rebased, Ts)}; {REBASED}"
+            f'DifferentialIKControllerCfg(ik_method="pinv", ik_params={{"k_val": {rebased:.4g}}}): '
+            f"{BEGINS}{_settles(_rebased(safe), rebased, Ts)}; {REBASED}"
         )
     if measured:
         made["MoveIt Servo"] = (
