@@ -157,12 +157,14 @@ def parts(names):
     """(name of a part, what measures it)."""
     yield "peers", loops_peers.measure
     yield "tools", loops_tools.measure
-    if importlib.util.find_spec("placo"):
+    if importlib.util.find_spec("placo"):  # brings a Pinocchio of its own: an environment of its own
         yield "Placo, tools", lambda: loops_tools.measure(("Placo",))
     for name in names:
         arm = Arm(name)
         cells = [cell for cell in loops_advice.cells(POSTURES) if cell[0] == name]
         yield f"{name}, advice", lambda a=arm, c=cells: [loops_advice.measure(a, *one[1:]) for one in c]
+        if name in loops_advice.REBASED:
+            yield f"{name}, rebased", lambda a=arm: loops_advice.rebased(a)
         if name not in PREDICTED:
             continue
         inertia = arm.inertia()

@@ -2,7 +2,8 @@
 
 Four arms, eight kinds of servos, 100 to 1000 Hz, 0 to 8 samples of delay; friction, encoders, limits of torque and
 commands that are not followed to the full; measured, commanded and rebased feedback. Each cell records a step of all
-joints, fits the drive, asks `practice`, and runs what it recommends: from the fit, and with nothing said of the drives.
+joints, fits the drive, asks `recommend`, and runs what it names: from the fit, and with nothing said of the drives.
+Where no gain is named the cell looks for one that would have been stable and without overshoot.
 """
 
 import functools
@@ -10,12 +11,12 @@ import functools
 import numpy as np
 
 import cnclik as ck
-from cnclik.diagnosis.fit import fit_drive
+from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.record import replace
 from cnclik.stability.practice import practice
 from cnclik.stability.recommend import recommend
-from cnclik.stability.settings import MOST_Z, UNKNOWN
+from cnclik.stability.settings import MOST_Z
 from tests.bench.loops_arms import Servo, World
 from tests.bench.loops_mujoco import SHIFT, Setup, growth, run, step_responses
 
@@ -41,6 +42,8 @@ WORLDS = {
 FEEDBACKS = ("measured", "measured", "commanded", "measured", "measured", "rebased", "measured")
 RATES, DELAYS = (100, 250, 500, 1000), (0, 1, 3, 5, 8)
 EACH = 15  # cells of an arm
+LATE = (3, 5, 6, 7, 8)  # samples of delay, with rebased feedback and underdamped servos, of the arms
+REBASED = ("UR5", "xArm7")
 STEP = 60 * SHIFT  # of the target: 3 cm and 60 mrad
 STEPPED = {"position": 0.03, "velocity": 0.2}  # [rad, rad/s] of the recorded step
 LEAD = 10  # rows before it
@@ -49,6 +52,7 @@ SECONDS, LONG = 3.0, 8.0  # of a run, and of one that tells on which side of the
 EDGES = np.array([0.98, 1.02])  # of a range: at the limit itself nothing grows or falls
 CALM, MUCH, LEFT = 0.01, 0.05, 0.02  # overshoot that is none, that is too much; share of an error that is no swing
 GRID = np.geomspace(0.4, 6.0, 9)  # times the recommended gain: where the best one is looked for
+ANY = np.geomspace(0.02, 1.0, 10)  # alpha·Ts that are run where no gain is named
 
 
 def cells(robots):
@@ -62,6 +66,12 @@ def cells(robots):
             if feedback == "commanded" and WORLDS[world].gain != 1:
                 feedback = "measured"  # no gain of a loop that does not see it changes where its robot ends
             yield robot, servo, RATES[(i + r + i // 8) % 4], DELAYS[(2 * i + r) % 5], world, feedback
+
+
+def rebased(arm) -> list:
+    """Cells of an arm with underdamped servos at 100 Hz whose commands begin at the measured joints: which of them
+    have a gain, and which are stable with one."""
+    return [measure(arm, "position ζ 0.4", 100, delay, "", "rebased") for delay in LATE]
 
 
 def recorded(setup, delay):
@@ -94,6 +104,12 @@ def unstable(e) -> np.ndarray:
     return ~np.isfinite(last) | ((growth(e) > 0) & (last > LEFT * size[0]))
 
 
+def arrives(e) -> np.ndarray:
+    """Whether less than LEFT of the error is left in the end (B,)."""
+    size = np.linalg.norm(e * np.repeat([1.0, 0.5], 3), axis=-1)
+    return size[-(len(size) // 6) :].max(0) < LEFT * size[0]
+
+
 def best(alphas, over) -> float:
     """The largest gain (on a line between two that were run) up to which nothing went beyond by more than CALM."""
     first = int(np.argmax(over > CALM)) if (over > CALM).any() else len(alphas)
@@ -117,47 +133,58 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     Ts = 1.0 / rate
     setup = Setup(arm, SERVOS[servo], Ts, feedback, min(Ts, 2e-3 if rate <= 250 else 1e-3), WORLDS[world])
     row = dict(robot=arm.name, servo=servo, rate=rate, delay=delay, world=world, feedback=feedback)
-    # Where position commands begin at the measured joints, what is said of such loops is the line for Isaac Lab.
-    alphas = {"unknown": UNKNOWN / Ts if feedback == "rebased" else unknown(Ts)}
     try:
         fit = fit_drive(None, *recorded(setup, delay), Ts, command_kind=setup.servo.command)
     except ArgumentError as refused:
-        return row | {"refused": str(refused)}
+        return row | {"not fitted": str(refused)}
+    row["fit"] = {"options": fit.options, "explained": float(fit.explained), "note": fit.note}
     drive = replace(fit.drive, feedback=feedback) if feedback != "rebased" or fit.drive.order else fit.drive
     said = recommend(arm.law, None, arm.q, Ts=Ts, method="EE", drive=drive)
-    alphas["recommended"] = min(float(said.recommended), MOST_Z / Ts)  # as `practice`
-    lanes = np.concatenate([list(alphas.values()), alphas["recommended"] * GRID])
-    N = int(SECONDS / Ts)
+    alphas = {"recommended": min(float(said.recommended), MOST_Z / Ts)}  # as `practice`
+    if feedback == "rebased" and NOT_REBASED in fit.note:
+        alphas["recommended"] = 0.0
+    if feedback != "rebased":  # where position commands begin at the measured joints, settings name none
+        alphas["unknown"] = unknown(Ts)
+    alphas = {name: alpha for name, alpha in alphas.items() if alpha}
+    around = alphas["recommended"] * GRID if "recommended" in alphas else ANY / Ts
+    lanes = np.concatenate([list(alphas.values()), around])
+    N = int((SECONDS if "recommended" in alphas else LONG) / Ts)
     made = run(setup, lanes, np.full(len(lanes), delay), N, STEP).e
     over, grows = beyond(made), unstable(made)
     for i, (name, alpha) in enumerate(alphas.items()):
         row[name] = {"alpha": float(alpha), "over": float(over[i]), "unstable": bool(grows[i])}
+    over, grows = over[len(alphas) :], grows[len(alphas) :]
+    if "recommended" not in alphas:
+        calm = (over <= CALM) & ~grows & arrives(made)[len(alphas) :]
+        return row | {
+            "none named": said.limit if not said.z_recommended else NOT_REBASED,
+            "calm": around[calm].tolist(),
+        }
     if fit.largest_stable_alpha is not None and feedback == "measured":
         ends = np.array(fit.largest_stable_alpha)
         beside = unstable(run(setup, ends * EDGES, np.full(2, delay), int(LONG / Ts), STEP).e)
         row["range"] = {"low": ends[0], "high": ends[1], "right": bool(beside[1] and not beside[0])}
-    row["best"] = best(lanes[len(alphas) :], over[len(alphas) :])
-    row["fit"] = {"options": fit.options, "explained": float(fit.explained), "note": fit.note}
+    row["best"] = best(around, over)
     return row
 
 
 def figures(rows) -> dict:
     """The numbers that count: {name: value}."""
-    told = [r for r in rows if "recommended" in r]
+    told = {name: [r for r in rows if name in r] for name in ("recommended", "unknown", "range", "none named")}
 
     def count(name, what):
-        return sum(bool(what(r[name])) for r in told)
+        return sum(bool(what(r[name])) for r in told[name])
 
-    ranges = [r for r in told if "range" in r]
-    share = [r["recommended"]["alpha"] / r["best"] for r in told if r["best"] and np.isfinite(r["best"])]
+    best = [(r["recommended"]["alpha"], r["best"]) for r in told["recommended"]]
     return {
         "cells": len(rows),
-        "refused": len(rows) - len(told),
+        **{f"{name} named": len(told[name]) for name in ("recommended", "unknown")},
         **{f"{name} unstable": count(name, lambda v: v["unstable"]) for name in ("recommended", "unknown")},
         **{f"{name} over 5 %": count(name, lambda v: _over(v) > MUCH) for name in ("recommended", "unknown")},
-        "median of best": float(np.median(share)),
-        "ranges": len(ranges),
-        "ranges right": sum(r["range"]["right"] for r in ranges),
+        "median of best": float(np.median([alpha / most for alpha, most in best if most and np.isfinite(most)])),
+        "calm where none is named": sum(bool(r["calm"]) for r in told["none named"]),
+        "ranges": len(told["range"]),
+        "ranges right": count("range", lambda v: v["right"]),
     }
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from cnclik.measure.files import markdown, plain
 from cnclik.show import style
-from tests.bench.loops_advice import MUCH, figures
-from tests.bench.loops_words import ADVICE, CALM, FINDINGS, FINE, LAG, METHOD, NAMES, TOOLS
+from tests.bench.loops_advice import ANY, MUCH, figures
+from tests.bench.loops_words import ADVICE, CALM, FINDINGS, FINE, LAG, METHOD, NAMES, REBASED, TOOLS
 
 MODELS = ("kinematic", "delay", "lag", "second order", "modes", "fitted", "together", "lower", "equations")
 CLOSE = 0.15  # by which a prediction may be off
@@ -195,11 +195,11 @@ def advice(rows) -> str:
     lines = []
     for r in rows:
         named = [r["robot"], r["servo"], r["rate"], r["delay"], r["world"] or "–", r["feedback"]]
-        if "refused" in r:
-            lines.append([*named, "refused", *[""] * 5])
+        if "not fitted" in r:
+            lines.append([*named, "not fitted", *[""] * 5])
             continue
-        told = [t for name in ("recommended", "unknown") for t in _lane(r[name])]
-        share = _said(r["recommended"]["alpha"] / r["best"]) if r["best"] else ""
+        told = [t for name in ("recommended", "unknown") for t in _lane(r.get(name))]
+        share = _said(r["recommended"]["alpha"] / r["best"]) if r.get("best") else ""
         between = r.get("range")
         ends = f"{between['low']:.0f} – {between['high']:.0f}: {'yes' if between['right'] else 'no'}" if between else ""
         lines.append([*named, *told, share, ends])
@@ -207,7 +207,18 @@ def advice(rows) -> str:
     return markdown([*head, "beyond", "of best", "largest stable between"], lines, left=2)
 
 
+def begun_at(rows) -> str:
+    """Whether a gain is named of rebased feedback, and whether one is stable."""
+    lines = []
+    for r in rows:
+        calm = [f"{alpha / r['rate']:.2g}" for alpha in r.get("calm", ())]
+        lines.append([r["robot"], r["delay"], *_lane(r.get("recommended")), ", ".join(calm)])
+    return markdown(["robot", "delay", "recommended", "beyond", "else calm at alpha·Ts"], lines)
+
+
 def _lane(lane) -> list:
+    if lane is None:
+        return ["none", ""]
     over = _number(lane["over"])
     return [f"{lane['alpha']:.3g}", "unstable" if lane["unstable"] else f"{100 * max(over, 0.0):.1f} %"]
 
@@ -216,10 +227,15 @@ def advised(rows) -> str:
     """In a sentence each: what the advice is worth."""
     f = figures(rows)
     return (
-        f"- **Recommended from a recorded step of all joints**: of {f['cells'] - f['refused']} cells "
-        f"{f['recommended unstable']} unstable, {f['recommended over 5 %']} beyond the target by more than "
-        f"{100 * MUCH:.0f} %; the gain is {f['median of best']:.2f} of the best one without overshoot in the median.\n"
-        f"- **With nothing said of the drives**: {f['unknown unstable']} unstable, {f['unknown over 5 %']} beyond by "
+        f"- **Recommended from a recorded step of all joints**: of {f['cells']} cells {f['recommended named']} have a "
+        f"gain; {f['recommended unstable']} of these are unstable, {f['recommended over 5 %']} go beyond the target by "
+        f"more than {100 * MUCH:.0f} %; the gain is {f['median of best']:.2f} of the best one without overshoot in the "
+        f"median.\n"
+        f"- In the other {f['cells'] - f['recommended named']} cells, all with rebased feedback, no gain is named. In "
+        f"{f['calm where none is named']} of these one of {len(ANY)} gains up to alpha·Ts = 1 was stable, arrived and "
+        f"did not overshoot.\n"
+        f"- **With nothing said of the drives**: {f['unknown named']} of {f['cells']} cells have a gain (rebased "
+        f"feedback has none); {f['unknown unstable']} unstable, {f['unknown over 5 %']} beyond by "
         f"more than {100 * MUCH:.0f} %.\n"
         f"- The range of the largest stable gain that a fit gives was given in {f['ranges']} cells with measured "
         f"feedback, and right in {f['ranges right']}.\n"
@@ -312,6 +328,8 @@ def write(found, folder) -> None:
         made.append(f"## Settings for other tools\n\n{TOOLS}\n{tools(rows)}")
     if rows := _rows(found, ", advice"):
         made.append(f"## What the advice is worth on simulated robots\n\n{ADVICE}\n{advised(rows)}\n{advice(rows)}")
+    if rows := _rows(found, ", rebased"):
+        made.append(f"### Position commands that begin at the measured joints\n\n{REBASED}\n{begun_at(rows)}")
     if cells:
         figure(cells, folder / "ratios.png")
         made.append(f"## MuJoCo\n\n{NAMES}\n{METHOD}\n![Predicted over measured largest gain](ratios.png)\n")
