@@ -75,6 +75,7 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     r"N = (\d+) steps": r"--N \1",
     r"period = (\S+) s": r"--period \1",
     r"limits saturation\(\)": "--limits saturation",
+    "feedback commanded": "--feedback commanded",
 }
 
 

@@ -88,6 +88,9 @@ def lower(case) -> tuple:
     within = less_null(case, case.null_radius) if case.null_unstable else ()
     shares = [stable_share(*at, *case.loop) for at in ends]
     share = min(shares, default=1.0)
+    if share == 0 and drive.feedback == "rebased":
+        words = "begin each position command at the last one (feedback commanded): no smaller gain is stable"
+        return (Remedy(change={"feedback": "commanded"}, words=words, mends="motion"),)
     if 0 < share < 1:
         at, held = ends[int(np.argmin(shares))]
         scaled = replace(at, alpha=np.asarray(at.alpha, float) * share)

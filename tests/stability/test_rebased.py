@@ -128,6 +128,18 @@ def test_isaac_lab_has_no_gain_where_the_servo_is_unknown_or_runs_away(drive):
         assert "ik_params" in practice(LAW, None, Q, Ts=0.01, method="EE", drive=known).settings["Isaac Lab"]
 
 
+@pytest.mark.parametrize("alpha", [3.0, 10.0])
+def test_the_remedy_of_a_run_that_grew_is_no_gain_and_no_damping(alpha):
+    """Damping and a clamp were named, which leave less of the gain. What is named ends the growth."""
+    x, drive = np.asarray(ck.pose(ARM, Q).position)[:2], servo(8.0)
+    law, path = ck.replace(LAW, alpha=alpha), ck.hold(x + np.array([0.02, 0.01]))
+    run = ck.solve(law, path, Q, 0.01, 1300, "EE", drive=drive)
+    said = stability.verdict(law, path, run, Ts=0.01, method="EE", drive=drive)
+    assert [one.change for one in said.remedies] == [{"feedback": "commanded"}]
+    mended = ck.solve(law, path, Q, 0.01, 1300, "EE", drive=ck.replace(drive, **said.remedies[0].change))
+    assert np.linalg.norm(run.e[-1]) > 0.1 and np.linalg.norm(mended.e[-1]) < 1e-6
+
+
 def test_json_leaves_out_what_rests_on_a_largest_gain_that_is_not_known(capsys):
     def told(*more):
         main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "3", "--method", "EE", "--json", *more])
