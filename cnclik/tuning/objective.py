@@ -234,7 +234,8 @@ class LoopObjective:
         radius = told(np.max([*map(linear.measured_radius, driven)], axis=0))
         null_radius, correction = (told(linear.measured_radius(v)) for v in (across, _corrections(maps, np)))
         speed = told(seen["speed"])
-        ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
+        with np.errstate(divide="ignore", invalid="ignore"):  # no correction is small enough where none is stable
+            ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
         asked = (True, np.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
         excess = np.where(asked, np.stack(ratios, -1) - 1.0, -np.inf)
         postures, run = seen["postures"], seen["run"]
