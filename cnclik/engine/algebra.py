@@ -8,7 +8,6 @@ import numpy as np
 
 COMPARISONS = frozenset(["lt", "le", "gt", "ge", "eq", "ne"])
 COMMUTES = frozenset(["add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"])
-EXPANDED = 4  # integer powers up to which a power is written as products
 
 
 def _whole_division(a, b):
@@ -32,10 +31,6 @@ def _converted(value, dtype):
         about = np.iinfo(dtype)
         return min(max(int(np.trunc(np.clip(value, -(2.0**70), 2.0**70))), about.min), about.max)
     return np.asarray(value).astype(dtype)[()]
-
-
-def _clamped(low, x, high):
-    return np.minimum(np.maximum(x, low), high)
 
 
 def _rounded(value, method):
@@ -66,7 +61,7 @@ _FOLDED = {
     **{"floor": np.floor, "ceil": np.ceil, "square": np.square, "is_finite": np.isfinite, "sign": np.sign},
     **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal},
     **{"ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert},
-    **{"rsqrt": lambda x: 1 / np.sqrt(x), "rem": _remainder, "clamp": _clamped},
+    **{"rsqrt": lambda x: 1 / np.sqrt(x), "rem": _remainder},
 }
 
 
@@ -177,15 +172,18 @@ def _logic(absorbing):
 
 def _pow(g, args, params, dtype):
     """As XLA does: by squaring."""
-    y, x, out = abs(params), args[0], None
-    if not 1 <= y <= EXPANDED or (dtype.kind != "f" and params < 0):
-        return None
+    y, x, out = abs(params), args[0], g.const(1, dtype)
     while y:
         if y & 1:
-            out = x if out is None else g.op("mul", out, x)
+            out = g.op("mul", out, x)
         y >>= 1
         x = g.op("mul", x, x) if y else x
-    return out if params > 0 else g.op("div", g.const(1, dtype), out)
+    return out if params >= 0 else g.op("div", g.const(1, dtype), out)
+
+
+def _clamp(g, args, params, dtype):
+    low, x, high = args
+    return g.op("min", g.op("max", x, low), high)
 
 
 def _square(g, args, params, dtype):
@@ -207,5 +205,6 @@ def _least(g, args, params, dtype):
 SIMPLER = {
     **{"add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select_n": _select, "square": _square},
     **{"and": _logic(False), "or": _logic(True), "not": _not, "max": _least, "min": _least, "integer_pow": _pow},
+    "clamp": _clamp,
     "convert_element_type": _convert,
 }

@@ -18,9 +18,9 @@ _COSTLY = "sin cos tan exp log atan2 expm1 log1p pow tanh asin acos sinh cosh ex
 COST = dict.fromkeys(_COSTLY.split(" "), 30)
 COST |= {"div": 6, "sqrt": 8, "rsqrt": 10, "rem": 10}
 
-_BINARY = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-_COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
-_BITS = {"and": "&", "or": "|", "xor": "^"}
+BINARY = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+BITS = {"and": "&", "or": "|", "xor": "^"}
 _TRUTH = {  # operations on masks
     **{"eq": "~({0} ^ {1})", "ne": "{0} ^ {1}", "lt": "~{0} & {1}", "le": "~{0} | {1}", "gt": "{0} & ~{1}"},
     **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
@@ -56,12 +56,6 @@ def number(value, dtype) -> str:
     return str(np.float32(value)) + "f" if dtype.itemsize == 4 else repr(float(value))
 
 
-def splat(node) -> str:
-    """A constant as a vector."""
-    text = number(node.value, node.dtype)
-    return f"splat_{vector(node.dtype)}({text})"
-
-
 def is_operation(node) -> bool:
     """Whether a node is an elementwise operation on its arguments."""
     return node.op in _NAMES
@@ -75,23 +69,21 @@ def text(node, of) -> str:
         return _converted(of(args[0], False), args[0].dtype, node.dtype)
     if kind == "b" and name in _TRUTH:
         return _TRUTH[name].format(*(of(a, False) for a in args))
-    if kind == "f" and name in _BINARY:
+    if kind == "f" and name in BINARY:
         plain = not all(a.known for a in args)
-        return f" {_BINARY[name]} ".join(of(a, plain) for a in args)
-    if name in _COMPARED:
+        return f" {BINARY[name]} ".join(of(a, plain) for a in args)
+    if name in COMPARED:
         plain = kind == "f" and not all(a.known for a in args)
-        return f"MASK({f' {_COMPARED[name]} '.join(of(a, plain) for a in args)})"
+        return f"MASK({f' {COMPARED[name]} '.join(of(a, plain) for a in args)})"
     a = [of(x, False) for x in args]
-    if name in _BITS:
-        return f"{a[0]} {_BITS[name]} {a[1]}"
+    if name in BITS:
+        return f"{a[0]} {BITS[name]} {a[1]}"
     if name == "select_n":
         return _selected(node, a, vector(node.dtype), args[0].dtype.kind)
     if kind in "iu" and name in ("add", "sub", "mul"):
-        return f"{a[0]} {_BINARY[name]} {a[1]}"
+        return f"{a[0]} {BINARY[name]} {a[1]}"
     if name in _SIMPLE:
         return _SIMPLE[name].format(*a, T=T)
-    if name == "integer_pow":
-        return f"power_{T}({a[0]}, {node.params})"
     if name == "round":
         return f"round_even_{T}({a[0]})" if node.params == 1 else f"round_{T}({a[0]})"
     if name == "pow" and args[0].dtype != args[1].dtype:
@@ -139,10 +131,10 @@ def _converted(x, old, new):
 
 _SIMPLE = {
     **{"neg": "-{0}", "not": "~{0}", "square": "{0} * {0}", "rsqrt": "1 / sqrt_{T}({0})"},
-    **{"is_finite": "MASK(({0} - {0}) == ({0} - {0}))", "clamp": "min_{T}(max_{T}({1}, {0}), {2})"},
+    **{"is_finite": "MASK(({0} - {0}) == ({0} - {0}))"},
     "logistic": "1 / (1 + exp_{T}(-{0}))",
 }
 _NAMES = frozenset([
-    *_BINARY, *_COMPARED, *_BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min", "sign", "rem",
-    "convert_element_type", "integer_pow", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical",
+    *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min", "sign", "rem",
+    "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical",
 ])  # fmt: skip

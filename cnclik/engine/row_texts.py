@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnclik.engine.graph import Node, Scan, UnsupportedError
-from cnclik.engine.operations import is_operation, number, scalar, vector
+from cnclik.engine.operations import is_operation, number, scalar
 
 _PLACED = ("stacked", "array")  # rows of which any entry can be named
 
@@ -68,14 +68,15 @@ class RowTexts:
 
     def materialise(self, n):
         """A row, computed into memory."""
-        k, base = self.new("k"), self.room(n.dtype, n.shape[0])
+        k, array = self.new("k"), self.room(n.dtype, n.shape[0])
+        self.dtypes.add(n.dtype)
         self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
         self.scopes.append([])
-        self.line(f"AT({self.type(n)}, {base})[{k}] = {self.row(n, k, {})};")
+        self.line(f"{array}[{k}] = {self.row(n, k, {})};")
         for key in self.scopes.pop():
             self.names.pop(key, None)
         self.line("}")
-        self.where[n.number] = lambda k, T=self.type(n): f"AT({T}, {base})[{k}]"
+        self.where[n.number] = lambda k: f"{array}[{k}]"
 
     def row(self, c, k, memo) -> str:
         """The text of a row at round k; lines before it where it has to be computed."""
@@ -125,13 +126,13 @@ class RowTexts:
 
     def table(self, values, k) -> str:
         """An entry of a known row."""
-        T, N = vector(values.dtype), scalar(values.dtype)
+        N = scalar(values.dtype)
         self.dtypes.add(values.dtype)
         if values.dtype.kind in "iu" and len(values) > 1:
             gap = int(values[1]) - int(values[0])
             if all(int(v) == int(values[0]) + gap * i for i, v in enumerate(values)):
-                return f"splat_{T}(({N})({int(values[0])} + {gap} * ({k})))"
-        name = f"table{len(self.tables)}"
+                return self.splat(values.dtype, f"({N})({int(values[0])} + {gap} * ({k}))")
+        name = self.new("table")
         kind = "int8_t" if values.dtype.kind == "b" else N
         self.tables.append(f"static const {kind} {name}[] = {{{', '.join(number(v, values.dtype) for v in values)}}};")
-        return f"splat_{T}({name}[{k}])"
+        return self.splat(values.dtype, f"{name}[{k}]")

@@ -6,7 +6,7 @@ import pathlib
 import numpy as np
 
 from cnclik.engine.graph import Node
-from cnclik.engine.operations import LIBRARY, TYPES
+from cnclik.engine.operations import LIBRARY, TYPES, scalar, vector
 from cnclik.engine.row_texts import all_items
 from cnclik.engine.to_c import Writer
 
@@ -34,9 +34,9 @@ def header(name) -> str:
 def write(graph, given, outs, shapes) -> tuple:
     """(C text, number of operations) of a graph; `shapes` are the results' avals."""
     main = main_type(graph, given, shapes)
-    writer = _written(graph, given, outs, main, 0)
+    writer = _written(graph, given, outs, shapes, main, 0)
     if writer.operations > LONG:
-        writer = _written(graph, given, outs, main, PIECE)
+        writer = _written(graph, given, outs, shapes, main, PIECE)
     size = main.itemsize
     text = [f"#define MAIN {size}", header("vectors.h"), *_types(writer, main)]
     text += [f"#define WORK ((int64_t){writer.work})", *writer.tables, *(body for _, body in writer.parts)]
@@ -45,10 +45,23 @@ def write(graph, given, outs, shapes) -> tuple:
     return "\n".join(text) + "\n", writer.operations
 
 
-def _written(graph, given, outs, main, piece):
-    writer = Writer(graph, given, outs, main, piece=piece)
+def _written(graph, given, outs, shapes, main, piece):
+    reads = [_lane(i, np.dtype(n.dtype)) for i, n in enumerate(given)]
+    writes = [_entry(o, np.dtype(s.dtype), int(np.prod(s.shape))) for o, s in enumerate(shapes)]
+    writer = Writer(graph, given, outs, main, reads, writes, piece=piece)
     writer.statements()
     return writer
+
+
+def _lane(i, dtype):
+    N = scalar(dtype)
+    where = f"(const {N} *)in[{i}] + first * stride[{i}]"
+    return lambda at: f"load_{vector(dtype)}({where} + {at}, stride[{i}], n)"
+
+
+def _entry(o, dtype, size):
+    where = f"({scalar(dtype)} *)out[{o}] + first * {size}"
+    return lambda at, words: f"store_{vector(dtype)}({where} + {at}, {size}, {words}, n);"
 
 
 def _types(writer, main):

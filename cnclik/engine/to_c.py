@@ -8,7 +8,7 @@ scan stacks up is stored where it belongs as each round ends.
 import numpy as np
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
-from cnclik.engine.operations import COST, is_operation, number, scalar, splat, text, vector
+from cnclik.engine.operations import COST, is_operation, number, text, vector
 from cnclik.engine.pieces import in_pieces
 from cnclik.engine.row_texts import RowTexts, needed_rows, places_needed
 from cnclik.engine.stacks import Rows
@@ -21,14 +21,19 @@ ALIGNED = 256  # bytes
 class Writer(RowTexts):
     """Writes the statements of a graph."""
 
-    def __init__(self, graph, given, outs, main, *, piece=0):
+    prefix = ""
+
+    def __init__(self, graph, given, outs, main, reads, writes, *, piece=0):
         """
         Args:
           given: input nodes. outs: results: cells, rows or nodes.
           main: the type that decides on how many lanes a vector has.
+          reads: of each input, what gives the text of the entry of a number. writes: of each result, what gives the
+            statement that stores a text as the entry of a number.
           piece: statements of one function; 0: all in one.
         """
         self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
+        self.reads, self.writes = reads, writes
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
         self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
@@ -59,8 +64,13 @@ class Writer(RowTexts):
         """A node in an expression; a plain constant as a number."""
         self.dtypes.add(node.dtype)
         if node.known:
-            return f"({number(node.value, node.dtype)})" if plain else splat(node)
+            words = number(node.value, node.dtype)
+            return f"({words})" if plain else self.splat(node.dtype, words)
         return self.names[node.number]
+
+    def splat(self, dtype, words) -> str:
+        """A number that is the same in all lanes."""
+        return f"splat_{vector(dtype)}({words})"
 
     def declare(self, node, words) -> str:
         """A constant of the node's type."""
@@ -75,10 +85,10 @@ class Writer(RowTexts):
         self.line(f"{self.type(node)} {name} = {words};")
         return name
 
-    def room(self, dtype, entries) -> int:
-        """Where in the work memory there is room for vectors of a dtype, in bytes."""
+    def room(self, dtype, entries) -> str:
+        """An array of so many vectors of a dtype, in the work memory."""
         place, self.work = self.work, self.work + -(-entries * self.vector_bytes(dtype) // ALIGNED) * ALIGNED
-        return place
+        return f"AT({vector(dtype)}, {place})"
 
     def vector_bytes(self, dtype) -> int:
         """Bytes of a vector, at most: with as many lanes as AVX-512 has."""
@@ -100,7 +110,8 @@ class Writer(RowTexts):
         key = "sincos", angle
         if key not in self.names:
             s, c, T = self.new(), self.new(), self.type(node)
-            self.line(f"{T} {s}, {c}; sincos_{T}({angle}, &{s}, &{c});")
+            self.line(f"{T} {s}, {c};")
+            self.line(f"{self.prefix}sincos_{T}({angle}, &{s}, &{c});")
             self.names[key] = s, c
             self.scopes[-1].append(key)
         return self.names[key][node.op == "cos"]
@@ -166,9 +177,8 @@ class Writer(RowTexts):
 
     def load(self, node, at) -> str:
         """An entry of an argument."""
-        i = self.given.index(node)
-        T, N = self.type(node), scalar(node.dtype)
-        return f"load_{T}((const {N} *)in[{i}] + first * stride[{i}] + {at}, stride[{i}], n)"
+        self.dtypes.add(node.dtype)
+        return self.reads[self.given.index(node)](at)
 
     def pick(self, n):
         """The cell of a number that each lane has for itself."""
@@ -197,13 +207,13 @@ class Writer(RowTexts):
         stacked = [
             (y, node) for y, node in zip((r.ys[s] for s in r.stacks), r.outs[nk:], strict=True) if self.is_needed(node)
         ]
-        j, k = self.new("j"), self.new("k")
+        j = self.new("j")
+        k = f"({r.length - 1} - {j})" if r.reverse else j
         stores = self.make_room(r, stacked, k)
         direct = [(o, out) for o, out in self.direct.items() if out.cells.flat[0].value[0] is r]
         names = {i: self.variable(r.carries[i], self.of(r.first[i])) for i in alive}
         self.names |= {r.carries[i].number: name for i, name in names.items()}
         self.line(f"for (int64_t {j} = 0; {j} < {r.length}; ++{j}) {{")
-        self.line(f"const int64_t {k} = {f'{r.length - 1} - {j}' if r.reverse else j};")
         self.scopes.append([])
         memo = {}
         for i in rows:
@@ -217,7 +227,8 @@ class Writer(RowTexts):
         for y, node in stores:
             self.line(f"{self.where[node.number](k)} = {self.of(y)};")
         for o, out in direct:
-            self.store_round(o, out.cells.size, r.length, k, [r.ys[c.value[2]] for c in out.cells.flat])
+            nodes = [r.ys[c.value[2]] for c in out.cells.flat]
+            self.store(o, list(map(self.of, nodes)), f"({k}) * {len(nodes)} + ")
         self.move_on(r, names)
         self.line("}")
         self.leave()
@@ -230,17 +241,18 @@ class Writer(RowTexts):
         for y, node in stacked:
             if len(node.shape) == 2 and node.number in self.stored:  # an inner loop stores into it
                 size = node.shape[1]
-                base, T = self.room(node.dtype, node.shape[0] * size), self.type(node)
-                self.where[node.number] = lambda o, i, b=base, T=T, s=size: f"AT({T}, {b})[({o}) * {s} + ({i})]"
+                self.dtypes.add(node.dtype)
+                array = self.room(node.dtype, node.shape[0] * size)
+                self.where[node.number] = lambda o, i, a=array, s=size: f"{a}[({o}) * {s} + ({i})]"
                 self.where[y.number] = lambda i, node=node: self.where[node.number](k, i)
             elif node.number in self.where:
                 stores.append((y, node))
             elif node.number in self.stored:
                 groups.setdefault(node.dtype, []).append((y, node))
         for dtype, some in groups.items():
-            base, T = self.room(dtype, len(some) * r.length), vector(dtype)
+            array = self.room(dtype, len(some) * r.length)
             for i, (y, node) in enumerate(some):
-                self.where[node.number] = lambda k, b=base, T=T, m=len(some), i=i: f"AT({T}, {b})[({k}) * {m} + {i}]"
+                self.where[node.number] = lambda k, a=array, m=len(some), i=i: f"{a}[({k}) * {m} + {i}]"
                 stores.append((y, node))
         return stores
 
@@ -322,24 +334,17 @@ class Writer(RowTexts):
             if isinstance(out, Rows):
                 self.line(f"for (int64_t k = 0; k < {out.length}; ++k) {{")
                 memo = {}
-                rows = [self.row(c, "k", memo) for c in out.cells.flat]
-                self.store_texts(o, list(out.cells.flat), rows, out.cells.size * out.length, f"k * {out.cells.size} + ")
+                self.store(o, [self.row(c, "k", memo) for c in out.cells.flat], f"k * {out.cells.size} + ")
                 self.line("}")
             else:
-                cells = cells_of(out)
-                self.store_texts(o, cells, list(map(self.of, cells)), len(cells))
+                self.store(o, list(map(self.of, cells_of(out))))
         self.leave()
         return self.lines
 
-    def store_round(self, o, size, length, k, nodes):
-        """What one round adds to a result."""
-        self.store_texts(o, nodes, list(map(self.of, nodes)), size * length, f"({k}) * {size} + ")
-
-    def store_texts(self, o, nodes, texts, total, offset=""):
-        """Entries of a result, of `total` for each lane."""
-        for c, (node, words) in enumerate(zip(nodes, texts, strict=True)):
-            T, N = self.type(node), scalar(node.dtype)
-            self.line(f"store_{T}(({N} *)out[{o}] + first * {total} + {offset}{c}, {total}, {words}, n);")
+    def store(self, o, texts, offset=""):
+        """Entries of a result."""
+        for c, words in enumerate(texts):
+            self.line(self.writes[o](f"{offset}{c}", words))
 
 
 def cells_of(out) -> list:

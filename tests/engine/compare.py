@@ -1,9 +1,20 @@
-"""The same function by JAX and as C, lane by lane."""
+"""The same function by JAX and as C, lane by lane: on vectors of lanes, and in C99 one after the other."""
+
+import ctypes
+import subprocess
+import tempfile
 
 import jax
 import numpy as np
 
+from cnclik.engine.compiler import command
+from cnclik.engine.operations import scalar
 from cnclik.engine.program import Program, lane_avals
+from cnclik.engine.reader import read
+from cnclik.engine.scalar import ScalarWriter
+from cnclik.engine.tracing import to_be_read
+
+STRICT = "-std=c99 -O1 -pedantic -Wall -Wextra -Werror -fPIC -shared"
 
 
 def in_c(fn, *args, cores=1):
@@ -13,7 +24,36 @@ def in_c(fn, *args, cores=1):
     return jax.tree.unflatten(made.tree, made(leaves, len(leaves[0]), cores))
 
 
-def check(fn, *args, ulps=4.0, each=False, by=None):
+def in_scalar_c(fn, *args):
+    """Results of the function as C99 without a warning, of a batch lane by lane."""
+    leaves, treedef = jax.tree.flatten(args)
+    leaves = [np.ascontiguousarray(x) for x in leaves]
+    with to_be_read():
+        given = lane_avals(leaves)
+        graph, nodes, outs, (shapes, tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *given)
+    names = [scalar(np.dtype(s.dtype)) for s in (*given, *shapes)]
+    size = [int(np.prod(s.shape)) for s in (*given, *shapes)]
+
+    def entry(i, at):
+        return f"(({names[i]} *)of[{i}])[b * {size[i]} + {at}]"
+
+    reads = [lambda at, i=i: entry(i, at) for i in range(len(given))]
+    writes = [lambda at, x, i=i: f"{entry(i, at)} = {x};" for i in range(len(given), len(names))]
+    writer = ScalarWriter(graph, nodes, outs, reads, writes)
+    lines = "\n".join(writer.statements())
+    text = f"#include <math.h>\n#include <stdint.h>\n{writer.helpers()}\nvoid run(int64_t size, void **of);\n"
+    text += f"void run(int64_t size, void **of)\n{{\nfor (int64_t b = 0; b < size; ++b) {{\n{lines}\n}}\n}}\n"
+    made = [np.empty((len(leaves[0]), *s.shape), s.dtype) for s in shapes]
+    with tempfile.NamedTemporaryFile(suffix=".so") as library:
+        words = [*command(), *STRICT.split(), "-x", "c", "-", "-o", library.name, "-lm"]
+        done = subprocess.run(words, input=text, capture_output=True, text=True, check=False)
+        assert not done.returncode, done.stderr[:2000]
+        pointers = (ctypes.c_void_p * len(names))(*(x.ctypes.data for x in (*leaves, *made)))
+        ctypes.CDLL(library.name).run(ctypes.c_int64(len(leaves[0])), pointers)
+    return jax.tree.unflatten(tree, made)
+
+
+def check(fn, *args, ulps=4.0, each=False, by=None, scalar_too=True):
     """Raises AssertionError where C and `jax.vmap` of it, or of `by`, differ.
 
     Whole numbers and truths have to be equal, and infinity and NaN where they are in JAX. Other numbers may differ by
@@ -22,6 +62,8 @@ def check(fn, *args, ulps=4.0, each=False, by=None):
     wanted = jax.jit(jax.vmap(by or fn))(*args)
     found = in_c(fn, *args)
     same(found, wanted, ulps=ulps, each=each)
+    if scalar_too:
+        same(in_scalar_c(fn, *args), wanted, ulps=ulps, each=each)
     return found
 
 

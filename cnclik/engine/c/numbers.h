@@ -1,5 +1,9 @@
 /* What vectors of any numbers T have; N is one number, BITS whole numbers of the same size, K(name) a name for T. */
-static inline T K(splat)(N x) { return x - (T){0}; } /* -0 stays -0 */
+static inline T K(splat)(N x)
+{
+  const T zero = {0};
+  return x - zero; /* -0 stays -0 */
+}
 
 static inline T K(select)(M m, T a, T b)
 {
@@ -9,7 +13,7 @@ static inline T K(select)(M m, T a, T b)
 
 static inline T K(load)(const N *p, int64_t stride, int64_t n)
 {
-  T r;
+  T r = {0};
   if (stride == 0) return K(splat)(*p);
   if (n == W) for (int i = 0; i < W; ++i) r[i] = p[i * stride];
   else for (int i = 0; i < W; ++i) r[i] = p[(i < n ? i : n - 1) * stride];

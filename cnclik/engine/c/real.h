@@ -45,13 +45,6 @@ static inline T K(sqrt)(T x)
 #endif
 }
 
-static inline T K(power)(T x, int n)
-{
-  T r = K(splat)(1);
-  for (int k = n < 0 ? -n : n; k > 0; k >>= 1, x *= x) if (k & 1) r *= x;
-  return n < 0 ? 1 / r : r;
-}
-
 /* To the nearest whole number, halves to the even one. */
 static inline T K(round_even)(T x)
 {

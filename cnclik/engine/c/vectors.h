@@ -50,7 +50,12 @@ typedef S64 M;
 #define MASK(compared) __builtin_convertvector((compared), M)
 #define ANY(m) any_lane(m)
 
-static inline M splat_M(int x) { return (M){0} + x; }
+static inline M splat_M(int x)
+{
+  const M zero = {0};
+  return zero + x;
+}
+
 static inline M select_M(M m, M a, M b) { return (m & a) | (~m & b); }
 
 static inline int any_lane(M m)
@@ -76,7 +81,7 @@ static inline int any_lane(M m)
 
 static inline M load_M(const uint8_t *p, int64_t stride, int64_t n)
 {
-  M r;
+  M r = {0};
   for (int i = 0; i < W; ++i) r[i] = -(p[(i < n ? i : n - 1) * stride] != 0);
   return r;
 }

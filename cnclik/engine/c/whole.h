@@ -26,13 +26,6 @@ static inline T K(rem)(T a, T b)
   return r;
 }
 
-static inline T K(power)(T x, int n)
-{
-  T r = K(splat)(1);
-  for (; n > 0; n >>= 1, x *= x) if (n & 1) r *= x;
-  return r;
-}
-
 static inline T K(shift_left)(T a, T b)
 {
   T r = a;

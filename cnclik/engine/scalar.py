@@ -1,0 +1,196 @@
+"""Scalar: a graph as the statements of a C99 function of one lane: plain numbers, branches and loops."""
+
+import functools
+import pathlib
+
+import numpy as np
+
+from cnclik.engine.graph import Cond, UnsupportedError
+from cnclik.engine.operations import BINARY, BITS, COMPARED, LIBRARY, number, scalar
+from cnclik.engine.to_c import Writer
+
+
+class ScalarWriter(Writer):
+    """Writes the statements of a graph for one lane. `prefix` stands before the names of the `helpers`."""
+
+    def __init__(self, graph, given, outs, reads, writes, prefix=""):
+        super().__init__(graph, given, outs, np.dtype(np.float64), reads, writes)
+        self.prefix = prefix
+
+    def statements(self) -> list:
+        """All lines of the function, indented."""
+        return indented(super().statements())
+
+    def helpers(self) -> str:
+        """The functions that the statements call."""
+        texts = ((_sincos(N), f"{self.prefix}sincos_{N}") for _, N, _ in sorted(self.functions))
+        return "\n".join(text.replace("sincos", name) for text, name in texts)
+
+    def type(self, node) -> str:
+        """What a number is called."""
+        return _type(node.dtype)
+
+    def splat(self, dtype, words) -> str:
+        """A number in an expression."""
+        return f"({words})" if words.startswith("-") else words
+
+    def of(self, node, plain=False) -> str:
+        """A node in an expression."""
+        if node.known and node.dtype.kind == "b":
+            return str(int(node.value))
+        return super().of(node)
+
+    def room(self, dtype, entries) -> str:
+        """An array of so many numbers."""
+        name = self.new("r")
+        self.line(f"{_type(dtype)} {name}[{entries}];")
+        return name
+
+    def applied(self, node, of) -> str:
+        """An operation."""
+        return self.sincos(node, of) if node.op in ("sin", "cos") else _text(node, [of(a, False) for a in node.args])
+
+    def sincos(self, node, of) -> str:
+        """The name of a sine or cosine; both of an angle are computed at once."""
+        self.functions.add(("sincos", scalar(node.dtype), None))
+        return super().sincos(node, of)
+
+    def pick(self, n):
+        """The cell of a number."""
+        index, *cells = n.args
+        table, kind = self.new("l"), "static const" if all(c.known for c in cells) else "const"
+        self.line(f"{kind} {self.type(n)} {table}[{len(cells)}] = {{{', '.join(map(self.of, cells))}}};")
+        self.declare(n, f"{table}[{self.of(index)}]")
+
+    def take(self, n):
+        """The entry of a row."""
+        row, index = n.args
+        self.declare(n, self.row(row, self.of(index), {}))
+
+    def table(self, values, k) -> str:
+        """An entry of a known row."""
+        words = super().table(values, k)
+        self.lines += self.tables
+        self.tables = []
+        return words
+
+    def loop(self, r):
+        """Rounds as long as they are asked for."""
+        names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
+        self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
+        self.line("for (;;) {")
+        self.block(r.asking, [r.begins])
+        self.line(f"if (!{self.of(r.begins)}) {{")
+        self.line("break;")
+        self.line("}")
+        self.block(r.block, r.then)
+        self.move_on(r, dict(enumerate(names)))
+        self.line("}")
+        self.leave()
+        self.leave()
+        self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+
+    def choice(self, r: Cond):
+        """A branch."""
+        alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
+        names, which, two = {}, self.of(r.which), r.which.dtype.kind == "b"
+        cases = list(enumerate(zip(r.blocks, r.results, strict=True)))
+        nothing = two and not any(map(self.is_needed, r.blocks[0].items))
+        for i in alive:
+            name = names[i] = self.new("t")
+            at_first = f" = {self.of(r.results[0][i])}" if nothing else ""
+            self.line(f"{self.type(r.outs[i])} {name}{at_first};")
+        for k, (block, results) in cases[nothing:] if nothing else cases[::-1] if two else cases:
+            asked = which if two else f"{which} == {k}"
+            first, last = (k == 1, k == 0) if two else (k == 0, k == len(cases) - 1)
+            self.line(f"{'' if first else '} else '}{'' if last else f'if ({asked}) '}{{")
+            self.block(block, [results[i] for i in alive])
+            for i in alive:
+                self.line(f"{names[i]} = {self.of(results[i])};")
+            self.leave()
+        self.line("}")
+        self.names |= {r.outs[i].number: name for i, name in names.items()}
+
+
+def indented(lines) -> list:
+    """Lines of a function's body, two spaces further in within each brace."""
+    depth, found = 1, []
+    for line in lines:
+        depth -= line.startswith("}")
+        found.append("  " * depth + line)
+        depth += line.endswith("{")
+    return found
+
+
+@functools.cache
+def _sincos(N) -> str:
+    return (pathlib.Path(__file__).parent / "c" / f"sincos_{N}.h").read_text(encoding="utf-8")
+
+
+def _type(dtype) -> str:
+    return "int" if np.dtype(dtype).kind == "b" else scalar(np.dtype(dtype))
+
+
+_OF_BITS = {"add": "|", "max": "|", "mul": "&", "min": "&"}  # of truths
+_SIMPLE = {
+    **{"square": "{0} * {0}", "is_finite": "isfinite({0}) != 0", "logistic": "1 / (1 + exp{f}(-{0}))"},
+    **{"rsqrt": "1 / sqrt{f}({0})", "sqrt": "sqrt{f}({0})", "atan2": "atan2{f}({0}, {1})"},
+}
+_REAL = {
+    **{"max": "({0} > {1} || {0} != {0}) ? {0} : {1}", "min": "({0} < {1} || {0} != {0}) ? {0} : {1}"},
+    **{"abs": "fabs{f}({0})", "sign": "{0} > 0 ? 1 : {0} < 0 ? -1 : {0}", "rem": "fmod{f}({0}, {1})"},
+}
+_WHOLE = {
+    **{"max": "{0} > {1} ? {0} : {1}", "min": "{0} < {1} ? {0} : {1}", "sign": "({0} > 0) - ({0} < 0)"},
+    **{"abs": "{0} < 0 ? -{0} : {0}", "rem": "{1} == 0 ? {0} : {minus} ? 0 : {0} % {1}"},
+    "div": "{1} == 0 ? ({N})-1 : {minus} ? ({N})(0 - (uint64_t){0}) : {0} / {1}",
+    "shift_left": "(uint64_t){1} < {bits} ? ({N})((uint64_t){0} << {1}) : 0",
+    "shift_right_logical": "(uint64_t){1} < {bits} ? ({N})((uint{bits}_t){0} >> {1}) : 0",
+    "shift_right_arithmetic": "({N})((int{bits}_t){0} >> ((uint64_t){1} < {bits} ? {1} : {bits} - 1))",
+}
+
+
+def _text(node, a) -> str:
+    """An operation in C from its arguments' texts."""
+    name, dtype = node.op, node.args[-1].dtype
+    kind, bits = dtype.kind, 8 * dtype.itemsize
+    words = {"f": "f" * (dtype == np.float32), "N": _type(dtype), "bits": bits}
+    words["minus"] = f"{a[-1]} == -1" if kind == "i" else "0"
+    if name == "convert_element_type":
+        return _converted(a[0], node.args[0].dtype, node.dtype)
+    if name == "select_n":
+        return _selected(a, node.args[0].dtype.kind)
+    if kind == "b" and name in _OF_BITS:
+        return f"{a[0]} {_OF_BITS[name]} {a[1]}"
+    if name in COMPARED or name in BITS or (name in BINARY and (kind == "f" or name != "div")):
+        return f"{a[0]} {(COMPARED | BITS | BINARY)[name]} {a[1]}"
+    if name in ("neg", "not"):
+        return f"{'-' if name == 'neg' else '!' if kind == 'b' else '~'}{a[0]}"
+    if kind == "u" and name in ("abs", "sign"):
+        return f"{a[0]}{' > 0' * (name == 'sign')}"
+    if name == "round":
+        return f"{'nearbyint' if node.params == 1 else 'round'}{words['f']}({a[0]})"
+    form = (_REAL if kind == "f" else _WHOLE).get(name) or _SIMPLE.get(name)
+    if form is not None:
+        return form.format(*a, **words)
+    if name not in LIBRARY:
+        raise UnsupportedError(f"the operation `{name}` has no C form")
+    return f"{name}{'f' * (node.dtype == np.float32)}({', '.join(a)})"
+
+
+def _selected(a, kind):
+    if kind == "b":
+        return f"{a[0]} ? {a[2]} : {a[1]}"
+    return " : ".join([*(f"{a[0]} == {k} ? {x}" for k, x in enumerate(a[1:-1])), a[-1]])
+
+
+def _converted(x, old, new):
+    N = _type(new)
+    if new.kind == "b":
+        return f"{x} != 0"
+    if old.kind != "f" or new.kind == "f":
+        return f"({N}){x}"
+    about = np.iinfo(new)
+    low, top = (number(old.type(v), old) for v in (about.min, 2.0 ** (about.bits - (new.kind == "i"))))
+    inside = f"{x} <= {low} ? {number(about.min, new)} : {x} >= {top} ? {number(about.max, new)} : ({N}){x}"
+    return f"{x} != {x} ? 0 : {inside}"
