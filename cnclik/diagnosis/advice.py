@@ -22,6 +22,9 @@ OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do th
 HALF_TURN = 3.5  # radians of an oscillation that must be seen, to be none of a path
 FOLDS = 3.0  # by e, over which what grows or shrinks is seen
 WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
+UNLESS = (
+    "Where position commands begin at the measured joints a smaller gain may not help: begin each at the last command."
+)
 BOTH = "--alpha or a recorded step (--step) decides"
 
 
@@ -84,7 +87,8 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
         )
         return made | {"z": z, "note": note}
     made |= {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": share * z, "factor": share}
-    return made | {"note": " ".join(notes)} | ({} if alpha is None else {"recommended_alpha": alpha * share})
+    made |= {"note": " ".join([*notes, UNLESS])}
+    return made | ({} if alpha is None else {"recommended_alpha": alpha * share})
 
 
 def advice_excited(loops, alpha, Ts) -> dict:
@@ -103,7 +107,7 @@ def advice_excited(loops, alpha, Ts) -> dict:
     if made["period"] > SLOW:
         sure = min(sure, OTHER)
         notes.append("A path may have this period, too (--longest-period).")
-    made |= {"confidence": sure, "note": " ".join(notes)}
+    made |= {"confidence": sure, "note": " ".join([*notes, UNLESS])}
     return made | ({} if alpha is None else {"recommended_alpha": alpha * share})
 
 

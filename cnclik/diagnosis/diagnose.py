@@ -244,8 +244,6 @@ def _monotone(slowest, alpha, Ts) -> dict:
 
 # --- in words -----------------------------------------------------------------------------------------
 
-UNLESS = "Where position commands begin at the measured joints a smaller gain may not: begin each at the last command"
-
 
 def _sentence(d: Diagnosis) -> str:
     if d.kind is Kind.QUIET:
@@ -267,8 +265,6 @@ def _sentence(d: Diagnosis) -> str:
     if d.factor is None:
         return said
     most = "at most " if d.kind is Kind.SUSTAINED else ""
-    gain = f"{d.factor:.3g} times the gain"
     if d.recommended_alpha is not None:
-        gain = f"an alpha of {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g})"
-        most = ""
-    return f"{said}; {most}{gain} would end it. {UNLESS}"
+        return f"{said}; an alpha of {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) would end it"
+    return f"{said}; {most}{d.factor:.3g} times the gain would end it"

@@ -180,12 +180,13 @@ def shares(delay: float, lag: float, Ts: float) -> tuple:
 def _no_gain(loop, gains, Ts):
     """The error that says why not the smallest gain can be recommended."""
     if loop.drive.feedback == "rebased":
+        late = loop.drive.lumped.delay
         must = (
             "be commanded (begin each position at the last command), or the command be a velocity: from "
-            f"{in_samples(bearable_delay(loop.drive, Ts), Ts)} of dead time on this servo may swing and grow however "
-            "small the gain is, and where damping, limits or a null space leave little of it"
+            f"{in_samples(min(bearable_delay(loop.drive, Ts), late), Ts)} of dead time on this servo may swing and "
+            "grow however small the gain is, and where damping, limits or a null space leave little of it"
         )
-        return errors.fail("feedback", must, f"is rebased, with {in_samples(loop.drive.lumped.delay, Ts)}")
+        return errors.fail("feedback", must, f"is rebased, with {in_samples(late, Ts)}")
     name = "law" if loop.law.null_velocity is None else "null_velocity"
     what, why = "stable", gains.limit
     if gains.z_largest > 0:
