@@ -252,28 +252,33 @@ def test_a_dead_time_of_none_is_said_as_none():
 
 @pytest.mark.parametrize(("rate", "rows"), [(250, 200), *slow((100, 120), (500, 200))])
 def test_an_integral_part_does_not_hide_the_lag_of_a_velocity_servo(rate, rows):
-    """m v' = k_v (v_c − v) + k_i ∫(v_c − v): in the end its joints are not late, and it was taken for 0.6 samples of
-    dead time. A loop with that gain overshot by 10 %; the lags are m/k_v."""
+    """In the end its joints are not late, and it was taken for 0.6 samples of dead time, whose gain overshot by 10 %.
+    A loop on such servos with the gain that is recommended from the recording does not overshoot by 5 %."""
     Ts, lags = 1 / rate, (0.006, 0.009)
     command = np.zeros((rows, 2))
     command[10:] = 0.2
-    motion = np.stack([integrating(c, Ts, lag, 10.0) for c, lag in zip(command.T, lags, strict=True)], 1)
+    motion = np.stack([integrating(c, Ts, lag) for c, lag in zip(command.T, lags, strict=True)], 1)
     fit = fit_drive(None, command, motion, Ts, command_kind="velocity")
-    assert fit.drive.order == 1 and fit.drive.delay < 0.2
-    np.testing.assert_allclose(fit.drive.lag, lags, rtol=0.2)
-    np.testing.assert_allclose(fit.gain, 1, atol=0.02)
-    assert "has a structure" in fit.note
+    if rate == 250:
+        np.testing.assert_allclose(fit.drive.lag, lags, rtol=0.2)
+        np.testing.assert_allclose(fit.gain, 1, atol=0.02)
+        assert fit.drive.delay < 0.2 and "has a structure" in fit.note
+    law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=1.0)
+    alpha = ck.recommend(law, None, np.array([0.3, 1.1]), Ts=Ts, method="EE", drive=fit.drive).recommended
+    for lag in lags:
+        q = integrating(range(3 * rate), Ts, lag, lambda _, q: alpha * (1 - q))
+        assert q.max() < 1.05 and abs(q[-1] - 1) < 0.02
 
 
-def integrating(command, Ts, lag, rate, parts=20):
-    """(N,) motion of a velocity servo with an integral part: lag v' = (v_c − v) + rate ∫(v_c − v)."""
-    q, v, missed, found = 0.0, 0.0, 0.0, []
-    for u in command:
+def integrating(command, Ts, lag, law=lambda u, q: u, rate=10.0, parts=20):
+    """(N,) motion of a velocity servo with an integral part: lag v' = (v_c − v) + rate ∫(v_c − v), v_c by a law."""
+    q, v, missed, found, h = 0.0, 0.0, 0.0, [], Ts / parts
+    for sent in command:
         found.append(q)
+        u = law(sent, q)
         for _ in range(parts):
-            h = Ts / parts
-            v_next = v + h / lag * (u - v + rate * missed)
-            missed, q, v = missed + h * (u - v), q + h * 0.5 * (v + v_next), v_next
+            after = v + h / lag * (u - v + rate * missed)
+            missed, q, v = missed + h * (u - v), q + h * 0.5 * (v + after), after
     return np.array(found)
 
 
