@@ -27,6 +27,7 @@ EXPLAINED = 0.5  # share of a motion below which a command has nothing to do wit
 EXACT = 1e-5  # share of a motion that is rounding
 EVALUATIONS = 15  # of a fit from one start, for each number
 OFF = 0.02  # by which a gain differs from 1 that is worth a word
+REST = 5e-3  # share of a motion by which its last tenth may differ from the one before, to be at rest
 OTHER_UNIT = 5.0  # factor from which on a gain is none: degrees for radians, another joint, a wrong sign
 STRUCTURE = 4.0  # samples over which what is left hangs together, from which on a drive is more than its model
 SEEN = 2e-3  # or share of a motion's range that is left, below which that is worth no word
@@ -179,8 +180,20 @@ def _made(fit, log, hides) -> DriveFit:
         explained=explained,
         largest_stable_alpha=stable,
         motion=made,
-        note=" ".join(_notes(gain, structured, k, why, drive.command)),
+        note=" ".join(_notes(_at_rest(log, gain, drive.command), structured, k, why, drive.command)),
     )
+
+
+def _at_rest(log, gain, command_kind):
+    """Gains (k,), of position drives as they are in the end where commands and motions have come to rest: joints that
+    swing together bend those that are fitted."""
+    last = len(log.motion) // 10
+    if command_kind != "position" or last < 2 or np.any(log.command[-2 * last :] != log.command[-1]):
+        return gain
+    before, after = log.motion[-2 * last : -last].mean(0), log.motion[-last:].mean(0)
+    moved, sent = after - log.motion[0], log.command[-1] - log.command[0]
+    rests = (np.abs(after - before) < REST * np.abs(moved)) & (sent != 0)
+    return np.where(rests, moved / np.where(rests, sent, 1.0), gain)
 
 
 def _notes(gain, structured, k, why, command_kind) -> list:

@@ -42,7 +42,9 @@ TOOLS = """\
 `python -m tests.bench.loops --only tools`. Each line of `Practice.settings` as it stands, on a Panda whose joints
 follow through the drive of the case: pink, mink and Placo themselves, with a posture task 0.2 rad away along the null
 space; of Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around servoj copies of what their
-sources and manuals say. "Nothing said": the robot has the drives that are assumed. A posture task whose gain is left
+sources and manuals say. Placo brings a Pinocchio of its own: its rows take an environment in which it was installed
+last. "Nothing said": the robot has the drives that are assumed. Isaac Lab has no row where its line names no gain, as
+with dead time alone. A posture task whose gain is left
 at its default of 1 runs away, and a servoj loop that begins at the measured joints does not arrive.
 """
 

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import cnclik as ck
 from cnclik.diagnosis import fit_drive
@@ -280,6 +281,23 @@ def integrating(command, Ts, lag, law=lambda u, q: u, rate=10.0, parts=20):
             after = v + h / lag * (u - v + rate * missed)
             missed, q, v = missed + h * (u - v), q + h * 0.5 * (v + after), after
     return np.array(found)
+
+
+def test_joints_that_swing_together_have_no_gain():
+    """Two servos on one heavy inertia matrix, which a servo of its own does not fit: in the end both are where they
+    are sent, and no gain other than 1 is said of them."""
+    M, kv, kp = np.array([[0.5, 0.25], [0.25, 0.3]]), np.diag([10.0, 6.0]), np.diag([300.0, 200.0])
+    inverse = np.linalg.inv(M)
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ kp, -inverse @ kv]])
+    phi = scipy.linalg.expm(np.block([[a, -a[:, :2]], [np.zeros((2, 6))]]) * TS)
+    x, motion, command = np.zeros(4), [], np.zeros((300, 2))
+    command[10:] = 0.1, 0.03
+    for u in command:
+        motion.append(x[:2])
+        x = (phi @ np.concatenate([x, u]))[:4]
+    fit = fit_drive(None, command, 0.3 + np.array(motion), TS)
+    assert np.abs(fit.gain - 1).max() > 0.02 and "has a structure" in fit.note
+    assert "times what is commanded" not in fit.note and "rebased" not in fit.note
 
 
 @pytest.mark.parametrize("gain", [0.95, 1.08])
