@@ -17,6 +17,10 @@ FADED = 0.3  # size of an oscillation in one part as a share of the other's, bel
 NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
 MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
 STILL = 1e-12  # share of the largest value that is rounding
+UNFINISHED = (
+    "It may be the beginning of a swing, a path, or columns that are not of one loop, such as commands: the gain cannot "
+    "be judged. Record the loop at rest, pushed, until it rests again."
+)
 
 
 @record
@@ -156,6 +160,8 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
             most > ALL and len(seen) * np.log(np.abs(factor)) > np.log(MUCH) and found.score < polynomials(seen) - CLEAR
         )
         made |= growth_without_end(factor, shape, clear, alpha, Ts)
+    elif kind is Kind.UNDECIDED:
+        made["note"] = UNFINISHED
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)
     rest = [i for i in range(len(found.factors)) if i not in chosen]
@@ -250,6 +256,8 @@ def _sentence(d: Diagnosis) -> str:
         return "no oscillation, and no noise"
     if d.kind is Kind.NOISE:
         return f"no oscillation above noise with a standard deviation of {np.max(d.noise):.3g}"
+    if d.kind is Kind.UNDECIDED:
+        return "no oscillation was found, and the motion has not come to rest"
     if d.kind is Kind.MONOTONE:
         return f"the error shrinks × {d.growth:.4g} per sample and never returns"
     if d.kind is Kind.DIVERGING and d.cause == "wrong sign":

@@ -25,6 +25,8 @@ ABOVE = 1.5  # or times what is left,
 OFTEN = 10  # where there are fewer periods
 BETTER = 10.0  # by which growth must be likelier than a polynomial
 THERE = 0.5  # share of it that must be there, beside the cubic that fits best
+UNFINISHED = 0.3  # share of a decay that a short recording's path, and what doesn't end, may move as well
+ABOVE_NOISE = 8.0  # or times its noise, where there is no decay
 
 
 class Kind(enum.StrEnum):
@@ -37,6 +39,7 @@ class Kind(enum.StrEnum):
     MONOTONE = "monotone decay"
     QUIET = "quiet"
     NOISE = "noise"
+    UNDECIDED = "undecided"
 
 
 OSCILLATING = (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
@@ -92,9 +95,15 @@ def judged(y, found: Modes, longest):
         return (Kind.GROWING if change > 0 else Kind.RINGING), chosen, own
     real = np.flatnonzero(dies & (f.real > 0) & ((f.imag == 0) | ~visible))
     if len(real):
-        return Kind.MONOTONE, real[np.argsort(-energy[real])], own
+        rest = np.ptp(found.path + found.parts[~dies].sum(0), axis=0)
+        unfinished = N < longest and np.any(rest > UNFINISHED * spans(found.parts[real]) + ABOVE_NOISE * found.noise)
+        decay = explained(y, found) and not unfinished
+        return (Kind.MONOTONE if decay else Kind.UNDECIDED), real[np.argsort(-energy[real])], own
     largest = np.abs(found.path).max(0) + np.abs(found.parts).sum(0).max(0)
-    return (Kind.QUIET if np.all(found.noise <= 1e-9 * largest) else Kind.NOISE), chosen[:0], own
+    least = 1e-9 * largest
+    if N < longest and (not explained(y, found) or np.any(spans(found.parts[~dies]) > ABOVE_NOISE * found.noise + least)):
+        return Kind.UNDECIDED, chosen[:0], own
+    return (Kind.QUIET if np.all(found.noise <= least) else Kind.NOISE), chosen[:0], own
 
 
 def _grows(y, found, i, swinging) -> bool:

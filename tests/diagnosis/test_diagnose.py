@@ -179,6 +179,31 @@ def test_a_monotone_decay():
     assert diagnose(loop(0.9 * monotone(4), 4, 200), TS).kind is Kind.MONOTONE
 
 
+@pytest.mark.parametrize("d", [5, 10])
+@pytest.mark.parametrize("share", [0.5, 0.75])
+def test_the_beginning_of_a_swing_is_no_decay_and_no_noise(d, share):
+    """Less than a period of a loop that rings: that no smaller gain is needed is not known."""
+    rng = np.random.default_rng(d)
+    period = 4 * d + 4
+    for _ in range(3):
+        y = np.outer(loop(0.85 * stable(d), d, max(int(share * period), 16)), [0.1, -0.04])
+        found = diagnose(y + 3e-4 * rng.standard_normal(y.shape), TS)
+        assert found.kind not in (Kind.MONOTONE, Kind.NOISE, Kind.QUIET), found
+        assert "No smaller gain" not in str(found)
+
+
+def test_recorded_commands_beside_joints_are_no_decay_of_a_loop():
+    """A step of all joints with its commands, which have no noise: no factor explains both."""
+    command = np.where(np.arange(400)[:, None] < 20, 0.0, [0.1, -0.2, 0.15, 0.1, 0.2, -0.1])
+    joints = np.zeros_like(command)
+    for k in range(1, 400):
+        joints[k] = 0.8187 * joints[k - 1] + 0.1813 * 0.97 * command[max(k - 4, 0)]
+    joints += 1e-4 * np.random.default_rng(0).standard_normal(joints.shape)
+    found = diagnose(np.hstack([command, joints]), TS)
+    assert found.kind is Kind.UNDECIDED and "No smaller gain" not in str(found), found
+    assert diagnose(joints, TS).growth == pytest.approx(0.8187, rel=5e-3)
+
+
 @pytest.mark.parametrize(
     ("signal", "options", "line"),
     [
