@@ -7,6 +7,7 @@ multiplies the error of ė = −alpha e.
 """
 
 import dataclasses
+import functools
 
 import jax
 import numpy as np
@@ -57,9 +58,9 @@ class Method:
             raise errors.fail("A", "be lower triangular, row i with i + 1 entries for each of `b`", f"is {self.A!r}")
         if len(c) != len(b):
             raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
-        made = {"A": A, "b": b, "c": c, "order": check_order(self.order, b, _conditions(A, np.array(b), np.array(c)))}
-        # Beyond four conditions: of s stages the order is s at most, and s + 1 of implicit ones.
-        errors.integer("order", made["order"], at_least=1, at_most=len(b) + any(row[-1] != 0 for row in A))
+        most = len(b) + any(row[-1] != 0 for row in A)  # of s stages the order is s at most, and s + 1 of implicit ones
+        left = _conditions(A, np.array(b), np.array(c), most + 1)
+        made = {"A": A, "b": b, "c": c, "order": check_order(self.order, b, left)}
         for name, value in made.items():
             object.__setattr__(self, name, value)
         if self.exponential and self.implicit:
@@ -79,15 +80,36 @@ class Method:
         return 1
 
 
-def _conditions(A, b, c):
-    """What the order conditions leave, those of the orders 1 to 4 (Hairer, Nørsett & Wanner 1993, II.2)."""
+def _conditions(A, b, c, most):
+    """What the conditions of the orders 1 to `most` leave: Σ bᵢ Φᵢ(t) − 1/γ(t) of every rooted tree t with as many
+    vertices (Hairer, Nørsett & Wanner 1993, II.2)."""
     A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
-    return (
-        [b.sum() - 1],
-        [b @ c - 1 / 2, *(A.sum(1) - c)],
-        [b @ c**2 - 1 / 3, b @ A @ c - 1 / 6],
-        [b @ c**3 - 1 / 4, (b * c) @ A @ c - 1 / 8, b @ A @ c**2 - 1 / 12, b @ A @ A @ c - 1 / 24],
-    )
+    for order in range(1, most + 1):
+        weighed = [_weight(A, tree) for tree in _trees(order)]
+        yield [b @ phi - 1 / gamma for phi, gamma, _ in weighed] + [*(A.sum(1) - c)] * (order == 2)
+
+
+@functools.cache
+def _trees(order):
+    """Rooted trees of so many vertices; each is the sorted tuple of the trees that grow from its root."""
+    return ((),) if order == 1 else tuple(sorted({new for tree in _trees(order - 1) for new in _grown(tree)}))
+
+
+def _grown(tree):
+    """Trees with a leaf more."""
+    yield tuple(sorted((*tree, ())))
+    for i, branch in enumerate(tree):
+        for new in _grown(branch):
+            yield tuple(sorted((*tree[:i], new, *tree[i + 1 :])))
+
+
+def _weight(A, tree):
+    """(Φ (s,), γ, number of vertices) of a tree."""
+    phi, gamma, count = np.ones(len(A)), 1, 1
+    for branch in tree:
+        above, density, size = _weight(A, branch)
+        phi, gamma, count = phi * (A @ above), gamma * density, count + size
+    return phi, gamma * count, count
 
 
 EE = Method(

@@ -46,10 +46,11 @@ def check_order(order, b, left) -> int:
     Args: left: what the conditions of the orders 1, 2, … leave, those of an order together; 0 where they hold.
     """
     order = errors.integer("order", order, at_least=1)
-    (excess,) = left[0]
+    left = iter(left)
+    (excess,) = next(left)
     if abs(excess) > ROUNDING:
         raise errors.fail("b", f"hold weights whose sum is {sum(b) - excess:g}", f"has a sum of {sum(b):g}")
-    for found, missed in enumerate(left[1:order], 1):
+    for found, missed in enumerate(itertools.islice(left, order - 1), 1):
         if max(map(abs, missed)) > ROUNDING:
             raise errors.fail("order", f"be {found}, that of the weights", f"is {order}")
     return order

@@ -254,9 +254,39 @@ TWO = dict(A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2)
         (dict(c=(0.0,)), "`c` must have shape"),
         (dict(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
         (dict(order=0), "`order` must be at least 1"),
-        (dict(A=ck.RK4.A, b=ck.RK4.b, c=ck.RK4.c, order=5), "`order` must be at most 4, but is 5"),
+        (dict(A=ck.RK4.A, b=ck.RK4.b, c=ck.RK4.c, order=5), "`order` must be 4, that of the weights, but is 5"),
     ],
 )
 def test_tableaus_that_are_none(named, message):
     with pytest.raises(ck.ArgumentError, match=message):
         ck.Method(name="own", source="", **TWO | named)
+
+
+def _tableau(name):
+    """(A, b, c, order) of SciPy's own: Dormand & Prince of order 5 and its embedded one of order 4, and of order 8."""
+    from scipy.integrate import RK45
+    from scipy.integrate._ivp import dop853_coefficients as eighth
+
+    if name == "DOP853":
+        return eighth.A[:12, :12], eighth.B, eighth.C[:12], 8
+    if name == "RK45":
+        return RK45.A, RK45.B, RK45.C, 5
+    A = np.zeros((7, 7))
+    A[:6, :5], A[6, :6] = RK45.A, RK45.B
+    return A, np.append(RK45.B, 0.0) - RK45.E, np.append(RK45.C, 1.0), 4
+
+
+@pytest.mark.parametrize("name", ["RK45", "RK45 embedded", "DOP853"])
+def test_an_order_above_four_is_checked_too(name):
+    A, b, c, order = _tableau(name)
+    rows = tuple(tuple(float(x) for x in row[:i]) for i, row in enumerate(np.pad(A, ((0, 0), (0, 1)))))
+    own = dict(name="OWN", A=rows, b=tuple(map(float, b)), c=tuple(map(float, c)), source="SciPy")
+    assert ck.Method(**own, order=order).order == order
+    with pytest.raises(ck.ArgumentError, match=f"`order` must be {order}, that of the weights, but is {order + 1}"):
+        ck.Method(**own, order=order + 1)
+
+
+def test_as_many_order_conditions_as_there_are_rooted_trees():
+    from cnclik.integrate.method import _trees
+
+    assert [len(_trees(order)) for order in range(1, 9)] == [1, 1, 2, 4, 9, 20, 48, 115]  # OEIS A000081
