@@ -13,6 +13,7 @@ import sys
 import warnings
 
 _MOST = 800  # characters of a message
+_LISTED = 300  # characters of a list of names, beyond which the one that was probably meant stands for it
 
 
 class ArgumentError(ValueError):
@@ -180,7 +181,9 @@ def one_of(name: str, value, names):
     """A name from a list; the nearest one is suggested."""
     if not isinstance(value, str) or value not in names:
         names = [str(n) for n in names]
-        raise fail(name, f"be one of {', '.join(names)}", f"is {value!r}{nearest(value, names)}")
+        listed, near = ", ".join(names), nearest(value, names)
+        listed = f"{len(names)} names" if near and len(listed) > _LISTED else listed
+        raise fail(name, f"be one of {listed}", f"is {value!r}{near}")
     return value
 
 
@@ -194,8 +197,9 @@ def ending(name: str, path, *endings) -> str:
 
 def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
-    near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    alike = {str(name).casefold(): name for name in names}
+    near = difflib.get_close_matches(str(value).casefold(), alike, n=1, cutoff=0.6)
+    return f" (did you mean {alike[near[0]]!r}?)" if near else ""
 
 
 def _fits(shape, wanted):

@@ -112,3 +112,20 @@ def test_a_message_is_one_short_line_whatever_it_speaks_of():
 def test_what_no_file_system_can_name_is_one_line(path):
     with pytest.raises(errors.ArgumentError, match=r"Argument `out` must be a path, but is .*no path has"):
         errors.path("out", path)
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"), [("ee", "EE"), ("Heunn", "HEUN"), ("exp_midpoint", "EXP-MIDPOINT"), ("rk-4", "RK4")]
+)
+def test_the_name_that_was_meant_whatever_its_letters_size(written, meant):
+    assert errors.nearest(written, ["EE", "HEUN", "RK4", "MIDPOINT", "EXP-MIDPOINT"]) == f" (did you mean {meant!r}?)"
+
+
+def test_no_name_is_suggested_that_is_not_near_and_a_long_list_gives_way_to_one_that_is():
+    assert errors.nearest("name", ["question", "axes", "fixed"]) == ""
+    names = [f"--option-{k}" for k in range(60)]
+    with pytest.raises(errors.ArgumentError) as said:
+        errors.one_of("Option", "--optoin-7", names)
+    assert str(said.value).endswith("be one of 60 names, but is '--optoin-7' (did you mean '--option-7'?).")
+    with pytest.raises(errors.ArgumentError, match="--option-0, --option-1"):
+        errors.one_of("Option", "x", names)

@@ -27,10 +27,11 @@ class Unit:
 
 
 class _Kind(typing.NamedTuple):
-    """What an option takes: a type, and the unit of its numbers."""
+    """What an option takes: a type, and the unit of its numbers; and whether it must be given."""
 
     hint: object
     unit: str = "1"
+    required: bool = False
 
 
 def parse(Args, argv, *, prog, description):
@@ -92,6 +93,9 @@ def _checked(Args, argv):
     for name, (_, required, what) in list(positionals.items())[len(loose) :]:
         if required:
             raise errors.ArgumentError(f"Argument `{name}` must be given, but is not{': ' + what if what else ''}.")
+    for name, kind in options.items():
+        if kind.required and all(name != one for one, *_ in given):
+            raise errors.ArgumentError(f"Option `{name}` must be given, but is not.")
     return [*loose, *tokens], units
 
 
@@ -135,8 +139,8 @@ def _fields(Args):
     for field in dataclasses.fields(Args):
         marks = getattr(marked[field.name], "__metadata__", ())
         about = {key: v for m in marks for key in ("name", "metavar", "help") if (v := getattr(m, key, None))}
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         if tyro.conf.Positional in marks:
-            required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
             name = about.get("metavar", field.name.upper())
             positionals[name] = hints[field.name], required, about.get("help", "").rstrip(".")
         else:
@@ -144,7 +148,7 @@ def _fields(Args):
             hint = hints[field.name]
             hint = typing.get_args(hint)[0] if append else hint
             unit = next((m.unit for m in marks if isinstance(m, Unit)), "1")
-            options["--" + about.get("name", field.name).replace("_", "-")] = _Kind(hint, unit)
+            options["--" + about.get("name", field.name).replace("_", "-")] = _Kind(hint, unit, required)
     return options, positionals
 
 

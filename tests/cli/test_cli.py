@@ -79,9 +79,15 @@ def test_wrong_options_are_one_line(argv, says, capsys):
 def test_options_are_named_as_they_are_typed():
     from cnclik.cli.solve import Args as Solve
 
-    with pytest.raises(errors.ArgumentError, match="--from, --to,") as caught:
+    with pytest.raises(errors.ArgumentError, match="did you mean '--from'"):
         arguments.parse(Solve, ["panda", "--form", "1"], prog="x", description="x")
-    assert "did you mean '--from'" in str(caught.value) and "--robot" not in str(caught.value)
+    with pytest.raises(errors.ArgumentError, match="--from, --to,") as caught:
+        arguments.parse(Solve, ["panda", "--zzz", "1"], prog="x", description="x")
+    assert "--robot" not in str(caught.value)
+    from cnclik.cli.export import Args as Export
+
+    with pytest.raises(errors.ArgumentError, match="Option `--out` must be given, but is not"):
+        arguments.parse(Export, ["panda"], prog="x", description="x")
     with pytest.raises(errors.ArgumentError, match="Argument `ROBOT` must be given, but is not: A URDF file"):
         arguments.parse(Solve, [], prog="x", description="x")
 
