@@ -14,7 +14,7 @@ from cnclik import errors
 from cnclik.cli import common
 from cnclik.cli.arguments import Unit
 from cnclik.cli.common import ComputeOptions, ReportOption
-from cnclik.cli.heading import dead_time, start_and_target
+from cnclik.cli.heading import assumed_drives, dead_time, start_and_target
 from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
 from cnclik.version import __version__
@@ -95,9 +95,13 @@ def run(args: Args) -> None:
             figures=tuple(drawn) if args.figures else (),
         )
         folder.write_text("summary.md", text)
-    heading = [f"Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.", *start_and_target(made, table(args))]
+    heading = [
+        f"Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
+        *start_and_target(made, table(args)),
+        *assumed_drives(made),
+    ]
     print("\n".join(heading))
-    print(text.split("\n## Figures")[0])
+    print(text.split("\n## Figures")[0].replace(found.why, common.as_options(found.why)))
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
     written = ["tuned.json", "summary.md"]

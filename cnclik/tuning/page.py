@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from cnclik.measure.files import markdown
+from cnclik.quantities import in_samples
 from cnclik.record import in_words
 from cnclik.tuning.controller import controller_lines
 from cnclik.tuning.result import kept_in_words, with_unit
@@ -14,7 +15,7 @@ CAPTIONS = {
     "error": "Error before and after.",
     "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
     "front": "What other gains cost: the loss against the noise that they pass on, and against the further dead time "
-    "that they bear; filled where every constraint is kept.",
+    "that they tolerate; filled where every constraint is kept.",
     "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path, through the drive; "
     "axes that answer alike lie on each other.",
 }
@@ -55,19 +56,19 @@ def page_rows(tuned, seconds=None) -> list:
         ("loss", f"{tuned.loss}: {_finite(before.loss)} before{beyond}, {_finite(after.loss)} after"),
         ("z = alpha·Ts", f"{after.z:.5g} (before {before.z:.5g})"),
         ("spectral radius", f"{_finite(after.radius)} (margin {tuned.margin:g}; before {_finite(before.radius)})"),
-        ("a step takes back", f"{_finite(after.correction)} of a small error (before {_finite(before.correction)})"),
+        ("error removed per step", f"{_percent(after.correction)} (before {_percent(before.correction)})"),
     ]
     drive = tuned.conditions.drive
     if drive.delay:
-        rows.append(("dead time", f"{drive.delay:g} samples"))
+        rows.append(("dead time", in_samples(drive.delay, tuned.Ts)))
     if drive.order:
         late = 1e3 * np.max(drive.late_by(tuned.Ts))
-        rows.append(("drive", f"{late:.3g} ms behind its command, order {drive.order}"))
+        rows.append(("drive", f"{late:.3g} ms behind its command, dead time included; order {drive.order}"))
     if np.isfinite(after.noise_gain):
-        bears = "any" if np.isinf(after.delay_margin) else f"{after.delay_margin:.3g} samples"
+        room = "any" if np.isinf(after.delay_margin) else f"up to {in_samples(after.delay_margin, tuned.Ts)}"
         rows += [
-            ("noise", f"moves joints by {after.noise_gain:.3g} of itself"),
-            ("further dead time", f"bears {bears}"),
+            ("noise", f"1 mrad RMS of measurement noise moves the joints by {after.noise_gain:.3g} mrad RMS"),
+            ("stable with further dead time", room),
         ]
     if after.speed:
         rows.append(("joint velocity", f"{100 * after.speed:.4g} % of the limit at most"))
@@ -78,6 +79,10 @@ def page_rows(tuned, seconds=None) -> list:
     if seconds is not None:
         rows.append(("time", f"{seconds:.1f} s, compilation included"))
     return rows
+
+
+def _percent(share):
+    return f"{100 * share:.4g} %" if math.isfinite(share) else "not finite"
 
 
 def _finite(value):

@@ -23,19 +23,19 @@ _WHY = {
 
 HELD = 0.01  # of a joint's velocity limit, within which a run is held back by it
 _NEARLY_NO_GAIN = (
-    "The gain is hardly any: within the whole path it would not take back an error. Here the loss grows with it, as it "
+    "The gain is nearly zero: an error would not be removed within the whole path. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
 )
 _TOO_FAST = (
-    " The path itself takes {share:.3g} % of a joint's velocity limit, at hardly any gain. Make it slower or smaller. "
+    " The path itself takes {share:.3g} % of a joint's velocity limit, with nearly no gain. Make it slower or smaller. "
     "This run lasts {horizon:.3g} s; a path without a period of its own (--period) passes once in that time."
 )
 _HELD_BACK = (
-    "The gain is hardly any: within the whole path it would not take back an error. More would break the bound on "
+    "The gain is nearly zero: an error would not be removed within the whole path. More would break the bound on "
     "joint velocities: give more steps or a slower path, begin nearer to it, or use limits velocity_scaling()."
 )
 _LITTLE_GAIN = (
-    "The gain, which was not tuned, is hardly any: within the whole path it would not take back an error. Raise alpha, "
+    "The gain, which was not tuned, is nearly zero: an error would not be removed within the whole path. Raise alpha, "
     "tune it too, or give more steps."
 )
 
@@ -51,7 +51,7 @@ class Performance:
         a posture for another, 0 where there is none.
       correction: share of a small error that one step takes back, |1 − λ|: z for explicit Euler and exact J#.
       noise_gain: standard deviation of the motion per unit of white noise of what is measured, by linear theory.
-      delay_margin: further dead time that the loop bears [samples]; inf for any.
+      delay_margin: further dead time that the loop tolerates [samples]; inf for any.
       speed: |q̇| over its limit; 0 where there are no limits.
       violation: by how much the worst constraint is exceeded, relative to its bound; at most 0 where all are kept.
       worst: which one that is.
@@ -86,7 +86,7 @@ class Tuned:
       margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
       front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what other gains
         cost, all else as tuned.
-      path_speed: |q̇| over its limit at hardly any gain (z = 0.01): what the path itself takes.
+      path_speed: |q̇| over its limit with nearly no gain (z = 0.01): what the path itself takes.
       before, after: `Performance` as given and as tuned.
       status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
       history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.

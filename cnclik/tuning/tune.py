@@ -1,4 +1,4 @@
-"""tune: the gains of a loop by gradient, with what a robot bears as constraints.
+"""tune: the gains of a loop by gradient, with what a robot tolerates as constraints.
 
 A loss on the error alone drives the gain to the edge of what is allowed, so the edge is part of the problem: along the
 path a step doesn't overshoot, not even were the dead time a sample longer, noise is not magnified beyond a bound, and

@@ -70,7 +70,12 @@ def test_infeasible_margin_is_in_the_summary(tmp_path, capsys):
         tuned(tmp_path, "--margin", 0.5, "--damping", 0.01, "--alpha-bounds", 0.1, 1, "--no-figures")
     made, out = json.loads((tmp_path / "tuned.json").read_text()), capsys.readouterr().out
     assert not made["satisfied"] and made["status"] == "infeasible" and 0.7 < made["after"]["violation"] < 0.9
-    assert stopped.value.code == 1 and "NOT kept" in out and "# Not tuned" in out
+    assert (
+        stopped.value.code == 1 and "# Not tuned" in out and "Assumed: the drives follow at once, without a lag" in out
+    )
+    assert (
+        "| constraints | NOT kept, " in out and "## Nothing for a controller\n\nThe constraints are NOT kept, " in out
+    )
     assert all(line.startswith("no line") for line in made["lines"].values()) and "qdot" not in out
 
 
@@ -81,7 +86,7 @@ def test_a_path_that_no_gain_makes_slow_enough_is_the_cause(tmp_path, capsys):
         main([*ARM, *short])
     out = capsys.readouterr().out
     assert stopped.value.code == 1 and "Worst, the bound on joint velocity is exceeded by" in out
-    assert re.search(r"The path itself takes \d+ % of a joint's velocity limit, at hardly any gain", out)
+    assert re.search(r"The path itself takes \d+ % of a joint's velocity limit, with nearly no gain", out)
     assert "This run lasts 0.3 s" in out and "--period" in out and "For a controller" not in out
     main([*ARM, *short, "--period", "9"])
     assert "For a controller" in capsys.readouterr().out
@@ -94,6 +99,23 @@ def test_a_drive_for_each_joint_as_a_fit_prints_it(tmp_path):
     assert each["satisfied"] and each["after"]["z"] == pytest.approx(slow["after"]["z"], rel=1e-6)
     assert each["after"]["delay_margin"] == pytest.approx(slow["after"]["delay_margin"], rel=1e-6)
     assert each["after"]["radius"] >= slow["after"]["radius"] - 1e-9
+    rows = [line.strip("| ").split(" | ") for line in (tmp_path / "summary.md").read_text().splitlines() if "|" in line]
+    names = [row[0] for row in rows]
+    assert len(names) == len(set(names))  # each is said once, and is what tuned.json has
+    said, before, after = dict(row for row in rows if len(row) == 2), slow["before"], slow["after"]
+    room = after["delay_margin"]
+    assert said["z = alpha·Ts"] == f"{after['z']:.5g} (before {before['z']:.5g})"
+    assert (
+        said["error removed per step"]
+        == f"{100 * after['correction']:.4g} % (before {100 * before['correction']:.4g} %)"
+    )
+    assert said["stable with further dead time"] == f"up to {room:.4g} samples ({1e3 * room * slow['Ts']:.4g} ms)"
+    assert said["noise"] == f"1 mrad RMS of measurement noise moves the joints by {after['noise_gain']:.3g} mrad RMS"
+    assert (
+        said["dead time"].startswith("1 sample (")
+        and said["drive"] == "250 ms behind its command, dead time included; order 1"
+    )
+    assert said["constraints"] == "kept"
 
 
 @pytest.mark.parametrize(

@@ -204,7 +204,7 @@ def test_by_default_a_sample_of_dead_time_is_to_spare():
     found = at(delay_margin=1.0, noise_gain=0.5)
     np.testing.assert_allclose(found.after.z, 0.25, rtol=1e-4)
     np.testing.assert_allclose(found.after.noise_gain, np.sqrt(0.25 / 1.75), rtol=1e-3)
-    assert found.satisfied and 5.5 < found.after.delay_margin < 6 and "hardly any" not in str(found)
+    assert found.satisfied and 5.5 < found.after.delay_margin < 6 and "nearly zero" not in str(found)
     front = found.front
     kept = front["violation"] <= 1e-6
     assert kept.any() and (~kept).any() and front["z"][kept].max() <= 0.2501
@@ -318,11 +318,11 @@ def test_a_gain_that_is_hardly_any_is_said_to_be():
     fast = problem_from("planar:1,0.8", reference="circle", radius=0.2, period=0.7)
     at = dict(Ts=0.01, N=60, method="EE", descent=Descent(steps=30))
     late = tune(fast.law, fast.reference, fast.q0, conditions=Conditions(drive=Drive(delay=3, lag=0.1)), **at)
-    assert late.after.z * 60 < 1 and "hardly any" in str(late) and "or bound alpha" in str(late)
+    assert late.after.z * 60 < 1 and "nearly zero" in str(late) and "or bound alpha" in str(late)
     fast = ck.replace(late, after=ck.replace(late.after, speed=0.999))  # as where joint velocities hold it back
-    assert "hardly any" in fast.why and "bound on joint velocities" in fast.why and "drive" not in fast.why
+    assert "nearly zero" in fast.why and "bound on joint velocities" in fast.why and "drive" not in fast.why
     given = ck.replace(late, values={"links": np.ones(3)})  # as where something else was tuned
-    assert "hardly any" in given.why and "tune it too" in given.why and "bound alpha" not in given.why
+    assert "nearly zero" in given.why and "tune it too" in given.why and "bound alpha" not in given.why
 
 
 def test_late_loops_are_tuned_by_their_own_roots():
