@@ -1,19 +1,14 @@
 """Recording: columns of numbers and their sampling time, from stamps of any unit; which columns are no motion."""
 
-import re
-
 import numpy as np
 
 from cnclik import errors
+from cnclik.problem.columns import SECONDS, clock_of, words_of
 
 LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
 MISSING = 0.6  # of a step, by which stamps must fall behind for good where a row is missing
 AROUND = 12  # rows on either side of such a place
 APART = 0.02  # by which a Ts that is given may differ from the stamps' without a word
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
-_NAMED = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
-_NAMED |= {"nsec": "ns", "nanosec": "ns", "nanos": "ns", "nsecs": "ns", "nanosecs": "ns", "nanoseconds": "ns"}
-_TIMES = ("time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock")
 _STATUS = ("status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index")
 _STATUS += ("enabled", "fault", "valid", "running", "row", "iteration", "safety")
 _EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # stamps of these decades, since 1970, are of about that size
@@ -63,10 +58,6 @@ def _gap(t, step, usual):
 # --- which column is what -----------------------------------------------------------------------------
 
 
-def _words(name) -> list:
-    return [word for word in re.split(r"[^a-z0-9µ]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()) if word]
-
-
 def clock(names, table):
     """(times [s] (N,) or None; places of all columns of times; what unit they were read in, or None).
 
@@ -75,20 +66,15 @@ def clock(names, table):
     places, found, unit = [], None, None
     parts = {}
     for i, name in enumerate(names):
-        words = _words(name)
-        said = next((_NAMED.get(w, w) for w in words[::-1] if w in UNITS or w in _NAMED), None)
-        rest = [w for w in words if w not in UNITS and w not in _NAMED]
-        if words and not rest and words[-1] in _NAMED:
-            rest = ["time"]  # `sec`, `nanosec` alone
-        if not (rest and (rest == ["t"] or rest[-1] in _TIMES or (len(words) > 1 and words[-1] in _NAMED and
-                                                                  any(w in _TIMES for w in rest)))):  # fmt: skip
+        told = clock_of(name)
+        if told is None:
             continue
         places.append(i)
-        if words[-1] in _NAMED and UNITS[said] in (1.0, 1e-9):
-            parts.setdefault(tuple(rest), {})[said] = i
+        if told.part:
+            parts.setdefault(told.of, {})[told.unit] = i
         if found is None and not np.isnan(table[:, i]).all():
-            found, unit = table[:, i] - table[0, i], said or _unit_of(table[:, i])
-            found = found * UNITS[unit]
+            found, unit = table[:, i] - table[0, i], told.unit or _unit_of(table[:, i])
+            found = found * SECONDS[unit]
     for pair in parts.values():
         if {"s", "ns"} <= set(pair):
             whole, part = table[:, pair["s"]], table[:, pair["ns"]]
@@ -100,7 +86,7 @@ def _unit_of(t) -> str:
     """Of stamps, by their size since 1970, or by their steps: a loop takes 0.1 ms to 0.5 s."""
     with np.errstate(invalid="ignore"):
         size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
-    since = [unit for least, unit in _EPOCHS if least <= size < 4 * least and 1e-5 <= step * UNITS[unit] <= 1.0]
+    since = [unit for least, unit in _EPOCHS if least <= size < 4 * least and 1e-5 <= step * SECONDS[unit] <= 1.0]
     return next(iter(since), None) or next((unit for least, unit in _STEPS if step >= least), "s")
 
 
@@ -110,6 +96,6 @@ def no_motion(names, table) -> list:
     for i, name in enumerate(names):
         values = table[:, i][~np.isnan(table[:, i])]
         whole = bool(np.all(values == np.round(values)))
-        if not len(values) or (whole and any(word in _STATUS for word in _words(name))):
+        if not len(values) or (whole and any(word in _STATUS for word in words_of(name))):
             found.append(i)
     return found

@@ -5,6 +5,7 @@ quaternion's; t00 … t33 are a transform's entries.
 """
 
 import re
+from typing import NamedTuple
 
 from cnclik import errors, quantities
 
@@ -19,7 +20,10 @@ _SPELLINGS = (  # of a name's last parts, in small letters, joined by _
     (re.compile(r"(w)"), "q"),
     (re.compile(r"[tm]_?([0-3])_?([0-3])"), "t"),
 )
-_TIMES = re.compile(r"(?:.*_)?(?:t|time|times|stamp|timestamp|secs|seconds|time_s)")
+_TIMES = ("time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock")
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
+_SECONDS = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
+_SECONDS |= dict.fromkeys(("nsec", "nanosec", "nanos", "nsecs", "nanosecs", "nanoseconds"), "ns")
 _UNITS = {**dict.fromkeys(POSITION, "m"), TIME: "s"}
 
 
@@ -45,12 +49,39 @@ def meanings(argument: str, file: str, names) -> list:
     return found
 
 
+def words_of(name) -> list:
+    """The words of a column's name in small letters: /header/stampNs is header, stamp, ns."""
+    return [word for word in re.split(r"[^a-z0-9µ]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()) if word]
+
+
+class Clock(NamedTuple):
+    """What the name of a column of times says."""
+
+    unit: str | None  # of SECONDS
+    of: tuple  # the other words of the name
+    part: bool  # whether it may be the seconds, or the nanoseconds, of a pair
+
+
+def clock_of(name) -> Clock | None:
+    """What a name says, if it is one of times: t, time, __time, /header/stamp, sec, nanosec, t [ms], time_ns."""
+    words = words_of(name)
+    unit = next((_SECONDS.get(w, w) for w in words[::-1] if w in SECONDS or w in _SECONDS), None)
+    rest = [w for w in words if w not in SECONDS and w not in _SECONDS]
+    long = bool(words) and words[-1] in _SECONDS
+    if long and not rest:
+        rest = ["time"]  # `sec`, `nanosec` alone
+    if not rest or not (rest == ["t"] or rest[-1] in _TIMES or (long and any(w in _TIMES for w in rest))):
+        return None
+    return Clock(unit, tuple(rest), long and SECONDS[unit] in (1.0, 1e-9))
+
+
 def _meaning(argument, file, name):
     bare, unit = name, ""
     if ends := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*", name):
         bare, unit = ends.groups()
     key = re.sub(r"[^0-9a-z]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()).strip("_")
-    what = TIME if _TIMES.fullmatch(key) else None
+    times = clock_of(bare)
+    what = TIME if times else None
     for pattern, prefix in _SPELLINGS:
         if what is None and (made := pattern.fullmatch(key)):
             what = prefix + "".join(made.groups())
@@ -60,6 +91,8 @@ def _meaning(argument, file, name):
     if unit and unit not in units and (what in _UNITS or unit != "1"):
         usual = f"be in {', '.join(w for w in units if w.isascii())}" if units else "be without unit"
         raise errors.fail(argument, f"have columns whose units are known: {what} must {usual}", f"{file} has {name!r}")
+    if times and times.unit and not unit:
+        return what, SECONDS[times.unit]
     return what, units.get(unit, (1.0, ""))[0]
 
 

@@ -63,3 +63,22 @@ def test_status_and_counts_are_no_motion():
     names = ["q1", "robot_mode", "status", "header.seq", "frame_id", "stateX", "q2"]
     table = np.stack([np.sin(K), 0 * K + 7, K % 3, K, np.nan * K, 0.5 * np.cos(K), K % 2], 1)
     assert no_motion(names, table) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [("t", 1), ("__time", 1), ("/header/stamp", 1), ("time_ms", 1e-3), ("stampNs", 1e-9), ("sec", 1), ("t [ms]", 1e-3)],
+)
+def test_names_of_times_are_those_of_tables_of_waypoints(name, factor):
+    """One reader: what a log calls its times a path may call them."""
+    from cnclik.problem.columns import meanings
+
+    ticks = np.arange(5.0)[:, None]
+    found, places, _ = clock((name,), 0.01 / factor * ticks)
+    assert places == [0] and found == pytest.approx(0.01 * ticks[:, 0])
+    assert meanings("reference", "way.csv", (name, "x", "y"))[0] == ("time", pytest.approx(factor))
+
+
+@pytest.mark.parametrize("name", ["x", "q_t", "translation", "timer_state", "ms"])
+def test_other_names_are_no_times(name):
+    assert clock((name,), np.arange(5.0)[:, None])[0] is None
