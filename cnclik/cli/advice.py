@@ -11,8 +11,8 @@ def title_of(found) -> str:
     return f"{robot_and_task(found.name, found.tip, found.law.task)}, {loop_of(found)}"
 
 
-def gains_of(found, said, given) -> list:
-    """Rows of COLUMNS. Args: given: what the user gave, as `cnclik.cli.problem.table` has it."""
+def gains_of(found, said, written) -> list:
+    """Rows of COLUMNS. Args: written: names of the options that the user wrote."""
     from cnclik.record import in_words
 
     at_once = ", if drives followed at once" if said.assumed_dead_time else ""
@@ -25,7 +25,7 @@ def gains_of(found, said, given) -> list:
         value, euler = getattr(said, name), said.explicit_euler[name]
         known = name != "largest_stable_alpha" or exact(found.drive)
         rows.append((row, *(map(or_any, (value, value * found.Ts, euler)) if known else ("not known", "", ""))))
-    return [*rows, (_present(given), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
+    return [*rows, (_present(written), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
 
 
 NOT_KNOWN = (
@@ -48,14 +48,14 @@ def exact(drive) -> bool:
     return drive is None or drive.order == 0 or drive.feedback == "commanded"
 
 
-def lines_of(found, said, given) -> list:
+def lines_of(found, said, written) -> list:
     """What the numbers mean, in sentences."""
     from cnclik.record import in_words
 
     now, eigen = said.advice.margin, said.advice.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines += [NOT_KNOWN] * (not exact(found.drive))
-    whose = "The default" if _present(given) == "by default" else "Your"
+    whose = "The default" if _present(written) == "by default" else "Your"
     alpha = in_words(found.law.alpha).removesuffix(".")
     lines.append(f"{whose} gain (alpha = {alpha} 1/s) {_margin(now, said, found.drive, found.Ts)}")
     if said.advice.times is not None:
@@ -72,11 +72,11 @@ def lines_of(found, said, given) -> list:
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
 
 
-def _present(given) -> str:
+def _present(written) -> str:
     """What to call the gain that the loop has: nobody gave the default."""
     from cnclik.cli.heading import unless_given
 
-    return "by default" if unless_given(given, "alpha") else "now"
+    return "by default" if unless_given(written, "alpha") else "now"
 
 
 def escaped(text):

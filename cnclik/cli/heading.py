@@ -1,6 +1,6 @@
 """Heading: what was asked, above every answer: robot, tip, task, dead time, start and target; defaults are named."""
 
-from cnclik.problem.options import DEFAULTS, PATH
+from cnclik.problem.options import PATH
 from cnclik.quantities import in_samples
 
 
@@ -9,10 +9,20 @@ def robot_and_task(name, tip, task) -> str:
     return ", ".join(filter(None, (name, tip and f"tip {tip}", f"task {' '.join(task.names)}")))
 
 
-def unless_given(given: dict, *names) -> str:
-    """The word " (default)" where none of the options was given, or what was given is the default."""
-    usual = {name: (DEFAULTS.get(name), (DEFAULTS.get(name),)) for name in names}
-    return "" if any(given.get(name, values[0]) not in values for name, values in usual.items()) else " (default)"
+def unless_given(written, *names) -> str:
+    """The word " (default)" where none of the options was written. Args: written: names of those that were."""
+    return "" if any(name in written for name in names) else " (default)"
+
+
+def assumed_drives(made) -> list:
+    """A sentence about drives of which nothing but dead time was given."""
+    drive = made.drive
+    if drive is not None and (drive.order or drive.feedback == "commanded"):
+        return []
+    late = 0 if drive is None else drive.lumped.delay
+    after = f"after {in_samples(late, made.Ts)} of dead time " if late else ""
+    return [f"Assumed: {after}the drives follow at once, without a lag. A lag asks for a smaller gain: measure it with "
+            "`cnclik diagnose LOG.csv --step`, which prints the options to give here."]  # fmt: skip
 
 
 def dead_time(made) -> str:

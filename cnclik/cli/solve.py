@@ -58,7 +58,7 @@ def run(args: Args) -> None:
         told = verdict(made.law, made.reference, trajectory, **asked)
     given = table(args)
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
-    loop = "; ".join(filter(None, (f"{_loop(made, given)}, along {args.reference}", drive_words(made))))
+    loop = "; ".join(filter(None, (f"{_loop(made, args.written)}, along {args.reference}", drive_words(made))))
     where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
@@ -104,7 +104,7 @@ def _motions(args, made, trajectory, answer, radius):
     return [motion_of(trajectory, made.law, name=name, note=answer, links=links, radius=radius)]
 
 
-def _loop(made, given) -> str:
+def _loop(made, written) -> str:
     """Method, stage, inverse, gain and gain per step, such as "CN by picard(5), damped, alpha = 5 1/s, z = 0.05"."""
     import numpy as np
 
@@ -113,7 +113,7 @@ def _loop(made, given) -> str:
     gain = np.asarray(made.law.alpha, float)
     alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
     stage = f" by {made.stage}" * made.method.implicit
-    alpha = f"alpha = {alpha} 1/s{unless_given(given, 'alpha')}"
+    alpha = f"alpha = {alpha} 1/s{unless_given(written, 'alpha')}"
     return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, {alpha}, z = alpha·Ts = {z}"
 
 

@@ -152,13 +152,13 @@ def _tell(args, advised):
     shown = Table(title=escaped(title_of(found)), title_justify="left")
     for column in COLUMNS:
         shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
-    for row in gains_of(found, said, table(args)):
+    for row in gains_of(found, said, args.written):
         shown.add_row(*row)
     asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
     for note in (*asked, *filter(None, [said.assumption]), *said.notes):  # what the numbers can't say comes before them
         console.print(note, highlight=False, markup=False, soft_wrap=True)
     console.print(shown)
-    for line in lines_of(found, said, table(args)):
+    for line in lines_of(found, said, args.written):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
@@ -291,10 +291,10 @@ def _report(args, figures, advised):
     args.write_report(
         title_of(found),
         answer,
-        tables=[("Gains", COLUMNS, gains_of(found, said, table(args)))],
+        tables=[("Gains", COLUMNS, gains_of(found, said, args.written))],
         lines=[
             *said.notes,
-            *(line for line in lines_of(found, said, table(args)) if not line.startswith("Recommended")),
+            *(line for line in lines_of(found, said, args.written) if not line.startswith("Recommended")),
         ],
         figures=figures,
         captions={"errors": "The error of a step to the target."},

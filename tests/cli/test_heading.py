@@ -47,6 +47,9 @@ def test_the_gain_that_nobody_gave_is_no_gain_that_the_loop_has_now(capsys):
     main(["stability", "planar:1,1", "--alpha", "3"])
     shown = capsys.readouterr().out
     assert "by default" not in shown and "now" in shown
+    main(["stability", "planar:1,1", "--alpha", "5"])  # what the default is, and somebody wrote it
+    shown = capsys.readouterr().out
+    assert "by default" not in shown and "Your gain (alpha = 5 1/s)" in shown
 
 
 @pytest.mark.parametrize(
