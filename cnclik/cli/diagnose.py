@@ -32,7 +32,7 @@ class Args(ComputeOptions):
     command: Literal["position", "velocity"] = "position"
     """With --step: what was commanded."""
     kind: Annotated[Literal["delay", "lag", "second-order"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """With --step: which drive; what the recording bears by default."""
+    """With --step: which drive; by default the simplest that explains the recording."""
     json: bool = False
     """Print all numbers as JSON."""
     out: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
@@ -41,6 +41,7 @@ class Args(ComputeOptions):
 
 def run(args: Args) -> None:
     from cnclik.diagnosis.recording import APART, clock, no_motion, sampling_time
+    from cnclik.problem.magnitudes import remark_on_times
     from cnclik.problem.tables import read_columns
     from cnclik.writing import checked_folder
 
@@ -48,6 +49,8 @@ def run(args: Args) -> None:
         raise errors.fail("kind", "come with --step", "comes without")
     if args.out is not None:
         checked_folder("out", args.out, overwrite=args.overwrite)
+    if args.Ts is not None and not any(args.written.get("Ts", ())):
+        remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log, gaps=True)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")

@@ -84,7 +84,7 @@ def problem(args):
 
 def look_at_units(args, given: dict, chain, task, Ts=None) -> None:
     """Whether the units that were written fit joints and task, and remarks on numbers that probably have another."""
-    from cnclik.problem.plausible import check_units, remark_on
+    from cnclik.problem.magnitudes import check_units, remark_on
 
     written = getattr(args, "written", {})
     check_units(chain, task, written)

@@ -99,6 +99,7 @@ def _options(args, *names):
 
 def _answers(args, chain, task):
     from cnclik.measure.answers import answers, save, transforms
+    from cnclik.problem.magnitudes import remark_on_places
     from cnclik.problem.tables import read_targets
     from cnclik.reaching.reach import reach
     from cnclik.reaching.result import fields
@@ -108,6 +109,8 @@ def _answers(args, chain, task):
 
     targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
+    if args.targets is not None and task.position:
+        remark_on_places(args.targets.name, transforms(pose)[:, :3, 3], chain, task)
     options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
     with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
         begun = time.perf_counter()

@@ -10,6 +10,7 @@ from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.problem import words
 from cnclik.problem.columns import POSITION, QUATERNION, TIME
+from cnclik.problem.magnitudes import remark_on_places
 from cnclik.problem.names import fitting
 from cnclik.problem.tables import read_poses
 from cnclik.reaching.reach import reach
@@ -205,4 +206,6 @@ def _waypoints(scene, file):
         raise errors.fail("reference", "hold times that increase", f"{name} has {first:g} and then {second:g}")
     positions = np.stack([p for p, _ in points]) if scene.task.position else None
     rotations = np.stack([r for _, r in points]) if scene.task.orientation else None
+    if positions is not None:
+        remark_on_places(name, positions, scene.chain, scene.task)
     return ref.waypoints(table[:, 0], positions, rotations)

@@ -29,8 +29,10 @@ def remark_on_robot(chain) -> None:
                 break
 
 
-def remark_on_angles(what: str, angles) -> None:
-    """A remark where an angle of several [rad] is more than a turn. Args: what: whose angles they are."""
+def remark_on_angles(what: str, angles) -> bool:
+    """Whether an angle of several [rad] is more than a turn, which is remarked on. Args: what: whose they are."""
     most = max((a for a in angles if type(a) is float and math.isfinite(a)), key=abs, default=0.0)
-    if abs(most) > 2 * math.pi:
+    far = abs(most) > 2 * math.pi
+    if far:
         errors.remark(f"{what} is {most:g} rad: angles are in radians.")
+    return far

@@ -108,8 +108,9 @@ def read_urdf(path) -> Tree:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise errors.fail("path", "name a valid URDF file", f"{file} has a bad or missing entry: {reason}") from None
     for joint in joints:
-        if joint.origin is not None:
-            remark_on_angles(f"The rpy of joint {joint.name!r} in {file}", joint.origin[1])
+        what = f"The rpy of joint {joint.name!r} in {file}"
+        if joint.origin is not None and remark_on_angles(what, joint.origin[1]):
+            break
     return _tree(file, root.get("name", file), links, joints)
 
 

@@ -11,7 +11,7 @@ import cnclik as ck
 from cnclik import quantities
 from cnclik.cli import arguments, diagnose, main, reach, solve, stability, tune
 from cnclik.errors import Remark
-from cnclik.problem.plausible import remark_on
+from cnclik.problem.magnitudes import remark_on
 
 
 def parsed(verb, *argv):
@@ -193,6 +193,44 @@ def test_a_robot_in_degrees_or_millimetres_is_remarked_on(told):
     with pytest.warns(Remark, match=told) as found:
         ROBOTS[told]()
     assert found[0].filename == __file__  # the user's own line
+
+
+@pytest.mark.parametrize(("row", "remarked"), [("300,-350,400", True), ("0.3,-0.35,0.4", False)])
+def test_targets_and_waypoints_of_a_file_in_millimetres_are_remarked_on(row, remarked, tmp_path, capsys):
+    targets, way = tmp_path / "targets.csv", tmp_path / "way.csv"
+    targets.write_text(f"x,y,z\n{row}\n")
+    way.write_text(f"t,x,y,z\n0,{row}\n1,{row}\n")
+    main(["reach", "panda", str(targets), "--task", "position"])
+    told = capsys.readouterr().err
+    main(["solve", "panda", "--task", "position", "--reference", str(way), "--N", "2", "--no-figures",
+          "--out", str(tmp_path / "out")])  # fmt: skip
+    told += capsys.readouterr().err
+    for count in ("1 of 1 positions in targets.csv", "2 of 2 positions in way.csv"):
+        assert (f"{count} are far out of reach: up to 400 m" in told) is remarked, told
+
+
+def test_each_door_remarks_on_a_sampling_time_in_milliseconds(tmp_path, capsys):
+    log, spec = tmp_path / "log.csv", tmp_path / "spec.toml"
+    log.write_text("q\n" + "\n".join(str(0.9**k) for k in range(40)))
+    spec.write_text('question = "?"\nexpectation = "."\n[fixed]\nrobot = "planar"\nlengths = [1, 1]\ntask = "xy"\n'
+                    "Ts = 4\nN = 2\ndelay = 0.03\n[axes]\nalpha = [1, 2]\n")  # fmt: skip
+    main(["diagnose", str(log), "--Ts", "4"])
+    assert "`Ts` is 4 s, a controller slower than once a second. Milliseconds are written" in capsys.readouterr().err
+    main(["diagnose", str(log), "--Ts", "4ms"])
+    assert "`Ts`" not in capsys.readouterr().err
+    main(["sweep", "--check", str(spec)])
+    told = capsys.readouterr().err
+    assert "`Ts` is 4 s" in told and "`delay` is in samples: 0.03 samples (120 ms)" in told
+
+
+def test_degrees_of_many_joints_are_said_once():
+    joints = "".join(
+        f'<link name="l{k}"/><joint name="j{k}" type="continuous"><parent link="{f"l{k - 1}" if k else "a"}"/>'
+        f'<child link="l{k}"/><origin rpy="0 0 {90 if k else 0}"/></joint>' for k in range(6)
+    )  # fmt: skip
+    with pytest.warns(Remark) as found:
+        ck.load_urdf(f'<robot name="a"><link name="a"/>{joints}</robot>')
+    assert len(found) == 1 and str(found[0].message).startswith("The rpy of joint 'j1' in the text is 90 rad")
 
 
 def test_robots_as_they_are_are_not():

@@ -1,4 +1,4 @@
-"""Plausible: units that fit the joints and the task, and remarks on numbers that are probably in another unit."""
+"""Magnitudes: units that fit the joints and the task, and remarks on numbers that are probably in another unit."""
 
 import math
 
@@ -42,6 +42,19 @@ def remark_on(given: dict, chain, task, Ts, written: dict) -> None:
     Args: given: {option: value}. written: as for `check_units`.
     """
     bare = {name: value for name, value in given.items() if not any(written.get(name, ()))}
+    remark_on_times(bare, Ts)
+    if bare.get("speed", 0) > 10:
+        errors.remark(f"`speed` is {bare['speed']:g} m/s. Millimetres are written --speed {bare['speed']:g}mm/s.")
+    if "phase" in bare and np.max(np.abs(bare["phase"])) > _TURN:
+        errors.remark(f"`phase` is {_text(bare['phase'])} rad. Degrees are written --phase {_text(bare['phase'])} deg.")
+    for name in _JOINTS:
+        if isinstance(bare.get(name), (tuple, list)) and len(bare[name]) == chain.n:
+            _remark_on_joints(name, bare[name], chain)
+    _remark_on_lengths(bare, chain, task)
+
+
+def remark_on_times(bare: dict, Ts) -> None:
+    """Remarks on a sampling time, a dead time and a lag without a unit that are probably in another one."""
     late = bare.get("delay", 0)
     if 0 < late < 0.5:
         errors.remark(
@@ -53,14 +66,6 @@ def remark_on(given: dict, chain, task, Ts, written: dict) -> None:
                       f"--Ts {bare['Ts']:g}ms.")  # fmt: skip
     if "lag" in bare and np.max(bare["lag"]) > 1:
         errors.remark(f"`lag` is {np.max(bare['lag']):g} s. Milliseconds are written --lag {np.max(bare['lag']):g}ms.")
-    if bare.get("speed", 0) > 10:
-        errors.remark(f"`speed` is {bare['speed']:g} m/s. Millimetres are written --speed {bare['speed']:g}mm/s.")
-    if "phase" in bare and np.max(np.abs(bare["phase"])) > _TURN:
-        errors.remark(f"`phase` is {_text(bare['phase'])} rad. Degrees are written --phase {_text(bare['phase'])} deg.")
-    for name in _JOINTS:
-        if isinstance(bare.get(name), (tuple, list)) and len(bare[name]) == chain.n:
-            _remark_on_joints(name, bare[name], chain)
-    _remark_on_lengths(bare, chain, task)
 
 
 def _remark_on_joints(name, values, chain):
@@ -79,11 +84,9 @@ def _remark_on_joints(name, values, chain):
 
 
 def _remark_on_lengths(bare, chain, task):
-    length = arm_length(chain)
-    if not errors.concrete(length) or not task.position or "m" in chain.units:  # how far a slide goes isn't known
-        return
+    length = _length_of(chain, task)
     for name in (*_POINTS, *_LENGTHS):
-        if name not in bare:
+        if name not in bare or length is None:
             continue
         values = np.atleast_1d(np.asarray(bare[name], float))
         if name in _POINTS:
@@ -97,6 +100,26 @@ def _remark_on_lengths(bare, chain, task):
                 f"`{name}` has {np.abs(values).max():g} m, and the arm is {length:.3g} m long. Millimetres are written "
                 f"with their unit: --{name} {_text(values)} mm."
             )
+
+
+def remark_on_places(file: str, places, chain, task) -> None:
+    """A remark on positions (N, axes) of a file, most of which are so far out of reach that millimetres are meant."""
+    places, length = np.asarray(places, float), _length_of(chain, task)
+    if length is None or not places.size:
+        return
+    away = beyond_arm(chain, places, (0, 1, 2) if places.shape[-1] == 3 else task.linear)
+    far = int(np.sum(away > (_FAR - 1) * length))
+    if far > 0.5 * len(places):
+        errors.remark(
+            f"{far} of {len(places)} positions in {file} are far out of reach: up to {np.nanmax(np.abs(places)):g} m, "
+            f"and the arm is {length:.3g} m long. Millimetres are named in the header: x [mm], y [mm], z [mm]."
+        )
+
+
+def _length_of(chain, task):
+    """The arm's length [m]; None where it isn't known, as of a slide, or the task has no position."""
+    length = arm_length(chain)
+    return length if errors.concrete(length) and task.position and "m" not in chain.units else None
 
 
 def _text(values) -> str:
