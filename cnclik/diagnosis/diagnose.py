@@ -18,8 +18,8 @@ NOISY = 0.05  # share of an oscillation that is left as noise, from which on noi
 MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
 STILL = 1e-12  # share of the largest value that is rounding
 UNFINISHED = (
-    "It may be the beginning of a swing, a path, or columns that are not of one loop, such as commands: the gain cannot "
-    "be judged. Record the loop at rest, pushed, until it rests again."
+    "It may be the beginning of a swing, a path, or columns that are not of one loop, such as commands: the gain "
+    "cannot be judged. Record the loop at rest, pushed, until it rests again."
 )
 
 

@@ -100,7 +100,8 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: what was sent at t,
         joint values or velocities, and the joint values that were measured then [rad, m].
-      Ts: sampling time [s]; of t by default. kind: "delay", "lag" or "second-order"; None: what the recording bears.
+      Ts: sampling time [s]; of t by default. kind: "delay", "lag" or "second-order"; None: the simplest that
+        explains the recording.
       command_kind: "position" or "velocity".
     Raises: ArgumentError for a recording without motion, or with one that the command doesn't explain.
     """

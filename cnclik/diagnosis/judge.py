@@ -96,12 +96,14 @@ def judged(y, found: Modes, longest):
     real = np.flatnonzero(dies & (f.real > 0) & ((f.imag == 0) | ~visible))
     if len(real):
         rest = np.ptp(found.path + found.parts[~dies].sum(0), axis=0)
-        unfinished = N < longest and np.any(rest > UNFINISHED * spans(found.parts[real]) + ABOVE_NOISE * found.noise)
+        unfinished = longest > N and np.any(rest > UNFINISHED * spans(found.parts[real]) + ABOVE_NOISE * found.noise)
         decay = explained(y, found) and not unfinished
         return (Kind.MONOTONE if decay else Kind.UNDECIDED), real[np.argsort(-energy[real])], own
     largest = np.abs(found.path).max(0) + np.abs(found.parts).sum(0).max(0)
     least = 1e-9 * largest
-    if N < longest and (not explained(y, found) or np.any(spans(found.parts[~dies]) > ABOVE_NOISE * found.noise + least)):
+    if longest > N and (
+        not explained(y, found) or np.any(spans(found.parts[~dies]) > ABOVE_NOISE * found.noise + least)
+    ):
         return Kind.UNDECIDED, chosen[:0], own
     return (Kind.QUIET if np.all(found.noise <= least) else Kind.NOISE), chosen[:0], own
 

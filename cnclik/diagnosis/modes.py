@@ -39,7 +39,7 @@ def trend(N: int, shortest=None) -> np.ndarray:
 
 
 def find_modes(y, slowest: float) -> Modes:
-    """The modes of y (N, k) that an information criterion bears.
+    """The modes of y (N, k) that an information criterion keeps.
 
     Args:
       slowest: period in samples from which on motion may belong to a path.

@@ -36,7 +36,7 @@ class Drive:
 
     Attributes:
       delay: dead time between command and motion [samples], not only whole ones; known, never traced.
-      measurement_delay: whole samples by which what is measured is late. It bears its time: the error that is fed back
+      measurement_delay: whole samples by which what is measured is late. It is time-stamped: the error that is fed back
         is that of the target as it was then, so that a path that is known loses nothing. To stability both add up.
       lag: time constant of a first-order drive [s], one number or one per joint (n,).
       natural_frequency, damping_ratio: ω₀ [rad/s] and ζ of a second-order drive, in place of a lag.

@@ -5,7 +5,7 @@ later. With path time τ, which advances by s·Ts in a sample,
 
     q̈ = s² f′ + ṡ f,    q⃛ = s³ f″ + 3 s ṡ f′ + s̈ f,    ′ = d/dτ
 
-so that f′ and f″, which are estimated from the steps as they come, say which s the path bears: a law that nears its
+so that f′ and f″, which are estimated from the steps as they come, say which s the path allows: a law that nears its
 target, f′ = −α f, has to be slowed down before the target as a turn before its apex. Time-optimal path following knows
 the same bounds (Bobrow, Dubowsky & Gibson 1985); here they are looked ahead by one order of the path.
 
@@ -26,7 +26,7 @@ from cnclik.robot.chain import Chain
 
 TURNING = 0.6  # part of the acceleration that following the path may take at a steady share; the rest changes the share
 BENDING = 0.5  # and part of the jerk
-EASING = 0.5  # part of the jerk with which the share comes to rest at what the path bears
+EASING = 0.5  # part of the jerk with which the share comes to rest at what the path allows
 CHAIN = "chain"
 
 
@@ -212,7 +212,7 @@ def share(pace, state, f, Ts, stop, sharpness):
 
 
 def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
-    """The share that the path bears, now and as far as it is seen to bend, approached with bounded jerk."""
+    """The share that the path allows, now and as far as it is seen to bend, approached with bounded jerk."""
     caps, slowness, floor = [1.0], 0.0, 1.0
     if v is not None:
         room = v
@@ -227,7 +227,7 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         lag = Ts if j is None else 2 * _max(jnp.where(jnp.isfinite(a), a, 0.0) / j)  # until it brakes with all it has
         grows = jnp.maximum(0.0, jnp.sign(turn) * bend) / (TURNING * a)
         now = jnp.abs(turn) / (TURNING * a) + grows * state.share * lag
-        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path bears at x, and what is braked by then.
+        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path allows at x, and what is braked by then.
         there = jnp.maximum(jnp.maximum(1.0, now), sp.safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
         caps.append(jnp.sqrt(jnp.minimum(1.0, -_max((now - 2 * there) / there**2))))
         if stop is not None:

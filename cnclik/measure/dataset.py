@@ -23,7 +23,7 @@ def to_dataset(run: Trajectory, law: Law, *, dims=(), coords=None, config=None) 
     """A trajectory, or a batch of them, as an `xarray.Dataset`.
 
     Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from
-    instant k to k + 1), then `joint` or `axis`. Every variable bears `long_name` and `units`.
+    instant k to k + 1), then `joint` or `axis`. Every variable has `long_name` and `units`.
 
     Args:
       run: `Trajectory` from `solve`; batched, its leaves carry leading axes.

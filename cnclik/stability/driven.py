@@ -159,7 +159,7 @@ def damping_ratio(steps, drive, Ts) -> float:
 
 @record
 class DrivenLimits:
-    """What z = alpha·Ts a loop through its drives bears; inf where there is no limit.
+    """Up to which z = alpha·Ts a loop through its drives is stable; inf where there is no limit.
 
     Attributes:
       stable: largest z that is stable.

@@ -46,7 +46,7 @@ class Gain:
       alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
       damping_ratio: of the slowest pair of factors, 1 where it is real and positive.
       overshoot: of a step, as a share of it. settling_time: until it stays within 2 % of a step [s].
-      gain_margin: factor by which alpha may still grow. delay_margin: further dead time that the loop bears [samples].
+      gain_margin: factor by which alpha may still grow. delay_margin: further dead time the loop tolerates [samples].
       noise_gain: standard deviation of the motion per unit of white noise of what is measured; velocity_noise_gain:
         of the commanded velocity per unit of it [1/s].
       lag: how far a motion is behind a target at constant speed without feed-forward [s].

@@ -15,7 +15,7 @@ from cnclik.show.viewer.body import GREY, Part
 
 ENDINGS = (".stl", ".dae", ".obj", ".ply", ".glb")
 MOST_BYTES = 40 << 20  # of a mesh's file
-MOST_FACES = 4000  # of a link: what a page of a megabyte bears
+MOST_FACES = 4000  # of a link: what fits a page of a megabyte
 
 
 def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) -> list:
