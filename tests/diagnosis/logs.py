@@ -86,7 +86,7 @@ def drawn(rng, kind) -> Log:
     alpha = bool(rng.integers(2))
     if kind in ("late", "lag", "excited", "excited lag"):
         lag = float(rng.uniform(1, 8)) if kind.endswith("lag") else 0.0
-        delay = int(rng.integers(0 if kind == "lag" else 1, 9 if not lag else 5)) + float(lag > 0) * rng.uniform()
+        delay = int(rng.integers(kind == "late", 9 if not lag else 5)) + float(lag > 0) * rng.uniform()
         most, calm = limits(delay, lag)
         high = 0.93 if kind.startswith("excited") else 1.08
         z = rng.uniform(min(1.8 * calm, 0.6 * most) if kind[0] != "e" else 0.65 * most, high * most)
