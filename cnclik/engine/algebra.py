@@ -198,6 +198,15 @@ def _not(g, args, params, dtype):
     return args[0].args[0] if args[0].op == "not" else None
 
 
+def _with_itself(answer, always):
+    """A comparison of a number with itself, where it isn't NaN or that makes no difference."""
+
+    def simpler(g, args, params, dtype):
+        return g.const(answer, bool) if args[0] is args[1] and (always or args[0].dtype.kind != "f") else None
+
+    return simpler
+
+
 def _least(g, args, params, dtype):
     return args[0] if args[0] is args[1] else None
 
@@ -205,6 +214,7 @@ def _least(g, args, params, dtype):
 SIMPLER = {
     **{"add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select_n": _select, "square": _square},
     **{"and": _logic(False), "or": _logic(True), "not": _not, "max": _least, "min": _least, "integer_pow": _pow},
-    "clamp": _clamp,
-    "convert_element_type": _convert,
+    **{name: _with_itself(False, True) for name in ("lt", "gt")},
+    **{name: _with_itself(name != "ne", False) for name in ("le", "ge", "eq", "ne")},
+    **{"clamp": _clamp, "convert_element_type": _convert},
 }

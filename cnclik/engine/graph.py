@@ -82,9 +82,10 @@ class Scan(Region):
 class While(Region):
     """Rounds of `block` as long as `begins`, which `asking` computes from the carries."""
 
-    def __init__(self, parent):
-        self.asking = Block(parent, branch=True)
-        self.block = Block(self.asking, branch=True)
+    def __init__(self, parent, counts):
+        """counts: whether it only counts, as `jax.lax.fori_loop`: what does not change in it is computed before it."""
+        self.asking = Block(parent, branch=not counts)
+        self.block = Block(self.asking, branch=not counts)
         self.first, self.carries, self.then, self.outs, self.begins = [], [], [], [], None
 
     @property

@@ -1,6 +1,8 @@
 """Operations: how each elementwise operation is written in C, on vectors of lanes, and what it costs."""
 
+import functools
 import math
+import pathlib
 
 import numpy as np
 
@@ -28,6 +30,12 @@ _TRUTH = {  # operations on masks
 _LIBRARY = "tan exp log expm1 log1p tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
 # Functions of C's library, called lane by lane: how many arguments they have.
 LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextafter": 2}
+
+
+@functools.cache
+def header(name) -> str:
+    """The text of one of the C files of this room."""
+    return (pathlib.Path(__file__).parent / "c" / name).read_text(encoding="utf-8")
 
 
 def vector(dtype) -> str:

@@ -192,8 +192,8 @@ def read(fn, *avals):
     return (*read_jaxpr(closed), jax.tree.flatten(shapes))
 
 
-def read_jaxpr(closed):
-    """(graph, input nodes, output values) of a closed jaxpr of one lane."""
+def read_jaxpr(closed, known=()):
+    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}."""
     if closed.effects:
         raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
@@ -203,7 +203,9 @@ def read_jaxpr(closed):
         check_dtype(a.dtype)
         node = g.new("input", (), None, a.shape, a.dtype, i, g.root)
         given.append(node)
-        if not a.shape:
+        if i in known:
+            values.append(reader.constant(known[i], a))
+        elif not a.shape:
             values.append(array_of([node], ()))
         elif a.shape[0] >= stacks.MANY:
             values.append(stacks.columns(g, node))

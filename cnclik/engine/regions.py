@@ -92,9 +92,9 @@ def _while(reader, eqn, *inputs):
     of_cond, of_body = inputs[:ahead], inputs[ahead:][: params["body_nconsts"]]
     carried = [v.aval for v in eqn.outvars]
     _small(carried, "a round of a loop")
-    r = While(g.block)
+    r = While(g.block, counts=[e.primitive.name for e in cond.jaxpr.eqns] in (["lt"], ["lt_to"]))
     r.first = _flat(reader, inputs[ahead + params["body_nconsts"] :])
-    r.carries = g.nodes(r, "carry", _shapes(carried), r.asking)
+    r.carries = g.nodes(r, "carry", _shapes(carried), r.block)
     outside, g.block = g.block, r.asking
     (begins,) = reader.run(cond.jaxpr, cond.consts, [*of_cond, *_unflat(r.carries, carried)])
     r.begins, g.block = begins.item(), r.block

@@ -1,17 +1,15 @@
 """Scalar: a graph as the statements of a C99 function of one lane: plain numbers, branches and loops."""
 
-import functools
-import pathlib
-
 import numpy as np
 
+from cnclik.engine.algebra import COMMUTES
 from cnclik.engine.graph import Cond, UnsupportedError
-from cnclik.engine.operations import BINARY, BITS, COMPARED, LIBRARY, number, scalar
+from cnclik.engine.operations import BINARY, BITS, COMPARED, LIBRARY, header, number, scalar
 from cnclik.engine.to_c import Writer
 
 
 class ScalarWriter(Writer):
-    """Writes the statements of a graph for one lane. `prefix` stands before the names of the `helpers`."""
+    """Writes the statements of a graph for one lane, which call the `helpers` for its `functions`."""
 
     def __init__(self, graph, given, outs, reads, writes, prefix=""):
         super().__init__(graph, given, outs, np.dtype(np.float64), reads, writes)
@@ -20,11 +18,6 @@ class ScalarWriter(Writer):
     def statements(self) -> list:
         """All lines of the function, indented."""
         return indented(super().statements())
-
-    def helpers(self) -> str:
-        """The functions that the statements call."""
-        texts = ((_sincos(N), f"{self.prefix}sincos_{N}") for _, N, _ in sorted(self.functions))
-        return "\n".join(text.replace("sincos", name) for text, name in texts)
 
     def type(self, node) -> str:
         """What a number is called."""
@@ -48,11 +41,14 @@ class ScalarWriter(Writer):
 
     def applied(self, node, of) -> str:
         """An operation."""
-        return self.sincos(node, of) if node.op in ("sin", "cos") else _text(node, [of(a, False) for a in node.args])
+        if node.op in ("sin", "cos"):
+            return self.sincos(node, of)
+        args = node.args[::-1] if node.op in COMMUTES and node.args[0].known else node.args
+        return _text(node, [of(a, False) for a in args])
 
     def sincos(self, node, of) -> str:
         """The name of a sine or cosine; both of an angle are computed at once."""
-        self.functions.add(("sincos", scalar(node.dtype), None))
+        self.functions.add(scalar(node.dtype))
         return super().sincos(node, of)
 
     def pick(self, n):
@@ -122,9 +118,9 @@ def indented(lines) -> list:
     return found
 
 
-@functools.cache
-def _sincos(N) -> str:
-    return (pathlib.Path(__file__).parent / "c" / f"sincos_{N}.h").read_text(encoding="utf-8")
+def helpers(functions, prefix="") -> str:
+    """The C functions that statements call: `functions` of their writers, with the writers' prefix before a name."""
+    return "\n".join(header(f"sincos_{N}.h").replace("sincos", f"{prefix}sincos_{N}") for N in sorted(functions))
 
 
 def _type(dtype) -> str:

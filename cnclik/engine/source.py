@@ -1,16 +1,12 @@
 """Source: the whole C file of a graph: types, functions of lanes, the tile, and the entries that run it."""
 
-import functools
-import pathlib
-
 import numpy as np
 
 from cnclik.engine.graph import Node
-from cnclik.engine.operations import LIBRARY, TYPES, scalar, vector
+from cnclik.engine.operations import LIBRARY, TYPES, header, scalar, vector
 from cnclik.engine.row_texts import all_items
 from cnclik.engine.to_c import Writer
 
-FOLDER = pathlib.Path(__file__).parent / "c"
 LONG = 20_000  # operations from which on a program is written in pieces
 PIECE = 1_000
 _TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *work"
@@ -25,43 +21,42 @@ def main_type(graph, given, shapes) -> np.dtype:
     return np.dtype(np.float64 if wide > narrow else np.float32)
 
 
-@functools.cache
-def header(name) -> str:
-    """The text of one of the C files of this folder."""
-    return (FOLDER / name).read_text(encoding="utf-8")
-
-
 def write(graph, given, outs, shapes) -> tuple:
     """(C text, number of operations) of a graph; `shapes` are the results' avals."""
     main = main_type(graph, given, shapes)
     writer = _written(graph, given, outs, shapes, main, 0)
     if writer.operations > LONG:
         writer = _written(graph, given, outs, shapes, main, PIECE)
-    size = main.itemsize
-    text = [f"#define MAIN {size}", header("vectors.h"), *_types(writer, main)]
-    text += [f"#define WORK ((int64_t){writer.work})", *writer.tables, *(body for _, body in writer.parts)]
-    text += [f"static void tile({_TILE})"]
+    text = [vectors(writer, main), f"#define WORK ((int64_t){writer.work})", *writer.tables]
+    text += [*(body for _, body in writer.parts), f"static void tile({_TILE})"]
     text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes), header("handler.h")]
     return "\n".join(text) + "\n", writer.operations
 
 
 def _written(graph, given, outs, shapes, main, piece):
-    reads = [_lane(i, np.dtype(n.dtype)) for i, n in enumerate(given)]
-    writes = [_entry(o, np.dtype(s.dtype), int(np.prod(s.shape))) for o, s in enumerate(shapes)]
+    reads = [lane(n.dtype, f"(const {scalar(n.dtype)} *)in[{i}]", f"stride[{i}]") for i, n in enumerate(given)]
+    writes = [
+        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", int(np.prod(s.shape)))
+        for o, s in enumerate(shapes)
+    ]
     writer = Writer(graph, given, outs, main, reads, writes, piece=piece)
     writer.statements()
     return writer
 
 
-def _lane(i, dtype):
-    N = scalar(dtype)
-    where = f"(const {N} *)in[{i}] + first * stride[{i}]"
-    return lambda at: f"load_{vector(dtype)}({where} + {at}, stride[{i}], n)"
+def lane(dtype, data, stride):
+    """What loads entries of lanes from `first` on, each lane's numbers `stride` after those of the one before."""
+    return lambda at: f"load_{vector(dtype)}({data} + first * {stride} + {at}, {stride}, n)"
 
 
-def _entry(o, dtype, size):
-    where = f"({scalar(dtype)} *)out[{o}] + first * {size}"
-    return lambda at, words: f"store_{vector(dtype)}({where} + {at}, {size}, {words}, n);"
+def entry(dtype, data, size):
+    """What stores entries of lanes from `first` on, each lane with so many numbers."""
+    return lambda at, words: f"store_{vector(dtype)}({data} + first * {size} + {at}, {size}, {words}, n);"
+
+
+def vectors(writer, main) -> str:
+    """What stands before functions of vectors."""
+    return "\n".join([f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)])
 
 
 def _types(writer, main):

@@ -23,7 +23,7 @@ class Writer(RowTexts):
 
     prefix = ""
 
-    def __init__(self, graph, given, outs, main, reads, writes, *, piece=0):
+    def __init__(self, graph, given, outs, main, reads, writes, *, piece=0, shared=()):
         """
         Args:
           given: input nodes. outs: results: cells, rows or nodes.
@@ -31,9 +31,10 @@ class Writer(RowTexts):
           reads: of each input, what gives the text of the entry of a number. writes: of each result, what gives the
             statement that stores a text as the entry of a number.
           piece: statements of one function; 0: all in one.
+          shared: those inputs that are the same in all lanes.
         """
         self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
-        self.reads, self.writes = reads, writes
+        self.reads, self.writes, self.shared = reads, writes, shared
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
         self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
@@ -260,8 +261,8 @@ class Writer(RowTexts):
         """Where a round's part of a stack of stacks lies."""
         return lambda i: self.where[x.number](k, i)
 
-    def move_on(self, r, names):
-        """The next values of what is carried; one that is another's old value is put aside first."""
+    def move_on(self, r, names, mask=None):
+        """The next values of what is carried, in some lanes; one that is another's old value is put aside first."""
         carried = {r.carries[i].number for i in names}
         texts = {}
         for i, name in names.items():
@@ -269,8 +270,11 @@ class Writer(RowTexts):
             if then is r.carries[i]:
                 continue
             texts[name] = self.variable(then, self.of(then), "t") if then.number in carried else self.of(then)
-        for name, words in texts.items():
-            self.line(f"{name} = {words};")
+        for i, name in names.items():
+            if name in texts:
+                words = texts[name]
+                words = words if mask is None else f"select_{self.type(r.carries[i])}({mask}, {words}, {name})"
+                self.line(f"{name} = {words};")
 
     def loop(self, r):
         """Rounds as long as some lane goes on."""
@@ -284,13 +288,28 @@ class Writer(RowTexts):
         self.active.append(asked)
         self.block(r.block, r.then)
         self.active.pop()
-        texts = [self.variable(n, self.of(n), "t") for n in r.then]
-        for c, name, words in zip(r.carries, names, texts, strict=True):
-            self.line(f"{name} = select_{self.type(c)}({asked}, {words}, {name});")
+        self.move_on(r, dict(enumerate(names)), None if not self.active and self.is_shared(r.begins) else asked)
         self.line("}")
         self.leave()
         self.leave()
         self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+
+    def is_shared(self, node) -> bool:
+        """Whether a node is the same in all lanes."""
+        queue, seen = [node], set()
+        while queue:
+            n = queue.pop()
+            if n.known or n.number in seen or n in self.shared:
+                continue
+            seen.add(n.number)
+            if n.op == "carry":
+                r, _, i = n.value
+                queue += [r.first[i], r.then[i], *([r.begins] if isinstance(r, While) else [])]
+            elif is_operation(n):
+                queue += n.args
+            else:
+                return False
+        return True
 
     def weight(self, block) -> int:
         """What a block costs, in operations."""

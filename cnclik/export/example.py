@@ -2,8 +2,8 @@
 
 from cnclik.export.source import GROUPS
 from cnclik.export.vectors import TOLERANCE, inputs, results
+from cnclik.integrate.status import Status
 from cnclik.measure.files import markdown
-from cnclik.native.scalar import number, rows
 from cnclik.version import __version__
 
 BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {sources} -lm -o example"
@@ -14,7 +14,7 @@ def example(asked, program, names) -> str:
     given = inputs(asked, program)
     wanted = results(program, given)
     count, name = len(given["input.q"]), names.name
-    outputs = [(key, f) for f, _ in program.outputs["output"] if (key := f"output.{f.name}") in wanted]
+    outputs = [(key, f) for f in program.outputs["output"] if (key := f"output.{f.name}") in wanted]
     tables = [_table(names, f"in_{f.name}", f, given[f"input.{f.name}"]) for f in program.inputs["input"]]
     tables += [_table(names, f"out_{f.name}", f, wanted[key]) for key, f in outputs]
     fill = [_copy(f"input.{f.name}", f"in_{f.name}[i]", f) for f in program.inputs["input"]]
@@ -23,12 +23,12 @@ def example(asked, program, names) -> str:
         for _, f in outputs
         if f.kind == "real"
     ]
-    checks += [f"    wrong += output.{f.name} != out_{f.name}[i][0];" for _, f in outputs if f.kind != "real"]
+    checks += [f"    wrong += {_is_another(names, f)};" for _, f in outputs if f.kind != "real"]
     begin = [f"    {names.type(g)} {g};" for g in (*(g for g in GROUPS if program.inputs[g]), "output")]
     begin += [f"    {name}_defaults(&parameters);"] * bool(program.inputs["parameters"])
     begin += ["    memset(&history, 0, sizeof history);"] * bool(program.inputs["history"])
     called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
-    near = number(TOLERANCE[names.dtype.itemsize], "real", names.dtype)
+    near = names.number(TOLERANCE[names.dtype.itemsize])
     compare = _differs(names, near) if any(f.kind == "real" for _, f in outputs) else ""
     return f"""/* Runs test vectors through {name} and returns 0 where all agree. Written by cnclik {__version__}. */
 #include <math.h>
@@ -57,14 +57,22 @@ def example(asked, program, names) -> str:
 """
 
 
+def _is_another(names, field) -> str:
+    """Whether a whole number is another; where numbers are lost, whether the status doesn't tell."""
+    other = f"output.{field.name} != out_{field.name}[i][0]"
+    if names.statuses is not Status:
+        return other
+    lost = f"{names.name.upper()}_NON_FINITE"
+    return f"out_{field.name}[i][0] & {lost} ? !(output.{field.name} & {lost}) : {other}"
+
+
 def _differs(names, near) -> str:
-    """The function that compares numbers."""
+    """The function that compares numbers; how far a NaN spreads is not held, as the status tells of it."""
     return f"""static int differs(const {names.real} *found, const {names.real} *wanted, int size)
 {{
   int i, wrong = 0;
   for (i = 0; i < size; ++i) {{
-    const int both_nan = isnan(found[i]) && isnan(wanted[i]);
-    wrong += !both_nan && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
+    wrong += !isnan(wanted[i]) && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
   }}
   return wrong;
 }}
@@ -74,7 +82,7 @@ def _differs(names, near) -> str:
 
 def _table(names, name, field, values) -> str:
     kind = "int32_t" if field.kind != "real" else names.real
-    table = rows(values, field.kind, names.dtype)
+    table = names.rows(values, field.kind)
     return f"static const {kind} {name}[{len(values)}][{field.size}] = {table};\n"
 
 
@@ -93,7 +101,7 @@ outside: `q += Ts * output->qdot`, one step a call, and hand them in rounded.
 def readme(program, names, told, files, counted) -> str:
     """What the files are, how to build them, and what each number means. `counted`: operations at most."""
     ops = ", ".join(f"{n} {what}" for what, n in counted.items())
-    groups = {**program.inputs, "output": [f for f, _ in program.outputs["output"]]}
+    groups = {**program.inputs, "output": program.outputs["output"]}
     rows = [(f"`{g}->{f.name}`", f.about, f.size) for g, fields in groups.items() for f in fields]
     table = markdown(("what", "meaning", "entries"), rows, left=2)
     build = BUILD.format(sources=f"{names.name}.c example.c")
@@ -111,7 +119,7 @@ A call takes at most {ops} functions of libm (sine and cosine are counted as suc
 
 {table}
 
-{_SINGLE if names.real == "float" and any(f.name == "qdot" for f, _ in program.outputs["output"]) else ""}
+{_SINGLE if names.real == "float" and any(f.name == "qdot" for f in program.outputs["output"]) else ""}
 {"Fill `history` with zeros before the first call, and after every pause." if program.inputs["history"] else ""}
 Files: {", ".join(f"`{f}`" for f in files)}. `export.json` tells `cnclik.export.load` what the functions take.
 """.replace("\n\n\n", "\n\n")

@@ -8,8 +8,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.native.graph import INT, REAL
-from cnclik.native.program import Field
+from cnclik.engine.routine import INT, REAL, Field
 from cnclik.record import is_literal
 
 _OWN = "own_"  # before the names of fields in a user's records, which may be words of C

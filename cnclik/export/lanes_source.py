@@ -1,8 +1,11 @@
 """Lanes source: the loop in time for many lanes at once, as C with the vector types of GCC and Clang."""
 
+import numpy as np
+
+from cnclik.engine.routine import INT
+from cnclik.engine.source import entry, lane, vectors
+from cnclik.engine.to_c import Writer
 from cnclik.export.source import Names, comment
-from cnclik.native.prelude import prelude
-from cnclik.native.vector import VectorWriter, inner
 from cnclik.version import __version__
 
 
@@ -44,11 +47,11 @@ typedef struct {{
 
 
 def _given(program) -> list:
-    return [f for fields in program.inputs.values() for f in fields]
+    return [f for group, fields in program.inputs.items() for f in fields if group != "steps"]
 
 
 def _found(program) -> list:
-    return [f for f, _ in program.outputs["output"] if f.name != "status"]
+    return [f for f in program.outputs["output"] if f.name != "status"]
 
 
 def _signature(names) -> str:
@@ -61,67 +64,37 @@ def _signature(names) -> str:
 
 def batch_source(program, names: Names) -> str:
     """The source of the function for many lanes."""
-    parts, called, writers = inner(program.graph, names.name)
-    places = {"steps": ("SPLATI(steps)", False)}
-    fields = [(f"{g}.{f.name}", f) for g, some in program.inputs.items() for f in some]
-    for i, (key, field) in enumerate(fields):
-        load = f"load(&given[{i}], at, last, {{0}})"
-        places[key] = (load if field.kind == "real" else f"vint({load})", True)
-    writer = VectorWriter(program.graph, program.ends, places, called)
-    lines = writer.statements()
-    stores = []
-    found = 0
-    for field, nodes in program.outputs["output"]:
-        values = [writer.of(node) for node in nodes]
-        if field.name == "status":
-            stores.append(f"  store_status(status, at, last, {values[0]});")
-        else:
-            stores += [f"  store(found[{found}], at, last, {field.size}, {i}, {v});" for i, v in enumerate(values)]
-            found += 1
-    writers.append(writer)
-    has_status = any(field.name == "status" for field, _ in program.outputs["output"])
-    lines += ["  (void)status;"] * (not has_status) + ["  (void)found;"] * (found == 0)
-    block = (
-        f"static void lanes_at(int64_t at, int64_t last, int32_t steps, const {names.name}_column *given,\n"
-        f"  {names.real} *const *found, int32_t *status)\n{{\n" + "\n".join([*lines, *stores]) + "\n}\n"
-    )
-    every = f"""{_signature(names)}
+    reads = [lane(names.dtype, f"given[{i}].data", f"given[{i}].stride") for i, _ in enumerate(_given(program))]
+    reads.append(lambda at: "splat_S32(steps)")
+    numbers, results = _found(program), program.outputs["output"]
+    writes = [_kept(names, f, "status" if f.kind == INT else f"found[{numbers.index(f)}]") for f in results]
+    writer = Writer(program.graph, program.given, program.outs, names.dtype, reads, writes, shared=program.given[-1:])
+    lines = [f"  {line}" for line in (*writer.statements(), *(f"(void){word};" for word in ("status", "found")))]
+    if writer.work:
+        lines[:0] = [
+            f"  char memory[{writer.work + 256}], *work = (char *)(((uintptr_t)memory + 255) & ~(uintptr_t)255);"
+        ]
+    lines[:0] = [f"  {table}" for table in writer.tables]
+    return f"""/* Written by cnclik {__version__}; see {names.name}_batch.h. Vectors of lanes: GCC or Clang. */
+#include "{names.name}_batch.h"
+
+{vectors(writer, names.dtype)}
+static void lanes(int64_t first, int64_t n, int32_t steps, const {names.name}_column *given,
+  {names.real} *const *found, int32_t *status)
 {{
-  int64_t at;
-  for (at = first; at < last; at += W) {{
-    lanes_at(at, last, steps, given, found, status);
+{chr(10).join(lines)}
+}}
+
+{_signature(names)}
+{{
+  for (; first < last; first += W) {{
+    lanes(first, last - first < W ? last - first : W, steps, given, found, status);
   }}
 }}
 """
-    head = f"/* Written by cnclik {__version__}; see {names.name}_batch.h. Vectors of lanes: GCC or Clang. */\n"
-    head += f'#include "{names.name}_batch.h"\n\n'
-    head += prelude(names.dtype, writers)
-    head += _LOAD.replace("@COLUMN@", f"{names.name}_column")
-    text = "\n".join([head, *parts, block, every])
-    return text.replace("@REAL@", names.real)
 
 
-_LOAD = """static inline V load(const @COLUMN@ *column, int64_t at, int64_t last, int64_t place)
-{
-  V r = {0};
-  for (int i = 0; i < W; ++i) {
-    const int64_t lane = at + i < last ? at + i : last - 1;
-    r[i] = column->data[lane * column->stride + place];
-  }
-  return r;
-}
-
-static inline void store(@REAL@ *found, int64_t at, int64_t last, int64_t size, int64_t place, V x)
-{
-  if (found != NULL) {
-    for (int i = 0; i < W && at + i < last; ++i) found[(at + i) * size + place] = x[i];
-  }
-}
-
-static inline void store_status(int32_t *status, int64_t at, int64_t last, I x)
-{
-  if (status != NULL) {
-    for (int i = 0; i < W && at + i < last; ++i) status[at + i] = (int32_t)x[i];
-  }
-}
-"""
+def _kept(names, field, where):
+    """What stores a result, where it is wanted."""
+    store = entry(np.dtype(np.int32) if field.kind == INT else names.dtype, where, field.size)
+    return lambda at, words: f"if ({where}) {store(at, words)}"

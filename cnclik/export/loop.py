@@ -1,69 +1,64 @@
 """Loop: the loop in time as one program, for many lanes; and what marks a step that grew."""
 
-import numpy as np
+import jax
+import jax.numpy as jnp
 
-from cnclik.engine.cells import array_of
+from cnclik.engine.routine import INT, REAL, Field, Routine, read
 from cnclik.export.trace import Asked, Stepping, read_as
-from cnclik.native.graph import INT, Graph
-from cnclik.native.program import Field, Program, arguments, traced
-from cnclik.native.reader import Reader, repeats
 
 RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")
-_OVER_TIME = {"residual": "max", "contraction": "max", "least": "min", "status": "or"}  # of all steps together
+_OVER_TIME = {  # of all steps together: how two are put together, and what is before the first
+    "residual": (jnp.maximum, 0),
+    "contraction": (jnp.maximum, 0),
+    "least": (jnp.minimum, jnp.inf),
+    "status": (jnp.bitwise_or, 0),
+}
 
 
-def trace_loop(asked: Asked, wanted=RESULTS) -> Program:
+def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
     """A loop of `steps` steps: joints, error and coordinates at its end, and what is told of all steps.
 
-    Args:
-      wanted: names of results.
+    Args: wanted: names of results.
     """
     step = Stepping(asked, timed=True)
-    groups = {name: step.groups[name] for name in ("parameters", "input")}
-    one, last = traced(step.one, step.groups, asked.dtype), traced(step.end, groups, asked.dtype)
-    graph = Graph(asked.dtype)
-    values, kept = arguments(graph, groups, asked.runtime)
-    reader = Reader(graph, repeats(one.jaxpr))
-    names = [f.name for f in groups["input"]]
-    q0, t0, Ts = (values["input"][names.index(name)] for name in ("q", "t", "Ts"))
-    told = [f for f in step.told if f.name not in ("e", "x")]
-    carried = [*told, *step.groups["history"]]
+    parameters, names = step.groups["parameters"], [f.name for f in step.groups["input"]]
+    # A column of a batch holds real numbers.
+    groups = {"parameters": [f._replace(kind=REAL) for f in parameters], "input": step.groups["input"]}
+    carried = [f for f in step.told if f.name == "q" or (f.name in wanted and f.name not in ("e", "x"))]
 
-    def at(q, k):
-        """The arguments of step k, a node."""
-        inputs = list(values["input"])
-        moved = graph.apply("add", t0.flat[0], graph.apply("mul", graph.apply("to_real", k), Ts.flat[0]))
-        inputs[names.index("q")], inputs[names.index("t")] = q, array_of([moved], ())
-        return [*values["parameters"], *inputs]
+    def zeros(f):
+        return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], asked.dtype if f.kind == REAL else jnp.int32)
 
-    def apart(cells):
-        cells = iter(cells)
-        return [array_of([next(cells) for _ in range(f.size)], f.shape) for f in carried]
+    def loop(*flat):
+        known = [x.astype(jnp.int32) if f.kind == INT else x for f, x in zip(parameters, flat, strict=False)]
+        *given, steps = flat[len(known) :]
+        given = dict(zip(names, given, strict=True))
 
-    def body(k, cells):
-        state = apart(cells)
-        made = reader.run(one.jaxpr, one.consts, [*at(state[0], k), *state[len(told) :]])
-        now = dict(zip([f.name for f in step.told], made, strict=False))
-        for field, old in zip(told, state, strict=False):
-            if field.name in _OVER_TIME:
-                both = graph.apply(_OVER_TIME[field.name], old.flat[0], now[field.name].flat[0])
-                now[field.name] = array_of([both], ())
-        return [cell for value in (*(now[f.name] for f in told), *made[len(step.told) :]) for cell in value.flat]
+        def at(q, k):
+            now = {"q": q, "t": given["t"] + k.astype(asked.dtype) * given["Ts"]}
+            return [*known, *(given | now).values()]
 
-    first = [*q0.flat]
-    for field in carried[1:]:
-        first += [graph.const(np.inf if field is told[-2] else 0, field.kind)] * field.size
-    ended = apart(graph.loop("steps", first, body, kinds=[f.kind for f in carried for _ in range(f.size)]))
-    e, x = reader.run(last.jaxpr, last.consts, at(ended[0], graph.input("steps", 0, INT)))
-    found = dict(zip([f.name for f in told], ended, strict=False)) | {"e": e, "x": x}
+        def once(k, state):
+            told, past = state
+            found, past = step.one(*at(told["q"], k), *past)
+            now = {f.name: jnp.asarray(x, zeros(f).dtype) for f, x in zip(step.told, found, strict=True)}
+            now |= {name: _OVER_TIME[name][0](told[name], now[name]) for name in _OVER_TIME if name in told}
+            return {name: now[name] for name in told}, past
+
+        first = {f.name: zeros(f) for f in carried} | {"q": given["q"]}
+        told, _ = jax.lax.fori_loop(0, steps, once, (first, [zeros(f) for f in step.groups["history"]]))
+        found = told | dict(zip(("e", "x"), step.end(*at(told["q"], steps)), strict=True))
+        return [found[name] for name in RESULTS if name in wanted]
+
     by_name = {f.name: f for f in step.told}
-    outputs = [(by_name[name], list(found[name].flat)) for name in RESULTS if name in wanted]
-    return Program(graph, kept, {"output": outputs})
+    told = {"output": [by_name[name] for name in RESULTS if name in wanted]}
+    fixed = [f.name for f in parameters if asked.runtime is not None and f.name not in asked.runtime]
+    return read(loop, groups | {"steps": [Field("steps", (), INT)]}, told, dtype=asked.dtype, fixed=fixed)
 
 
-def trace_growth(asked: Asked) -> Program:
+def trace_growth(asked: Asked) -> Routine:
     """Whether a step grew: from the errors `e` at its two ends, at the times `t`."""
     step = Stepping(asked, timed=True)
     groups = {name: step.groups[name] for name in ("parameters", "input")}
     ends = [Field("t", (2,)), Field("e", (2, asked.law.task.m))]
-    return read_as(asked, step.grown, groups | {"ends": ends}, {"output": [Field("status", (1,), INT)]})
+    return read_as(asked, step.grown, groups | {"ends": ends}, {"output": [Field("status", (), INT)]})

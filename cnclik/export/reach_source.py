@@ -7,10 +7,9 @@ inside, see `reaching.units`.
 
 import math
 
+from cnclik.export.cost import operations
 from cnclik.export.reach_trace import Reaching
 from cnclik.export.source import Names, body, signature, struct
-from cnclik.native.cost import operations
-from cnclik.native.scalar import number, rows
 from cnclik.reaching.seeds import TURN
 from cnclik.reaching.single import ROUNDS_FAR, STEPS, TOGETHER
 
@@ -24,7 +23,7 @@ def most_operations(reaching: Reaching) -> dict:
 
 
 def reach_source(reaching: Reaching, names: Names) -> tuple:
-    """The text of all functions, and the operations in it."""
+    """The text of all functions, and what `helpers` are for."""
     name, groups = names.name, reaching.look.inputs
     given = ", ".join(f"const {names.type(g)} *{g}" for g in ("parameters", "input", "bounds"))
     text, used = body(reaching.look, names, f"static void {name}_look({given}, {names.type('search')} *search)")
@@ -46,13 +45,13 @@ def _nearest(reaching, names) -> str:
     p = columns - 9 * turned
     parts = []
     if p:
-        factor = number(reaching.scale, "real", names.dtype)
+        factor = names.number(reaching.scale)
         parts.append(f"""    for (i = 0; i < {p}; ++i) {{
       const {names.real} d = {factor} * input->position[i] - tips[k][i];
       far += d * d;
     }}""")
     if turned:
-        factor = number(TURN, "real", names.dtype)
+        factor = names.number(TURN)
         parts.append(f"""    for (i = 0; i < 9; ++i) {{
       const {names.real} d = {factor} * input->rotation[i] - tips[k][{f"{p} + " * bool(p)}i];
       far += d * d;
@@ -60,7 +59,7 @@ def _nearest(reaching, names) -> str:
     return f"""/* The number of the posture, of those not tried yet, whose tip is nearest to the target. */
 static int {names.name}_nearest(const {names.type("input")} *input, const unsigned char *tried)
 {{
-  static const {names.real} tips[{count}][{columns}] = {rows(reaching.tips, "real", names.dtype, "    ")};
+  static const {names.real} tips[{count}][{columns}] = {names.rows(reaching.tips, indent="    ")};
   {names.real} least = INFINITY;
   int found = 0, k, i;
   for (k = 0; k < {count}; ++k) {{
@@ -80,9 +79,7 @@ def _search(reaching, names) -> str:
     """The exported function."""
     (count, n), real, f = reaching.postures.shape, names.real, names.suffix
     inputs = reaching.call.inputs["input"]
-
-    def c(x):
-        return number(x, "real", names.dtype)
+    c = names.number
 
     finite = "\n".join(
         f"  for (i = 0; i < {field.size}; ++i) {{\n    sum += 0 * input->{field.name}[i];\n  }}" for field in inputs
@@ -107,7 +104,7 @@ def _search(reaching, names) -> str:
     {{{", ".join(map(c, reaching.lower.tolist()))}}},
     {{{", ".join(map(c, reaching.upper.tolist()))}}}
   }};
-  static const {real} postures[{count}][{n}] = {rows(reaching.postures, "real", names.dtype, "    ")};
+  static const {real} postures[{count}][{n}] = {names.rows(reaching.postures, indent="    ")};
   unsigned char tried[{count}] = {{0}};
   {names.type("search")} at, best;
   {real} sum = 0, turn;
@@ -177,9 +174,7 @@ def _units(reaching, names, inputs) -> tuple:
     """Statements that bring what is given into the chain's unit, and joint values back; nothing where that is 1 m."""
     if reaching.unit == 1.0:
         return "", ""
-
-    def c(x):
-        return number(x, "real", names.dtype)
+    c = names.number
 
     slides = [(i, own) for i, own in enumerate(reaching.own) if own != 1.0]
     lines = [

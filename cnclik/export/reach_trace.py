@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.engine.routine import INT, Field, Routine
 from cnclik.export.trace import Asked, read_as
-from cnclik.native.graph import INT
-from cnclik.native.program import Field, Program
 from cnclik.reaching.seeds import SETS, SIZE, seeds
 from cnclik.reaching.step import Search, iterate
 from cnclik.reaching.units import in_units, of_joints
@@ -24,8 +23,8 @@ LEAST = 64.0  # roundings, that a tolerance is at least
 class Reaching(NamedTuple):
     """What the C is written from."""
 
-    look: Program  # of the state of a search: look, and step on
-    call: Program  # what the exported function takes and gives, without a graph
+    look: Routine  # of the state of a search: look, and step on
+    call: Routine  # what the exported function takes and gives, without a graph
     unit: float  # [m] of all lengths in the tables, and of the look
     own: tuple  # (n,) what a joint value there is multiplied with: the unit of joints that slide, 1 of others
     lower: np.ndarray  # (n,)
@@ -63,9 +62,7 @@ def trace_reach(asked: Asked, count: int) -> Reaching:
     ]
     return Reaching(
         look=_look(asked, chain, task, parameters[:1], given[1:]),
-        call=Program(
-            None, {"parameters": parameters, "input": given, "history": []}, {"output": [(f, []) for f in told]}
-        ),
+        call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": told}),
         unit=unit,
         own=own,
         lower=np.array(chain.lower, float),
@@ -79,7 +76,7 @@ def trace_reach(asked: Asked, count: int) -> Reaching:
     )
 
 
-def _look(asked, chain, task, parameters, target) -> Program:
+def _look(asked, chain, task, parameters, target) -> Routine:
     n = chain.n
     bounds = [Field("low", (n,)), Field("high", (n,))]
     state = [Field("q", (n,)), Field("best", (n,)), Field("squares", (2,))]

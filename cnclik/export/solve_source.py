@@ -1,7 +1,8 @@
 """Solve source: N steps in one call, around the exported step."""
 
-from cnclik.export.source import GROUPS, Names, arguments, named_as, places
-from cnclik.native.scalar import Writer
+import re
+
+from cnclik.export.source import GROUPS, Names, arguments, statements
 
 
 def solve_header(program, names: Names) -> str:
@@ -35,22 +36,14 @@ def signature(program, names) -> str:
     return f"int32_t {names.name}({given},\n  int32_t steps, const {names.name}_trajectory *trajectory)"
 
 
-def solve_source(program, growth, names: Names, n, m) -> str:
-    """The loop, and the function that tells whether a step grew."""
-    writer = Writer(growth.graph, growth.ends, places(growth, names) | {"ends.t": ("t", True), "ends.e": ("e", True)})
-    lines = writer.statements()
-    (value,) = [writer.of(node) for node in growth.ends]
+def solve_source(program, growth, names: Names, n, m) -> tuple:
+    """The loop, and the function that tells whether a step grew; and what `helpers` are for."""
+    ends = {"output": "grown", "ends": "{}"}
+    lines, functions = statements(growth, names, lambda g, f: ends.get(g, f"{g}->{f.name}").format(f.name))
     used = [g for g in ("parameters", "input") if any(f"{g}->" in line for line in lines)]
-    constant = ", ".join(f"const {names.type(g)} *{g}" for g in used)
-    grown = named_as(
-        f"static int32_t {names.name}_grown({constant + ', ' * bool(used)}const @REAL@ *t, const @REAL@ *e)\n{{\n"
-        + "\n".join([*lines, f"  return {value};"])
-        + "\n}\n",
-        names,
-    )
-    lines = [line for line in grown.split("\n")]
-    if not any("t[" in line for line in lines[2:]):
-        lines.insert(2, "  (void)t;")
+    constant = "".join(f"const {names.type(g)} *{g}, " for g in used)
+    lines = [*["  (void)t;"] * (not re.search(r"\bt\[", "".join(lines))), "  int32_t grown;", *lines]
+    grown = f"static int32_t {names.name}_grown({constant}const {names.real} *t, const {names.real} *e)\n{{\n"
     given = ", ".join([*(g if g != "input" else "&at" for g in GROUPS if program.inputs[g]), "output"])
     kept = keep = restore = ""
     if program.inputs["history"]:
@@ -59,7 +52,8 @@ def solve_source(program, growth, names: Names, n, m) -> str:
         restore = "\n  *history = kept;"
     of_growth = "".join(f"{'&at' if g == 'input' else g}, " for g in used)
     return (
-        "\n".join(lines)
+        grown
+        + "\n".join([*lines, "  return grown;", "}", ""])
         + f"""
 {signature(program, names)}
 {{
@@ -101,5 +95,6 @@ def solve_source(program, growth, names: Names, n, m) -> str:
   output->status = all;{restore}
   return all;
 }}
-"""
+""",
+        functions,
     )

@@ -4,11 +4,11 @@ import textwrap
 
 import numpy as np
 
+from cnclik.engine.operations import number
+from cnclik.engine.routine import INT
+from cnclik.engine.scalar import ScalarWriter, helpers
 from cnclik.integrate.status import Status
-from cnclik.native.graph import INT, functions
-from cnclik.native.scalar import Writer, number
 from cnclik.reaching.result import ReachStatus
-from cnclik.robot.trig import RANGE, TABLES
 from cnclik.version import __version__
 
 GROUPS = ("parameters", "input", "history")
@@ -32,9 +32,14 @@ class Names:
     def type(self, group) -> str:
         return f"{self.name}_{group}"
 
-    def place(self, group, field) -> tuple:
-        """(C expression of a field, whether it is an array)."""
-        return f"{group}->{field.name}", bool(field.shape)
+    def number(self, value, kind="real") -> str:
+        """A constant in C."""
+        return number(value, self.dtype if kind == "real" else np.int32)
+
+    def rows(self, values, kind="real", indent="  ") -> str:
+        """A table's initializer in C, row by row."""
+        lines = (", ".join(self.number(v, kind) for v in row) for row in np.asarray(values).tolist())
+        return "{\n" + ",\n".join(f"{indent}{{{line}}}" for line in lines) + f"\n{indent[2:]}}}"
 
 
 def comment(text) -> str:
@@ -55,7 +60,7 @@ def header(program, names, told, more="") -> str:
     """
     guard = f"{names.name.upper()}_H"
     groups = {g: fields for g, fields in program.inputs.items() if fields}
-    groups["output"] = [field for field, _ in program.outputs["output"]]
+    groups["output"] = program.outputs["output"]
     types = "\n".join(struct(names, group, fields) for group, fields in groups.items())
     bits = ""
     if names.statuses:
@@ -107,133 +112,42 @@ def defaults_signature(names) -> str:
     return f"void {names.name}_defaults({names.type('parameters')} *parameters)"
 
 
-def source(program, names, more="", inside=None) -> str:
-    """The whole source file; `more` stands at its end. `inside`: another text for the function, and what it uses."""
+def source(program, names, more=None, inside=None) -> str:
+    """The whole source file. `inside`: other functions for the one of the program; `more`: what stands at its end.
+
+    Each is a text with what `helpers` are for.
+    """
     function, used = inside or body(program, names)
+    ending, also = more or ("", set())
     parts = [
         f"/* Written by cnclik {__version__}; see {names.name}.h. */\n",
         f'#include "{names.name}.h"\n\n#include <math.h>\n' + "#include <string.h>\n" * bool(inside),
-        *helpers(names, used),
+        helpers(used | also, f"{names.name}_"),
     ]
     if program.inputs["parameters"]:
         parts.append(_defaults(program, names))
-    return "\n".join([*parts, function, *[more] * bool(more)])
+    return "\n".join([*filter(None, parts), function, *[ending] * bool(ending)])
 
 
-def places(program, names) -> dict:
-    """{argument: (its place in C, whether that is an array)}."""
-    return {f"{g}.{f.name}": names.place(g, f) for g, fields in program.inputs.items() for f in fields}
+def statements(program, names, place=lambda group, field: f"{group}->{field.name}"):
+    """(lines of a function of the program, what its `helpers` are for); `place` tells where fields are."""
+    writer = ScalarWriter(program.graph, program.given, program.outs, *program.places(place), f"{names.name}_")
+    return writer.statements(), writer.functions
 
 
 def body(program, names, line=""):
-    """The function's text, and the operations in it. `line`: its own line, where it isn't the exported one."""
+    """A function's text, and what `helpers` are for. `line`: its own line, where it isn't the exported one."""
+    lines, used = statements(program, names)
     given = [g for g in program.inputs if program.inputs[g]]
-    called = {f: f"{names.name}_part{i}" for i, f in enumerate(functions(program.graph), 1)}
-    used = set()
-    parts = [_part(f, called, used) for f in called]
-    writer = Writer(program.graph, program.ends, places(program, names), called)
-    lines = writer.statements()
-    stores = []
-    for group, fields in program.outputs.items():
-        for field, nodes in fields:
-            place, array = names.place(group, field)
-            values = [writer.of(node) for node in nodes]  # all is read before anything is written
-            stores += [f"  {place}{f'[{i}]' if array else ''} = {v};" for i, v in enumerate(values)]
-    lines += stores
     lines[:0] = [f"  (void){g};" for g in given if not any(f"{g}->" in text for text in lines)]
     if names.statuses and "output" in program.outputs:
         lines.append("  return output->status;")
-    text = f"{line or signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n"
-    return named_as("\n".join([*parts, text]), names), writer.used | used
-
-
-def _part(function, called, used) -> str:
-    """A function that is called several times."""
-    writer = Writer(function.graph, function.results, {"a": ("a", True)}, called)
-    lines = writer.statements()
-    lines += [f"  r[{i}] = {v};" for i, v in enumerate([writer.of(node) for node in function.results])]
-    used |= writer.used
-    return f"static void {called[function]}(const @REAL@ *a, @REAL@ *r)\n{{\n" + "\n".join(lines) + "\n}\n"
-
-
-def named_as(text, names) -> str:
-    """The text with the placeholders of this export's own names filled in."""
-    there = {"SINCOS": f"{names.name}_sincos", "TO_INT": f"{names.name}_to_int", "REAL": names.real}
-    for word, name in there.items():
-        text = text.replace(f"@{word}@", name)
-    return text
+    return f"{line or signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n", used
 
 
 def _defaults(program, names) -> str:
     lines = []
     for f in program.inputs["parameters"]:
         for i, value in enumerate(np.ravel(f.value).tolist()):
-            lines.append(f"  parameters->{f.name}{f'[{i}]' if f.shape else ''} = {number(value, f.kind, names.dtype)};")
+            lines.append(f"  parameters->{f.name}{f'[{i}]' if f.shape else ''} = {names.number(value, f.kind)};")
     return f"{defaults_signature(names)}\n{{\n" + "\n".join(lines) + "\n}\n"
-
-
-def helpers(names, used) -> list:
-    """The static functions that some operations need."""
-    made = []
-    if "sincos" in used:
-        made.append(named_as(sincos(names), names))
-    if "to_int" in used:
-        made.append(named_as(_TO_INT.replace("{f}", names.suffix), names))
-    return made
-
-
-_TO_INT = """/* Towards 0; what is too large to the nearest, NaN to 0. */
-static int32_t @TO_INT@(@REAL@ x)
-{
-  if (x != x) {
-    return 0;
-  }
-  return x <= -2147483648.0{f} ? INT32_MIN : x >= 2147483648.0{f} ? INT32_MAX : (int32_t)x;
-}
-"""
-
-
-def sincos(names) -> str:
-    """Sine and cosine together, as `cnclik.robot.trig` has them."""
-    table, f = TABLES[24 if names.suffix else 53], names.suffix
-    *exact, part, tail = table.half_pi
-
-    def c(x):
-        text = number(x, "real", names.dtype)
-        return f"({text})" if text.startswith("-") else text
-
-    def horner(coefficients):
-        text = c(coefficients[-1])
-        for a in coefficients[-2::-1]:
-            text = f"({text} * z + {c(a)})"
-        return text
-
-    reduce = "\n".join(f"  x = x - k * {c(p)};" for p in exact)
-    magic = 1.5 * 2.0 ** (23 if f else 52)
-    return f"""/* sin x and cos x within 2 ulp: x = k pi/2 + r, then two polynomials of r (Cody & Waite 1980). */
-static void @SINCOS@(@REAL@ x, @REAL@ *sine, @REAL@ *cosine)
-{{
-  @REAL@ k, r, s, t, z;
-  int32_t quadrant;
-  if (!(fabs{f}(x) <= {c(RANGE)})) {{
-    *sine = sin{f}(x);
-    *cosine = cos{f}(x);
-    return;
-  }}
-  k = (x * {c(2 / np.pi)} + {c(magic)}) - {c(magic)}; /* to the nearest whole number */
-{reduce}
-  r = x - k * {c(part)};
-  r = r + (((x - r) - k * {c(part)}) - k * {c(tail)});
-  z = r * r;
-  s = r + r * z * {horner(table.sine)};
-  t = ({c(1.0)} - {c(0.5)} * z) + z * z * {horner(table.cosine)};
-  quadrant = (int32_t)k;
-  if (quadrant & 1) {{
-    const @REAL@ swap = s;
-    s = t;
-    t = swap;
-  }}
-  *sine = (quadrant & 2) ? -s : s;
-  *cosine = ((quadrant + 1) & 2) ? -t : t;
-}}
-"""

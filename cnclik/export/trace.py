@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.engine.constants import of_the_model
+from cnclik.engine.routine import INT, REAL, Field, Routine, read
 from cnclik.export import fields
 from cnclik.integrate.history import blank, packed
 from cnclik.integrate.solve import step_and_least
@@ -13,8 +15,6 @@ from cnclik.integrate.status import growing
 from cnclik.law.curves import Tangent
 from cnclik.law.law import look
 from cnclik.law.reference import Reference
-from cnclik.native.graph import INT, REAL
-from cnclik.native.program import Field, Program, read, shape
 from cnclik.record import cast
 from cnclik.robot import spatial as sp
 from cnclik.robot.frames import frames, jacobian_rows
@@ -34,17 +34,22 @@ class Asked(NamedTuple):
     runtime: object  # names of parameters that stay arguments; None for all
 
 
-def trace(asked: Asked) -> Program:
-    """The program of what is asked. Raises: `UnsupportedError` naming what has no C form."""
+def trace(asked: Asked) -> Routine:
+    """The routine of what is asked. Raises: `UnsupportedError` naming what has no C form."""
     if asked.what in ("fk", "jacobian"):
         return _of_chain(asked, {"fk": _pose, "jacobian": _jacobian}[asked.what])
     step = Stepping(asked, timed=asked.what == "solve")
     return read_as(asked, step.one, step.groups, {"output": step.told, "history": step.groups["history"]})
 
 
-def read_as(asked: Asked, fn, groups, told) -> Program:
-    """The program of a function in the dtype, and with the parameters at run time, that are asked for."""
-    return read(fn, groups, told, dtype=asked.dtype, runtime=asked.runtime)
+def read_as(asked: Asked, fn, groups, told) -> Routine:
+    """The routine of a function in the dtype, and with the parameters at run time, that are asked for.
+
+    Raises: `UnsupportedError` also of a loop whose rounds nothing bounds.
+    """
+    runtime = asked.runtime
+    fixed = [f.name for f in groups.get("parameters", ()) if runtime is not None and f.name not in runtime]
+    return read(fn, groups, told, dtype=asked.dtype, fixed=fixed)
 
 
 # --- the step -----------------------------------------------------------------------------------------
@@ -69,7 +74,9 @@ class Stepping:
         if timed or asked.reference is not None:
             given += [Field("t", (), about="time [s]", value=0.0)]
         given += [Field("Ts", (), about="sampling time [s]")]
-        start = jax.eval_shape(lambda q: packed(blank(law, tuple(q), asked.method)), shape((n,), asked.dtype))
+        start = jax.eval_shape(
+            lambda q: packed(blank(law, tuple(q), asked.method)), jax.ShapeDtypeStruct((n,), asked.dtype)
+        )
         past, self.past_def = jax.tree.flatten(start)
         words = fields.names([path for path, _ in fields.leaves(start)])
         kinds = [REAL if leaf.dtype.kind == "f" else INT for leaf in past]
@@ -96,7 +103,7 @@ class Stepping:
     def one(self, *flat):
         """A step: its results in the order of `told`, and its history."""
         law, stage, reference, inputs, past = self._apart(flat)
-        memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", 0.0)
+        memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", _start(self.asked.dtype))
         method = self.asked.method
         made, least = step_and_least(law, reference, inputs["q"], t, inputs["Ts"], stage, memory, method=method)
         told = [made.q, made.qdot, made.e, made.x, made.residual, made.contraction, least, made.status]
@@ -116,6 +123,11 @@ class Stepping:
         return growing(law.task, reference, times, errors)
 
 
+def _start(dtype):
+    """The time 0: what moves for so long has not moved, however fast."""
+    return of_the_model(jnp.zeros((), dtype))
+
+
 def _target(law, inputs):
     """The target as an argument: where it is, and how fast it moves."""
     p = len(law.task.position)
@@ -126,8 +138,11 @@ def _target(law, inputs):
         spin = tuple(about.get(i, jnp.zeros_like(velocity[0])) for i in range(3))
         rotation = tuple(tuple(inputs["rotation"][i, j] for j in range(3)) for i in range(3))
     position = tuple(inputs["position"][i] for i in range(p))
-    zero = jnp.zeros((), velocity[0].dtype)
-    return Reference(curve=Tangent(t=zero, position=position, velocity=velocity[:p], rotation=rotation, spin=spin))
+    return Reference(
+        curve=Tangent(
+            t=_start(velocity[0].dtype), position=position, velocity=velocity[:p], rotation=rotation, spin=spin
+        )
+    )
 
 
 # --- geometry alone -----------------------------------------------------------------------------------
@@ -150,7 +165,7 @@ def _jacobian(asked):
     return results, [Field("jacobian", (6, asked.law.chain.n), about=about)]
 
 
-def _of_chain(asked, make) -> Program:
+def _of_chain(asked, make) -> Routine:
     chain = asked.law.chain
     results, told = make(asked)
     parameters, put = fields.parameters(chain, asked.runtime)

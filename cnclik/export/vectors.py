@@ -1,8 +1,9 @@
 """Vectors: inputs of a test, and what comes out of them, for `example.c`."""
 
+import jax
 import numpy as np
 
-from cnclik.native.evaluate import evaluate
+from cnclik.hints import QUICK_COMPILE, known_options, use_form
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import start_posture
@@ -37,12 +38,14 @@ def inputs(asked, program, count=COUNT) -> dict:
 
 def results(program, given) -> dict:
     """{"group.name": (count, size)} of all results; of a search the status alone."""
-    if program.graph is None:
+    if program.fn is None:
         lost = np.isnan(given["input.q"]).any(1, keepdims=True)
         return {"output.status": np.where(lost, int(ReachStatus.NON_FINITE), int(ReachStatus.SOLVED))}
-    found = iter(evaluate(program.graph, program.ends, given))
-    return {
-        f"{group}.{f.name}": np.stack([next(found) for _ in nodes], -1)
-        for group, fields in program.outputs.items()
-        for f, nodes in fields
-    }
+    fields = [(f"{g}.{f.name}", f) for g, some in program.inputs.items() for f in some]
+    flat = [given[key].reshape(-1, *f.shape) for key, f in fields]
+    for i, value in sorted(program.fixed.items()):
+        flat.insert(i, np.broadcast_to(value, (len(flat[0]), *value.shape)))
+    with jax.enable_x64(any(x.dtype == np.float64 for x in flat)), use_form("rolled"):  # the sooner compiled
+        found = jax.jit(jax.vmap(program.fn), compiler_options=known_options(QUICK_COMPILE))(*flat)
+    keys = [f"{g}.{f.name}" for g, some in program.outputs.items() for f in some]
+    return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, found, strict=True)}

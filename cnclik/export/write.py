@@ -7,6 +7,8 @@ import re
 import numpy as np
 
 from cnclik import errors
+from cnclik.engine.graph import UnsupportedError
+from cnclik.export.cost import operations
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
 from cnclik.export.loop import RESULTS, trace_growth, trace_loop
@@ -19,8 +21,6 @@ from cnclik.integrate.method import DEFAULT, named
 from cnclik.integrate.solve import evaluations_of
 from cnclik.integrate.stage import picard
 from cnclik.law.law import Law, check_loop
-from cnclik.native.arrays import UnsupportedError
-from cnclik.native.cost import operations
 from cnclik.record import brief
 from cnclik.robot.chain import Chain
 from cnclik.version import __version__
@@ -71,7 +71,7 @@ def c(
     out = errors.path("out", out)
     names, told = Names(name, asked.dtype, what), configuration(asked)
     name = names.name
-    declared = loop = ""
+    declared, loop = "", None
     if what != "reach" and seeds is not None:
         raise errors.fail("seeds", f"be left out for {what!r}", f"is {seeds!r}")
     reaching = _read(trace_reach, asked, SEEDS if seeds is None else seeds) if what == "reach" else None
@@ -79,6 +79,7 @@ def c(
     if what == "solve":
         declared = solve_header(program, names)
         loop = solve_source(program, _read(trace_growth, asked), names, asked.law.chain.n, asked.law.task.m)
+    counted = _read(most_operations, reaching) if reaching else _read(operations, program)
     files = {
         f"{name}.h": header(program, names, told, declared),
         f"{name}.c": source(program, names, loop, reach_source(reaching, names) if reaching else None),
@@ -88,7 +89,6 @@ def c(
     if looped:
         files[f"{name}_batch.h"] = batch_header(looped, names)
         files[f"{name}_batch.c"] = batch_source(looped, names)
-    counted = most_operations(reaching) if reaching else operations(program)
     files["README.md"] = readme(program, names, told, [*files, MANIFEST, "README.md"], counted)
     about = {"files": {file: digest(text.encode()) for file, text in files.items()}}
     about |= manifest(asked, program, names, looped)
@@ -192,11 +192,11 @@ def manifest(asked, program, names, looped=None) -> dict:
         "dtype": str(asked.dtype),
         "method": str(asked.method),
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
-        "outputs": [row(f) for f, _ in program.outputs["output"]],
+        "outputs": [row(f) for f in program.outputs["output"]],
         "evaluations": _evaluations(asked),
         "batch": looped
         and {
-            "inputs": [row(f) for fields in looped.inputs.values() for f in fields],
-            "outputs": [row(f) for f, _ in looped.outputs["output"]],
+            "inputs": [row(f) for group, fields in looped.inputs.items() for f in fields if group != "steps"],
+            "outputs": [row(f) for f in looped.outputs["output"]],
         },
     }

@@ -11,7 +11,7 @@ from cnclik.engine.compiler import command
 from cnclik.engine.operations import scalar
 from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.reader import read
-from cnclik.engine.scalar import ScalarWriter
+from cnclik.engine.scalar import ScalarWriter, helpers
 from cnclik.engine.tracing import to_be_read
 
 STRICT = "-std=c99 -O1 -pedantic -Wall -Wextra -Werror -fPIC -shared"
@@ -41,7 +41,7 @@ def in_scalar_c(fn, *args):
     writes = [lambda at, x, i=i: f"{entry(i, at)} = {x};" for i in range(len(given), len(names))]
     writer = ScalarWriter(graph, nodes, outs, reads, writes)
     lines = "\n".join(writer.statements())
-    text = f"#include <math.h>\n#include <stdint.h>\n{writer.helpers()}\nvoid run(int64_t size, void **of);\n"
+    text = f"#include <math.h>\n#include <stdint.h>\n{helpers(writer.functions)}\nvoid run(int64_t size, void **of);\n"
     text += f"void run(int64_t size, void **of)\n{{\nfor (int64_t b = 0; b < size; ++b) {{\n{lines}\n}}\n}}\n"
     made = [np.empty((len(leaves[0]), *s.shape), s.dtype) for s in shapes]
     with tempfile.NamedTemporaryFile(suffix=".so") as library:

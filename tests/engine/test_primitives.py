@@ -2,13 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 from jax import lax
 
 from cnclik.engine.compiler import can_build
 from cnclik.engine.reader import ELEMENTWISE
-from engine.compare import check, in_c
+from engine.compare import check, in_c, in_scalar_c
 
 pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
 
@@ -48,17 +49,28 @@ def test_functions_of_one_number(names, dtype):
     )
 
 
+@pytest.mark.parametrize("by", [in_c, in_scalar_c])
 @pytest.mark.parametrize("dtype", REALS)
-def test_sines_and_angles_are_exact_to_two_roundings(dtype):
-    """Against long doubles: what dominates a loop's rounding is the engine's own."""
-    rng = np.random.default_rng(0)
-    x = [rng.uniform(-4, 4, 4000), rng.uniform(-1e4, 1e4, 4000), rng.normal(size=99) * 1e5]
-    x = np.concatenate(x).astype(dtype)
-    y = rng.permutation(x)
-    found = in_c(lambda x, y: (jnp.sin(x), jnp.cos(x), jnp.arctan2(y, x)), x, y)
-    wide = [v.astype(np.longdouble) for v in (x, y)]
-    for a, b, most in zip(found, (np.sin(wide[0]), np.cos(wide[0]), np.arctan2(*wide[::-1])), (2, 2, 3), strict=True):
-        assert (np.abs(a - b) / np.spacing(np.abs(b).astype(dtype))).max() < most
+def test_sines_and_angles_are_exact_to_a_few_ulp(dtype, by):
+    """Against 60 digits: all over the range, beyond it, on the axes, at 0, infinity and NaN."""
+    random, eps = np.random.default_rng(0), np.finfo(dtype).eps
+    special = [0.0, -0.0, 1.0, -1.0, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan, 0.5, 2.0]
+    y, x = (np.concatenate([random.normal(size=400) * 10.0 ** random.uniform(-3, 5, 400)]) for _ in range(2))
+    y = np.concatenate([y, np.arange(-8, 9) * np.pi / 2, np.repeat(special, len(special))]).astype(dtype)
+    x = np.concatenate([x, random.normal(size=17), np.tile(special, len(special))]).astype(dtype)
+    found = by(lambda y, x: (jnp.sin(y), jnp.cos(y), jnp.arctan2(y, x)), y, x)
+    mpmath.mp.dps = 60
+    for a, b, sine, cosine, angle in zip(y.tolist(), x.tolist(), *(v.tolist() for v in found), strict=True):
+        if np.isfinite(a):
+            assert abs(sine - float(mpmath.sin(a))) <= 1.5 * eps and abs(cosine - float(mpmath.cos(a))) <= 1.5 * eps
+        else:
+            assert np.isnan(sine) and np.isnan(cosine)
+        wanted = np.arctan2(a, b)
+        near = 3 * eps * abs(wanted)
+        if np.isfinite(a) and np.isfinite(b) and a * b != 0:
+            wanted = float(mpmath.atan2(a, b)) or wanted
+        assert np.isnan(angle) if np.isnan(wanted) else abs(angle - wanted) <= near + np.finfo(dtype).tiny, (a, b)
+        assert np.isnan(wanted) or np.signbit(angle) == np.signbit(a)
 
 
 @pytest.mark.parametrize("dtype", REALS)

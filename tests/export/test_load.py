@@ -1,17 +1,14 @@
 """Exported functions called from Python: the same records as the library's own, whole loops, many lanes."""
 
-import ctypes
 import shutil
 import threading
 
 import jax
 import jax.numpy as jnp
-import mpmath
 import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.engine.compiler import build
 from tests.export.combinations import arm
 
 Q = np.array([0.3, 0.5, -0.4])
@@ -216,46 +213,3 @@ def test_batches_run_side_by_side(step):
     [t.start() for t in threads]
     [t.join() for t in threads]
     assert all((found[k] == step.batch(many, [0.9, 1.2], Ts=0.01, N=5 + k)["q"][0]).all() for k in range(4))
-
-
-HARNESS = """
-#include "clik_step_batch.c"
-void both(const REAL *y, const REAL *x, REAL *sine, REAL *cosine, REAL *angle)
-{
-  V a, b, s, c, r;
-  for (int i = 0; i < W; ++i) a[i] = y[i], b[i] = x[i];
-  vsincos(a, &s, &c);
-  r = vatan2(a, b);
-  for (int i = 0; i < W; ++i) sine[i] = s[i], cosine[i] = c[i], angle[i] = r[i];
-}
-int width(void) { return W; }
-"""
-
-
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_sine_cosine_and_arctangent_are_exact_to_a_few_ulp(dtype, tmp_path):
-    """Against 40 digits: all over the range, beyond it, on the axes, at 0, infinity and NaN."""
-    folder = ck.export.c(a_law(), out=tmp_path, method="EE", dtype=dtype, batch=True)
-    (folder / "all.c").write_text(HARNESS.replace("REAL", "float" if dtype == "float32" else "double"))
-    library = ctypes.CDLL(str(build([folder / "all.c"], folder)))
-    width, random, eps = library.width(), np.random.default_rng(0), np.finfo(dtype).eps
-    special = [0.0, -0.0, 1.0, -1.0, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan, 0.5, 2.0]
-    y, x = (np.concatenate([random.normal(size=400) * 10.0 ** random.uniform(-3, 5, 400)]) for _ in range(2))
-    y = np.concatenate([y, np.arange(-8, 9) * np.pi / 2, np.repeat(special, len(special))]).astype(dtype)
-    x = np.concatenate([x, random.normal(size=17), np.tile(special, len(special))]).astype(dtype)
-    y, x = (np.concatenate([v, np.ones(-len(v) % width, dtype)]) for v in (y, x))
-    found = np.empty((3, len(y)), dtype)
-    for k in range(0, len(y), width):
-        library.both(*(ctypes.c_void_p(v[k:].ctypes.data) for v in (y, x, *found)))
-    mpmath.mp.dps = 60
-    for a, b, sine, cosine, angle in zip(y.tolist(), x.tolist(), *found.tolist(), strict=True):
-        if np.isfinite(a):
-            assert abs(sine - float(mpmath.sin(a))) <= 1.5 * eps and abs(cosine - float(mpmath.cos(a))) <= 1.5 * eps
-        else:
-            assert np.isnan(sine) and np.isnan(cosine)
-        wanted = np.arctan2(a, b)
-        near = 3 * eps * abs(wanted)
-        if np.isfinite(a) and np.isfinite(b) and a * b != 0:
-            wanted = float(mpmath.atan2(a, b)) or wanted
-        assert np.isnan(angle) if np.isnan(wanted) else abs(angle - wanted) <= near + np.finfo(dtype).tiny, (a, b)
-        assert np.isnan(wanted) or np.signbit(angle) == np.signbit(a)

@@ -1,0 +1,70 @@
+"""Routine: a traced function whose arguments and results have names, for C that is called by other C."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik.engine.graph import Graph
+from cnclik.engine.reader import read_jaxpr
+from cnclik.engine.tracing import to_be_read
+
+REAL, INT = "real", "int"
+
+
+class Field(NamedTuple):
+    """An argument or a result."""
+
+    name: str
+    shape: tuple = ()
+    kind: str = REAL
+    about: str = ""
+    value: object = None  # where nothing else is given
+
+    @property
+    def size(self) -> int:
+        """Its entries."""
+        return int(np.prod(self.shape))
+
+
+class Routine(NamedTuple):
+    """A function as a graph, its arguments and results as fields in groups."""
+
+    inputs: dict  # {group: [Field]}
+    outputs: dict  # {group: [Field]}
+    graph: Graph | None = None
+    given: list = ()  # its input nodes, field by field
+    outs: list = ()  # its results, field by field
+    fn: object = None  # of flat arrays, those that are compiled in among them
+    fixed: dict | None = None  # {number of an argument of `fn`: its value, which is compiled in}
+
+    def places(self, place) -> tuple:
+        """What `Writer` reads and writes, from the place in C that `place(group, field)` gives."""
+        reads = [_entry(place(g, f), f) for g, some in self.inputs.items() for f in some]
+        there = [_entry(place(g, f), f) for g, some in self.outputs.items() for f in some]
+        return reads, [lambda at, words, entry=entry: f"{entry(at)} = {words};" for entry in there]
+
+
+def _entry(place, field):
+    return lambda at: f"{place}[{at}]" if field.shape else place
+
+
+def read(fn, groups, told, *, dtype, fixed=()) -> Routine:
+    """The routine of a function of flat arrays, field by field.
+
+    Args: told: its results in groups. fixed: names of `parameters` that are compiled in.
+    """
+    types = {REAL: np.dtype(dtype), INT: np.dtype(np.int32)}
+    every = [(g, f, types[f.kind]) for g, some in groups.items() for f in some]
+    known = {i: np.asarray(f.value, t) for i, (g, f, t) in enumerate(every) if g == "parameters" and f.name in fixed}
+    wanted = [types[f.kind] for some in told.values() for f in some]
+
+    def typed(*flat):
+        return [jnp.asarray(x, t) for x, t in zip(jax.tree.leaves(fn(*flat)), wanted, strict=True)]
+
+    with to_be_read(), jax.enable_x64(types[REAL].itemsize == 8):
+        closed = jax.make_jaxpr(typed)(*(jax.ShapeDtypeStruct(f.shape, t) for _, f, t in every))
+    graph, given, outs = read_jaxpr(closed, known)
+    kept = {g: [f for f in some if not (g == "parameters" and f.name in fixed)] for g, some in groups.items()}
+    return Routine(kept, told, graph, [n for i, n in enumerate(given) if i not in known], outs, typed, known)
