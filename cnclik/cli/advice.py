@@ -127,11 +127,12 @@ def _costs(said, found) -> list:
 
     gain, Ts, drive, chain = said.recommended, found.Ts, found.drive, found.law.chain
     late = "any dead time" if gain.delay_margin == math.inf else f"{in_samples(gain.delay_margin, Ts)} more dead time"
+    within = f"settles to within 2 % in {gain.settling_time:.3g} s"
+    settles = (
+        within if gain.settling_time < math.inf else "does not settle to within 2 % in the time that was looked at"
+    )
     more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times this gain"
-    lines = [
-        f"A step settles to within 2 % in {gain.settling_time:.3g} s. The loop stays stable with "
-        f"{late}{f', or with {more}' if exact(drive) else ''}."
-    ]
+    lines = [f"A step {settles}. The loop stays stable with {late}{f', or with {more}' if exact(drive) else ''}."]
     own = drive is not None and drive.feedback == "commanded"
     unit = "mm" if set(chain.units) == {"m"} else "mrad"
     noise = (

@@ -81,9 +81,12 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     if gain is not None and not 1 / NEAR < gain / z < NEAR:
         notes.append(f"alpha·Ts is {gain:.4g}: what is measured or driven changes the gain by {z / gain:.3g}.")
     doubtful = made["confidence"] < SURE and not (whole or len(likely) > 1)
-    if doubtful or (alpha is not None and not 1 / APART_Z < z / (alpha * Ts) < APART_Z):
+    apart = alpha is not None and not 1 / APART_Z < z / (alpha * Ts) < APART_Z
+    if doubtful or apart:
+        why = f"alpha·Ts is {alpha * Ts:.4g}, far from this z, so " if apart else ""
         note = (
-            "No gain is named: this may be the motion of a path, or of another loop. Record the loop at rest, pushed."
+            f"No gain is named: {why}this may be the motion of a path, or of another loop. Record the loop at rest, "
+            "pushed."
         )
         return made | {"z": z, "note": note}
     made |= {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": share * z, "factor": share}

@@ -172,7 +172,7 @@ def gain_from(alpha):
     """A gain [1/s]: a number, or one per task coordinate; a list of one is a number. A negative one is refused."""
     alpha = errors.array("alpha", alpha)
     if errors.concrete(alpha) and alpha.ndim < 2 and np.any(np.asarray(alpha) < 0):
-        raise errors.fail("alpha", "be at least 0", f"is {np.asarray(alpha).tolist()}")
+        raise errors.fail("alpha", "be at least 0", f"is {' '.join(f'{v:g}' for v in np.atleast_1d(alpha))}")
     return alpha[0] if alpha.shape == (1,) else alpha
 
 

@@ -142,3 +142,9 @@ def test_plane_writes_the_limits_of_every_M_and_of_late_errors(tmp_path, capsys)
     text = (tmp_path / "plane.md").read_text(encoding="utf-8")
     assert "| IE | picard(1) | 1.0000 |" in text and "| IE | picard(2) | 1.3532 |" in text
     assert "| EE | 2.0000 | 1.0000 | 0.6180 | 0.4450 | 0.3473 |" in text
+
+
+def test_a_loop_too_slow_to_settle_is_not_said_to_settle(capsys):
+    main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "6", "--lag", "40"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "does not settle to within 2 % in the time that was looked at" in shown and "inf" not in shown

@@ -147,3 +147,10 @@ def test_a_long_log_with_many_columns_takes_seconds():
 def test_healthy_loops_ring_not():
     for d in (0, 2, 5):
         assert diagnose(loop(0.9 * monotone(d), d, 200), TS).kind is Kind.MONOTONE
+
+
+@pytest.mark.parametrize("alpha", [6.0, 600.0])
+def test_a_gain_far_from_the_one_that_rings_is_said_to_be_why_none_is_named(alpha):
+    """As of a slip in alpha's unit: the recording says z = 0.3, and alpha·Ts is not near it."""
+    found = diagnose(loop(0.3, 4, 150), TS, alpha=alpha)
+    assert found.factor is None and f"alpha·Ts is {alpha * TS:.4g}, far from this z" in found.note, found
