@@ -12,6 +12,7 @@ from cnclik.integrate.status import Status
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
 from cnclik.record import replace
+from cnclik.robot.posture import beyond_arm
 from cnclik.stability.driven import each_drive, modes_of, overshoot
 from cnclik.stability.local import Instant, maps, radii, resting, targets
 from cnclik.stability.observed import Observed, observe, rms
@@ -33,9 +34,11 @@ class Case:
 
     Attributes:
       loop: Ts, method, stage, drive. end, start: postures of the run's last and first instant, where it is judged.
-      target, turn: position and rotation wanted at the end. behind: how far the target moves in a step (RMS, last
-        quarter). path: time that the whole path takes [s], 0 where it is held or nobody knows; period: the same as
-        an option, negative where a circle is followed in the other sense, 0 where it is none.
+      wanted: (k, p) positions wanted over the last quarter, or None. target, turn: position and rotation wanted at the
+        one of them that is farthest beyond the stretched arm, or at the end where none is beyond it.
+      behind: how far the target moves in a step (RMS, last quarter). path: time that the whole path takes [s], 0 where
+        it is held or nobody knows; period: the same as an option, negative where a circle is followed in the other
+        sense, 0 where it is none.
       rows, radius, null_radius: J (m, n) and spectral radii over the task and its null space, at rest at the end.
       overshoot: how far beyond the target an error lands there, as a share of itself.
       fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold.
@@ -48,6 +51,7 @@ class Case:
     t: np.ndarray
     end: Instant
     start: Instant
+    wanted: np.ndarray | None
     target: np.ndarray | None
     turn: np.ndarray | None
     behind: float
@@ -163,6 +167,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
     until = 0 if seen.bad is not None else len(run.residual)
     some = np.linspace(max(until - len(seen.late) + 1, 0), until, LOOKED_AT).round().astype(int)
     wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some])]
+    at = farthest(law, wanted[0])
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
     late, p = e[: seen.bad][-len(seen.late) :], len(law.task.position)
@@ -174,8 +179,9 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
         t=t,
         end=end,
         start=start,
-        target=None if wanted[0] is None else wanted[0][-1],
-        turn=None if wanted[1] is None else wanted[1][-1],
+        wanted=wanted[0],
+        target=None if wanted[0] is None else wanted[0][at],
+        turn=None if wanted[1] is None else wanted[1][at],
         behind=rms(np.linalg.norm(wanted[2], axis=1)) * Ts,
         path=whole(reference),
         period=float(getattr(reference.curve, "period", getattr(reference.curve, "duration", 0.0))),
@@ -183,6 +189,14 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
         size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
         **_at_rest(law, end, weighted, Ts, method, stage, drive),
     )
+
+
+def farthest(law, places) -> int:
+    """Which of positions (k, p) is farthest beyond the stretched arm; the last where none is beyond it."""
+    if places is None:
+        return -1
+    away = np.asarray(beyond_arm(law.chain, places, (0, 1, 2) if places.shape[1] == 3 else law.task.linear), float)
+    return int(np.argmax(away)) if away.max() > 0 else -1
 
 
 def whole(reference: ref.Reference) -> float:

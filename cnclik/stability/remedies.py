@@ -8,7 +8,7 @@ from cnclik.integrate.stage import Picard
 from cnclik.law.inverse import Transpose
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import pose
-from cnclik.robot.posture import arm_length
+from cnclik.robot.posture import arm_length, beyond_arm
 from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD
 from cnclik.stability.local import fastest_share, resting, stable_share
@@ -187,7 +187,7 @@ def nearer(case) -> tuple:
             base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
             tip = base + INSIDE * (tip - base)
         if case.moving:
-            found.append(_shifted(case, tip))
+            found += _shifted(case, tip)
         elif not turns or case.reach_to(tip).solved:  # turned as it is wanted, which the nearest posture is not
             found.append(Remedy(change={"target": tip.tolist()}, words=f"bring the target to {_point(tip)}"))
     if case.seen.visible and case.seen.reversing > REVERSING and not case.seen.shrinks:
@@ -195,12 +195,14 @@ def nearer(case) -> tuple:
     return tuple(found)
 
 
-def _shifted(case, tip):
-    """The path moved as far as its end is out of reach."""
+def _shifted(case, tip) -> tuple:
+    """The path moved as far as it is out of reach, where that brings all of it nearer than the stretched arm."""
     axes = list(case.law.task.linear) if len(case.target) < 3 else [0, 1, 2]
     shift = np.zeros(3)
     shift[axes] = tip[axes] - case.target
-    return Remedy(change={"shift": shift.tolist()}, words=f"move the path by at least {_point(shift)} m")
+    if np.max(beyond_arm(case.law.chain, case.wanted + shift[axes], tuple(axes))) > case.seen.floor:
+        return ()
+    return (Remedy(change={"shift": shift.tolist()}, words=f"move the path by at least {_point(shift)} m"),)
 
 
 def _point(values):

@@ -406,3 +406,17 @@ def test_where_the_tip_is_to_turn_a_path_out_of_reach_is_not_moved():
         if "target" in one.change:
             there = judge(made, ck.hold(one.change["target"][:2], turn), 2000, start, Ts=0.02)
             assert there.error < 0.05 * told.error, there.sentence
+
+
+@pytest.mark.parametrize(("radius", "kind"), [(20.0, Behaviour.OUT_OF_REACH), (0.2, Behaviour.SETTLED)])
+def test_a_path_that_leaves_the_reach_and_comes_back_is_out_of_reach(radius, kind):
+    """Its end is where it began, within reach; all but there the arm is too short, and no shift of it helps."""
+    arm, Ts, N = ck.planar_arm([1.0, 0.8]), 0.01, 300
+    law, q0 = ck.Law(arm, ck.position("xy"), alpha=5.0), np.array([0.4, 1.1])
+    here = np.asarray(ck.pose(arm, q0).position)[:2]
+    path = ck.circle([here[0] + radius, here[1]], radius, period=N * Ts, phase=np.pi)
+    run = ck.solve(law, path, q0, Ts, N)
+    told = ck.verdict(law, path, run, Ts=Ts)
+    assert told.kind == kind, told
+    assert not any("shift" in one.change or "N" in one.change for one in told.remedies), told.remedies
+    assert ("beyond the stretched arm" in told.sentence) is (kind == Behaviour.OUT_OF_REACH)
