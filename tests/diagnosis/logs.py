@@ -18,6 +18,7 @@ TS = 0.004
 FINE = 20  # parts of a sample in which a lag is followed
 OVER = 0.05  # of a step, by which a loop may overshoot with a gain that is right
 SLOW = 0.25  # share of the largest gain without overshoot that such a gain has at least
+NEXT = 0.9  # or of the largest one with a sample more of dead time, where there is none
 KINDS = ("late", "lag", "excited", "excited lag", "sign", "turned", "healthy", "path", "sweep")
 
 
@@ -146,8 +147,10 @@ def is_right(log: Log, found) -> bool | None:
     if found.factor is None:
         return None
     z, delay, lag, calm = (log.about[name] for name in ("z", "delay", "lag", "calm"))
-    new = found.factor * z
-    return bool(over(new, delay, lag) < OVER and new > SLOW * calm)
+    new, least = found.factor * z, SLOW * calm
+    if not delay + lag:  # then a gain that suits a sample more is a quarter of the largest, and rounding would decide
+        least = NEXT * monotone(1)
+    return bool(over(new, delay, lag) < OVER and new > least)
 
 
 def answers(count, seed=0, kinds=KINDS):
