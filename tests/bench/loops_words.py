@@ -64,8 +64,8 @@ REBASED = """\
 rebased feedback. At small gains theory has them unstable from τ = (2π − arccos(4ζ² − 1))/(ω₀√(2 − 4ζ²)) on,
 64 ms for the lightest of these joints, of which the hold has 5 ms: more than 5.9 samples of delay. No gain is named
 where a sample more, or half or twice the inertia, is beyond that. *Else calm*: of ten gains from alpha·Ts = 0.02 to 1
-those that were stable for 8 s, arrived and did not overshoot. They are large ones: smaller ones run away, and where a
-null space, damping or a limit leaves little of a gain the loop does as with a small one.
+those that were stable for 8 s, arrived and did not overshoot. At 5 and 6 samples smaller ones are slow; at 7 and 8 they
+run away, and where a null space, damping or a limit leaves little of a larger one the loop does as with a small one.
 """
 
 NAMES = """\
