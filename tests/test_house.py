@@ -16,7 +16,7 @@ GROUND = (
     *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads", "lazy"),
     *("reading", "writing", "version", "quantities"),
 )
-BASE = ("engine", "robot", "law", "integrate", "native")  # reached through the names of the package alone
+BASE = ("engine", "robot", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (
     *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),
     "bench",
