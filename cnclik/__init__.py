@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.compilation import use_cache
     from cnclik.diagnosis.diagnose import diagnose
     from cnclik.diagnosis.fit import fit_drive
+    from cnclik.engine.native import native
     from cnclik.engine.plan import use_engine
     from cnclik.errors import ArgumentError
     from cnclik.hints import use_form, use_hints
@@ -83,6 +84,7 @@ _ON_USE = {
     "compilation": "use_cache",
     "diagnosis.diagnose": "diagnose",
     "diagnosis.fit": "fit_drive",
+    "engine.native": "native",
     "engine.plan": "use_engine",
     "errors": "ArgumentError",
     "hints": "use_form use_hints",
@@ -131,7 +133,7 @@ __all__ = [
     *("causal", "check_limits", "chord", "circle", "damped", "diagnose", "diagnosis", "exponential", "export"),
     *("fit_drive", "from_dh", "from_screws", "hold", "jacobian", "lanes", "line", "lissajous", "load_urdf"),
     *("manipulability", "manipulability_damped", "margin", "maximize_manipulability", "measure", "measure_run"),
-    *("newton", "orientation", "pace_at_rest", "paced", "panda", "paper", "path", "picard", "planar_arm"),
+    *("native", "newton", "orientation", "pace_at_rest", "paced", "panda", "paper", "path", "picard", "planar_arm"),
     *("plot", "pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "reach"),
     *("reachability", "reaching", "recommend", "replace", "require_ok", "resampled", "saturation", "settle"),
     *("show", "singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep"),

@@ -21,26 +21,43 @@ _registered = {}  # {name of a library: the program}: XLA may call it as long as
 
 
 def native(fn):
-    """Same arguments and, to rounding, same results as `fn`, by C where there is a compiler and `fn` has a C form.
+    """The same function as C, for use inside a JAX program of your own: native(fn)(*args) = fn(*args), to rounding.
 
-    Args: fn: a function of trees of small arrays, of one lane; `jax.vmap` it for many.
+    It stays so under `jax.jit`, `vmap`, `jvp`, `grad` and `lax.scan`, in any order and nested: jax.vmap(native(fn)) is
+    jax.vmap(fn) on vectors of lanes, and the derivatives of native(fn) are those of fn, as C, too.
 
-    It is fit for arithmetic, loops, branches and small matrices. Elsewhere than on a CPU, without a C compiler, or
-    where it does what has no C form, it is `fn` itself.
+    Args:
+      fn: a pure function of arrays, or trees of them, to such; of one lane: `jax.vmap` it for many. It is fit for
+        arithmetic, loops, branches, and matrices of up to 48 rows. What is no array, such as a number of steps, is
+        bound before: `native(functools.partial(fn, steps=20))`.
+
+    Returns: a function of the same arguments. The first call with arguments of new shapes compiles, for about a second.
+      Elsewhere than on a CPU, without a C compiler, or where `fn` does what has no C form, it is `fn` itself.
+    Raises: ArgumentError where `fn` is no function; in a call what `fn` raises.
     """
     if not callable(fn):
-        raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
+        raise errors.fail("fn", "be a function of arrays", f"is {fn!r}")
     made = {}
 
     @functools.wraps(fn)
-    def call(*args):
-        leaves, treedef = jax.tree.flatten(args)
+    def call(*args, **named):
+        leaves, treedef = jax.tree.flatten((args, named))
         leaves = [jnp.asarray(x) for x in leaves]
-        function = made.setdefault(treedef, Function(lambda *x: fn(*jax.tree.unflatten(treedef, x))))
+        function = made.setdefault(treedef, Function(_flattened(fn, treedef)))
         tree = function.tree(leaves)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
 
     return call
+
+
+def _flattened(fn, treedef):
+    """A function of trees as one of their leaves."""
+
+    def flat(*leaves):
+        args, named = jax.tree.unflatten(treedef, leaves)
+        return fn(*args, **named)
+
+    return flat
 
 
 class Function:

@@ -92,7 +92,7 @@ class Programs:
 
     def of(self, avals, treedef) -> Program | UnsupportedError:
         """The program for arguments of these avals, or why there is none."""
-        about = ((a.shape, np.dtype(a.dtype).str, a.weak_type) for a in avals)
+        about = ((a.shape, str(a.dtype), a.weak_type) for a in avals)
         key = jax.config.jax_enable_x64, treedef, *about
         return self.found.made(key, lambda _: self._made(avals, treedef))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from jax import lax
 
+import cnclik as ck
 from cnclik.engine.compiler import can_build
-from cnclik.engine.native import native
 from cnclik.errors import ArgumentError
 from engine.compare import same
 
@@ -24,7 +24,7 @@ def own(case, k):
     return {"end": end, "sum": jnp.sum(stack**2) * case["y"], "k": k + 1}
 
 
-NATIVE = native(own)
+NATIVE = ck.native(own)
 X, Y, K = np.linspace(0, 0.6, 3), 0.7, np.int32(2)
 MANY = np.random.default_rng(0).normal(size=(4, 3))
 
@@ -71,6 +71,11 @@ def test_transformations(name):
     same(jax.tree.map(np.asarray, found), jax.tree.map(np.asarray, wanted), ulps=400)
 
 
+def test_arguments_by_name():
+    given = {"case": {"x": X, "y": Y}, "k": K}
+    same(jax.tree.map(np.asarray, NATIVE(**given)), jax.tree.map(np.asarray, own(**given)), ulps=400)
+
+
 def test_it_is_c():
     text = jax.jit(jax.vmap(lambda x: NATIVE({"x": x, "y": Y}, K))).lower(MANY).as_text()
     assert "lanes-" in text and "sine" not in text
@@ -81,14 +86,22 @@ def test_without_a_c_form_it_is_the_function():
         return jnp.linalg.svd(x, compute_uv=False)
 
     x = np.random.default_rng(0).normal(size=(5, 2, 2))
-    same(jax.vmap(native(of))(x), jax.vmap(of)(x))
-    same(jax.jacrev(native(of))(x[0]), jax.jacrev(of)(x[0]), ulps=100)
+    same(jax.vmap(ck.native(of))(x), jax.vmap(of)(x))
+    same(jax.jacrev(ck.native(of))(x[0]), jax.jacrev(of)(x[0]), ulps=100)
+
+
+@pytest.mark.parametrize("key", [jax.random.key(0), jax.random.PRNGKey(0)], ids=["typed", "raw"])
+def test_a_key_of_random_numbers_may_be_an_argument(key):
+    def of(key, x):
+        return x * jax.random.normal(key, (3,))
+
+    same(jax.grad(lambda x: jnp.sum(ck.native(of)(key, x)))(X), of(key, jnp.ones(3)))
 
 
 def test_errors_are_the_functions_own():
-    with pytest.raises(ArgumentError, match="`fn` must be a function of one lane"):
-        native(3)
+    with pytest.raises(ArgumentError, match="`fn` must be a function of arrays"):
+        ck.native(3)
     with pytest.raises(ZeroDivisionError):
-        native(lambda x: 1 / 0)(X)
+        ck.native(lambda x: 1 / 0)(X)
     with pytest.raises(TypeError, match="dot_general"):
-        native(lambda x: x @ MANY)(X)
+        ck.native(lambda x: x @ MANY)(X)

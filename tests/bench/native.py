@@ -1,0 +1,87 @@
+"""`python -m tests.bench.native`: a function without robots in it, inside a user's own jit, plain and as C (a minute).
+
+docs/speed.md shows the table. On one core, by CPU time, in turn, the least of several rounds; the first call compiles.
+"""
+
+import functools
+import os
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import cnclik as ck
+
+LANES, ROUNDS = 4096, 15
+
+
+def swing(state, lengths, solve=jnp.linalg.solve):
+    """A double pendulum after half a second: 200 steps of the midpoint method. state: two angles, two velocities."""
+
+    def slope(s):
+        a, b, u, v = s
+        c, d = jnp.cos(a - b), jnp.sin(a - b)
+        mass = jnp.array([[2 * lengths[0], lengths[1] * c], [lengths[0] * c, lengths[1]]])
+        force = d * jnp.array([-lengths[1] * v**2, lengths[0] * u**2]) - 9.81 * jnp.array([2, 1]) * jnp.sin(s[:2])
+        return jnp.concatenate([s[2:], solve(mass, force)])
+
+    def step(s, _):
+        return s + 0.0025 * slope(s + 0.00125 * slope(s)), None
+
+    return jax.lax.scan(step, state, length=200)[0]
+
+
+def by_hand(matrix, b):
+    """Solution of two equations."""
+    (p, q), (r, s) = matrix
+    return jnp.array([s * b[0] - q * b[1], p * b[1] - r * b[0]]) / (p * s - q * r)
+
+
+def height(fn):
+    """How high the lower mass swings, as a function to be differentiated by the lengths."""
+    return lambda lengths, state: -jnp.dot(lengths, jnp.cos(fn(state, lengths)[:2]))
+
+
+def value(fn):
+    """Of all pendulums."""
+    return jax.jit(jax.vmap(fn, (0, None)))
+
+
+def gradient(fn):
+    """Of all pendulums."""
+    return jax.jit(lambda states, lengths: jax.vmap(jax.grad(height(fn)), (None, 0))(lengths, states))
+
+
+PROGRAMS = {
+    "value": (value, swing),
+    "value, `solve` by hand": (value, functools.partial(swing, solve=by_hand)),
+    "gradient by the lengths": (gradient, swing),
+    "gradient, `solve` by hand": (gradient, functools.partial(swing, solve=by_hand)),
+}
+
+
+def main():
+    """Print the table."""
+    states = np.random.default_rng(0).normal(size=(LANES, 4)).astype(np.float32)
+    lengths = np.array([1.0, 0.7], np.float32)
+    print(f"| {LANES:,} pendulums × 200 steps | jit(vmap) [ms] | with `ck.native` [ms] | ratio | first calls [s] |")
+    print("| --- | ---: | ---: | ---: | ---: |")
+    for name, (make, fn) in PROGRAMS.items():
+        runs, first, best = [make(fn), make(ck.native(fn))], [], [np.inf] * 2
+        for run in runs:
+            begun = time.perf_counter()
+            jax.block_until_ready(run(states, lengths))
+            first.append(time.perf_counter() - begun)
+        for _ in range(ROUNDS):
+            for k, run in enumerate(runs):
+                begun = time.process_time()
+                jax.block_until_ready(run(states, lengths))
+                best[k] = min(best[k], time.process_time() - begun)
+        a, b = (1e3 * t for t in best)
+        print(f"| {name} | {a:.1f} | {b:.2f} | {a / b:.0f} | {first[0]:.1f}, {first[1]:.1f} |")
+
+
+if __name__ == "__main__":
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX counts the cores
+    main()
