@@ -8,8 +8,10 @@ from jax import lax
 
 from cnclik.engine.compiler import can_build
 from cnclik.engine.constants import of_the_model
-from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.graph import UnsupportedError, While
 from cnclik.engine.program import Program
+from cnclik.engine.reader import read_jaxpr
+from cnclik.engine.tracing import to_be_read
 from engine.compare import check, in_c, same
 
 pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
@@ -112,6 +114,23 @@ def test_branches():
         return one, several, known, within[0]
 
     check(fn, batch(3), np.arange(SIZE, dtype=np.int32) - 2, ulps=20)
+
+
+def test_loops_that_count_compute_once_what_does_not_change_in_them():
+    """As many rounds as each lane asks for, none among them, also within a loop and in a branch."""
+
+    def counted(k, x, y):
+        return lax.fori_loop(0, k, lambda i, c: c + jnp.exp(y) * i, x)
+
+    def fn(k, x, y):
+        twice = lax.fori_loop(0, k, lambda i, c: counted(i, c, jnp.sin(y)), x)
+        return counted(k, x, y), twice, lax.cond(x > 0, lambda: counted(k, y, x), lambda: x)
+
+    check(fn, np.arange(SIZE, dtype=np.int32) % 5 - 1, batch(), batch(seed=1), ulps=50)
+    with to_be_read():
+        g, _, outs = read_jaxpr(jax.make_jaxpr(counted)(2, 0.5, 0.3))
+    (at,) = [i for i, item in enumerate(g.root.items) if isinstance(item, While)]
+    assert "exp" in [n.op for n in g.root.items[:at]] and outs[0].item().value[0] is g.root.items[at]
 
 
 def test_while_loops_end_for_each_lane_at_its_own_time():
