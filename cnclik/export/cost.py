@@ -3,7 +3,7 @@
 from collections import Counter
 
 from cnclik.engine.graph import Cond, Node, Scan, UnsupportedError, live
-from cnclik.engine.operations import COST
+from cnclik.engine.operations import COST, is_operation
 from cnclik.engine.to_c import cells_of
 
 _KINDS = ("arithmetic", "division and root", "library")
@@ -19,7 +19,7 @@ def _block(block, needed) -> Counter:
     total = Counter()
     for item in block.items:
         if isinstance(item, Node):
-            counts = item.number in needed and item.dtype.kind == "f" and item.op not in ("select_n", "pick", "index")
+            counts = item.number in needed and item.dtype.kind == "f" and is_operation(item) and item.op != "select_n"
             total[_kind(item.op)] += counts * (item.shape[0] if item.shape else 1)
         elif id(item) in needed:
             total += _region(item, needed)

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from cnclik.engine.routine import INT, REAL, Field, Routine, read
+from cnclik.engine.routine import INT, REAL, Field, Routine
 from cnclik.export.trace import Asked, Stepping, read_as
 
 RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")
@@ -52,8 +52,7 @@ def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
 
     by_name = {f.name: f for f in step.told}
     told = {"output": [by_name[name] for name in RESULTS if name in wanted]}
-    fixed = [f.name for f in parameters if asked.runtime is not None and f.name not in asked.runtime]
-    return read(loop, groups | {"steps": [Field("steps", (), INT)]}, told, dtype=asked.dtype, fixed=fixed)
+    return read_as(asked, loop, groups | {"steps": [Field("steps", (), INT)]}, told)
 
 
 def trace_growth(asked: Asked) -> Routine:

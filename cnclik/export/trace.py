@@ -43,10 +43,7 @@ def trace(asked: Asked) -> Routine:
 
 
 def read_as(asked: Asked, fn, groups, told) -> Routine:
-    """The routine of a function in the dtype, and with the parameters at run time, that are asked for.
-
-    Raises: `UnsupportedError` also of a loop whose rounds nothing bounds.
-    """
+    """The routine of a function in the dtype, and with the parameters at run time, that are asked for."""
     runtime = asked.runtime
     fixed = [f.name for f in groups.get("parameters", ()) if runtime is not None and f.name not in runtime]
     return read(fn, groups, told, dtype=asked.dtype, fixed=fixed)
