@@ -133,19 +133,26 @@ def downhill(setup: Setup, targets: Targets, made: Answers) -> Answers:
 
 
 def _try(setup, targets, left, done, copies, made, arrived):
-    """One try for the targets `left`; those that did not arrive. What arrived is appended to `arrived`."""
+    """One try for the targets `left`; those that did not arrive.
+
+    What arrived is appended to `arrived`: of each target's copies the nearest to `near` last, else that of least cost.
+    """
     if not len(left):
         return left
-    mine = targets.part(np.repeat(left, copies))
-    start = _starts(setup, mine, done, copies, made.places[np.repeat(left, copies)])
+    ids = np.repeat(left, copies)
+    mine = targets.part(ids)
+    start = _starts(setup, mine, done, copies, made.places[ids])
     careful = done >= PLAIN
     q, cost, here, looks = _in_float32(setup, mine, start, CAREFUL if careful else STEPS, careful)
     made.looks[left] += looks.reshape(-1, copies).sum(axis=1)
-    best = _preferred(q, cost, here, mine.near, copies)
-    q, cost, here = q[best], cost[best], here[best]
-    _keep(made, left, q, cost)
-    arrived.append((left[here], q[here]))
-    return left[~here]
+    cost = np.where(np.isfinite(cost), cost, np.inf)
+    best = np.arange(0, len(q), copies) + np.argmin(cost.reshape(-1, copies), axis=1)
+    _keep(made, left, q[best], cost[best])
+    value = cost if mine.near is None else np.max(np.abs(q - mine.near), axis=1)
+    order = np.argsort(-value)
+    order = order[here[order]]  # all: the one wanted most may be a minimum that float64 finds to be none
+    arrived.append((ids[order], q[order]))
+    return left[~here.reshape(-1, copies).any(axis=1)]
 
 
 def _polish(setup, targets, arrived, made):
@@ -221,17 +228,6 @@ def _in_float32(setup, mine, start, steps, careful):
     return found.q.astype(float), found.cost, found.within(coarse), found.looks
 
 
-def _preferred(q, cost, arrived, near, copies):
-    """Index (L,) of the copy of each target that is nearest to `near` of those that arrived, else of the least cost."""
-    value = np.where(np.isfinite(cost), cost, np.finfo(np.float32).max)
-    if near is not None:
-        away = np.max(np.abs(q - near), axis=1)
-        value = np.where(arrived, away - 1e6, value)
-    else:
-        value = np.where(arrived, value - 1e6, value)
-    return np.arange(0, len(q), copies) + np.argmin(value.reshape(-1, copies), axis=1)
-
-
 def _keep(made, ids, q, cost):
     """Take places in where they are better than the worst of those kept."""
     worst = np.argmax(made.costs[ids], axis=1)
@@ -240,15 +236,19 @@ def _keep(made, ids, q, cost):
 
 
 def _settle(setup, targets, ids, q, steps, made, roots=None):
-    """Steps in float64; the outcome is the answer where it is better than what there was."""
+    """Steps in float64; the outcome is the answer where it is better than what there was.
+
+    Of several for one target the last one that arrived is.
+    """
     if not len(ids):
         return
     mine = targets.part(ids)
     q = np.clip(q, *mine.bounds)
     at = programs.search(setup.chain, setup.task, mine.bounds, setup.tolerance, q, mine.pose, steps, True, roots)
-    made.looks[ids] += at.looks
+    np.add.at(made.looks, ids, at.looks)
     here = at.within(setup.tolerance)
-    better = here | (at.cost < made.cost[ids])
+    better = np.flatnonzero(here | (at.cost < made.cost[ids]))
+    better = better[np.argsort(here[better], kind="stable")]
     ids = ids[better]
     made.cost[ids] = at.cost[better]
     made.q[ids], made.squares[ids], made.steep[ids] = at.q[better], at.squares[better], at.steep[better]

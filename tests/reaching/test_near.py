@@ -77,6 +77,24 @@ def test_near_of_eight_robots(name):
     assert wrong(ck.load_urdf(folder() / file, tip, base), 10_000) == {}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["jax"], indirect=True)
+@pytest.mark.parametrize("name", ["UR5", "Panda", "iCub arm"])
+def test_near_without_a_compiler(name):
+    file, tip, base = ROBOTS[name]
+    assert wrong(ck.load_urdf(folder() / file, tip, base), 10_000) == {}
+
+
+@pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+def test_a_minimum_at_a_limit_next_to_near_hides_no_answer():
+    """There the error is 5 µm: in float32 that is an answer, and the one nearest to `near`."""
+    arm = ck.replace(ck.planar_arm([1.0, 0.8]), lower=(-3.0, -3.0), upper=(3.0, 1.2))
+    q = np.stack([np.linspace(-0.5, 0.5, 20), np.full(20, 1.2 + 7e-6)], axis=1)
+    made = ck.reach(arm, tips(arm, q), task=ck.position("xy"), near=q)
+    assert made.solved.all()
+    np.testing.assert_allclose(made.q[:, 1], -q[:, 1], atol=1e-5)
+
+
 @both_ways
 def test_degrees_by_mistake_are_turned_into_the_limits():
     down = [0.0, 1.0, 0.0, 0.0]
