@@ -22,6 +22,7 @@ SURE = 256  # tries, at least, before it is said that there is no answer
 CLOSE, LONGER = 0.1, 4  # [rad, units]: a target missed by less is searched for with so many times the seeds and budget
 MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
+FOLD = 1e-7  # [units, rad]: searches end at minima of less next to a singularity, from which an answer may be near
 
 
 @record
@@ -113,14 +114,16 @@ class Asked:
         position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
         turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
         # Next to a singularity an error this small is stationary, too.
-        clear = (position > CLEAR * self.tolerance[0]) | (turn > CLEAR * self.tolerance[1])
+        clear, missed = (
+            (position > least[0]) | (turn > least[1])
+            for least in (xp.maximum(times * self.tolerance, FOLD) for times in (CLEAR, MISSED))
+        )
         lower, upper = self.limited()
         around = xp.zeros_like(q) if near is None else near
         q = xp.clip(turned(q, around, self.turns(), lower, upper, xp), lower, upper)
         at_limit = (q <= lower + TOUCHING) | (q >= upper - TOUCHING)
         rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
         status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
-        missed = (position > MISSED * self.tolerance[0]) | (turn > MISSED * self.tolerance[1])
         told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1)
         status = xp.where(told & sure & missed, why, status)
         if self.accept is not None:

@@ -1,8 +1,8 @@
 """Searching for many targets at once, where `native` does not: tries from ever new seeds, until all have arrived.
 
-Float32 to near the tolerance, then a step or two in float64, where every answer is checked. The first tries start from
-the nearest seeds, and end early; the targets that are left get several seeds each at once, more steps, and a careful
-iteration. What still has not arrived goes downhill in float64 from the best places found: to the nearest pose.
+The first tries start from the nearest seeds, and end early: float32 to near the tolerance, then a step or two in
+float64, where every answer is checked. The targets that are left get several seeds each at once, more steps, and a
+careful iteration in float64. What still has not arrived goes downhill from the best places found: to the nearest pose.
 """
 
 from typing import NamedTuple
@@ -143,7 +143,7 @@ def _try(setup, targets, left, done, copies, made, arrived):
     mine = targets.part(ids)
     start = _starts(setup, mine, done, copies, made.places[ids])
     careful = done >= PLAIN
-    q, cost, here, looks = _in_float32(setup, mine, start, CAREFUL if careful else STEPS, careful)
+    q, cost, here, looks = _searched(setup, mine, start, CAREFUL if careful else STEPS, careful)
     made.looks[left] += looks.reshape(-1, copies).sum(axis=1)
     cost = np.where(np.isfinite(cost), cost, np.inf)
     best = np.arange(0, len(q), copies) + np.argmin(cost.reshape(-1, copies), axis=1)
@@ -177,7 +177,7 @@ def warm(setup: Setup, bounds, dtype) -> None:
 def from_starts(setup: Setup, targets: Targets, start) -> Answers:
     """One careful search from each of (B, n) postures within the bounds."""
     made = Answers.empty(*start.shape)
-    q, _, here, looks = _in_float32(setup, targets, start, CAREFUL, careful=True)
+    q, _, here, looks = _searched(setup, targets, start, CAREFUL, careful=True)
     made.looks[:] = looks
     _polish(setup, targets, [(np.flatnonzero(here), q[here])], made)
     return made
@@ -218,14 +218,18 @@ def _any(setup, number, target):
     return (number * 2654435761 + target * 40503) % len(setup.seeds.postures)
 
 
-def _in_float32(setup, mine, start, steps, careful):
-    """A search in float32 from each start: q, cost, whether it arrived, looks."""
-    coarse = np.maximum(setup.tolerance, COARSE).astype(np.float32)
-    bounds = tuple(b.astype(np.float32) for b in mine.bounds)
-    pose = mine.pose.astype(np.float32)
-    start = start.astype(np.float32)
-    found = programs.search(setup.chain, setup.task, bounds, coarse, start, pose, steps, careful)
-    return found.q.astype(float), found.cost, found.within(coarse), found.looks
+def _searched(setup, mine, start, steps, careful):
+    """A search from each start: q, cost, whether it came close, looks. In float32 but where it is `careful`.
+
+    Float32 does not get next to singularities: damping that its rounding needs makes steps there too short.
+    """
+    close = np.maximum(setup.tolerance, COARSE)
+    kind, tolerance = (float, setup.tolerance) if careful else (np.float32, close)
+    bounds, (tolerance, start, pose) = (
+        tuple(v.astype(kind) for v in some) for some in (mine.bounds, (tolerance, start, mine.pose))
+    )
+    found = programs.search(setup.chain, setup.task, bounds, tolerance, start, pose, steps, careful)
+    return found.q.astype(float), found.cost, found.within(close.astype(kind)), found.looks
 
 
 def _keep(made, ids, q, cost):
