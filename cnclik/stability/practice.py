@@ -28,12 +28,9 @@ from cnclik.stability.driven import (
 from cnclik.stability.linear import first_above
 from cnclik.stability.rebased import WHERE, bearable_delay
 from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
-from cnclik.stability.settings import MOST_Z, REBASED, settings
+from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
-# Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
-# the MuJoCo menagerie lag by k_v/k_p = 0.1 s, some by 0.2 s. Measured so: results/loops.
-ASSUMED_DELAY, ASSUMED_LAG = 0.03, 0.1  # [s]
 SPEED = 0.1  # [m/s] of the tip, where none is given
 KEPT = 1e-3  # share of a speed up to which a lag is settled
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
 from cnclik.stability.practice import practice
-from cnclik.stability.settings import LOOKAHEAD, UR
+from cnclik.stability.settings import ASSUMED_DELAY, LOOKAHEAD
 from tests.integrate.test_real_robots import ROBOTS, folder
 
 FILE, TIP, _ = ROBOTS["Panda"]
@@ -266,7 +266,7 @@ def _measured(tool, case):
         yield row("as told", gain, ran(proportional(gain), real, Ts, 2.5 * settles))
     elif real.order == 0 or drive is None:  # a UR: of what is known of it the lag of servoj is no part
         alpha = number(line, "alpha")
-        ur = Drive(delay=UR / Ts if drive is None else drive.delay, lag=LOOKAHEAD, command="position")
+        ur = Drive(delay=ASSUMED_DELAY / Ts if drive is None else drive.delay, lag=LOOKAHEAD, command="position")
         for way, rebased in (("as told", False), ("from the measured joints", True)):
             yield row(way, alpha, ran(proportional(alpha), ur, Ts, 8 / alpha, rebased=rebased), None)
         if drive is not None:
