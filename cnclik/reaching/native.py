@@ -12,7 +12,9 @@ import warnings
 
 import numpy as np
 
+from cnclik import errors
 from cnclik.engine.compiler import build, can_build, closed_after, opened
+from cnclik.engine.graph import UnsupportedError
 from cnclik.hints import hints_on
 from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native_source import native_source
@@ -77,7 +79,7 @@ def _built(asked):
         of = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
         library.search.restype, library.search.argtypes = None, of
         library.along.restype, library.along.argtypes = ctypes.c_int64, (ctypes.c_void_p, *of[:2])
-    except Exception as error:  # whatever it is: JAX's programs do the same
+    except (errors.ArgumentError, UnsupportedError, OSError) as error:  # no C, no room: JAX's programs do the same
         warnings.warn(f"reach runs without native code, several times as slowly: {error}", stacklevel=2)
         return False
     Native.libraries += 1
