@@ -4,22 +4,26 @@ what others wrote stays.
 
 import contextlib
 import errno
+import hashlib
 import os
 import pathlib
+import re
 import shutil
 import tempfile
 import time
 
 from cnclik import errors
+from cnclik.reading import is_input
 
 OWN = ".cnclik"  # a file in each store of a sweep
-_SIGNS = {  # what files of each kind have in them that cnclik wrote
-    ".png": (b"Software\0cnclik",),
-    ".json": (b'"cnclik": "',),
-    ".nc": (b"cnclik", b"orientation_error"),
-    ".csv": (b"orientation_error",),
-    ".npz": (b"orientation_error", b"least_singular_value"),
-    ".html": (b'content="cnclik"',),
+LIST = ".cnclik-files"  # in a folder of results: checksums and names of files that do not say who wrote them
+_SIGNS = {  # what files of each kind have in them that say so: others are known by the list
+    ".png": rb"Software\0cnclik",
+    ".json": rb'\A\{\s*("digest": "[^"]*",.*)?"cnclik": "\d+\.',
+    ".nc": rb"\0cnclik\0|orientation_error.{,40}least_singular_value",
+    ".csv": rb"position_error,orientation_error,least_singular_value,",
+    ".npz": rb"least_singular_value\.npy",
+    ".html": rb'<meta name="generator" content="cnclik">',
 }
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
@@ -40,6 +44,8 @@ def checked_file(name, file, *endings, overwrite=True) -> pathlib.Path:
         fits = os.path.isdir(file.parent) and not os.path.isdir(file)
     if not fits:
         raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
+    if is_input(file):
+        raise errors.fail(name, "be another file than what is read", f"is {file.name[:60]!r}")
     if os.path.lexists(file) and not (overwrite or _is_own(file)):
         raise errors.fail(name, "be a new file, or one of cnclik's own", f"{file.name[:60]!r} is not ({_OVERWRITE})")
     return file
@@ -55,28 +61,48 @@ _OVERWRITE = "--overwrite writes there all the same"
 
 
 def check_own(name, folder, of="cnclik's own") -> None:
-    """Raise ArgumentError for a folder with files, none of which cnclik wrote. Args: of: what it may be, in words."""
+    """Raise ArgumentError for a folder with files, none of which cnclik wrote, apart from what the command reads.
+
+    Args: of: what it may be, in words.
+    """
     there = []
     with contextlib.suppress(OSError):
-        there = sorted(file for file in pathlib.Path(folder).iterdir() if not file.name.startswith("."))
+        seen = sorted(file for file in pathlib.Path(folder).iterdir() if not file.name.startswith("."))
+        there = [file for file in seen if not is_input(file)]
     if there and not any(map(_is_own, there)):
         found = f"{there[0].name[:30]} in {str(folder)[-40:]!r} is not ({_OVERWRITE})"
         raise errors.fail(name, f"be a new folder, or one of {of}", found)
 
 
 def _is_own(path) -> bool:
-    """Whether cnclik wrote a file, or a sweep's store, as that says of itself."""
-    signs, most = _SIGNS.get(path.suffix.lower(), ()), 1 << 20
+    """Whether cnclik wrote a file, or a sweep's store: it says so, or is as its folder's list has it."""
     if os.path.isdir(path):
         return os.path.isfile(path / OWN)
-    if not signs or not os.path.isfile(path):
-        return False
-    with contextlib.suppress(OSError), open(path, "rb") as file:
+    with contextlib.suppress(OSError):
+        return os.path.isfile(path) and (_says_so(path) or _checksum(path) in _ends(path.parent / LIST))
+    return False
+
+
+def _says_so(path) -> bool:
+    """Whether a file has the sign of its kind. Raises OSError."""
+    sign = _SIGNS.get(path.suffix.lower())
+    return sign is not None and re.search(sign, _ends(path), re.DOTALL) is not None
+
+
+def _ends(path, most=1 << 20) -> bytes:
+    """The first and the last MiB of a file, nothing where there is none. Raises OSError."""
+    if not os.path.isfile(path):
+        return b""
+    with open(path, "rb") as file:
         text = file.read(most)
         file.seek(max(os.path.getsize(path) - most, 0))
-        text += file.read(most)
-        return any(sign in text for sign in signs)
-    return False
+        return text + file.read(most)
+
+
+def _checksum(path) -> bytes:
+    """Of a file, as `sha256sum` has it. Raises OSError."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest().encode()
 
 
 class Folder:
@@ -86,8 +112,8 @@ class Folder:
     and the computation goes on; `finish` says so at the end.
     """
 
-    def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str):
-        self.out, self.path, self.name, self.problem = out, hidden, name, None
+    def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str, overwrite: bool):
+        self.out, self.path, self.name, self.overwrite, self.problem = out, hidden, name, overwrite, None
         self.told = False  # whether a message says where the files are
 
     def write(self, file: str, make) -> None:
@@ -114,6 +140,11 @@ class Folder:
                     target.parent.mkdir(parents=True, exist_ok=True)
                     if os.path.isdir(target):
                         raise IsADirectoryError(errno.EISDIR, f"{target.name} is a folder there")
+                    if is_input(target):
+                        raise FileExistsError(errno.EEXIST, f"{target.name} there is what the command reads")
+                    if os.path.lexists(target) and not (self.overwrite or _is_own(target)):
+                        raise FileExistsError(errno.EEXIST, f"{target.name} there is not cnclik's own ({_OVERWRITE})")
+                _list(made)
                 for file, target in made.items():
                     os.replace(file, target)
             except OSError as error:
@@ -161,6 +192,19 @@ class Folder:
         return errors.ArgumentError(f"Argument `{self.name}` must be a folder that takes all files, but {found}.")
 
 
+def _list(made) -> None:
+    """Add to the lists of the folders that files are about to move into, {file: where to}. Raises OSError.
+
+    Lines stay, so that an earlier file is known until the move, and others may write at once.
+    """
+    for file, target in made.items():
+        if not _says_so(file):
+            known, own = target.parent / LIST, _checksum(file)
+            if own not in _ends(known):
+                with open(known, "ab") as lines:
+                    lines.write(own + b"  " + os.fsencode(target.name) + b"\n")
+
+
 def _places():
     """Folders for temporary files."""
     for place in (tempfile.gettempdir, pathlib.Path.home):
@@ -186,7 +230,8 @@ def output_folder(path, *, name="out", overwrite=True):
     Args:
       path: where the results shall be.
       name: what the user calls it, for the message.
-      overwrite: whether it may hold files, and none of cnclik's.
+      overwrite: whether it may hold files, and none of cnclik's, and whether these are written over. What the command
+        reads is not.
 
     Yields: the `Folder`, with `write(file, make)`.
     Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into, or is one of others;
@@ -206,7 +251,7 @@ def output_folder(path, *, name="out", overwrite=True):
         except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
             found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
-        folder = Folder(path, hidden, name)
+        folder = Folder(path, hidden, name, overwrite)
         stack.callback(folder.discard)
         yield folder
         folder.finish()

@@ -30,6 +30,7 @@ import numpy as np
 
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
+from cnclik.writing import LIST
 
 SPEC = pathlib.Path(__file__).parents[1] / "sweeps" / "horizon.toml"
 PLANAR = ["planar:1,1", "--reference", "circle"]
@@ -62,9 +63,9 @@ def ended(process):
 
 
 def files(folder) -> dict:
-    """Contents by name; those of a sweep's store, of which each block is a file, apart from the rest."""
+    """Contents by name; those of a sweep's store, of which each block is a file, and of lists apart."""
     found = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-    return {name: content for name, content in found.items() if not name.startswith(("data.zarr/", ".partial-"))}
+    return {name: content for name, content in found.items() if not name.startswith(("data.zarr/", ".partial-", LIST))}
 
 
 def whole(name: str, content: bytes, other: bytes) -> bool:

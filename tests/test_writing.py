@@ -21,12 +21,13 @@ from cnclik import writing
 from cnclik.errors import ArgumentError
 from cnclik.measure import answers
 from cnclik.measure.files import save_netcdf
+from cnclik.reading import read_bytes, remembered
 from cnclik.show import report, style
 from cnclik.writing import output_folder
 
 
 def files(folder):
-    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.name != writing.LIST)
 
 
 def test_files_appear_at_the_end_only(tmp_path):
@@ -68,6 +69,8 @@ def test_a_folder_of_others_is_refused_before_any_work(tmp_path):
 FOREIGN = {
     **{"README.md": "I use cnclik", "export.json": '{"mine": 1}', "error.png": "\x89PNG cnclik", "a.csv": "q1,q2"},
     **{"b.html": "cnclik", "data.zarr": "", "clik_step.c": "/* cnclik */", "tuned.json": '"cnclik"'},
+    **{"package.json": '{"dependencies": {"cnclik": "0.2.0"}}', "errors.csv": "t,position_error,orientation_error"},
+    **{"log.nc": "written for cnclik: orientation_error", "page.html": '<p content="cnclik">'},
 }
 
 
@@ -94,8 +97,56 @@ def test_what_cnclik_wrote_is_known_again(tmp_path, name):
     if name != "zarr":
         assert writing.checked_file("out", file, f".{name}", overwrite=False) == file
     (file / writing.OWN).unlink() if name == "zarr" else file.write_bytes(b"mine")
+    (tmp_path / "one.txt").unlink()  # which is cnclik's by its checksum
     with pytest.raises(ArgumentError, match="README"), output_folder(tmp_path, overwrite=False):
         pass
+
+
+def test_a_file_of_others_among_ours_stays(tmp_path):
+    """Also one that the user has changed: what is written is known by its checksum."""
+    out = tmp_path / "out"
+
+    def write(text, overwrite=False):
+        with output_folder(out, overwrite=overwrite) as folder:
+            folder.write_text("README.md", text)
+            folder.write_text("summary.csv", "a,b\n")
+
+    for text in ("first", "second", "second"):
+        write(text)
+    for name in ("README.md", "summary.csv"):
+        before = (out / name).read_text()
+        (out / name).write_text(f"{before}mine")
+        with pytest.raises(ArgumentError, match=rf"{name} there is not cnclik's own \(--overwrite") as error:
+            write("third")
+        assert (out / name).read_text() == f"{before}mine" and (kept_in(error) / "README.md").read_text() == "third"
+        (out / name).write_text(before)
+    (out / "README.md").write_text("mine")
+    write("fourth", overwrite=True)
+    write("fifth")
+    assert (out / "README.md").read_text() == "fifth"
+    (out / "README.md").unlink()
+    (out / "README.md").symlink_to(tmp_path / "none")
+    with pytest.raises(ArgumentError, match=r"README\.md there is not"):
+        write("sixth")
+
+
+def test_what_a_command_reads_is_never_written_over_and_makes_no_folder_one_of_others(tmp_path):
+    (tmp_path / "spec.toml").write_text("mine")
+    with remembered():
+        read_bytes("SPEC", tmp_path / "spec.toml", "a spec")
+        with output_folder(tmp_path, overwrite=False) as folder:
+            folder.write_text("one.txt", "1")
+        with (
+            pytest.raises(ArgumentError, match=r"spec\.toml there is what the command reads"),
+            output_folder(tmp_path, overwrite=True) as folder,
+        ):
+            folder.write_text("spec.toml", "lost")
+        with pytest.raises(ArgumentError, match="`out` must be another file than what is read"):
+            writing.checked_file("out", tmp_path / "spec.toml", ".toml")
+    assert (tmp_path / "spec.toml").read_text() == "mine" and (tmp_path / "one.txt").read_text() == "1"
+    (tmp_path / "one.txt").unlink()
+    with pytest.raises(ArgumentError, match="`out` must be a new folder"), output_folder(tmp_path, overwrite=False):
+        raise AssertionError
 
 
 def test_a_named_file_of_others_is_refused(tmp_path):

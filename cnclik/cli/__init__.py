@@ -51,7 +51,7 @@ def main(argv=None) -> None:
 
 
 def _run(verb, *options) -> None:
-    from cnclik import errors
+    from cnclik import errors, reading
     from cnclik.cli import arguments, common, remarks
     from cnclik.show.output import FigureError
 
@@ -61,7 +61,7 @@ def _run(verb, *options) -> None:
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
-        with remarks.listening(), _watched(args) as spans:
+        with remarks.listening(), reading.remembered(), _watched(args) as spans:
             if isinstance(args, common.ComputeOptions):  # the others are quick without JAX
                 with _nothing_collected():
                     with terminal.whole():

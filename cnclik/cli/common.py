@@ -19,7 +19,7 @@ class ComputeOptions(CacheOption):
     """For verbs that compute."""
 
     overwrite: bool = False
-    """Write into a folder, or over a file, that is not cnclik's own, too."""
+    """Write into a folder, or over a file, that is not cnclik's own, too; never over what the command reads."""
     timings: bool = False
     """Tell at the end how long importing, tracing, compiling, running and drawing took."""
 

@@ -47,11 +47,11 @@ def run(args: Args) -> None:
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
-    if args.out is not None:
-        checked_folder("out", args.out, overwrite=args.overwrite)
     if args.Ts is not None and not any(args.written.get("Ts", ())):
         remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log, gaps=True)
+    if args.out is not None:
+        checked_folder("out", args.out, overwrite=args.overwrite)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
     t, times, unit = clock(names, table)
@@ -213,6 +213,6 @@ def _draw(args, make):
     from cnclik.show.output import draw
 
     about = {"Title": f"diagnosis of {args.log.name}", "Comment": f"cnclik diagnose {args.log.name}"}
-    draw({"diagnose.png": (make, about)}, args.out)
+    draw({"diagnose.png": (make, about)}, args.out, overwrite=args.overwrite)
     if not args.json:
         print(f"Figure in {args.out}")

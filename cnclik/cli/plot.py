@@ -31,10 +31,10 @@ def run(args: Args) -> None:
         from cnclik.sweeps import spec
 
         tables = spec.read(args.spec).figures
-    draw(data, args.folder, tables=tables, form=args.format)
+    draw(data, args.folder, tables=tables, form=args.format, overwrite=args.overwrite)
 
 
-def draw(data, folder: pathlib.Path, *, tables=None, form="png") -> None:
+def draw(data, folder: pathlib.Path, *, tables=None, form="png", overwrite=False) -> None:
     """Draw and write the figures; one that can't be drawn costs nothing but itself.
 
     Args:
@@ -42,6 +42,7 @@ def draw(data, folder: pathlib.Path, *, tables=None, form="png") -> None:
       folder: where to put them.
       tables: as [[figure]] in a spec; by default those of the data's own spec.
       form: "png", "pdf" or "svg".
+      overwrite: also over files that cnclik did not write.
 
     Raises: FigureError.
     """
@@ -51,7 +52,8 @@ def draw(data, folder: pathlib.Path, *, tables=None, form="png") -> None:
     made = {f"{name}.{form}": (make, {"Title": name} | about) for name, make in sweeps.drawings(data, tables).items()}
     written = []
     try:
-        written = output.draw(made, folder, name="folder", again=f"cnclik plot {folder}")
+        again = f"cnclik plot {folder}"
+        written = output.draw(made, folder, name="folder", again=again, overwrite=overwrite)
     except output.FigureError as error:
         written = error.written
         raise

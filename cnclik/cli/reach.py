@@ -82,11 +82,6 @@ def _check(args):
         raise errors.ArgumentError(f"One of TARGETS, --random N and --map PLANE must be given, but there {found}.")
     if args.random is not None:
         errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
-    if args.out is not None and not args.map:
-        from cnclik.measure.answers import ENDINGS
-        from cnclik.writing import checked_file
-
-        checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
     if args.path and args.near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
 
@@ -98,17 +93,19 @@ def _options(args, *names):
 
 
 def _answers(args, chain, task):
-    from cnclik.measure.answers import answers, save, transforms
+    from cnclik.measure.answers import ENDINGS, answers, save, transforms
     from cnclik.problem.magnitudes import remark_on_places
     from cnclik.problem.tables import read_targets
     from cnclik.reaching.reach import reach
     from cnclik.reaching.result import fields
     from cnclik.reaching.targets import read
     from cnclik.record import replace
-    from cnclik.writing import output_folder
+    from cnclik.writing import checked_file, output_folder
 
     targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
+    if args.out is not None:
+        checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
     if args.targets is not None and task.position:
         remark_on_places(args.targets.name, transforms(pose)[:, :3, 3], chain, task)
     options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
@@ -274,7 +271,7 @@ def _map(args, chain, task):
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
     figures = {"map.png": (functools.partial(drawn_by("reach", "reachability"), found, title=title), about)}
     with args.figures_first():
-        draw(figures, out)
+        draw(figures, out, overwrite=args.overwrite)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
     answer = (
         f"{100 * np.mean(found.share > 0):.1f} % of the places can be reached, "

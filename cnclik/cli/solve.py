@@ -73,7 +73,7 @@ def run(args: Args) -> None:
     figures = _figures(data, made) if args.figures or args.report else {}
     if args.figures:
         with args.figures_first(), progress.bar("figures") as report:
-            written += draw(figures, args.out, progress=report)
+            written += draw(figures, args.out, progress=report, overwrite=args.overwrite)
     if not args.json:
         print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
     args.write_report(

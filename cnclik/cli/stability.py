@@ -86,14 +86,15 @@ def run(args: Args) -> None:
         return
     load_ahead("cnclik.show.style")
     figures, advised = {}, None
+    loop = _loop(args) if args.map else ()
     with output_folder(args.out, overwrite=args.overwrite) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:
-            drawn, advised = _map(args, out)
+            drawn, advised = _map(args, out, *loop)
             figures |= drawn
     with args.figures_first():
-        draw(figures, args.out)
+        draw(figures, args.out, overwrite=args.overwrite)
     print(f"Results in {args.out}")
     _report(args, figures, advised)
 
@@ -209,7 +210,7 @@ def _plane(args, out):
 # --- the map ------------------------------------------------------------------------------------------
 
 
-def _map(args, out):
+def _map(args, out, found, rest):
     import numpy as np
 
     from cnclik.measure.dataset import as_json, provenance
@@ -218,7 +219,6 @@ def _map(args, out):
     from cnclik.stability.spectrum import largest_rate
 
     begun = time.perf_counter()
-    found, rest = _loop(args)
     advised = _advice(args, found, rest)
     _tell(args, advised)
     now, rate = advised[1].advice.margin, largest_rate(found.law.alpha)

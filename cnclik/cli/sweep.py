@@ -65,7 +65,7 @@ def run(args: Args) -> None:
     seconds = time.perf_counter() - begun
     print(f"Done in {seconds:.1f} s: {out / store.DATA}")
     with args.figures_first():
-        finish(out, spec.figures if args.figures else None, export=args.export)
+        finish(out, spec.figures if args.figures else None, export=args.export, overwrite=args.overwrite)
     if args.report is not None:
         _report(args, spec, store.read(out), grid, seconds)
 
@@ -90,28 +90,29 @@ def _report(args, spec, data, grid, seconds) -> None:
     )
 
 
-def finish(out: pathlib.Path, figures, *, export=None) -> None:
+def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:
     """What follows from a finished store: summary, exports, and last the figures, which can be had again.
 
     Args:
       figures: [[figure]] tables, () for good ones, None for no figures.
       export: "nc", "csv" or None.
+      overwrite: also over files that cnclik did not write.
     """
     from cnclik.cli.plot import draw
     from cnclik.sweeps import store, summary
     from cnclik.writing import output_folder
 
     data = store.read(out)
-    with output_folder(out) as folder:
+    with output_folder(out, overwrite=overwrite) as folder:
         made = summary.write(data, folder)
     if export:
-        with output_folder(out) as folder:
+        with output_folder(out, overwrite=overwrite) as folder:
             folder.write(f"data.{export}", lambda path: summary.export(data, path.parent, export))
         made.append(f"data.{export}")
     for file in made:
         print(f"Wrote {out / file}")
     if figures is not None:
-        draw(data, out, tables=figures)
+        draw(data, out, tables=figures, overwrite=overwrite)
 
 
 def _join(args) -> dict:

@@ -87,7 +87,7 @@ def run(args: Args) -> None:
         from cnclik.show.tuning import drawings
 
         drawn = drawings(found)
-    with output_folder(args.out) as folder:
+    with output_folder(args.out, overwrite=args.overwrite) as folder:
         text = tuning.page(
             found,
             ", tip ".join(filter(None, (made.name, made.tip))),
@@ -106,7 +106,7 @@ def run(args: Args) -> None:
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
     written = ["tuned.json", "summary.md"]
     with args.figures_first(), progress.bar("figures") as report:
-        written += draw(figures if args.figures else {}, args.out, progress=report)
+        written += draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
     from cnclik.tuning.page import CAPTIONS, page_rows
 

@@ -40,9 +40,9 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
 
     pictures = figures.figures(*found, shown)
     captions = {name: about.get("Title", "") for name, (_, about) in pictures.items()}
-    with output_folder(out) as folder:
+    with output_folder(out, overwrite=overwrite) as folder:
         folder.write_text("claims.md", story.story(judged, found.trajectories, found.methods, shown, captions))
-    draw(pictures, out, progress=progress)
+    draw(pictures, out, progress=progress, overwrite=overwrite)
     return found
 
 

@@ -39,7 +39,7 @@ def drawn_by(module, name):
     return lambda *args, **options: getattr(importlib.import_module(f"cnclik.show.{module}"), name)(*args, **options)
 
 
-def draw(figures, path, *, name="out", again="", progress=None) -> list:
+def draw(figures, path, *, name="out", again="", progress=None, overwrite=False) -> list:
     """Draw figures in the project's style and save them in `path`, once the data lie there; names of those written.
 
     Args:
@@ -47,6 +47,7 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
       path: the folder. name: what the user calls it.
       again: the command that draws them again from the data, if there is one.
       progress: called as progress(done, total, note).
+      overwrite: also over files that cnclik did not write.
 
     Raises: FigureError at the end, naming the figures that could not be drawn; the others are there.
     """
@@ -59,7 +60,7 @@ def draw(figures, path, *, name="out", again="", progress=None) -> list:
         from cnclik.show import style
     except Exception as error:
         raise _undrawn(dict.fromkeys(figures, error), figures, path, again) from error
-    with output_folder(path, name=name) as folder, style.style():
+    with output_folder(path, name=name, overwrite=overwrite) as folder, style.style():
         for done, (file, (make, about)) in enumerate(figures.items()):
             if progress is not None:
                 progress(done, len(figures), f"drawing {file}")

@@ -8,6 +8,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.writing import LIST
 
 
 def test_advice_on_the_terminal(capsys):
@@ -138,7 +139,7 @@ def test_map_through_a_drive_agrees_with_its_boundary(tmp_path, capsys):
 
 def test_plane_writes_the_limits_of_every_M_and_of_late_errors(tmp_path, capsys):
     main(["stability", "--plane", "--methods", "EE", "IE", "--passes", "2", "--out", str(tmp_path)])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["plane.md", "plane.nc", "plane.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [LIST, "plane.md", "plane.nc", "plane.png"]
     text = (tmp_path / "plane.md").read_text(encoding="utf-8")
     assert "| IE | picard(1) | 1.0000 |" in text and "| IE | picard(2) | 1.3532 |" in text
     assert "| EE | 2.0000 | 1.0000 | 0.6180 | 0.4450 | 0.3473 |" in text

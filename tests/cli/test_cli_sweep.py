@@ -13,6 +13,7 @@ from cnclik.cli import main
 from cnclik.show import sweeps
 from cnclik.sweeps import cost, estimate, open_sweep, run_spec
 from cnclik.sweeps import spec as specs
+from cnclik.writing import LIST
 from tests.specs import reaching
 
 pytestmark = pytest.mark.form(None)  # as in the processes and module fixtures that these tests start
@@ -69,7 +70,7 @@ def left(argv, capsys):
 
 
 def test_a_sweep_leaves_data_summary_and_figures(path, folder):
-    assert sorted(p.name for p in folder.iterdir()) == sorted(["data.zarr", "summary.csv", "config.json", *EVERY])
+    assert sorted(p.name for p in folder.iterdir()) == sorted([LIST, "data.zarr", "summary.csv", "config.json", *EVERY])
     found, wanted = open_sweep(folder).load(), run_spec(path)
     for name in wanted.data_vars:
         np.testing.assert_array_equal(found[name], wanted[name])
@@ -155,7 +156,7 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
         f"cnclik: Not drawn: heat_final_error.png (RuntimeError: no paint); the data are kept in {copy}, "
         f"`cnclik plot {copy}` draws again."
     )
-    assert {p.name for p in copy.iterdir()} == {"data.zarr", "data.nc", "summary.csv", "config.json", "at5.png"}
+    assert {p.name for p in copy.iterdir()} == {LIST, "data.zarr", "data.nc", "summary.csv", "config.json", "at5.png"}
     assert "summary.csv" in out
 
 
@@ -178,3 +179,35 @@ def test_plot_says_what_is_missing(other, copy, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("1 blocks are not done yet, or damaged")
     code, out, err = left(["plot", tmp_path], capsys)
     assert code == 2 and out == "" and "Argument `folder` must hold a sweep's data.zarr" in err
+
+
+def test_the_folder_of_the_spec_takes_the_results_and_what_others_put_there_stays(tmp_path, capsys):
+    """Without --overwrite; a file of the user's with the name of a result is not replaced, before or after a sweep."""
+    study, arm = tmp_path / "study", tmp_path / "study" / "arm.urdf"
+    study.mkdir()
+    joint = '<joint name="j{0}" type="continuous"><parent link="l{0}"/><child link="l{1}"/><origin xyz="1 0 0"/>'
+    joints = "".join(f'{joint.format(i, i + 1)}<axis xyz="0 0 1"/></joint><link name="l{i}"/>' for i in range(3))
+    arm.write_text(f'<robot name="r">{joints}<link name="l3"/></robot>')
+    spec = study / "spec.toml"
+    spec.write_text(
+        reaching(["final_error"], alpha="[1, 2]").replace("planar:1,1", "arm.urdf").replace("q0 = [0, ", "q0 = [0, 1, ")
+    )
+    given = {file: file.read_text() for file in (spec, arm)}
+    line = ["sweep", str(spec), "--out", str(study), "--no-figures"]
+    main(line)
+    main(line)
+    assert {file: file.read_text() for file in given} == given and (study / "summary.csv").exists()
+    (study / "summary.csv").write_text("mine")
+    with pytest.raises(SystemExit):
+        main(line)
+    assert "summary.csv there is not cnclik's own" in capsys.readouterr().err
+    assert (study / "summary.csv").read_text() == "mine"
+    main([*line, "--overwrite"])
+    assert (study / "summary.csv").read_text() != "mine"
+    (study / "notes.txt").write_text("mine")
+    shutil.rmtree(study / "data.zarr")
+    for file in ("summary.csv", "config.json"):
+        (study / file).unlink()
+    with pytest.raises(SystemExit):
+        main(line)
+    assert "must be a new folder" in capsys.readouterr().err

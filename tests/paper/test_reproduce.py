@@ -17,6 +17,7 @@ from cnclik.errors import ArgumentError
 from cnclik.paper import claims, readings, story
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
+from cnclik.writing import LIST
 from tests.paper.conftest import COMMITTED, load
 
 FIGURES = [*(f"fig{i:02d}.png" for i in range(1, 16)), "overview.png"]
@@ -58,7 +59,7 @@ def test_a_run_by_itself_is_the_committed_one(arm, case, method, results):
 
 @pytest.mark.slow
 def test_writes_everything_and_nothing_else(fresh):
-    assert {p.name for p in fresh.iterdir()} == {*FIGURES, *DATA} == {p.name for p in COMMITTED.iterdir()}
+    assert {p.name for p in fresh.iterdir()} - {LIST} == {*FIGURES, *DATA} == {p.name for p in COMMITTED.iterdir()}
 
 
 @pytest.mark.slow
@@ -216,7 +217,7 @@ def test_a_figure_that_fails_costs_no_data(capsys, tmp_path, monkeypatch, result
     with pytest.raises(SystemExit) as left:
         main(["reproduce", "--out", str(tmp_path)])
     assert left.value.code == code
-    written = {p.name for p in tmp_path.iterdir()}
+    written = {p.name for p in tmp_path.iterdir()} - {LIST}
     assert written == (DATA | {"b.png"} if code == 1 else DATA)
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and (code != 1 or "a.png (RuntimeError: no ink)" in err)

@@ -7,6 +7,7 @@ import pytest
 
 from cnclik.cli import main
 from cnclik.show.output import FigureError, draw
+from cnclik.writing import LIST
 
 
 def test_a_figure_that_fails_costs_only_itself(tmp_path):
@@ -17,7 +18,7 @@ def test_a_figure_that_fails_costs_only_itself(tmp_path):
     figures = {"a.png": (fail, {}), "b.png": (plt.figure, {"Title": "b"}), "c.pdf": (plt.figure, {"Title": "c"})}
     with pytest.raises(FigureError, match=r"Not drawn: a.png \(ValueError: no ink\)"):
         draw(figures, tmp_path, progress=lambda *report: reports.append(report))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["b.png", "c.pdf"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [LIST, "b.png", "c.pdf"]
     assert reports == [(k, 3, f"drawing {name}") for k, name in enumerate(figures)]
 
 
