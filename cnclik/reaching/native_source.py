@@ -19,6 +19,8 @@ from cnclik.reaching.seeds import SETS, SIZE
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast
 
+SEARCH = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="utf-8")
+
 
 def native_source(chain, task, weighted) -> str:
     """The text: `search` for the targets `first` to `last` - 1 of what `asked` points to, and `along` for a path's.
@@ -36,9 +38,8 @@ def native_source(chain, task, weighted) -> str:
     numbers |= {"SELDOM": SELDOM, "STUCK": STUCK}
     numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     defined = [f"#define {name} {value}" for name, value in numbers.items()]
-    search = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="utf-8")
     lanes = ["typedef struct {", *fields, "} Lanes;"]
-    return "\n".join([vectors(writer, real), *writer.tables, *lanes, *look, *defined, search])
+    return "\n".join([vectors(writer, real), *writer.tables, *lanes, *look, *defined, SEARCH])
 
 
 def _look(chain, task, weighted):
