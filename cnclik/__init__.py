@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # everything is loaded on use; this is for editors and type c
     from cnclik.engine.native import native
     from cnclik.engine.plan import use_engine
     from cnclik.errors import ArgumentError
-    from cnclik.hints import use_form, use_hints
+    from cnclik.hints import use_hints
     from cnclik.integrate.drive import Drive
     from cnclik.integrate.history import History
     from cnclik.integrate.lanes import lanes
@@ -87,7 +87,7 @@ _ON_USE = {
     "engine.native": "native",
     "engine.plan": "use_engine",
     "errors": "ArgumentError",
-    "hints": "use_form use_hints",
+    "hints": "use_hints",
     "integrate.drive": "Drive",
     "integrate.history": "History",
     "integrate.lanes": "lanes",
@@ -137,7 +137,7 @@ __all__ = [
     *("plot", "pose", "pose_task", "position", "posture", "problem", "problem_from", "pseudoinverse", "reach"),
     *("reachability", "reaching", "recommend", "replace", "require_ok", "resampled", "saturation", "settle"),
     *("show", "singular_damped", "solve", "spectral_radius", "stability", "stability_limit", "step", "sweep"),
-    *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_engine", "use_form"),
+    *("sweeps", "to_dataset", "transpose", "tune", "tuning", "ur5", "use_cache", "use_engine"),
     *("use_hints", "velocity_scaling", "verdict", "waypoints", "weighted_least_norm", "with_base", "with_feedforward"),
     "with_tool",
 ]

@@ -1,27 +1,25 @@
 """Compiler hints, and the one switch that turns them off.
 
-XLA's CPU fusion copies a producer into every consumer: without a fence it recomputes each sine dozens of
-times. `opaque` puts a stage behind a call the compiler may not inline. Hints change speed, never the
-meaning: `with use_hints(False): ...` (or CNCLIK_HINTS=0 in the environment) runs the same code without them.
+Hints change speed, never the meaning: `with use_hints(False): ...` (or CNCLIK_HINTS=0 in the environment) runs the same
+code without them.
 """
 
+import contextlib
 import functools
 import os
 import threading
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
-from cnclik.cache import Recent, bounded_jit
+from cnclik.cache import bounded_jit
 from cnclik.programs import keeping
 from cnclik.programs import kept as kept_whole
-from cnclik.record import combine, partition
 
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
-_lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many; −1: kernel
-_form = jax.make_user_context(default_value=None)
+_lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many
+SWITCHES = [_context]  # that decide on programs: this room's, and the engine's
 
 
 def use_hints(on: bool):
@@ -29,29 +27,8 @@ def use_hints(on: bool):
     return _context(bool(on))
 
 
-def use_form(form):
-    """Context manager: the form of programs made inside, "rolled" (sooner ready) or "unrolled" (quicker), or None.
-
-    None leaves it to the library, which knows how much a call will do, see `cnclik.robot.rolled`; inside a jit, grad
-    or vmap of your own it does not, and unrolls. Both forms give the same numbers, to rounding.
-    """
-    from cnclik.errors import one_of
-
-    return _form(form if form is None else one_of("form", form, ("rolled", "unrolled")))
-
-
-def form():
-    """The form asked for by `use_form`."""
-    return _form.value
-
-
-def in_a_kernel() -> bool:
-    """Whether what is traced becomes one GPU kernel."""
-    return _lanes.value < 0
-
-
 def hints_on() -> bool:
-    """Whether stages are fenced: the switch is on and the program is for a CPU."""
+    """Whether XLA gets hints: the switch is on and the program is for a CPU."""
     return _context.value and on_cpu()
 
 
@@ -60,22 +37,14 @@ def switched_on() -> bool:
     return _context.value
 
 
-def in_kernel():
-    """Context manager: what is traced inside becomes one GPU kernel: no fences, and the library's functions."""
-    return _lanes(-1)
-
-
-def keeps_history() -> bool:
-    """Whether what is traced can look back on a loop's steps: a GPU kernel can't."""
-    return _lanes.value >= 0
-
-
 def as_here(fn):
-    """The function with the caller's switch, form, precision and device, for another thread to run in."""
-    wide, device, switch, form = jax.config.jax_enable_x64, jax.config.jax_default_device, switched_on(), _form.value
+    """The function with the caller's switches, precision and device, for another thread to run in."""
+    wide, device, values = jax.config.jax_enable_x64, jax.config.jax_default_device, [c.value for c in SWITCHES]
 
     def there(*args, **named):
-        with jax.enable_x64(wide), jax.default_device(device), _context(switch), _form(form):
+        with jax.enable_x64(wide), jax.default_device(device), contextlib.ExitStack() as held:
+            for switch, value in zip(SWITCHES, values, strict=True):
+                held.enter_context(switch(value))
             return fn(*args, **named)
 
     return there
@@ -83,51 +52,17 @@ def as_here(fn):
 
 def _around():
     """All that tracing depends on besides arguments and JAX's settings."""
-    return _context.value, _lanes.value, _form.value
+    return _lanes.value, *(switch.value for switch in SWITCHES)
 
 
 def on_cpu() -> bool:
     """Whether what is traced is a program for a CPU."""
-    return jax.default_backend() == "cpu" and _lanes.value >= 0
-
-
-def opaque(fn):
-    """Fence a stage in component form: `fn` maps trees of scalars to trees of scalars.
-
-    Literals among the arguments and results stay literals across the fence. Arrays, of the rolled form, pass unfenced.
-    """
-    kept = Recent()
-
-    def fenced(literals):
-        made = {}
-
-        def body(*arrays):
-            results, made["literals"] = partition(fn(*combine(arrays, literals)))
-            return results
-
-        jitted = jax.jit(body, inline=False)
-
-        def call(arrays):
-            with set_xla_metadata(inlineable="false"):
-                results = jitted(*arrays)
-            return combine(results, made["literals"])
-
-        return call
-
-    @functools.wraps(fn)
-    def stage(*args):
-        if not hints_on():
-            return fn(*args)
-        arrays, literals = partition(args)
-        return fn(*args) if not arrays or any(np.ndim(a) for a in arrays) else kept.made(literals, fenced)(arrays)
-
-    stage.kept = kept
-    return stage
+    return jax.default_backend() == "cpu"
 
 
 # --- options of the compiler --------------------------------------------------------------------------
 
-# A rolled program that runs once is ready sooner with fewer passes over it, and with XLA's older emitters where they
+# A program that runs once is ready sooner with fewer passes over it, and with XLA's older emitters where they
 # are still there: a third of the compile time, and hardly slower where one lane is all there is.
 QUICK_COMPILE = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
@@ -200,13 +135,6 @@ def few_lanes(count: int):
     return _lanes(count)
 
 
-def alone() -> bool:
-    """Whether one lane is all there is around what is traced."""
-    return _lanes.value == 1
-
-
-# What may be part of one native function: elementwise operations, data movement and control flow. The rest (sorting,
-# decompositions, long reductions, callbacks) calls into XLA's runtime, and compiling it in would fail.
 _NATIVE_NAMES = """
     abs acos acosh add add_any and asin asinh atan atan2 atanh broadcast_in_dim cbrt ceil checkpoint
     clamp closed_call concatenate cond convert_element_type copy copy_p core_call cos cosh

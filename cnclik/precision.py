@@ -29,6 +29,17 @@ def in_float64(fn):
     return wide
 
 
+def precise(fn):
+    """Decorator: matrix products in full precision, where a GPU would round to fewer digits."""
+
+    @functools.wraps(fn)
+    def exact(*args, **kwargs):
+        with jax.default_matmul_precision("highest"):
+            return fn(*args, **kwargs)
+
+    return exact
+
+
 def _narrow(leaf):
     """Whether it is a floating array of less than float64."""
     return _floating(leaf) and leaf.dtype.itemsize < 8

@@ -29,7 +29,6 @@ import jax
 import pytest
 
 from cnclik.cache import give_back
-from cnclik.hints import use_form
 
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
@@ -49,14 +48,6 @@ LONGEST = (
 def pytest_collection_modifyitems(items):
     """The longest files first: no worker waits for one alone."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
-
-
-@pytest.fixture(autouse=True)
-def _form(request):
-    """Programs in the rolled form, which are soon ready, but where a test's module or mark says otherwise."""
-    mark = request.node.get_closest_marker("form")
-    with use_form(mark.args[0] if mark else "rolled"):
-        yield
 
 
 @pytest.fixture(autouse=True, scope="module")

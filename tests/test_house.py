@@ -95,7 +95,7 @@ ONCE = {  # what may stand in one place only, and where
     r"\.to_netcdf\(": "measure/files.py",
     r"\.savefig\(": "show/style.py",
     r"\bProgress\(|rich\.track": "cli/progress.py",
-    r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/spatial.py",
+    r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/rotations.py",
     r"np\.array2string\(": "record.py",
     r"\"\| ---|\| --- \|": "measure/files.py",
     r"xla_backend_optimization_level": "hints.py",

@@ -80,13 +80,11 @@ def test_what_is_compiled_in_makes_another_program(folder, change):
 def test_settings_make_another_program(folder):
     asked()
     before = files(folder)
-    with ck.use_form("unrolled"):
-        asked()
     with ck.use_hints(False):
         asked()
     with jax.default_matmul_precision("float32"):
         asked()
-    assert len(files(folder) - before) == 3
+    assert len(files(folder) - before) == 2
 
 
 def test_a_function_of_the_users_is_never_kept(folder):

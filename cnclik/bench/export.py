@@ -19,7 +19,6 @@ from cnclik.bench import loops
 from cnclik.engine.compiler import build, opened
 from cnclik.export.load import load
 from cnclik.export.write import c
-from cnclik.hints import use_form
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import EE
 from cnclik.integrate.solve import step as jax_step
@@ -136,12 +135,11 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
             "C from Python, joints alone": lambda: seconds(lambda: native.step(native.given[0]), 2000),
             "JAX step": lambda: seconds(by_jax, 200),
         } | (others or {})
-        with use_form("unrolled"):
-            by_jax()
-            found = {name: [] for name in every}
-            for _ in range(rounds):
-                for name, measure in every.items():
-                    found[name].append(measure())
+        by_jax()
+        found = {name: [] for name in every}
+        for _ in range(rounds):
+            for name, measure in every.items():
+                found[name].append(measure())
         calls = native.spread()
     return {
         "dtype": dtype,

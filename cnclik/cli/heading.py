@@ -68,7 +68,7 @@ def _first_point(made, name, default) -> str:
         return f"Target {', '.join(said)}{default}"
     away = ""
     if task.position:
-        here = controlled(task, [float(v) for v in pose(made.law.chain, made.q0).position])
+        here = controlled(task, np.asarray(pose(made.law.chain, made.q0).position, float))
         jump = float(np.linalg.norm(np.subtract(values, here)))
         away = f"; the start is {1e3 * jump:.3g} mm away from it (--begin on-path begins there)" if jump > 1e-3 else ""
     return f"Path {name}, from {', '.join(said)}{default}{away}"

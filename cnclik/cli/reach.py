@@ -176,12 +176,11 @@ def _random(chain, args):
 
     from cnclik.measure.answers import transforms
     from cnclik.reaching.seeds import spans
-    from cnclik.robot.frames import frames
-    from cnclik.robot.rolled import roll
+    from cnclik.robot.model import frames, modelled
 
     low, high = spans(chain)
     q = np.random.default_rng(errors.seed(args.seed)).uniform(low, high, (args.random, chain.n))
-    at = frames(roll(chain), q)
+    at = frames(modelled(chain), q)
     return transforms(np.concatenate([at.position, at.rotation.reshape(-1, 9)], axis=1))
 
 

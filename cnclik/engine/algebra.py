@@ -117,10 +117,14 @@ def _sub(g, args, params, dtype):
 def _mul(g, args, params, dtype):
     if dtype.kind == "b":
         return None
+    if args[0] is args[1] and (found := _squared(g, args[0])) is not None:
+        return found
     for x, y in (args, args[::-1]):
         if not x.known:
             if x.op == "neg" and not y.known:
                 return g.op("neg", g.op("mul", x.args[0], y))
+            if y.number in g.squares and x.op == "mul" and y in x.args:  # of 1/√d its square is known
+                return g.op("mul", x.args[x.args[0] is y], g.squares[y.number])
         elif x.value == 1:
             return y
         elif x.value == 0 and (x.exact or dtype.kind != "f"):
@@ -188,6 +192,15 @@ def _clamp(g, args, params, dtype):
 
 def _square(g, args, params, dtype):
     return g.op("mul", args[0], args[0])
+
+
+def _squared(g, x):
+    """x·x of a product with a 1/√d, or None."""
+    root = next((a for a in x.args if a.number in g.squares), None) if x.op == "mul" else None
+    if root is None:
+        return g.squares.get(x.number)
+    rest = x.args[x.args[0] is root]
+    return g.op("mul", g.op("mul", rest, rest), g.squares[root.number])
 
 
 def _convert(g, args, params, dtype):

@@ -1,7 +1,6 @@
 """Cells: a traced function read with every array of it as a NumPy array of cells.
 
-What only moves data about happens while reading, and costs the reader's program nothing: `integrate.kernel` makes one
-GPU kernel of it, `export` a C function.
+What only moves data about happens while reading, and costs the program that is written nothing.
 """
 
 import numpy as np

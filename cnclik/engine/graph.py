@@ -125,6 +125,8 @@ class Graph:
     def __init__(self):
         self.root = self.block = Block()
         self.count = 0
+        self.factors = {}  # {numbers of a Cholesky factor's nodes: L of L D Lᵀ, and 1/√D}
+        self.squares = {}  # {number of such a 1/√d: 1/d}
 
     def new(self, op, args, params, shape, dtype, value, block, *, exact=False) -> Node:
         """A node that is not looked up and not listed."""
@@ -173,12 +175,12 @@ class Graph:
         Args: params: what the operation needs besides, hashable.
         """
         dtype = np.dtype(dtype)
-        if all(a.known for a in args) and (value := folded(name, [a.value for a in args], dtype, params)) is not None:
-            nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
-            return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
         simpler = SIMPLER.get(name)
         if simpler is not None and (found := simpler(self, args, params, dtype)) is not None:
             return found
+        if all(a.known for a in args) and (value := folded(name, [a.value for a in args], dtype, params)) is not None:
+            nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
+            return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
         if (found := self._through_select(name, args, dtype, params)) is not None:
             return found
         if name in COMMUTES and args[0].number > args[1].number:

@@ -38,38 +38,66 @@ def _inverse(g, x):
 
 
 def _cholesky(g, eqn, a):
-    """The lower factor; NaN everywhere where the matrix isn't positive definite, as LAPACK's result is marked."""
+    """The lower factor; NaN everywhere where the matrix isn't positive definite, as LAPACK's result is marked.
+
+    It is L √D of L D Lᵀ. What solves with it afterwards needs no root, see `_triangular_solve`.
+    """
     m, dtype = len(a), a.flat[0].dtype
-    zero = g.const(0, dtype)
-    out = array_of([zero] * (m * m), (m, m))
+    unit, scaled, pivots = np.empty((m, m), object), np.empty((m, m), object), []
     for j in range(m):
-        out[j, j] = g.op("sqrt", _minus(g, a[j, j], [(out[j, k], out[j, k]) for k in range(j)]))
-        inverse = _inverse(g, out[j, j])
+        for i in range(j, m):
+            scaled[i, j] = _minus(g, a[i, j], [(unit[j, k], scaled[i, k]) for k in range(j)])
+        pivots.append(scaled[j, j])
+        inverse = _inverse(g, scaled[j, j])
         for i in range(j + 1, m):
-            out[i, j] = g.op("mul", _minus(g, a[i, j], [(out[i, k], out[j, k]) for k in range(j)]), inverse)
-    positive = functools.reduce(
-        lambda ok, j: g.op("and", ok, g.op("gt", out[j, j], zero)), range(m), g.const(True, bool)
-    )
+            unit[i, j] = g.op("mul", scaled[i, j], inverse)
+    zero, nan = g.const(0, dtype), g.const(np.nan, dtype)
+    positive = functools.reduce(lambda ok, d: g.op("and", ok, g.op("gt", d, zero)), pivots, g.const(True, bool))
+    roots = [g.select(positive, g.op("sqrt", d), nan) for d in pivots]
+    out = array_of([zero] * (m * m), (m, m))
     for i, j in zip(*np.tril_indices(m), strict=True):
-        out[i, j] = g.select(positive, out[i, j], g.const(np.nan, dtype))
+        out[i, j] = roots[i] if i == j else g.op("mul", unit[i, j], roots[j])
+    inverses = [_inverse(g, root) for root in roots]
+    for root, d in zip(inverses, pivots, strict=True):
+        g.squares[root.number] = g.select(positive, _inverse(g, d), nan)
+    g.factors[_key(out)] = unit, inverses
     return [out]
 
 
+def _key(lower):
+    return tuple(x.number for x in lower[np.tril_indices(len(lower))])
+
+
 def _triangular_solve(g, eqn, a, b):
-    p = eqn.params
-    lower, left = p["lower"], p["left_side"]
+    """By substitution; with a Cholesky factor L √D, by L and 1/√D: (L √D)⁻¹ = D^(−1/2) L⁻¹."""
+    p, lower = eqn.params, eqn.params["lower"]
+    unit, roots = g.factors.get(_key(a if lower else a.T), (None, None))
+    if unit is None:
+        unit = a
+        pivots = [g.const(1, a.flat[0].dtype) if p["unit_diagonal"] else _inverse(g, d) for d in np.diagonal(a)]
+    else:
+        unit, pivots = unit if lower else unit.T, [g.const(1, a.flat[0].dtype)] * len(a)
     if p["transpose_a"]:
-        a, lower = a.T, not lower
-    if not left:
-        a, b, lower = a.T, b.T, not lower
-    x, m = b.copy(), len(a)
-    for i in range(m) if lower else reversed(range(m)):
-        before = range(i) if lower else range(i + 1, m)
-        inverse = None if p["unit_diagonal"] else _inverse(g, a[i, i])
+        unit, lower = unit.T, not lower
+    if not p["left_side"]:
+        unit, b, lower = unit.T, b.T, not lower
+
+    def scaled(x):
+        rows = [[g.op("mul", cell, root) for cell in row] for row, root in zip(x, roots, strict=True)]
+        return array_of([cell for row in rows for cell in row], x.shape)
+
+    x = b.copy() if roots is None or lower else scaled(b)
+    for i in range(len(x)) if lower else reversed(range(len(x))):
+        before = range(i) if lower else range(i + 1, len(x))
         for c in range(x.shape[1]):
-            rest = _minus(g, x[i, c], [(a[i, k], x[k, c]) for k in before])
-            x[i, c] = rest if inverse is None else g.op("mul", rest, inverse)
-    return [x if left else x.T]
+            known = [(unit[i, k], x[k, c]) for k in before if not _is_zero(x[k, c])]  # as LAPACK passes over them
+            x[i, c] = g.op("mul", _minus(g, x[i, c], known), pivots[i])
+    x = scaled(x) if lower and roots is not None else x
+    return [x if p["left_side"] else x.T]
+
+
+def _is_zero(node) -> bool:
+    return node.known and node.value == 0
 
 
 def _lu(g, eqn, a):

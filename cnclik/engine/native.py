@@ -11,11 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching, mlir, partial_eval
 
 from cnclik import errors
-from cnclik.engine.plan import in_c
-from cnclik.engine.program import Program, Programs
+from cnclik.cache import Recent
+from cnclik.engine.plan import in_c, in_scalars
+from cnclik.engine.program import Program, Programs, lane_avals
+from cnclik.engine.to_jax import Derived
 
 _registered = {}  # {name of a library: the program}: XLA may call it as long as the process lives
 
@@ -37,16 +39,26 @@ def native(fn):
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of arrays", f"is {fn!r}")
-    made = {}
+    made = Recent()
+
+    def of(*args, **named):
+        """(function of flat arrays, arrays) of some arguments."""
+        leaves, treedef = jax.tree.flatten((args, named))
+        return made.made(treedef, lambda treedef: Function(_flattened(fn, treedef))), leaves
 
     @functools.wraps(fn)
     def call(*args, **named):
-        leaves, treedef = jax.tree.flatten((args, named))
+        function, leaves = of(*args, **named)
+        if in_c() and all(map(errors.concrete, leaves)):
+            program = function.programs.of(lane_avals(leaves, batched=False))
+            if isinstance(program, Program):  # at once, without a program of JAX's around it
+                results = jax.device_put([x[0] for x in program(leaves, 1)])
+                return jax.tree.unflatten(function.structure, results)
         leaves = [jnp.asarray(x) for x in leaves]
-        function = made.setdefault(treedef, Function(_flattened(fn, treedef)))
         tree = function.tree(leaves)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
 
+    call.of = of
     return call
 
 
@@ -69,13 +81,18 @@ class Function:
 
     def __init__(self, fn, linear=0, of=None):
         self.fn, self.linear, self.of = fn, linear, of
-        self.programs, self.derivatives, self.shapes = Programs(self._flat), {}, {}
+        self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived)
+        self.derivatives, self.shapes = {}, {}
 
     def _flat(self, *leaves):
-        return jax.tree.leaves(self.fn(*leaves))
+        results, self.structure = jax.tree.flatten(self.fn(*leaves))
+        return results
 
     def out(self, avals) -> tuple:
         """(avals of the results, leaf by leaf, their tree)"""
+        program = self.programs.known(avals)
+        if isinstance(program, Program):  # traced before
+            return program.shapes, self.structure
         key = jax.config.jax_enable_x64, *((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in avals)
         if key not in self.shapes:
             given = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) for a in avals]
@@ -96,6 +113,20 @@ class Function:
             made = functools.partial(_pushed, self._flat, by, real)
             self.derivatives[key] = Function(made, len(by), (self, by, real))
         return self.derivatives[key]
+
+    def only(self, wanted):
+        """The same function without the results that are not wanted, one truth for each."""
+        if all(wanted):
+            return self
+        if self.of is not None:
+            of, by, real = self.of
+            kept = iter(wanted)
+            return of.jvp(by, tuple(r and next(kept) for r in real))
+        if wanted not in self.derivatives:
+            self.derivatives[wanted] = Function(
+                lambda *args: [x for x, w in zip(self._flat(*args), wanted, strict=True) if w]
+            )
+        return self.derivatives[wanted]
 
     def transposed(self):
         """The cotangents of the last, linear arguments, as a function of the others and of the results' cotangents."""
@@ -151,16 +182,18 @@ def _abstract(*avals, function, batched):
 
 
 def _plain(*args, function, batched):
-    """The function by JAX itself."""
+    """The function by JAX: scalar by scalar, or as it is where it can't be read."""
     axes = [0 if b else None for b in batched]
-    fn = function._flat
+    lane, _ = _lanes([jax.typeof(x) for x in args], batched)
+    found = function.scalars.of(lane) if in_scalars() else None
+    fn = found if isinstance(found, Derived) else function._flat
     return jax.vmap(fn, axes)(*args) if any(batched) else fn(*args)
 
 
 def _called(*args, function, batched):
     """The function by the C library, or by JAX where there is none."""
     lane, size = _lanes([jax.typeof(x) for x in args], batched)
-    program = function.programs.of(lane, jax.tree.structure(tuple(lane))) if in_c() else None
+    program = function.programs.of(lane) if in_c() else None
     if not isinstance(program, Program) or size == 0:
         return _plain(*args, function=function, batched=batched)
     if program.path not in _registered:
@@ -236,7 +269,8 @@ def _transpose(cotangents, *args, function, batched):
     first = len(args) - function.linear
     avals = [x.aval if ad.is_undefined_primal(x) else jax.typeof(x) for x in args]
     known, size = args[:first], _lanes(avals, batched)[1]
-    given = [ad.instantiate_zeros(c) for c in cotangents]
+    function = function.only(tuple(not isinstance(c, ad.Zero) for c in cotangents))
+    given = [c for c in cotangents if not isinstance(c, ad.Zero)]
     wide = (*batched[:first], *(size is not None for _ in given))
     found = native_p.bind(*known, *given, function=function.transposed(), batched=wide)
     out = [None] * first
@@ -245,6 +279,36 @@ def _transpose(cotangents, *args, function, batched):
     return out
 
 
+def _used(used, eqn):
+    """What is left of a call some of whose results nobody uses."""
+    if not any(used):
+        return [False] * len(eqn.invars), None
+    function = eqn.params["function"].only(tuple(used))
+    outs = [v for v, u in zip(eqn.outvars, used, strict=True) if u]
+    return [True] * len(eqn.invars), eqn.replace(outvars=outs, params=dict(eqn.params, function=function))
+
+
 batching.primitive_batchers[native_p] = _batch
+partial_eval.dce_rules[native_p] = _used
 ad.primitive_jvps[native_p] = _jvp
 ad.primitive_transposes[native_p] = _transpose
+
+
+def scalars(fn):
+    """The function of one lane, one JAX operation on scalars for each of its own; as it is where it can't be read.
+
+    Its derivatives are those of the function as it is.
+    """
+    as_c = fn if hasattr(fn, "of") else native(fn)
+
+    @functools.wraps(fn)
+    def call(*args):
+        function, leaves = as_c.of(*args)
+        made = function.scalars.of(lane_avals(leaves, batched=False)) if in_scalars() else None
+        if not isinstance(made, Derived):
+            return fn(*args)
+        flat = jax.custom_jvp(made)
+        flat.defjvp(lambda primals, tangents: jax.jvp(function._flat, primals, tangents))
+        return jax.tree.unflatten(function.structure, flat(*leaves))
+
+    return call

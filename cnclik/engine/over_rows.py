@@ -56,7 +56,8 @@ def _slice(g, eqn, x):
 
 def _rev(g, eqn, x):
     dimensions = eqn.params["dimensions"]
-    x = Rows(np.flip(x.cells, [d - 1 for d in dimensions if d]), x.length)
+    others = [d - 1 for d in dimensions if d]
+    x = Rows(np.flip(x.cells, others) if others else x.cells, x.length)  # NumPy flips no axis of () into its entry
     return [_each(x, lambda c: slid(g, c, x.length - 1, -1, x.length), x.length) if 0 in dimensions else x]
 
 

@@ -47,7 +47,7 @@ def _taken(g, x, coords, dtype):
     time, *inner = coords
     rows = x.cells.flat if inner else [x.cells.item()]
     row = pick(g, rows, _number(g, inner, x.cells.shape, dtype)) if inner else rows[0]
-    if row.op in ("pick", "select_n") and any(c.shape for c in x.cells.flat):
+    if inner and row.op in ("pick", "select_n") and any(c.shape for c in x.cells.flat):
         raise UnsupportedError("rows at places that are not known have no C form")
     if not row.shape:
         return row

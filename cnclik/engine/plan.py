@@ -4,20 +4,27 @@ import jax
 
 from cnclik import errors
 from cnclik.engine.compiler import can_build
-from cnclik.hints import switched_on
+from cnclik.hints import SWITCHES, switched_on
 
-ENGINES = ("native", "xla")
+ENGINES = ("native", "xla", "plain")
 _engine = jax.make_user_context(default_value=None)
+SWITCHES.append(_engine)
 
 
 def use_engine(name):
-    """Context manager: what runs the batches and functions called inside, "native" (C) or "xla"; None: the quicker one.
+    """Context manager: what runs the batches and functions called inside; None: the quickest.
 
-    All give the same numbers, to rounding. Where there is no C compiler, or a function has no C form, XLA runs it.
+    "native": C; "xla": the engine's scalars as XLA compiles them; "plain": the source as it is, by XLA. All give the
+    same numbers, to rounding. Where there is no C compiler, or a function has no C form, XLA runs it.
     """
     return _engine(name if name is None else errors.one_of("name", name, ENGINES))
 
 
 def in_c() -> bool:
     """Whether functions run as C where they can."""
-    return _engine.value != "xla" and switched_on() and jax.default_backend() == "cpu" and can_build()
+    return _engine.value in (None, "native") and switched_on() and jax.default_backend() == "cpu" and can_build()
+
+
+def in_scalars() -> bool:
+    """Whether XLA gets functions scalar by scalar where they can be read."""
+    return _engine.value != "plain"

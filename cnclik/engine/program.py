@@ -85,20 +85,27 @@ def _built(text, operations):
 
 
 class Programs:
-    """The programs of one function, by the shapes of its arguments; of those that have none, the reason."""
+    """The programs of a function of flat arguments, by their shapes; of those that have none, the reason."""
 
-    def __init__(self, fn):
-        self.fn, self.found = fn, Recent()
+    def __init__(self, fn, make=Program):
+        """make: of (fn, avals, treedef), `Program` or `to_jax.Derived`."""
+        self.fn, self.make, self.found = fn, make, Recent()
 
-    def of(self, avals, treedef) -> Program | UnsupportedError:
-        """The program for arguments of these avals, or why there is none."""
-        about = ((a.shape, str(a.dtype), a.weak_type) for a in avals)
-        key = jax.config.jax_enable_x64, treedef, *about
-        return self.found.made(key, lambda _: self._made(avals, treedef))
+    def of(self, avals):
+        """The program for flat arguments of these avals, or why there is none."""
+        return self.found.made(self._key(avals), lambda _: self._made(avals))
 
-    def _made(self, avals, treedef):
+    def known(self, avals):
+        """The same where it has been asked for before, else None."""
+        return self.found.get(self._key(avals))
+
+    def _key(self, avals):
+        about = ((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
+        return jax.config.jax_enable_x64, *about
+
+    def _made(self, avals):
         try:
-            return Program(self.fn, avals, treedef)
+            return self.make(self.fn, avals, jax.tree.structure(tuple(avals)))
         except UnsupportedError as error:
             return error
 

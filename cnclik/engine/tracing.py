@@ -4,15 +4,15 @@ import contextlib
 
 import jax
 
-from cnclik.hints import few_lanes, use_form, use_hints
+from cnclik.hints import few_lanes, use_hints
 
 _read = jax.make_user_context(default_value=False)
 
 
 @contextlib.contextmanager
 def to_be_read():
-    """Context manager: what is traced inside is read by the engine: numbers written out, without hints for XLA."""
-    with use_hints(False), use_form("unrolled"), few_lanes(0), _read(True):
+    """Context manager: what is traced inside is read by the engine, without hints for XLA."""
+    with use_hints(False), few_lanes(0), _read(True):
         yield
 
 

@@ -13,6 +13,7 @@ from cnclik.reaching.step import Search, iterate
 from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import cast, replace
 from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 
 SEEDS = 64  # postures that are written into the source, by default
@@ -86,16 +87,14 @@ def _look(asked, chain, task, parameters, target) -> Routine:
     def one(tolerance, *flat):
         values = iter(flat)
         wanted = {f.name: next(values) for f in target}
-        low, high = (tuple(next(values)) for _ in bounds)
-        q, best, squares, cost, steep, trust, looks, arrived = values
-        at = Search(tuple(q), tuple(best), tuple(squares), cost, steep, trust, looks, arrived != 0)
-        zero = jnp.zeros((), asked.dtype)
-        where = dict(zip(task.linear, wanted["position"], strict=True)) if task.position else {}
-        turn = wanted["rotation"] if task.orientation else jnp.eye(3, dtype=asked.dtype)
-        pose = tuple(where.get(i, zero) for i in range(3)), tuple(map(tuple, turn))
-        careful = jnp.ones((), bool)
-        made = iterate(cast(chain, asked.dtype), task, at, pose, (low, high), tuple(tolerance), careful)
-        packed = [jnp.stack(v) for v in (made.q, made.best, made.squares)]
-        return [*packed, made.cost, made.steep, made.trust, made.looks, made.arrived.astype(jnp.int32)]
+        low, high = (next(values) for _ in bounds)
+        *state, arrived = values
+        position = jnp.zeros(3, asked.dtype)
+        if task.position:
+            position = position.at[np.array(task.linear)].set(wanted["position"])
+        pose = position, wanted["rotation"] if task.orientation else jnp.eye(3, dtype=asked.dtype)
+        of, at = cast(modelled(chain), asked.dtype), Search(*state, arrived != 0)
+        made = iterate(of, task, at, pose, (low, high), tolerance, jnp.ones((), bool))
+        return [*made[:-1], made.arrived.astype(jnp.int32)]
 
     return read_as(asked, one, groups, {"search": state})

@@ -9,15 +9,14 @@ import numpy as np
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.routine import INT, REAL, Field, Routine, read
 from cnclik.export import fields
-from cnclik.integrate.history import blank, packed
+from cnclik.integrate.history import blank
 from cnclik.integrate.solve import step_and_least
 from cnclik.integrate.status import growing
-from cnclik.law.curves import Tangent
+from cnclik.law.curves import Hold
 from cnclik.law.law import look
-from cnclik.law.reference import Reference
-from cnclik.record import cast
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.law.reference import Reference, tangent
+from cnclik.record import cast, replace
+from cnclik.robot.model import frames, jacobian_rows, modelled
 
 WHAT = ("step", "solve", "reach", "fk", "jacobian")
 
@@ -71,9 +70,7 @@ class Stepping:
         if timed or asked.reference is not None:
             given += [Field("t", (), about="time [s]", value=0.0)]
         given += [Field("Ts", (), about="sampling time [s]")]
-        start = jax.eval_shape(
-            lambda q: packed(blank(law, tuple(q), asked.method)), jax.ShapeDtypeStruct((n,), asked.dtype)
-        )
+        start = jax.eval_shape(lambda q: blank(law, q, asked.method), jax.ShapeDtypeStruct((n,), asked.dtype))
         past, self.past_def = jax.tree.flatten(start)
         words = fields.names([path for path, _ in fields.leaves(start)])
         kinds = [REAL if leaf.dtype.kind == "f" else INT for leaf in past]
@@ -109,9 +106,9 @@ class Stepping:
     def end(self, *flat):
         """Error and task coordinates alone."""
         law, _, reference, inputs, _ = self._apart(flat)
-        law, reference = cast((law, reference), self.asked.dtype)
-        at = look(law, reference, inputs["t"], tuple(inputs["q"][i] for i in range(law.chain.n)))
-        return sp.packed(at.e, self.asked.dtype), sp.packed(at.x(), self.asked.dtype)
+        law, reference = cast((modelled(law), reference), self.asked.dtype)
+        at = look(law, reference, inputs["t"], inputs["q"])
+        return at.e, at.x()
 
     def grown(self, *flat):
         """The GROWING bit of a step from its errors at both ends, (2, m), at two times (2,)."""
@@ -127,19 +124,9 @@ def _start(dtype):
 
 def _target(law, inputs):
     """The target as an argument: where it is, and how fast it moves."""
-    p = len(law.task.position)
-    velocity = tuple(inputs["velocity"][i] for i in range(law.task.m))
-    rotation = spin = None
-    if law.task.orientation:
-        about = dict(zip(law.task.angular, velocity[p:], strict=True))
-        spin = tuple(about.get(i, jnp.zeros_like(velocity[0])) for i in range(3))
-        rotation = tuple(tuple(inputs["rotation"][i, j] for j in range(3)) for i in range(3))
-    position = tuple(inputs["position"][i] for i in range(p))
-    return Reference(
-        curve=Tangent(
-            t=_start(velocity[0].dtype), position=position, velocity=velocity[:p], rotation=rotation, spin=spin
-        )
-    )
+    held = Hold(position=inputs.get("position"), rotation=inputs.get("rotation"))
+    told = tangent(Reference(curve=held, feedforward=inputs["velocity"]), law.task, _start(inputs["q"].dtype))
+    return replace(told, feedforward=None)
 
 
 # --- geometry alone -----------------------------------------------------------------------------------
@@ -148,7 +135,7 @@ def _target(law, inputs):
 def _pose(asked):
     def results(chain, q):
         at = frames(chain, q)
-        return [sp.packed(at.position, asked.dtype), sp.packed(at.rotation, asked.dtype)]
+        return [at.position, at.rotation]
 
     position = Field("position", (3,), about="of the tip in the base frame [m]")
     return results, [position, Field("rotation", (3, 3), about="of the tip, row by row")]
@@ -156,7 +143,7 @@ def _pose(asked):
 
 def _jacobian(asked):
     def results(chain, q):
-        return [sp.packed(jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2)), asked.dtype)]
+        return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
 
     about = "(v, w) = J qdot in the base frame, row by row [m/s, rad/s]"
     return results, [Field("jacobian", (6, asked.law.chain.n), about=about)]
@@ -169,7 +156,7 @@ def _of_chain(asked, make) -> Routine:
 
     def fn(*flat):
         *values, q = flat
-        return results(put(values), tuple(q[i] for i in range(chain.n))), []
+        return results(cast(modelled(put(values)), asked.dtype), q), []
 
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
     groups = {"parameters": parameters, "input": given, "history": []}

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from cnclik.hints import QUICK_COMPILE, known_options, use_form
+from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot.kinematics import pose
 from cnclik.robot.posture import start_posture
@@ -45,7 +45,7 @@ def results(program, given) -> dict:
     flat = [given[key].reshape(-1, *f.shape) for key, f in fields]
     for i, value in sorted(program.fixed.items()):
         flat.insert(i, np.broadcast_to(value, (len(flat[0]), *value.shape)))
-    with jax.enable_x64(any(x.dtype == np.float64 for x in flat)), use_form("rolled"):  # the sooner compiled
+    with jax.enable_x64(any(x.dtype == np.float64 for x in flat)):
         found = jax.jit(jax.vmap(program.fn), compiler_options=known_options(QUICK_COMPILE))(*flat)
     keys = [f"{g}.{f.name}" for g, some in program.outputs.items() for f in some]
     return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, found, strict=True)}

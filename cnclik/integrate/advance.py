@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 
-from cnclik.hints import in_a_kernel
 from cnclik.integrate.exponential import exponential_march
 from cnclik.integrate.history import mark
 from cnclik.integrate.march import march
@@ -14,7 +13,6 @@ from cnclik.law.law import Law, evaluate, look, respond
 from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
 from cnclik.record import record
-from cnclik.robot import spatial as sp
 
 
 @record
@@ -43,7 +41,7 @@ class Step:
 
 
 def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False) -> Step:
-    """One step of the loop in component form; the fields of the result are tuples of scalars.
+    """One step of the loop, of a law whose chain is a `Model`.
 
     Args:
       history: of a multistep method, see `cnclik.integrate.history.blank`; else None.
@@ -59,13 +57,13 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
     if method.steps == 1 or starting:
         made_with = starter(method) if starting else method
         # A loop over the stages is compiled several times faster, and runs 15 to 25 % slower.
-        looped = starting or not (sp.unrolled(q) or made_with.implicit or len(made_with.b) < 3)
-        looped = looped and made_with.c[0] == 0 and not in_a_kernel()
+        looped = starting or not (made_with.implicit or len(made_with.b) < 3)
+        looped = looped and made_with.c[0] == 0
         begun = _of_tableau(law, told, q, at, t, Ts, made_with, stage, looped=looped)
     if method.steps == 1:
         one = Stepped(begun.moved)
     else:
-        one = over_history(law, told, q, at, mark(law, reference, at, t, q), t, Ts, method, history, begun)
+        one = over_history(law, told, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)
     made = one.moved
     if law.limits is not None:
         after, qdot = within(law, q, made.qdot, Ts)
@@ -75,7 +73,7 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
     step = Step(
         q=made.q,
-        x=sp.each(lambda x: jnp.asarray(x, made.residual.dtype), made.first.x()),  # z of a planar arm is a number
+        x=made.first.x(),
         e=made.first.e,
         qdot=made.qdot,
         residual=made.residual,
@@ -92,9 +90,9 @@ def summed(law, q, step, lost):
     In single precision steps below half a spacing of q would else come to nothing: the loop would stop short of its
     target by ulp(q)/2/(alpha·Ts). Without derivatives: what is lost has none.
     """
-    step = sp.vadd(step, lost)
-    after = inside(law, q, sp.vadd(q, step))
-    return after, jax.lax.stop_gradient(sp.vsub(step, sp.vsub(after, q)))
+    step = step + lost
+    after = inside(law, q, q + step)
+    return after, jax.lax.stop_gradient(step - (after - q))
 
 
 def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:
@@ -103,6 +101,6 @@ def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun
         return Begun(*exponential_march(law, reference, q, at, t, Ts, method, stage, looped=looped))
 
     def field(c, q):
-        return evaluate(law, reference, t if sp.is_number(c) and c == 0 else t + c * Ts, q)
+        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
 
     return Begun(march(field, q, Ts, method, stage, respond(law, q, at), looped=looped))

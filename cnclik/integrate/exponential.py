@@ -5,11 +5,13 @@ See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedba
 
 from typing import NamedTuple
 
-from cnclik.integrate.march import march
+import jax.numpy as jnp
+
+from cnclik.integrate.march import combine, march
 from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over_step
-from cnclik.law.law import answer, glance, null_velocity, target
+from cnclik.law.law import answer, glance, null_velocity
 from cnclik.law.null import Posture
-from cnclik.robot import spatial as sp
+from cnclik.law.reference import sample
 
 CLOSED = 2  # order up to which a turn has its closure, see `closure`
 
@@ -17,9 +19,9 @@ CLOSED = 2  # order up to which a turn has its closure, see `closure`
 class Start(NamedTuple):
     """What a step is to do, as known at its start."""
 
-    feedback: tuple  # (m,) held over the step
-    velocity: tuple  # (m,) φ ẋ_d at the start
-    mean: tuple  # (m,) φ times the target's mean velocity over the step
+    feedback: object  # (m,) held over the step
+    velocity: object  # (m,) φ ẋ_d at the start
+    mean: object  # (m,) φ times the target's mean velocity over the step
     wanted: object  # (n,) null-space velocity, a posture's held over the step; None
 
 
@@ -29,9 +31,9 @@ def start(law, reference, q, at, t, Ts) -> Start:
     wanted, factor = null_velocity(law, q), null_over_step(law, Ts)
     return Start(
         feedback=held_feedback(law, at.e, to.turn, Ts),
-        velocity=sp.scale(law.feedforward, at.xdot_d),
-        mean=sp.scale(law.feedforward, to.mean),
-        wanted=wanted if factor is None else sp.scale(factor, wanted),
+        velocity=law.feedforward * at.xdot_d,
+        mean=law.feedforward * to.mean,
+        wanted=wanted if factor is None else factor * wanted,
     )
 
 
@@ -42,9 +44,8 @@ def closure(law, mean, quadrature, turns):
     (Magnus 1954), so that it is a gain to order 2 and a loss beyond.
     """
     p = len(law.task.position)
-    missed = sp.vsub(mean, quadrature)
-    turned = missed[p:]
-    return sp.join(missed[:p], sp.scale(turns, turned) if sp.unrolled(turned) else turns * turned)
+    missed = mean - quadrature
+    return jnp.concatenate([missed[:p], turns * missed[p:]])
 
 
 def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=False):
@@ -53,20 +54,20 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
     known = {0.0: to.velocity}
     for c in method.c:
         if c not in known:
-            known[c] = sp.scale(law.feedforward, target(law, reference, t + c * Ts, q)[2])
+            known[c] = law.feedforward * sample(reference, law.task, t + c * Ts)[2]
     velocities = [known[c] for c in method.c]
     low = method.order <= CLOSED
-    held = closure(law, to.mean, sp.combine(method.b, velocities), 1.0 if low else 0.0)
+    held = closure(law, to.mean, combine(method.b, velocities), 1.0 if low else 0.0)
     if low:
-        held = sp.vadd(to.feedback, held)
+        held = to.feedback + held
     else:
         turns = [ahead(law, reference, at, t, c * Ts).turn if c else None for c in method.c]
         asked = feedback_within(law, at.e, method.c, turns, Ts)
-        velocities = [sp.vadd(v, w) for v, w in zip(velocities, asked, strict=True)]
+        velocities = [v + w for v, w in zip(velocities, asked, strict=True)]
 
     def field(velocity, q):
         wanted = to.wanted if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
-        return answer(law, q, glance(law, q), sp.vadd(velocity, held), wanted)
+        return answer(law, q, glance(law, q), velocity + held, wanted)
 
-    first = answer(law, q, at, sp.vadd(velocities[0], held), to.wanted)
+    first = answer(law, q, at, velocities[0] + held, to.wanted)
     return march(field, q, Ts, method, stage, first, at=velocities, looped=looped), to

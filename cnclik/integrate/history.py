@@ -9,13 +9,15 @@ import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from cnclik import errors
-from cnclik.law.law import Law, target
+from cnclik.law.law import Law
 from cnclik.law.null import Posture
+from cnclik.law.reference import sample
 from cnclik.law.shifted import unshifted
 from cnclik.record import record, replace
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import axial, safe_norm
 
 UNEVEN = 0.1  # relative change of the sampling time from which on the past is dropped
 _SLACK = 64  # roundings that count as no motion of a target
@@ -57,29 +59,24 @@ class History:
 
 
 def blank(law: Law, q, method):
-    """The history of a loop before its first step, in the form of q; None for a one-step method."""
+    """The history of a loop before its first step from q (n,); None for a one-step method."""
     if method.steps == 1:
         return None
     n, m, p = law.chain.n, law.task.m, len(law.task.position)
-    zero = jnp.zeros_like(q[0])
-
-    def zeros(*shape):
-        if not sp.unrolled(q):
-            return jnp.zeros(shape, q.dtype)
-        return tuple(zeros(*shape[1:]) if shape[1:] else zero for _ in range(shape[0]))
+    zeros, zero = functools.partial(jnp.zeros, dtype=q.dtype), jnp.zeros((), q.dtype)
 
     if method.exponential:
         null = zeros(n) if remembers_null(law) else None
-        rows = zeros(m, n) if remembers_rows(law) else None
+        rows = zeros((m, n)) if remembers_rows(law) else None
         factor = zeros(m * (m + 1) // 2) if remembers_factor(law) else None
-        entry = Entry(columns=zeros(m, n), factor=factor, velocity=zeros(m), null=null, rows=rows)
+        entry = Entry(columns=zeros((m, n)), factor=factor, velocity=zeros(m), null=null, rows=rows)
     else:
         entry = Entry(q=zeros(n) if len(method.a) > 1 else None, slope=zeros(n))
     none = jnp.zeros_like(zero, jnp.int32)
     return History(
         entries=(entry,) * (method.steps - 1),
-        position=zeros(p) if p else q[:0],
-        rotation=zeros(3, 3) if law.task.orientation else None,
+        position=zeros(p),
+        rotation=zeros((3, 3)) if law.task.orientation else None,
         speed=zero,
         Ts=zero,
         count=none,
@@ -105,36 +102,6 @@ def remembers_rows(law: Law) -> bool:
 def remembers_factor(law: Law) -> bool:
     """Whether J# is remembered as Jᵀ and the factors of J Jᵀ + λ² I: a fraction of what its columns cost."""
     return getattr(law.inverse, "factors", False) and law.limits is None and law.task.m <= law.chain.n
-
-
-# --- forms --------------------------------------------------------------------------------------------
-
-
-def packed(history):
-    """The history with arrays for vectors and matrices, as `step` hands it out."""
-    return _mapped(history, sp.packed)
-
-
-def in_the_form_of(q, history):
-    """A packed history in the form of q (n,)."""
-    if history is None or not sp.unrolled(q):
-        return history
-
-    def apart(v):
-        return v if not jnp.ndim(v) else tuple(apart(v[i]) for i in range(v.shape[0]))
-
-    return _mapped(history, apart)
-
-
-def _mapped(history, fn):
-    if history is None:
-        return None
-
-    def one(rec, names):
-        return replace(rec, **{n: fn(v) for n in names if (v := getattr(rec, n)) is not None})
-
-    entries = tuple(one(entry, Entry.__dataclass_fields__) for entry in history.entries)
-    return replace(one(history, ("position", "rotation")), entries=entries)
 
 
 def checked(history, method, law):
@@ -166,12 +133,12 @@ class Mark(NamedTuple):
     velocity: object
 
 
-def mark(law: Law, reference, at, t, q) -> Mark:
+def mark(law: Law, reference, at, t) -> Mark:
     """The target's mark at t; `at` is what the law sees there."""
     true = unshifted(reference)
     if true is reference and reference.feedforward is None:
         return Mark(at.position, at.rotation, at.xdot_d)
-    return Mark(*target(law, replace(true, feedforward=None), t, q))
+    return Mark(*sample(replace(true, feedforward=None), law.task, t))
 
 
 def valid(history: History, law: Law, at: Mark, Ts):
@@ -181,19 +148,17 @@ def valid(history: History, law: Law, at: Mark, Ts):
     twice what a mean speed does, so that motion from rest, at any acceleration, is no jump.
     """
     whole = len(law.task.orientation) == 3
-    moved = sp.vsub(at.position, history.position) if law.task.position else ()
-    moved = [moved[i] for i in range(len(law.task.position))]
+    moved = [at.position - history.position]
     if law.task.orientation:
         before, now = history.rotation, at.rotation
         if whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
-            moved += [(now[i][j] - before[i][j]) * 0.5**0.5 for i in range(3) for j in range(3)]
+            moved.append((now - before).ravel() * 0.5**0.5)
         else:
-            sines = sp.axial(sp.matmul(now, sp.transpose(before)))
-            moved += [0.5 * sines[i] for i in law.task.angular]
-    explained = history.Ts * (sp.safe_norm(at.velocity) + history.speed)
-    size = sp.total(sp.each(jnp.abs, at.position)) if law.task.position else 0.0
+            moved.append(0.5 * axial(now @ before.T)[np.array(law.task.angular)])
+    explained = history.Ts * (safe_norm(at.velocity) + history.speed)
+    size = jnp.sum(jnp.abs(at.position))
     most = explained + _SLACK * jnp.finfo(explained.dtype).eps * (1 + size)
-    jumped = sp.total(x * x for x in moved) > most * most
+    jumped = sum(jnp.sum(v * v) for v in moved) > most * most
     uneven = jnp.abs(Ts - history.Ts) > UNEVEN * history.Ts
     return jnp.where(jumped | uneven, 0, history.count)
 
@@ -203,19 +168,15 @@ def remember(history: History, law: Law, entry: Entry, at: Mark, Ts, count) -> H
     dtype = history.Ts.dtype
 
     def like(value, old):
-        if value is None:
-            return None
-        if sp.unrolled(old):
-            return tuple(like(v, o) for v, o in zip(value, old, strict=True))
-        return jnp.broadcast_to(jnp.asarray(value, dtype), jnp.shape(old))
+        return None if value is None else jnp.broadcast_to(jnp.asarray(value, dtype), jnp.shape(old))
 
     old = history.entries[0]
     entry = Entry(**{name: like(getattr(entry, name), getattr(old, name)) for name in Entry.__dataclass_fields__})
     return History(
         entries=(entry, *history.entries[:-1]),
-        position=like(at.position, history.position) if law.task.position else history.position,
+        position=like(at.position, history.position),
         rotation=like(at.rotation, history.rotation) if law.task.orientation else None,
-        speed=jnp.asarray(sp.safe_norm(at.velocity), dtype),
+        speed=jnp.asarray(safe_norm(at.velocity), dtype),
         Ts=jnp.asarray(Ts, dtype),
         count=count.astype(jnp.int32),
         made=jnp.minimum(history.made + 1, len(history.entries)).astype(jnp.int32),

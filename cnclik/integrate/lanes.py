@@ -1,15 +1,13 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-On a CPU with a C compiler the function becomes C on vectors of lanes (`cnclik.engine`), where it has such a form.
-Else the batch is cut into tiles of a few dozen lanes, so few that a tile's data stay in the cache and its loop in time
-is compiled as one native function (`cnclik.hints`). On a GPU the whole function becomes one kernel
-(`cnclik.integrate.kernel`) where it can, else XLA compiles `jax.vmap(fn)`. Either way batches run in blocks of bounded
-size, side by side on all cores, or on all devices. Under `use_hints(False)` the same runs without hints and kernels.
+The engine (`cnclik.engine`) reads the function into scalars. On a CPU with a C compiler they become C on vectors.
+Else JAX gets it scalar by scalar, and the batch in tiles of a few dozen lanes, so few that a tile's data stay in the
+cache. A function that can't be read is vmapped as it is. Batches run in blocks of bounded size, side by side on all
+cores, or on all devices.
 """
 
 import functools
 import itertools
-import warnings
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +16,12 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.cache import Recent
-from cnclik.engine.plan import in_c
-from cnclik.engine.program import Programs, lane_avals
-from cnclik.hints import QUICK_COMPILE, as_here, few_lanes, form, is_wide, known_options, quick_jit, switched_on
-from cnclik.integrate import kernel
+from cnclik.engine.native import native, scalars
+from cnclik.engine.plan import in_c, in_scalars
+from cnclik.engine.program import Program, lane_avals
+from cnclik.engine.to_jax import Derived
+from cnclik.engine.tracing import is_read
+from cnclik.hints import QUICK_COMPILE, as_here, few_lanes, is_wide, known_options, quick_jit, switched_on
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
@@ -36,12 +36,11 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
 
     Every argument is a tree of arrays with one leading batch axis of any size from 1 to tens of millions; what
     all lanes share is best closed over. `fn` should return what is wanted of a loop (an error, a metric) and not
-    its whole trajectory: memory is that of inputs and results plus one block per core or device. On a GPU a `fn`
-    of the loop's end alone (`.e[-1]`) is one kernel; one that uses its history runs as XLA compiles it.
+    its whole trajectory: memory is that of inputs and results plus one block per core or device.
 
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
-      tile: lanes per tile of XLA's programs, by default 64, on a GPU 128 (there a power of 2). C has its own.
+      tile: lanes per tile of XLA's programs on a CPU, by default 64. C has its own.
       block: lanes per call of them, a multiple of `tile`; by default 32768, on a GPU 2**20.
       cores: how many cores of a CPU may work at once, by default all this process may use.
       quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
@@ -50,7 +49,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
     Under jit, vmap or grad it is one traced program on one core; called with arrays it uses all cores, or devices.
     """
     on_cpu = jax.default_backend() == "cpu"
-    tile = errors.integer("tile", (TILE if on_cpu else kernel.TILE) if tile is None else tile, at_least=1)
+    tile = errors.integer("tile", TILE if tile is None else tile, at_least=1)
     default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = available() if cores is None else errors.integer("cores", cores, at_least=1, at_most=1 << 16)
@@ -59,25 +58,34 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
         raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
 
     def traced(*args):
-        return tiled(fn, tile, *args)
+        return tiled(one, tile, *args)
 
-    compiled = _kernel_or(traced, fn, tile) if not on_cpu else quick_jit(traced) if quick else _hinted(traced)
+    compiled = jax.jit(traced) if not on_cpu else quick_jit(traced) if quick else _hinted(traced)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
-    ready, programs = Recent(), Programs(fn)
+    ready, as_c = Recent(), native(fn)
+    one = scalars(as_c)
 
     @functools.wraps(fn)
     def call(*args):
         leaves, treedef = jax.tree.flatten(args)
         size = _size(leaves)
-        if not all(map(errors.concrete, leaves)):
+        concrete, found = all(map(errors.concrete, leaves)), None
+        function, avals = as_c.of(*args)[0], lane_avals(leaves)
+        if in_c() and not is_read():
+            found = function.programs.of(avals)
+        if isinstance(found, Program) and not concrete:
+            return jax.vmap(as_c)(*args)
+        if not concrete:
             return traced(*args)
-        if not quick and in_c() and not isinstance(found := programs.of(lane_avals(leaves), treedef), Exception):
-            return jax.tree.unflatten(found.tree, map(jnp.asarray, found(leaves, size, cores)))
+        if isinstance(found, Program):
+            return jax.tree.unflatten(function.structure, map(jnp.asarray, found(leaves, size, cores)))
         if size <= tile:
             return compiled(*args)
-        return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, len(workers)), workers)
+        read = in_scalars() and isinstance(function.scalars.of(avals), Derived)
+        able = workers if read or not on_cpu else workers[:1]  # LAPACK, see `cnclik.hints.shares_threads`
+        return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, len(able)), able)
 
     return call
 
@@ -95,53 +103,10 @@ def _hinted(fn):
     hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
 
     def call(*args):
-        key = switched_on(), form(), _signature(*jax.tree.flatten(args))
+        key = switched_on(), _signature(*jax.tree.flatten(args))
         return found.made(key, lambda _: hinted() if options(plain.trace(*args)) else plain)(*args)
 
     return call
-
-
-def _kernel_or(traced, fn, tile):
-    """The function as one GPU kernel, or as XLA compiles it where it has none."""
-    plain, one_kernel = jax.jit(traced), jax.jit(kernel.batched(fn, tile=tile))
-    refused = Recent()
-
-    def call(*args):
-        key = _signature(*jax.tree.flatten(args))
-        if not switched_on() or refused.get(key):
-            return plain(*args)
-        try:
-            return jax.block_until_ready(one_kernel(*args))
-        except Exception as error:
-            why = _no_kernel(error, one_kernel, args)
-            if why is None:
-                raise
-        if not refused:  # once for a function
-            warnings.warn(f"no GPU kernel for {_name(fn)}, XLA compiles it instead: {why}", stacklevel=3)
-        refused[key] = True
-        return plain(*args)
-
-    return call
-
-
-def _no_kernel(error, one_kernel, args) -> str | None:
-    """Why there is no kernel, if it is for that that the call failed; else None, and the error is the caller's."""
-    if not isinstance(error, kernel.UnsupportedError):
-        try:
-            traced = one_kernel.trace(*args)
-        except Exception:
-            return None
-        try:
-            traced.lower().compile()
-        except Exception as failed:  # what Pallas, Triton and XLA raise for it has no common name
-            error = failed
-        else:
-            return None
-    return str(error).split("\n")[0]
-
-
-def _name(fn):
-    return getattr(fn, "__name__", type(fn).__name__)
 
 
 def _signature(leaves, treedef) -> tuple:
@@ -202,7 +167,7 @@ def tiled(fn, tile, *args, count=None):
 def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     """Run blocks side by side; each result is copied into place as soon as it is there."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
-    key = block, switched_on(), form(), _signature(leaves, treedef)
+    key = block, switched_on(), _signature(leaves, treedef)
 
     @as_here
     def run(start):

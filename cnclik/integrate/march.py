@@ -1,5 +1,7 @@
 """march: one step of a tableau over any field, a law's or a linear one."""
 
+import functools
+import operator
 from typing import NamedTuple
 
 import jax
@@ -7,23 +9,22 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.integrate.method import Method
-from cnclik.robot import spatial as sp
 
 
 class Moved(NamedTuple):
     """One step over any field: where it went, how, and what the field was at its start."""
 
-    q: tuple
-    qdot: tuple
+    q: object  # (n,)
+    qdot: object  # (n,)
     first: object
     residual: object
     contraction: object
 
 
 def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=False):
-    """One step of the method over `field`, in component form.
+    """One step of the method over `field`.
 
-    field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n scalars) and, for stages that
+    field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n,) and, for stages that
     use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one.
 
     Args:
@@ -36,14 +37,14 @@ def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=Fa
     if looped:
         return _looped(field, q, Ts, method, first, at)
     slopes = []
-    residual = contraction = jnp.zeros_like(q[0])
+    residual = contraction = jnp.zeros((), q.dtype)
     for i, (row, c) in enumerate(zip(method.A, method.c, strict=True)):
         base = shift(q, Ts, row[:i], slopes)
         if row[i] == 0:
             slopes.append(first.qdot if c == 0 and not any(row) else field(at[i], base).qdot)
             continue
-        h = sp.mul(row[i], Ts)
-        ahead = sp.combine([w / row[i] for w in row[:i]], slopes) if any(row[:i]) else sp.each(lambda _: 0.0, q)
+        h = row[i] * Ts
+        ahead = combine([w / row[i] for w in row[:i]], slopes) if any(row[:i]) else 0.0 * q
 
         def g(k, at=at[i], base=base, h=h):
             return field(at, shift(base, h, (1.0,), (k,)))
@@ -62,25 +63,31 @@ def _looped(field, q, Ts, method, first, at):
 
     def one(slopes, stage):
         i, row, at = stage
-        made = field(at, sp.vadd(q, sp.scale(Ts, sp.combine([row[j] for j in range(count)], slopes)))).qdot
-        return tuple(sp.each(lambda a, b, j=j: jnp.where(i == j, a, b), made, k) for j, k in enumerate(slopes)), None
+        made = field(at, q + Ts * combine([row[j] for j in range(count)], slopes)).qdot
+        return tuple(jnp.where(i == j, made, k) for j, k in enumerate(slopes)), None
 
     dtype = jnp.result_type(q[0])
     rows, ats = jax.tree.map(
         lambda *v: jnp.stack([jnp.asarray(x, dtype) for x in v]), *zip(weights[1:], at[1:], strict=True)
     )
-    start = (first.qdot, *(sp.each(jnp.zeros_like, q),) * (count - 1))
+    start = (first.qdot, *(jnp.zeros_like(q),) * (count - 1))
     slopes, _ = lax.scan(one, start, (jnp.arange(1, count), rows, ats))
-    zero = jnp.zeros_like(q[0])
+    zero = jnp.zeros((), q.dtype)
     return _moved(q, Ts, method, slopes, first, zero, zero)
 
 
 def _moved(q, Ts, method, slopes, first, residual, contraction) -> Moved:
     """The end of a step, from the slopes of its stages."""
-    qdot = sp.combine(method.b, slopes)
+    qdot = combine(method.b, slopes)
     return Moved(shift(q, Ts, (1.0,), (qdot,)), qdot, first, residual, contraction)
+
+
+def combine(weights, vectors):
+    """Σ wᵢ vᵢ, without those whose weight is known to be 0."""
+    parts = [w * v for w, v in zip(weights, vectors, strict=True) if not (type(w) is float and w == 0)]
+    return functools.reduce(operator.add, parts)
 
 
 def shift(q, h, weights, slopes):
     """q + h Σ wᵢ kᵢ."""
-    return sp.vadd(q, sp.scale(h, sp.combine(weights, slopes))) if any(weights) else q
+    return q + h * combine(weights, slopes) if any(weights) else q

@@ -17,8 +17,8 @@ from cnclik.law.law import look
 from cnclik.law.reference import check
 from cnclik.law.shifted import shifted
 from cnclik.record import replace
-from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.model import modelled, one_off
+from cnclik.robot.rotations import turn_from
 
 
 def white_noise(sigma, N: int, m: int, seed=0):
@@ -40,9 +40,8 @@ def _between(task, measured, model):
     """What a target is to be moved by so that its error is the measured one, and not the model's (m,)."""
     p = len(task.position)
     if len(task.orientation) < 3:
-        return sp.vsub(measured, model)
-    turn = sp.turn_from(sp.scale(-1.0, measured[p:]), sp.scale(-1.0, model[p:]))
-    return sp.join(sp.vsub(measured[:p], model[:p]), turn)
+        return measured - model
+    return jnp.concatenate([measured[:p] - model[:p], turn_from(-measured[p:], -model[p:])])
 
 
 def solve_measured(
@@ -81,9 +80,9 @@ def _checked(law, reference, q0, Ts, N, method, stage, drive, noise):
 
 
 def state_at_rest(law, reference, start, drive, model, *, method, plant=None):
-    """The state that `through` begins with, from the joint values `start` in the form of the program."""
-    at_drives = None if model is None else resting(drive, model, sp.packed(start))
-    zero = jnp.zeros((), sp.packed(start).dtype)
+    """The state that `through` begins with, from the joint values `start` (n,)."""
+    at_drives = None if model is None else resting(drive, model, start)
+    zero = jnp.zeros((), start.dtype)
     first = look(_truly(law, plant), reference, zero, start).e  # until the first measurement arrives
     return start, at_drives, (first,) * _late(drive), blank(law, start, method)
 
@@ -114,14 +113,14 @@ def through(law, reference, Ts, stage, drive, model, *, method, N, noise=None, p
             return (made.q, at_drives, past, made.history), replace(made, q=q, history=None)
         at, seen = look(true_law, reference, t, q), q
         if commanded:
-            seen = sp.like(q, at_drives.sent)
+            seen = at_drives.sent
         elif not drive.exact:
-            seen = sp.like(q, measured_joints(drive, sp.packed(q), k))
+            seen = measured_joints(drive, q, k)
         # A camera sees the tip where it is; of its own commands a controller knows what its model says.
         found = at.e if seen is q else look(law if commanded else true_law, reference, t, seen).e
         measured = (found, *past)[late]
         if noise is not None:
-            measured = sp.vadd(measured, sp.like(measured, noise[k.astype(int)]))
+            measured = measured + noise[k.astype(int)]
         exact = noise is None and not differs and not late
         believed = measured if exact else look(law, reference, t, seen).e
         told = reference
@@ -129,13 +128,13 @@ def through(law, reference, Ts, stage, drive, model, *, method, N, noise=None, p
             told = shifted(reference, law.task, _between(law.task, measured, believed))
         made = advance(now, told, seen, t, length, method, stage, history, starting=starting)
         if model is None:
-            moved = made.q if seen is q else sp.vadd(q, sp.vsub(made.q, seen))
+            moved = made.q if seen is q else q + (made.q - seen)
         else:
-            step = sp.packed(sp.vsub(made.q, seen))
-            at_drives = driven(drive, model, at_drives, sp.packed(seen), step, Ts)
-            moved = sp.like(q, at_drives.x[:, 0])
+            step = made.q - seen
+            at_drives = driven(drive, model, at_drives, seen, step, Ts)
+            moved = at_drives.x[:, 0]
         if moved is not made.q:
-            made = replace(made, qdot=sp.scale(1 / Ts, sp.vsub(moved, q)))
+            made = replace(made, qdot=1 / Ts * (moved - q))
         return (moved, at_drives, (found, *past)[:late], made.history), replace(
             made, q=q, x=at.x(), e=at.e, history=None
         )
@@ -144,14 +143,12 @@ def through(law, reference, Ts, stage, drive, model, *, method, N, noise=None, p
 
 
 def _loop(law, reference, q0, Ts, stage, drive, model, noise, plant, *, N, method, gained=None):
-    law, start = in_form(law, q0)
-    if plant is not None:
-        plant = in_form(plant, start)[0]
+    law, plant = modelled(law), modelled(plant)
     law, plant, reference, noise, Ts, drive, model = cast((law, plant, reference, noise, Ts, drive, model), q0.dtype)
     one = through(law, reference, Ts, stage, drive, model, method=method, N=N, noise=noise, plant=plant, gained=gained)
-    state = state_at_rest(law, reference, start, drive, model, method=method, plant=plant)
+    state = state_at_rest(law, reference, q0, drive, model, method=method, plant=plant)
     k = jnp.arange(N + 1).astype(q0.dtype)
-    found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
+    found = instants(one, state, k, q0, law.task.m, early=early_steps(method, N))
     return assemble(k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
 
 

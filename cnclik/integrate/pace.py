@@ -21,8 +21,9 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import leaf, record, replace
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
+from cnclik.robot.rotations import safe_sqrt
 
 TURNING = 0.6  # part of the acceleration that following the path may take at a steady share; the rest changes the share
 BENDING = 0.5  # and part of the jerk
@@ -152,10 +153,7 @@ def check_pace(pace, n: int, chain=None) -> Pace:
         return pace
     if errors.kind("chain", chain, Chain).n != n:
         raise errors.fail("chain", f"have {n} joints", f"has {chain.n}")
-    limits = sp.packed(chain.velocity_limit, float)
-    if errors.concrete(limits):  # NumPy compiles nothing
-        limits = np.asarray(limits)
-    return replace(pace, velocity=limits)
+    return replace(pace, velocity=modelled(chain).velocity_limit)
 
 
 # --- the share ----------------------------------------------------------------------------------------
@@ -228,7 +226,7 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         grows = jnp.maximum(0.0, jnp.sign(turn) * bend) / (TURNING * a)
         now = jnp.abs(turn) / (TURNING * a) + grows * state.share * lag
         # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path allows at x, and what is braked by then.
-        there = jnp.maximum(jnp.maximum(1.0, now), sp.safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
+        there = jnp.maximum(jnp.maximum(1.0, now), safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
         caps.append(jnp.sqrt(jnp.minimum(1.0, -_max((now - 2 * there) / there**2))))
         if stop is not None:
             slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
@@ -295,7 +293,7 @@ def _braked(a, j, state, wanted, Ts):
         return state.velocity + jnp.clip(gap, -a * Ts, a * Ts)
     # As the share: the acceleration has gone when the wanted velocity is reached.
     size = jnp.abs(gap)
-    change = 2 * EASING * gap / (sp.safe_sqrt((EASING * Ts) ** 2 + 2 * EASING * size / j) + EASING * Ts)
+    change = 2 * EASING * gap / (safe_sqrt((EASING * Ts) ** 2 + 2 * EASING * size / j) + EASING * Ts)
     change = jnp.clip(change, state.acceleration - j * Ts, state.acceleration + j * Ts)
     if a is not None:
         change = jnp.clip(change, -a, a)
@@ -304,8 +302,8 @@ def _braked(a, j, state, wanted, Ts):
 
 def _steepness(state, f, Ts):
     """By how much f falls per unit of motion [1/s], where the last step was off the path: what f′ = −α f is of α."""
-    moved = Ts * sp.safe_sqrt(jnp.sum(state.velocity**2))
-    found = sp.safe_sqrt(jnp.sum((f - state.asked) ** 2)) / jnp.where(moved > 0, moved, 1.0)
+    moved = Ts * safe_sqrt(jnp.sum(state.velocity**2))
+    found = safe_sqrt(jnp.sum((f - state.asked) ** 2)) / jnp.where(moved > 0, moved, 1.0)
     return jnp.where(state.over & (moved > 0), found, 0.0)
 
 

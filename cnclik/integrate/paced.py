@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
-from cnclik.hints import keeps_history
 from cnclik.integrate.advance import advance
 from cnclik.integrate.history import blank
 from cnclik.integrate.pace import check_pace, pace_at_rest, share
@@ -13,8 +12,7 @@ from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.corners import Corners, corners
 from cnclik.law.reference import check
 from cnclik.record import cast, replace
-from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.model import modelled, one_off
 
 
 def solve_paced(law, reference, q0, Ts, N: int, method, stage, *, t0=0.0, pace) -> Trajectory:
@@ -36,8 +34,7 @@ def solve_paced(law, reference, q0, Ts, N: int, method, stage, *, t0=0.0, pace) 
 def _loop(law, reference, q0, Ts, t0, stage, pace, *, N, method):
     dtype = q0.dtype
     waits = reference.known if pace.wait is None else pace.wait
-    law, start = in_form(law, q0)
-    law, reference, pace, Ts, t0 = cast((law, reference, pace, Ts, t0), dtype)
+    law, reference, pace, Ts, t0 = cast((modelled(law), reference, pace, Ts, t0), dtype)
     k = jnp.arange(N + 1).astype(dtype)
     t = t0 + k * Ts
     looks = waits and reference.known and N > 1 and not (pace.acceleration is None and pace.jerk is None)
@@ -51,9 +48,9 @@ def _loop(law, reference, q0, Ts, t0, stage, pace, *, N, method):
         length = jnp.where(k < N, part * Ts, 0.0)  # see `instants`
         made = advance(law, reference, q, here, length, method, stage, history, starting=starting)
         stop, sharpness = (None, 1.0) if ahead is None else ahead.after(here)
-        s, pacing = share(pace, pacing, sp.packed(made.qdot, dtype), Ts, stop, sharpness)
-        qdot = sp.like(q, pacing.velocity)
-        moved = sp.vadd(q, sp.scale(Ts, qdot))
+        s, pacing = share(pace, pacing, made.qdot, Ts, stop, sharpness)
+        qdot = pacing.velocity
+        moved = q + Ts * qdot
         status = made.status & ~int(Status.OVER_VELOCITY)
         status |= jnp.where(too_fast(law.chain, qdot), int(Status.OVER_VELOCITY), 0)
         status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
@@ -67,13 +64,11 @@ def _loop(law, reference, q0, Ts, t0, stage, pace, *, N, method):
         return (moved, here + s * Ts, pacing, history), step
 
     one = checkpointed(one)
-    state = start, t0, pace_at_rest(q0), blank(law, start, method)
-    found = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
+    state = q0, t0, pace_at_rest(q0), blank(law, q0, method)
+    found = instants(one, state, k, q0, law.task.m, early=early_steps(method, N))
     run = assemble(t, found, evaluations_of(method, stage, law.chain.n, N))
     if waits:
         run = replace(run, path_time=found[0].history)
-    if not keeps_history():
-        return run
     return replace(run, status=run.status | growing(law.task, reference, run.target_time, run.e))
 
 

@@ -29,11 +29,10 @@ from cnclik.integrate.history import (
     valid,
     weights,
 )
-from cnclik.integrate.march import Moved, shift
+from cnclik.integrate.march import Moved, combine, shift
 from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, answer, look, respond, weigh
 from cnclik.law.limits import within
-from cnclik.robot import spatial as sp
 
 TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
 
@@ -54,7 +53,7 @@ class Begun(NamedTuple):
 
 
 def over_history(law, reference, q, at, now, t, Ts, method, history: History, begun: Begun | None) -> Stepped:
-    """A step of a multistep method in component form, from what the law sees at q and t.
+    """A step of a multistep method, from what the law sees at q and t.
 
     Args:
       now: the target's `mark`.
@@ -65,13 +64,13 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
     first, slope, entry, turned = make(law, reference, q, at, t, Ts, method, history, count, begun)
     left = count
     if turned is not None:
-        slope = sp.each(lambda a, b: jnp.where(turned, a, b), first.qdot, slope)
+        slope = jnp.where(turned, first.qdot, slope)
         left = jnp.where(turned, 0, count)
     if law.limits is not None:
         alone = first.held | broken(law, slope, q, Ts)
-        slope = sp.each(lambda a, b: jnp.where(alone, a, b), first.qdot, slope)
+        slope = jnp.where(alone, first.qdot, slope)
         left = jnp.where(alone, -1, left)
-    zero = jnp.zeros_like(q[0])
+    zero = jnp.zeros((), q.dtype)
     moved = Moved(shift(q, Ts, (1.0,), (slope,)), slope, first, zero, zero)
     kept = remember(history, law, entry, now, Ts, jnp.minimum(left + 1, len(history.entries)))
     return Stepped(moved, kept, (history.count > 0) & ((count == 0) | (left < count)))
@@ -85,23 +84,22 @@ def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
         return first, begun.moved.qdot, entry, None
     a, b = weights(method, count)
     slopes = [(b[0], first.qdot), *zip(b[1:], (e.slope for e in history.entries), strict=True)]
-    slope = sp.combine(*zip(*((w, k) for w, k in slopes if not _nothing(w)), strict=True))
+    slope = combine(*zip(*slopes, strict=True))
     if len(method.a) > 1:
         per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
         for w, past in zip(a[1:], history.entries, strict=True):
-            if not _nothing(w):
-                slope = sp.vadd(slope, sp.scale(w * per_time, sp.vsub(past.q, q)))
+            slope = slope + w * per_time * (past.q - q)
     return first, slope, entry, None
 
 
 def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     """Evaluation, slope, and entry of an exponential formula, and whether J# has become another one."""
     to = start(law, reference, q, at, t, Ts) if begun is None else begun.to
-    alone = sp.vadd(to.feedback, to.mean)
+    alone = to.feedback + to.mean
     first = answer(law, q, at, alone, to.wanted) if begun is None else begun.moved.first
     null = None
     if to.wanted is not None or law.limits is not None:
-        null = sp.vsub(first.qdot, first.apply(first.asked))
+        null = first.qdot - first.apply(first.asked)
     columns, factor = _columns(first, law.task.m, q) if first.kept is None else first.kept()
     entry = Entry(
         columns=columns,
@@ -114,30 +112,25 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
         return first, begun.moved.qdot, entry, None
     betas = weights(method, count)[1]
     entries = [entry, *history.entries]
-    quadrature = sp.combine(betas, [e.velocity for e in entries])
+    quadrature = combine(betas, [e.velocity for e in entries])
     turns = 1.0 if method.order <= CLOSED else jnp.where(count < CLOSED, 1.0, 0.0).astype(Ts.dtype)
     held = to.feedback
     if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
-        held = sp.vadd(held, closure(law, to.mean, quadrature, turns))
-    parts = [_applied(e, weigh(law, sp.vadd(e.velocity, held))) for e in entries]
+        held = held + closure(law, to.mean, quadrature, turns)
+    parts = [_applied(e, weigh(law, e.velocity + held)) for e in entries]
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
-        parts = [
-            sp.vadd(part, sp.vsub(to.wanted, _applied(e, sp.matvec(_rows(e), to.wanted))))
-            for part, e in zip(parts, entries, strict=True)
-        ]
+        parts = [part + (to.wanted - _applied(e, _rows(e) @ to.wanted)) for part, e in zip(parts, entries, strict=True)]
     elif remembers_null(law):
-        parts = [sp.vadd(part, e.null) for part, e in zip(parts, entries, strict=True)]
-    slope = sp.combine(betas, parts)
+        parts = [part + e.null for part, e in zip(parts, entries, strict=True)]
+    slope = combine(betas, parts)
     if null is not None and not holds_posture(law) and not remembers_null(law):
-        slope = sp.vadd(slope, null)
+        slope = slope + null
     return first, slope, entry, turned
 
 
 def _columns(first: Evaluation, m, q):
     """The columns of J# (m, n), and no factor."""
-    if sp.unrolled(q):
-        return tuple(first.apply(tuple(1.0 if i == j else 0.0 for j in range(m))) for i in range(m)), None
     return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype)), None
 
 
@@ -146,9 +139,9 @@ def _another(now, past, velocity, before, held):
 
     Not where the target's own velocity has changed by half of what was asked for: that is no doing of J#.
     """
-    apart, most = sp.vsub(now, past), jnp.maximum(sp.dot(now, now), sp.dot(past, past))
-    change, asked = sp.vsub(velocity, before), sp.vadd(before, held)
-    return (sp.dot(apart, apart) > TURNED * most) & (4 * sp.dot(change, change) < sp.dot(asked, asked))
+    apart, most = now - past, jnp.maximum(now @ now, past @ past)
+    change, asked = velocity - before, before + held
+    return (apart @ apart > TURNED * most) & (4 * (change @ change) < asked @ asked)
 
 
 def _rows(entry: Entry):
@@ -161,15 +154,11 @@ def _applied(entry: Entry, velocity):
     return remembered(entry.columns, entry.factor, velocity)
 
 
-def _nothing(weight) -> bool:
-    return sp.is_number(weight) and weight == 0
-
-
 def broken(law, qdot, q, Ts):
     """Whether a velocity, or where it leads to, is beyond a limit that the law respects, by more than rounding."""
-    rounding = 64 * jnp.finfo(jnp.result_type(qdot[0])).eps
+    rounding = 64 * jnp.finfo(qdot.dtype).eps
     kept = within(law, q, qdot, Ts)[1]
-    return sp.some(sp.each(lambda v, k: jnp.abs(v - k) > rounding * jnp.abs(v), qdot, kept))
+    return jnp.any(jnp.abs(qdot - kept) > rounding * jnp.abs(qdot))
 
 
 def primed(law, reference, past, t, Ts, method, history: History) -> History:
@@ -179,5 +168,5 @@ def primed(law, reference, past, t, Ts, method, history: History) -> History:
         make = _exponential if method.exponential else _plain
         entry = make(law, reference, q, at, t, Ts, method, history, history.count, None)[2]
         count = jnp.minimum(history.count + 1, len(history.entries))
-        history = remember(history, law, entry, mark(law, reference, at, t, q), Ts, count)
+        history = remember(history, law, entry, mark(law, reference, at, t), Ts, count)
     return history

@@ -1,7 +1,7 @@
 """step and solve: the loop in time.
 
-`advance` is one step of the loop in component form; `solve` scans it over N steps. Everything is pure with static
-shapes: jit, vmap, jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
+`advance` is one step of the loop; `solve` scans it over N steps. Everything is pure with static shapes: jit, vmap, jvp
+and grad go through for alpha, Ts, targets, q0, geometry and damping.
 """
 
 import functools
@@ -12,9 +12,10 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.cache import bounded_jit
-from cnclik.engine.tracing import checkpointed
-from cnclik.hints import alone, few_lanes, keeps_history, one_function, quick_jit
+from cnclik.cache import Recent
+from cnclik.engine.native import native
+from cnclik.engine.tracing import checkpointed, is_read
+from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
 from cnclik.integrate.advance import Step, advance, advanced, summed
 from cnclik.integrate.drive import Drive, check_drive
@@ -27,11 +28,10 @@ from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, Reference, check
 from cnclik.record import cast, placed, replace
-from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.rolled import in_form, pays, roll
+from cnclik.robot.model import modelled
 
-SHORT = 200  # steps up to which the trajectory is put together in the same native function as the loop
+SOON = 1 << 14  # evaluations of f, for each joint and each task coordinate, up to which XLA's answer comes sooner
 
 
 def evaluations_per_step(method, stage, n: int) -> object:
@@ -55,6 +55,11 @@ def evaluations_of(method, stage, n: int, N: int) -> object:
 def early_steps(method, N: int) -> int:
     """How many of N steps the starting method makes."""
     return min(method.steps - 1, N)
+
+
+def answers_soon(evaluations, law) -> bool:
+    """Whether so many evaluations of f are sooner made by the source as XLA compiles it with few passes than as C."""
+    return evaluations <= SOON * law.chain.n * law.task.m
 
 
 # --- public -------------------------------------------------------------------------------------------
@@ -110,17 +115,13 @@ def solve(
             raise errors.fail("t0", "be 0 where there is a drive", f"is {t0!r}")
         return solve_driven(law, reference, q0, Ts, N, method, stage, drive=drive)
     check_time("t0", t0, Ts, q0.dtype, N)
-    # Called with numbers, no vmap is around this loop: it may become one native function.
-    known = placed(law), placed(reference), placed(stage)
-    if None in known or not all(map(errors.concrete, (q0, Ts, t0))):
-        Ts, t0 = _number(Ts, q0.dtype), _number(t0, q0.dtype)
-        return _solve(law, reference, q0, Ts, t0, stage, N=N, method=method)
-    run = _solve
-    if pays(N * evaluations_per_step(method, stage, law.chain.n), law):
-        known, run = (placed(roll(law)), *known[1:]), _solve_soon
-    law, reference, stage = known
-    with few_lanes(1):
-        return run(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
+    known = placed(modelled(law)), placed(reference), placed(stage)
+    concrete = None not in known and all(map(errors.concrete, (q0, Ts, t0)))
+    if concrete and np.all(answers_soon(N * evaluations_per_step(method, stage, law.chain.n), law)):
+        law, reference, stage = known
+        return _solve_soon(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
+    run = _programs(_run, N=N, method=method)
+    return run(law, reference, q0, _number(Ts, q0.dtype), _number(t0, q0.dtype), stage)
 
 
 def step(
@@ -146,11 +147,19 @@ def step(
     history = memory.checked(history, method, law)
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
-    run = _step
-    known = all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts, history))))
-    if known and pays(evaluations_per_step(method, stage, law.chain.n), law):
-        law, run = roll(law), _step_soon
-    return run(law, reference, q, _number(t, q.dtype), _number(Ts, q.dtype), stage, history, method=method)
+    t, Ts = _number(t, q.dtype), _number(Ts, q.dtype)
+    if all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts, history)))):
+        return _step_soon(modelled(law), reference, q, t, Ts, stage, history, method=method)
+    return _programs(_one_step, method=method)(law, reference, q, t, Ts, stage, history)
+
+
+_made = Recent()
+
+
+def _programs(fn, **static):
+    """fn with what is static told: as the engine runs it, or where it is the engine that traces, as it is."""
+    told = functools.partial(fn, **static)
+    return told if is_read() else _made.made((fn, *static.values()), lambda _: native(told))
 
 
 def _number(value, dtype):
@@ -208,42 +217,27 @@ def _eps(dtype):
 
 def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
     check(reference, law.task)  # shapes only: once, while tracing
-    law, start = in_form(law, q0)
-    dtype, unrolled = q0.dtype, sp.unrolled(start)
-    # Alone, the trajectory is put together in the loop's own function; else what nobody asks for shall vanish.
-    short = unrolled and alone() and 0 < N <= SHORT
+    dtype = q0.dtype
+    law, reference = cast((modelled(law), reference), dtype)
+    Ts, t0 = jnp.asarray(Ts, dtype), jnp.asarray(t0, dtype)
 
-    def loop(law, reference, start, Ts, t0, stage, k):
-        def one(starting, state, k):
-            q, past, lost = state
-            length = jnp.where(k < N, Ts, 0.0)
-            made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
-            after = made.q
-            if lost is not None:
-                after, lost = summed(law, q, sp.scale(length, made.qdot), lost)
-            return (after, made.history, lost), replace(made, q=q, history=None)
+    def one(starting, state, k):
+        q, past, lost = state
+        length = jnp.where(k < N, Ts, 0.0)
+        made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
+        after = made.q
+        if lost is not None:
+            after, lost = summed(law, q, length * made.qdot, lost)
+        return (after, made.history, lost), replace(made, q=q, history=None)
 
-        one = checkpointed(one)
-        lost = sp.each(jnp.zeros_like, start) if dtype == jnp.float32 else None
-        state = start, memory.blank(law, start, method), lost
-        steps, last = instants(one, state, k, start, law.task.m, early=early_steps(method, N))
-        return last if end else (steps, last)
-
-    def whole(law, reference, start, Ts, t0, stage):
-        law, reference = cast((law, reference), dtype)
-        Ts, t0 = jnp.asarray(Ts, dtype), jnp.asarray(t0, dtype)
-        k = jnp.arange(N + 1).astype(dtype)
-        run = one_function(loop) if unrolled and N and not short else loop
-        found = run(law, reference, start, Ts, t0, stage, k)
-        if end:
-            return found
-        run = assemble(t0 + k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
-        if not keeps_history():
-            return run
-        return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
-
-    run = one_function(whole) if short else whole
-    return run(law, reference, start, Ts, t0, stage)
+    k = jnp.arange(N + 1).astype(dtype)
+    lost = jnp.zeros_like(q0) if dtype == jnp.float32 else None
+    state = q0, memory.blank(law, q0, method), lost
+    found = instants(checkpointed(one), state, k, q0, law.task.m, early=early_steps(method, N))
+    if end:
+        return found[1]
+    run = assemble(t0 + k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
+    return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
 
 
 def end(law, reference, q0, Ts, N, method, stage):
@@ -253,10 +247,9 @@ def end(law, reference, q0, Ts, N, method, stage):
     """
     zero = np.zeros((), q0.dtype)
     q, _, e = _run(law, reference, q0, Ts, zero, stage, N=N, method=method, end=True)
-    return sp.packed(q), sp.packed(e)
+    return q, e
 
 
-_solve = bounded_jit(_run, static_argnames=("N", "method"))
 _solve_soon = quick_jit(_run, static_argnames=("N", "method"))
 
 
@@ -267,24 +260,18 @@ def _one_step(law, reference, q, t, Ts, stage, history, *, method):
 def step_and_least(law, reference, q, t, Ts, stage, history, *, method):
     """What `step` computes, pure, and the estimate of the least singular value of the task Jacobian at q."""
     check(reference, law.task)
-    law, start = in_form(law, q)
-    law, reference, history = cast((law, reference, history), q.dtype)
+    law, reference, history = cast((modelled(law), reference, history), q.dtype)
     t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)
 
     def one(starting, past):
-        return advanced(law, reference, start, t, Ts, method, stage, past, starting=starting)
+        return advanced(law, reference, q, t, Ts, method, stage, past, starting=starting)
 
     if method.steps == 1:
-        made, least = one(False, None)
-    elif history is None:
-        made, least = one(True, memory.blank(law, start, method))
-    else:
-        past = memory.in_the_form_of(start, history)
-        begins = past.made < method.steps - 1
-        made, least = jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), past)
-    made = replace(made, history=memory.packed(made.history))
-    return replace(made, **{name: sp.packed(getattr(made, name)) for name in ("q", "x", "e", "qdot")}), least
+        return one(False, None)
+    if history is None:
+        return one(True, memory.blank(law, q, method))
+    begins = history.made < method.steps - 1
+    return jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), history)
 
 
-_step = bounded_jit(_one_step, static_argnames=("method",))
 _step_soon = quick_jit(_one_step, static_argnames=("method",))

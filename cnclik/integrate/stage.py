@@ -13,16 +13,14 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import opaque
-from cnclik.law import dense
 from cnclik.record import record
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import safe_norm
 
 
 class Solved(NamedTuple):
     """An implicit slope and its convergence. `residual` and `contraction` carry no derivative."""
 
-    slope: tuple
+    slope: object  # (n,)
     residual: object  # h·‖last change of the slope‖: a joint displacement [rad, m]
     contraction: object  # last change over the one before it; at 1 or more the iteration diverges
 
@@ -62,7 +60,7 @@ class Chord(_Named):
     def __call__(self, g, first, h, ahead) -> Solved:
         def improve(k):
             at = g(k)
-            return sp.vadd(k, at.correct(h, sp.vsub(at.qdot, k)))
+            return k + at.correct(h, at.qdot - k)
 
         start = _predict(first, h, ahead)
         if self.implicit:
@@ -86,8 +84,8 @@ class Newton(_Named):
     def __call__(self, g, first, h, ahead) -> Solved:
         def improve(k):
             value, push = jax.linearize(lambda k: g(k).qdot, k)
-            matrix = _matrix(lambda v: sp.vsub(v, push(v)), k)
-            return sp.vadd(k, dense.solve(matrix, sp.vsub(value, k)))
+            matrix = _matrix(lambda v: v - push(v), k)
+            return k + jnp.linalg.solve(matrix, value - k)
 
         start = _predict(first, h, ahead)
         if self.implicit:
@@ -101,22 +99,22 @@ class Newton(_Named):
 
 def _iterate(stage, improve, start, h) -> Solved:
     """M passes of k ← improve(k), with the size of the last two changes."""
-    zero = jnp.zeros_like(start[0])
+    zero, counted = jnp.zeros((), start.dtype), type(stage.M) is int
     # The start counts as the first change, from rest: so M = 0 has a residual that means something.
-    size = sp.safe_norm(start)
+    size = safe_norm(start)
 
     def one(carry, i):
         slope, change, before = carry
         new = improve(slope)
-        moved = _distance(new, slope)
-        if sp.is_number(stage.M):
+        moved = safe_norm(new - slope)
+        if counted:
             return (new, moved, change), None
         # Lanes that have had their M passes keep what they have; the shape stays that of `maximum`.
         live = i < stage.M
-        new = sp.each(lambda a, b: jnp.where(live, a, b), new, slope)
+        new = jnp.where(live, new, slope)
         return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
 
-    passes = stage.M if sp.is_number(stage.M) else stage.maximum
+    passes = stage.M if counted else stage.maximum
     (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
     change, before = lax.stop_gradient((change, before))
     # Two changes of rounding size, of the slope or of the joints, say nothing: what has arrived contracts with 0.
@@ -126,28 +124,18 @@ def _iterate(stage, improve, start, h) -> Solved:
     return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
 
 
-@opaque
-def _distance(a, b):
-    return sp.safe_norm(sp.vsub(a, b))
-
-
 def _predict(first, h, ahead):
     """The slope of the law linearised at the step's start, D = J#KJ there: k = f(q) − D (h·ahead + h·k).
 
     (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead, so one application is enough; from base = q
     (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
     """
-    return sp.vsub(first.correct(h, sp.vadd(first.qdot, ahead)), ahead)
+    return first.correct(h, first.qdot + ahead) - ahead
 
 
 def _matrix(linear, like):
-    """Rows of a linear map of vectors over the joints, its columns pushed side by side."""
-    n = len(like)
-    basis = jnp.eye(n, dtype=jnp.result_type(like[0]))
-    if not sp.unrolled(like):
-        return jax.vmap(linear, out_axes=1)(basis)
-    columns = jax.vmap(linear)(tuple(basis[i] for i in range(n)))
-    return tuple(tuple(column[j] for j in range(n)) for column in columns)
+    """The matrix (n, n) of a linear map of vectors over the joints, its columns pushed side by side."""
+    return jax.vmap(linear, out_axes=1)(jnp.eye(len(like), dtype=like.dtype))
 
 
 def _with_implicit_derivative(g, start, iterate) -> Solved:
@@ -158,10 +146,10 @@ def _with_implicit_derivative(g, start, iterate) -> Solved:
         return solved.slope, (solved.residual, solved.contraction)
 
     slope, (residual, contraction) = lax.custom_root(
-        lambda k: sp.vsub(k, g(k).qdot),
+        lambda k: k - g(k).qdot,
         start,
         solve,
-        lambda linear, b: dense.solve(_matrix(linear, b), b),
+        lambda linear, b: jnp.linalg.solve(_matrix(linear, b), b),
         has_aux=True,
     )
     residual, contraction = lax.stop_gradient((residual, contraction))

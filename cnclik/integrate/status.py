@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.limits import unlimited
 from cnclik.law.reference import motion
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import safe_sqrt
 
 
 class Status(enum.IntFlag):
@@ -78,17 +77,17 @@ def require_ok(run, *, allow=Status.OK):
 
 
 def flags(law, q, qdot, e, residual, tolerance, first):
-    """Status bits of one step in component form; `first` is the law's evaluation at its start."""
+    """Status bits of one step; `first` is the law's evaluation at its start."""
     chain = law.chain
-    size = sp.total(sp.each(jnp.abs, q))
-    finite = jnp.isfinite(size + sp.total(e))
+    size = jnp.sum(jnp.abs(q))
+    finite = jnp.isfinite(size + jnp.sum(e))
     status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is not a number is not known to be large enough.
     status |= jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
     outside, fast = first.held, too_fast(chain, qdot)
-    if not unlimited(chain.lower, chain.upper):
-        outside |= sp.some(sp.each(_at_limit, q, chain.lower, chain.upper))
+    if chain.bounded:
+        outside |= jnp.any(_at_limit(q, chain.lower, chain.upper))
     for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):
         if found is not False:
             status |= jnp.where(found, int(bit), 0)
@@ -104,13 +103,9 @@ def _at_limit(v, low, high):
 
 def too_fast(chain, qdot):
     """Whether a joint is faster than its limit, by more than rounding; False where there is none."""
-    if unlimited(chain.velocity_limit):
+    if not chain.slowed:
         return False
-
-    def beyond(v, most):
-        return jnp.abs(v) > most * (1 + 64 * jnp.finfo(v.dtype).eps)
-
-    return sp.some(sp.each(beyond, qdot, chain.velocity_limit))
+    return jnp.any(jnp.abs(qdot) > chain.velocity_limit * (1 + 64 * jnp.finfo(qdot.dtype).eps))
 
 
 def far(dtype) -> float:
@@ -129,9 +124,8 @@ def growing(task, reference, t, e):
     what the target's own motion in the step explains, and rounding, 64 eps (1 + ‖e[k]‖). Where |R(z)| < 1 the loop
     stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes.
     """
-    columns = [e[:, i] for i in range(task.m)]
-    size = sp.safe_norm(columns)
-    along = sp.total(v[1:] * v[:-1] for v in columns)
+    size = safe_sqrt(jnp.sum(e * e, axis=1))
+    along = jnp.sum(e[1:] * e[:-1], axis=1)
     rounding = 64 * jnp.finfo(e.dtype).eps * (1 + size[:-1])
     factor = jnp.where(along < 0, REVERSAL, GROWTH)
     grown = size[1:] > factor * size[:-1] + motion(reference, task, t) + rounding

@@ -10,7 +10,6 @@ from jax import lax
 from cnclik import errors, markup
 from cnclik.integrate.status import count
 from cnclik.record import record, replace
-from cnclik.robot import spatial as sp
 
 INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
 STEPS = ("qdot", "residual", "contraction", "status")  # N entries
@@ -97,17 +96,17 @@ def one_lane(run) -> None:
 
 
 def instants(one, start, k, q, m: int, *, early: int = 0):
-    """What a loop does at its N + 1 instants, k = 0 … N, in component form. Pure.
+    """What a loop does at its N + 1 instants, k = 0 … N. Pure.
 
     The step after the last is made for what the last instant is like: with a length of 0, for `one` to see to, it
     changes nothing, and costs far less than a second way to look at an instant would cost to compile.
 
     Args:
-      one: (starting, state, k) to the next state and a `Step` in component form with q at its start; `starting` is
+      one: (starting, state, k) to the next state and a `Step` with q at its start; `starting` is
         True for the first `early` steps, which a multistep method is begun with.
       start: the state at first.
       k: (N + 1,).
-      q, m: joint values, for their form, and the number of task coordinates.
+      q, m: joint values (n,), for their type, and the number of task coordinates.
     Returns: steps of N + 1, and (q, x, e) of the last alone: who asks for the end needs no history.
     """
 
@@ -115,8 +114,7 @@ def instants(one, start, k, q, m: int, *, early: int = 0):
         state, made = one(False, carry[0], k)
         return (state, (made.q, made.x, made.e)), made
 
-    none = sp.each(jnp.zeros_like, q)
-    empty = (none[0],) * m if sp.unrolled(q) else jnp.zeros(m, q.dtype)
+    none, empty = jnp.zeros_like(q), jnp.zeros(m, q.dtype)
     if early:
         start, begun = lax.scan(functools.partial(one, True), start, k[:early])
     (_, last), steps = lax.scan(both, (start, (none, empty, empty)), k[early:])
@@ -131,12 +129,12 @@ def assemble(t, found, evaluations) -> Trajectory:
     N = len(t) - 1
 
     def whole(name, end):
-        return jnp.append(sp.packed(getattr(steps, name), axis=-1)[:N], sp.packed(end)[None], 0)
+        return jnp.append(getattr(steps, name)[:N], end[None], 0)
 
     return Trajectory(
         t=t,
         **{name: whole(name, end) for name, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: sp.packed(getattr(steps, name), axis=-1)[:N] for name in STEPS},
+        **{name: getattr(steps, name)[:N] for name in STEPS},
         evaluations=jnp.asarray(evaluations),
     )
 

@@ -43,7 +43,7 @@ def corners(reference: Reference, task: Task, t) -> Corners:
     reference, t = lax.stop_gradient((reference, t))
 
     def velocity(t):
-        return sample(reference, task, t, unrolled=False)[2]
+        return sample(reference, task, t)[2]
 
     def velocities(t):  # a user's own function may do what can't be done to many instants at once
         return lax.map(velocity, t) if isinstance(reference.curve, Path) else jax.vmap(velocity)(t)

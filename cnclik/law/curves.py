@@ -1,7 +1,7 @@
 """Curves: functions of time that return a target, a position and a rotation, or None for one.
 
 They are records, so that points, periods and durations are parameters; `cnclik.law.reference` builds and samples them.
-Targets are tuples of scalars, or arrays where `unrolled` is false (cf. `robot.spatial`).
+Targets are arrays: positions (d,), rotations (3, 3).
 """
 
 import math
@@ -15,8 +15,8 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import record
 from cnclik.robot import poses
-from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
+from cnclik.robot.rotations import exp_so3, library, quaternion_from_rotation, rotation_from_quaternion
 
 
 def interval(times, t):
@@ -42,8 +42,8 @@ class Hold:
     position: object
     rotation: object
 
-    def __call__(self, t, unrolled=True):
-        return vector(self.position, unrolled), rows(self.rotation, unrolled)
+    def __call__(self, t):
+        return self.position, self.rotation
 
 
 @record
@@ -54,17 +54,12 @@ class Line:
     turn: object  # rotation vector from the first to the last orientation, in the base frame
     duration: object
 
-    def __call__(self, t, unrolled=True):
+    def __call__(self, t):
         s = _progress(t, self.duration)
         position = None
         if self.start is not None:
-            ends = vector(self.start, unrolled), vector(self.end, unrolled)
-            position = sp.each(lambda a, b: a + s * (b - a), *ends)
-        rotation = rows(self.rotation, unrolled)
-        if self.turn is not None:
-            turned = sp.exp_so3(sp.scale(s, vector(self.turn)))
-            rotation = sp.matmul(turned if unrolled else sp.packed(turned), rotation)
-        return position, rotation
+            position = self.start + s * (self.end - self.start)
+        return position, self.rotation if self.turn is None else exp_so3(s * self.turn) @ self.rotation
 
 
 @record
@@ -76,11 +71,9 @@ class Lissajous:
     rotation: object
     period: object
 
-    def __call__(self, t, unrolled=True):
+    def __call__(self, t):
         omega = 2 * math.pi / self.period
-        parts = (vector(v, unrolled) for v in (self.center, self.amplitude, self.frequency, self.phase))
-        position = sp.each(lambda c, a, f, p: c + a * jnp.sin(f * omega * t + p), *parts)
-        return position, rows(self.rotation, unrolled)
+        return self.center + self.amplitude * jnp.sin(self.frequency * omega * t + self.phase), self.rotation
 
 
 @record
@@ -91,11 +84,9 @@ class Circle:
     rotation: object
     period: object
 
-    def __call__(self, t, unrolled=True):
+    def __call__(self, t):
         angle = 2 * math.pi / self.period * t
-        c, s = jnp.cos(angle), jnp.sin(angle)
-        parts = (vector(v, unrolled) for v in (self.center, self.first, self.second))
-        return sp.each(lambda o, u, v: o + c * u + s * v, *parts), rows(self.rotation, unrolled)
+        return self.center + jnp.cos(angle) * self.first + jnp.sin(angle) * self.second, self.rotation
 
 
 @record
@@ -106,7 +97,7 @@ class Spline:
     rotation: object  # constant rotation, or None
     closed: bool
 
-    def __call__(self, t, unrolled=True):
+    def __call__(self, t):
         if self.closed:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
         k = interval(self.times, t)
@@ -115,14 +106,13 @@ class Spline:
         dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
 
         def at(c):
-            powers = (vector(c[i, k], unrolled) for i in range(4))
-            return sp.each(lambda a, b, c, d: a + dt * (b + dt * (c + dt * d)), *powers)
+            a, b, c, d = c[:, k]
+            return a + dt * (b + dt * (c + dt * d))
 
-        rotation = rows(self.rotation, unrolled)
+        rotation = self.rotation
         if self.quaternion is not None:
             q = at(self.quaternion)
-            rotation = sp.rotation_from_quaternion(sp.scale(1 / jnp.sqrt(sp.dot(q, q)), q))
-            rotation = rotation if unrolled else sp.packed(rotation)
+            rotation = jnp.array(rotation_from_quaternion(q / jnp.sqrt(q @ q)))
         return (None if self.position is None else at(self.position)), rotation
 
 
@@ -130,46 +120,28 @@ class Spline:
 class Path:
     fn: object
 
-    def __call__(self, t, unrolled=True):
+    def __call__(self, t):
         target, dtype = self.fn(t), jnp.result_type(t)
         rotation = None
         if isinstance(target, Pose):
-            target, rotation = target.position, rows(jnp.asarray(target.rotation, dtype), unrolled)
+            target, rotation = target.position, jnp.asarray(target.rotation, dtype)
         if isinstance(target, (tuple, list)):
-            target = tuple(jnp.asarray(v, dtype) for v in target)
-            return (target if unrolled else jnp.stack(target)), rotation
-        return vector(jnp.asarray(target, dtype), unrolled), rotation
+            target = jnp.stack([jnp.asarray(v, dtype) for v in target])
+        return jnp.asarray(target, dtype), rotation
 
 
 @record
 class Tangent:
     t: object  # where it touches the path that it stands for
-    position: tuple
-    velocity: tuple
-    rotation: object  # rows, or None
+    position: object
+    velocity: object
+    rotation: object  # (3, 3), or None
     spin: object  # angular velocity in the base frame, or None
 
-    def __call__(self, t, unrolled=True):
+    def __call__(self, t):
         on = t - self.t
-        position = tuple(x + on * v for x, v in zip(self.position, self.velocity, strict=True))
-        rotation = self.rotation
-        if self.spin is not None:
-            rotation = sp.matmul(sp.exp_so3(sp.scale(on, self.spin)), rotation)
-        return (position, rotation) if unrolled else (whole(position), whole(rotation))
-
-
-def vector(array, unrolled=True):
-    """An array (d,), or None, as a tuple of scalars, or as it is."""
-    return tuple(array[i] for i in range(array.shape[0])) if unrolled and array is not None else array
-
-
-def rows(rotation, unrolled=True):
-    return tuple(vector(rotation[i]) for i in range(3)) if unrolled and rotation is not None else rotation
-
-
-def whole(part):
-    """A tuple, or rows, as an array; or None."""
-    return None if part is None else sp.packed(part)
+        turned = self.rotation if self.spin is None else exp_so3(on * self.spin) @ self.rotation
+        return self.position + on * self.velocity, turned
 
 
 def _progress(t, duration):
@@ -214,7 +186,7 @@ def _velocities(h, slope, first, last):
     hₖ vₖ₋₁ + 2 (hₖ₋₁ + hₖ) vₖ + hₖ₋₁ vₖ₊₁ = 3 (hₖ sₖ₋₁ + hₖ₋₁ sₖ): tridiagonal and dominated by its diagonal, so that
     elimination from one end to the other, and back, is stable (Thomas 1949).
     """
-    xp, before, after = sp.library(h), h[:-1, None], h[1:, None]
+    xp, before, after = library(h), h[:-1, None], h[1:, None]
     right = 3 * (after * slope[:-1] + before * slope[1:])
 
     def down(above, row):
@@ -250,6 +222,6 @@ def quaternions_of(name, values, count: int):
 @bounded_jit
 def quaternions(rotations):
     """Unit quaternions (K, 4) of rotations (K, 3, 3), each with the sign nearer to the one before."""
-    q = jax.vmap(lambda r: jnp.stack(sp.quaternion_from_rotation(rows(r))))(rotations)
+    q = jax.vmap(quaternion_from_rotation)(rotations)
     flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]

@@ -1,10 +1,4 @@
-"""Small dense linear algebra: what a task of 1 to 6 rows needs.
-
-Unrolled, a matrix is a tuple of rows, each a tuple of scalars, loops over its size are written out, without a branch,
-and every operation is one instruction on a whole row of lanes. Rolled, it is an array, and the library does the work.
-"""
-
-import functools
+"""Small dense linear algebra: what a task of a few rows needs."""
 
 import jax
 import jax.numpy as jnp
@@ -12,141 +6,41 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from cnclik.hints import on_cpu, opaque
-from cnclik.robot import spatial as sp
+
+def thin(rows):
+    """The matrix, or its transpose, whichever has fewer rows."""
+    return rows if len(rows) <= rows.shape[1] else rows.T
 
 
-@opaque
-def gram(rows, shift):
-    """Lower triangle of J Jᵀ + shift·I: row i has i + 1 entries; rolled, the whole matrix."""
-    if not sp.unrolled(rows):
-        return shifted(sp.products(rows, rows), shift)
-    return tuple(
-        tuple(sp.add(sp.dot(rows[i], rows[j]), shift if i == j else 0.0) for j in range(i + 1))
-        for i in range(len(rows))
-    )
+def shifted(matrix, shift):
+    """A + shift·I."""
+    return matrix + shift * jnp.eye(len(matrix), dtype=matrix.dtype)
 
 
-def trace(lower):
-    """Trace of a matrix given as `gram` gives it."""
-    return sp.total(row[-1] for row in lower) if sp.unrolled(lower) else jnp.trace(lower)
+def cholesky(matrix):
+    """L of a symmetric positive definite matrix L Lᵀ; NaN where it isn't."""
+    return jnp.linalg.cholesky(matrix, symmetrize_input=False)
 
 
-def shifted(lower, shift):
-    """The same with shift·I added."""
-    if not sp.unrolled(lower):
-        return lower + shift * jnp.eye(len(lower), dtype=lower.dtype)
-    return tuple((*row[:-1], sp.add(row[-1], shift)) for row in lower)
+def cholesky_solve(lower, b):
+    """Solution x of L Lᵀ x = b: of a vector, or of the columns of a matrix."""
+    return cho_solve((lower, True), b)
 
 
-def _eliminate(entries, left):
-    """Column j of L D Lᵀ from its entries i = j … m−1 and, of each column k < j, (L[j…, k], dₖ)."""
-    products = [column[0] * pivot for column, pivot in left]
-    reduced = [
-        sp.sub(entry, sp.total(column[i] * v for (column, _), v in zip(left, products, strict=True)))
-        for i, entry in enumerate(entries)
-    ]
-    inverse = 1.0 / reduced[0]
-    return reduced[0], inverse, tuple(x * inverse for x in reduced[1:])
+def packed(lower):
+    """A lower triangular matrix as a vector (m(m+1)/2,), row by row."""
+    return lower[np.tril_indices(len(lower))]
 
 
-@opaque
-def ldl(lower):
-    """Factor a symmetric positive definite matrix given by its lower triangle: (columns of L, 1/d, d)."""
-    if not sp.unrolled(lower):
-        root = jnp.linalg.cholesky(lower, symmetrize_input=False)  # L √D
-        pivots = jnp.diagonal(root) ** 2
-        return root, 1.0 / pivots, pivots
-    m = len(lower)
-    columns, pivots, inverses = [], [], []
-    for j in range(m):
-        left = tuple((columns[k][j - k - 1 :], pivots[k]) for k in range(j))
-        pivot, inverse, column = _eliminate(tuple(lower[i][j] for i in range(j, m)), left)
-        columns.append(column)
-        pivots.append(pivot)
-        inverses.append(inverse)
-    return tuple(columns), tuple(inverses), tuple(pivots)
+def unpacked(vector, m):
+    """The (m, m) matrix of `packed`."""
+    return jnp.zeros((m, m), vector.dtype).at[np.tril_indices(m)].set(vector)
 
 
-@opaque
-def ldl_solve(factor, b):
-    """Solution x of L D Lᵀ x = b: of a vector, or, from the rows of a matrix, the rows of one."""
-    columns, inverses, _ = factor
-    if not sp.unrolled(columns):
-        return cho_solve((columns, True), b)
-    x = list(b)
-    m = len(x)
-    for j in range(m):
-        for i in range(j + 1, m):
-            x[i] = sp.vsub(x[i], sp.scale(columns[j][i - j - 1], x[j]))
-    x = [sp.scale(inverses[i], x[i]) for i in range(m)]
-    for j in reversed(range(m)):
-        for i in range(j + 1, m):
-            x[j] = sp.vsub(x[j], sp.scale(columns[j][i - j - 1], x[i]))
-    return tuple(x)
-
-
-def packed_factor(factor):
-    """L and 1/d of L D Lᵀ as one vector (m(m+1)/2,): row i of L, then its 1/dᵢ."""
-    columns, inverses, pivots = factor
-    if sp.unrolled(columns):
-        m = len(inverses)
-        return tuple(inverses[i] if i == j else columns[j][i - j - 1] for i in range(m) for j in range(i + 1))
-    lower = columns / jnp.sqrt(pivots)
-    return jnp.where(jnp.eye(len(pivots), dtype=bool), jnp.diag(inverses), lower)[np.tril_indices(len(pivots))]
-
-
-def packed_solve(packed, b):
-    """Solution x of L D Lᵀ x = b (m,), from `packed_factor`."""
-    m = len(b)
-    if sp.unrolled(packed):
-        at = {place: x for place, x in zip(zip(*np.tril_indices(m), strict=True), packed, strict=True)}
-        columns = tuple(tuple(at[i, j] for i in range(j + 1, m)) for j in range(m))
-        return ldl_solve((columns, tuple(at[i, i] for i in range(m)), None), b)
-    lower = jnp.zeros((m, m), packed.dtype).at[np.tril_indices(m)].set(packed)
-    unit = functools.partial(solve_triangular, lower, lower=True, unit_diagonal=True)
-    return unit(jnp.diagonal(lower) * unit(b), trans=1)
-
-
-@opaque
-def inverse_trace(factor):
-    """Trace of (L D Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ² / dᵢ."""
-    columns, inverses, _ = factor
-    if not sp.unrolled(columns):
-        trace = sp.squares(solve_triangular(columns, jnp.eye(len(columns), dtype=columns.dtype), lower=True))
-        return jnp.where(trace > 0, trace, jnp.inf)  # NaN: not positive definite
-    m = len(inverses)
-    out = []
-    for j in range(m):  # column j of L⁻¹
-        x = {j: 1.0}
-        for i in range(j + 1, m):
-            x[i] = sp.sub(0.0, sp.total(sp.mul(columns[k][i - k - 1], x[k]) for k in range(j, i)))
-        out += [sp.mul(sp.mul(x[i], x[i]), inverses[i]) for i in x]
-    return sp.total(out)
-
-
-@opaque
-def solve(matrix, b):
-    """Solution x of A x = b for any square A, by elimination with partial pivoting."""
-    if not sp.unrolled(b):
-        return jnp.linalg.solve(matrix, b)
-    n = len(b)
-    rows = [[*row, right] for row, right in zip(matrix, b, strict=True)]
-    for j in range(n):
-        for i in range(j + 1, n):  # the row with the largest entry in column j rises to place j
-            larger = jnp.abs(rows[i][j]) > jnp.abs(rows[j][j])
-            above = [jnp.where(larger, x, y) for x, y in zip(rows[i][j:], rows[j][j:], strict=True)]
-            below = [jnp.where(larger, y, x) for x, y in zip(rows[i][j:], rows[j][j:], strict=True)]
-            rows[j][j:], rows[i][j:] = above, below
-        inverse = 1.0 / rows[j][j]
-        for i in range(j + 1, n):
-            factor = rows[i][j] * inverse
-            rows[i][j + 1 :] = [x - factor * y for x, y in zip(rows[i][j + 1 :], rows[j][j + 1 :], strict=True)]
-        rows[j] = [*rows[j][: j + 1], *(x * inverse for x in rows[j][j + 1 :])]
-    x = [row[n] for row in rows]
-    for i in reversed(range(n)):
-        x[i] = sp.sub(x[i], sp.total(rows[i][j] * x[j] for j in range(i + 1, n)))
-    return tuple(x)
+def inverse_trace(lower):
+    """Trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite where there is no factor."""
+    trace = jnp.sum(solve_triangular(lower, jnp.eye(len(lower), dtype=lower.dtype), lower=True) ** 2)
+    return jnp.where(trace > 0, trace, jnp.inf)
 
 
 # Sweeps of cyclic Jacobi after which m rows are orthogonal to rounding (m = 2 needs exactly one rotation).
@@ -157,86 +51,55 @@ def orthogonal_rows(rows):
     """One-sided Jacobi: U and W with J = U W, U orthogonal and the rows of W orthogonal (Hestenes 1958).
 
     The norms of W's rows are the singular values of J, small ones to high relative accuracy. Made for one
-    matrix of m ≤ 6 rows per lane. Do not differentiate through it: at equal singular values U is arbitrary.
+    matrix of few rows. Do not differentiate through it: at equal singular values U is arbitrary.
     """
-    if not sp.unrolled(rows):
-        u, sigma, vt = jnp.linalg.svd(rows, full_matrices=False)
-        return u, sigma[:, None] * vt
-    m, n = len(rows), len(rows[0])
-    rows, zero = _filled(rows)
-    eye = tuple(tuple(zero + float(i == j) for j in range(m)) for i in range(m))
+    m, n = rows.shape
     if m == 1:
-        return eye, rows
+        return jnp.ones((1, 1), rows.dtype), rows
+    one, other, order, rounds = _round(m)
 
-    pairs, moved = _round(m)
+    def turn(both, _):
+        a, b = both[one], both[other]
+        aa, bb, ab = (jnp.sum(x[:, :n] * y[:, :n], axis=1, keepdims=True) for x, y in ((a, a), (b, b), (a, b)))
+        gap = bb - aa
+        radius = jnp.abs(gap) + jnp.sqrt(gap * gap + 4.0 * ab * ab)
+        none = radius == 0
+        tangent = jnp.where(none, 0.0, 2.0 * ab * jnp.where(gap < 0, -1.0, 1.0) / jnp.where(none, 1.0, radius))
+        cosine = 1.0 / jnp.sqrt(1.0 + tangent * tangent)
+        sine = cosine * tangent
+        return jnp.concatenate([cosine * a - sine * b, sine * a + cosine * b, both])[order], None
 
-    def turn(carry, _):
-        # Each row of W carries its row of Uᵀ behind it, so that one rotation turns both.
-        both = list(carry)
-        for p, r in pairs:
-            both[p], both[r] = _rotate(both[p], both[r], n)
-        return tuple(both[i] for i in moved), None
-
-    both = tuple(w + u for w, u in zip(rows, eye, strict=True))
-    both, _ = lax.scan(turn, both, None, length=_SWEEPS[m] * _rounds(m))
-    return sp.transpose(tuple(row[n:] for row in both)), tuple(row[:n] for row in both)
-
-
-def _rounds(m) -> int:
-    """Rounds in which each of m rows meets every other once."""
-    return m - 1 + m % 2
+    # Each row of W carries its row of Uᵀ behind it, so that one rotation turns both.
+    both = jnp.concatenate([rows, jnp.eye(m, dtype=rows.dtype)], axis=1)
+    both, _ = lax.scan(turn, both, None, length=_SWEEPS[min(m, len(_SWEEPS) - 1)] * rounds)
+    return both[:, n:].T, both[:, :n]
 
 
 def _round(m):
-    """Who meets whom in a round of a tournament of m, and who sits where in the next: a round's code is a sweep's.
+    """Who meets whom in a round of a tournament of m, who sits where in the next, and how many rounds there are.
 
-    The first m, or m − 1 where m is even, go round the table; who has nobody opposite meets the last, who stays.
+    The first m, or m − 1 where m is even, go round the table; who has nobody opposite meets the last, who stays. Places
+    are those of the winners, the losers and all, one after the other.
     """
-    table = _rounds(m)
+    table = m - 1 + m % 2
     pairs = [(i, table - 1 - i) for i in range(table // 2)] + [(table // 2, m - 1)] * (m > table)
-    return pairs, [(i + 1) % table for i in range(table)] + [m - 1] * (m > table)
+    one, other = np.array(pairs, int).reshape(-1, 2).T
+    place = np.arange(m) + 2 * len(pairs)
+    place[one], place[other] = np.arange(len(pairs)), np.arange(len(pairs)) + len(pairs)
+    moved = [(i + 1) % table for i in range(table)] + [m - 1] * (m > table)
+    return one, other, place[moved], table
 
 
-def _filled(rows):
-    """The rows with no literal left, and a 0 of their kind."""
-    zero = jnp.zeros_like(sp.total(x for row in rows for x in row))
-    return tuple(tuple(x + zero for x in row) for row in rows), zero
-
-
-def _rotate(a, b, n):
-    """Turn two rows so that their first n entries become orthogonal."""
-    aa, bb, ab = sp.dot(a[:n], a[:n]), sp.dot(b[:n], b[:n]), sp.dot(a[:n], b[:n])
-    gap = bb - aa
-    radius = jnp.abs(gap) + jnp.sqrt(gap * gap + 4.0 * ab * ab)
-    none = radius == 0
-    tangent = jnp.where(none, 0.0, 2.0 * ab * jnp.where(gap < 0, -1.0, 1.0) / jnp.where(none, 1.0, radius))
-    cosine = 1.0 / jnp.sqrt(1.0 + tangent * tangent)
-    sine = cosine * tangent
-    return (
-        tuple(cosine * x - sine * y for x, y in zip(a, b, strict=True)),
-        tuple(sine * x + cosine * y for x, y in zip(a, b, strict=True)),
-    )
-
-
-@opaque
 def least_squared(rows):
     """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector.
 
     With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
     """
-    held = lax.stop_gradient(rows)
-    if not sp.unrolled(rows):
-        u = jnp.linalg.eigh(held @ held.T)[1][:, 0]  # its rounding enters ‖Jᵀu‖ squared
-    else:
-        left, turned = orthogonal_rows(held)
-        columns = sp.transpose(left)
-        u, least = columns[0], sp.dot(turned[0], turned[0])
-        for column, row in zip(columns[1:], turned[1:], strict=True):
-            squared = sp.dot(row, row)
-            u = sp.each(functools.partial(jnp.where, squared < least), column, u)
-            least = jnp.minimum(least, squared)
-    back = sp.combine(u, rows)
-    return sp.dot(back, back)
+    left, turned = orthogonal_rows(lax.stop_gradient(rows))
+    squares = jnp.sum(turned**2, axis=1)
+    least = jnp.arange(len(squares)) == jnp.argmin(squares)
+    back = left @ least.astype(left.dtype) @ rows
+    return back @ back
 
 
 def pinv(rows):
@@ -251,38 +114,19 @@ def pinv(rows):
 
     right wherever the rank is locally constant, and finite everywhere. The least singular value carries no
     derivative.
-
     """
-    if len(rows) > len(rows[0]):
-        inverse, least = pinv(sp.transpose(rows))
-        return sp.transpose(inverse), least
-    return _pinv(_filled(rows)[0] if sp.unrolled(rows) else rows)
+    if len(rows) > rows.shape[1]:
+        inverse, least = pinv(rows.T)
+        return inverse.T, least
+    return _pinv(rows)
 
 
 @jax.custom_jvp
 def _pinv(rows):
-    return _pinv_value(rows)
-
-
-@opaque
-def _pinv_value(rows):
-    if len(rows) <= 2 or not on_cpu():  # two rows need one rotation; a GPU's kernel has no loop of unknown length
+    if len(rows) <= 2:  # one rotation is enough
         return _pinv_by_rotations(rows)
     quick, least, trusted = _pinv_by_elimination(rows)
-
-    def choose(a, b):
-        return sp.each(lambda x, y: sp.each(functools.partial(jnp.where, trusted), x, y), a, b)
-
-    # Where rows are nearly dependent, a lane carries J into the loop in the place of J# (cf. `robot.trig`): the loop
-    # runs once if some lane needs it, else not at all, and no lane's result depends on its neighbours.
-    def rotate(carry):
-        _, state, least = carry
-        slow, exact = _pinv_by_rotations(state)
-        return jnp.zeros_like(trusted), choose(state, slow), jnp.where(trusted, least, exact)
-
-    start = ~trusted, choose(quick, rows), least
-    _, state, least = lax.while_loop(lambda carry: jnp.any(carry[0]), rotate, start)
-    return state, least
+    return lax.cond(trusted, lambda rows: (quick, least), _pinv_by_rotations, rows)
 
 
 def _pinv_by_elimination(rows):
@@ -291,58 +135,31 @@ def _pinv_by_elimination(rows):
     P (2I − J P) squares what is left of I − J P, of the size eps·κ²: in the end as good as any, eps·κ, while
     κ³ < 1/eps. κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹) tells; a singular J makes that infinite or NaN.
     """
-    factor = ldl(gram(rows, 0.0))
-    size, inverse = sp.squares(rows), inverse_trace(factor)
-    if sp.unrolled(rows):
-        first = sp.transpose(tuple(ldl_solve(factor, column) for column in sp.transpose(rows)))
-    else:
-        first = ldl_solve(factor, rows)
-    definite = sp.smallest(factor[2]) > 0
-    trusted = definite & (size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3))
-    return _refined(rows, first), 1.0 / jnp.sqrt(jnp.where(definite, inverse, 1.0)), trusted
-
-
-@opaque
-def _refined(rows, p):
-    product = sp.products(p, rows)
-    if not sp.unrolled(rows):
-        return 2.0 * p - sp.matmul(product, p)
-    left = [[2.0 * (i == k) - x for i, x in enumerate(row)] for k, row in enumerate(product)]
-    return sp.matmul(left, p)
+    lower = cholesky(rows @ rows.T)
+    size, inverse = jnp.sum(rows**2), inverse_trace(lower)
+    first = cholesky_solve(lower, rows)
+    trusted = size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3)
+    return 2.0 * first - first @ rows.T @ first, 1.0 / jnp.sqrt(inverse), trusted
 
 
 def _pinv_by_rotations(rows):
     u, w = orthogonal_rows(rows)
-    if sp.unrolled(rows):
-        squares = tuple(sp.dot(row, row) for row in w)
-        largest = functools.reduce(jnp.maximum, squares)
-    else:
-        squares = jnp.sum(w * w, axis=1)
-        largest = jnp.max(squares)
-    tiny = 10 * max(len(rows), len(rows[0])) * jnp.finfo(largest.dtype).eps
-
-    def inverse(s):
-        keep = s > tiny * tiny * largest
-        return jnp.where(keep, 1.0, 0.0) / jnp.where(keep, s, 1.0)
-
-    scaled = sp.transpose(sp.rescale(sp.transpose(w), sp.each(inverse, squares)))
-    return sp.matmul(u, scaled), jnp.sqrt(sp.smallest(squares))
+    squares = jnp.sum(w**2, axis=1)
+    largest = jnp.max(squares)
+    tiny = 10 * max(rows.shape) * jnp.finfo(largest.dtype).eps
+    keep = squares > tiny * tiny * largest
+    inverses = jnp.where(keep, 1.0, 0.0) / jnp.where(keep, squares, 1.0)
+    return (u * inverses) @ w, jnp.sqrt(jnp.min(squares))
 
 
 @_pinv.defjvp
 def _pinv_jvp(primals, tangents):
-    (j,), (dj,) = primals, tangents
-    p, least = _pinv(j)
-    return (p, least), (_pinv_tangent(j, dj, p), jnp.zeros_like(least))
-
-
-@opaque
-def _pinv_tangent(j, dj, p):
     """The closed form of `pinv`, transposed, with nothing larger than m×m and m vectors over the joints.
 
     With P = J#, A = dJ P, G = J P, S = Pᵀ P and T = dJᵀ S: dP = T + P (Aᵀ − Aᵀ G − A − J T).
     """
-    a, g, t = sp.products(dj, p), sp.products(j, p), sp.matmul(sp.products(p, p), dj)  # t holds the rows of Tᵀ
-    at, back = sp.transpose(a), sp.products(j, t)
-    inner = functools.reduce(functools.partial(sp.each, sp.vsub), (at, sp.matmul(at, g), a, back))
-    return sp.each(sp.vadd, t, sp.matmul(sp.transpose(inner), p))
+    (j,), (dj,) = primals, tangents
+    p, least = _pinv(j)
+    a, g, t = dj @ p.T, j @ p.T, p @ p.T @ dj  # t holds the rows of Tᵀ
+    inner = a.T - a.T @ g - a - j @ t.T
+    return (p, least), (t + inner.T @ p, jnp.zeros_like(least))

@@ -15,14 +15,14 @@ Else the error is taken as measured at the step's start, and what isn't told of 
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from cnclik.hints import opaque
 from cnclik.law.curves import Hold, Tangent
 from cnclik.law.law import Law, clamped, gain
 from cnclik.law.null import Posture
 from cnclik.law.reference import controlled
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import axial, exp_so3, log_quaternion
 
 HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
 _TERMS = 9  # of the series there
@@ -33,23 +33,17 @@ _NEAR = 0.01  # below this z the quotient's derivative would lose digits, and a 
 # --- the factor ---------------------------------------------------------------------------------------
 
 
-def per_step(alpha, Ts, e):
+def per_step(alpha, Ts):
     """Φ = (I − e^{−K·Ts})/Ts [1/s], the gain that, held over a step, does what K does: K itself where Ts = 0.
 
     Args:
       alpha: K as an array: (), (m,) per axis, or (m, m).
       Ts: [s].
-      e: (m,), for its form.
-    Returns: what `cnclik.law.law.gain` takes: of alpha's shape; a matrix is a tuple of rows where e is a tuple.
+    Returns: of alpha's shape.
     """
-    if alpha.ndim < 2:
-        return alpha * _share(alpha * Ts)
-    if sp.unrolled(e):
-        alpha = tuple(tuple(alpha[i, j] for j in range(len(e))) for i in range(len(e)))
-    return _doubled(alpha, Ts)
+    return alpha * _share(alpha * Ts) if alpha.ndim < 2 else _doubled(alpha, Ts)
 
 
-@opaque
 def _share(z):
     """(1 − e^{−z})/z, 1 at z = 0, with derivatives to rounding."""
     near = jnp.abs(z) < _NEAR
@@ -66,18 +60,13 @@ def _doubled(k, Ts):
     h = Ts * 2.0**-HALVINGS
     product = k  # K Σⱼ (−hK)ʲ/(j + 1)!, by Horner's rule
     for j in range(_TERMS, 1, -1):
-        product = _less(k, h / j, sp.matmul(k, product))
+        product = k - h / j * (k @ product)
 
     def double(carry, _):
         g, h = carry
-        return (_less(g, 0.5 * h, sp.matmul(g, g)), 2 * h), None
+        return (g - 0.5 * h * (g @ g), 2 * h), None
 
     return lax.scan(double, (product, h), None, length=HALVINGS)[0][0]
-
-
-def _less(a, factor, b):
-    """A − factor·B."""
-    return sp.each(lambda x, y: sp.vsub(x, sp.scale(factor, y)), a, b)
 
 
 # --- feedback -----------------------------------------------------------------------------------------
@@ -88,15 +77,15 @@ def held_feedback(law: Law, e, turn, Ts):
 
     Args:
       e: (m,).
-      turn: rows of T = R_d(t + Ts) R_d(t)ᵀ; None for none, and where less than the whole orientation is controlled.
+      turn: T = R_d(t + Ts) R_d(t)ᵀ; None for none, and where less than the whole orientation is controlled.
       Ts: [s]; at 0 it is K e.
     """
     e, p = clamped(law, e), len(law.task.position)
-    rate = gain(per_step(law.alpha, Ts, e), e)
+    rate = gain(per_step(law.alpha, Ts), e)
     if turn is None:
         return rate
-    along = sp.vsub(sp.matvec(turn, rate[p:]), rate[p:])
-    return sp.join(rate[:p], sp.vadd(rate[p:], sp.scale(0.5 * law.feedforward, along)))
+    along = turn @ rate[p:] - rate[p:]
+    return jnp.concatenate([rate[:p], rate[p:] + 0.5 * law.feedforward * along])
 
 
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
@@ -109,18 +98,18 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
 
     Args:
       e: (m,) at the step's start.
-      turns: rows of R_d(t + c·Ts) R_d(t)ᵀ for each time, or None, as for `held_feedback`.
+      turns: R_d(t + c·Ts) R_d(t)ᵀ for each time, or None, as for `held_feedback`.
     """
     e, p = clamped(law, e), len(law.task.position)
-    half, whole = (gain(per_step(law.alpha, c * Ts, e), e) for c in (0.5, 1.0))  # mean rates over as much of the step
+    half, whole = (gain(per_step(law.alpha, c * Ts), e) for c in (0.5, 1.0))  # mean rates over as much of the step
     z = Ts * jnp.max(jnp.abs(law.alpha) if law.alpha.ndim < 2 else jnp.sum(jnp.abs(law.alpha), axis=1))
-    half = sp.vadd(whole, sp.scale(1.0 / (1.0 + (z * z) ** 2), sp.vsub(half, whole)))
+    half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)
     found = []
     for c, turn in zip(times, turns, strict=True):
-        rate = sp.vadd(sp.scale(2.0 - 4.0 * c, half), sp.scale(4.0 * c - 1.0, whole))
+        rate = (2.0 - 4.0 * c) * half + (4.0 * c - 1.0) * whole
         if turn is not None:
-            along = sp.vsub(sp.matvec(turn, rate[p:]), rate[p:])
-            rate = sp.join(rate[:p], sp.vadd(rate[p:], sp.scale(law.feedforward, along)))
+            along = turn @ rate[p:] - rate[p:]
+            rate = jnp.concatenate([rate[:p], rate[p:] + law.feedforward * along])
         found.append(rate)
     return found
 
@@ -138,8 +127,8 @@ def null_over_step(law: Law, Ts):
 class Ahead(NamedTuple):
     """How the target moves in a step."""
 
-    mean: tuple  # (m,) its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
-    turn: object = None  # rows of R_d(t + Ts) R_d(t)ᵀ; None for none, or where less than the whole is controlled
+    mean: object  # (m,) its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
+    turn: object = None  # R_d(t + Ts) R_d(t)ᵀ; None for none, or where less than the whole is controlled
 
 
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
@@ -152,25 +141,22 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     if reference.feedforward is not None or isinstance(reference.curve, (Hold, Tangent)):
         if not whole or (reference.feedforward is None and isinstance(reference.curve, Hold)):
             return Ahead(at.xdot_d)
-        turn = sp.exp_so3(sp.scale(Ts, at.xdot_d[p:]))
-        return Ahead(at.xdot_d, turn if sp.unrolled(at.xdot_d) else sp.packed(turn, Ts.dtype))
+        return Ahead(at.xdot_d, exp_so3(Ts * at.xdot_d[p:]))
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
-    position, rotation = reference.curve(t + Ts, sp.unrolled(at.xdot_d))
+    position, rotation = reference.curve(t + Ts)
     mean, turn = at.xdot_d[:0], None
     if p:
-        moved = sp.vsub(controlled(task, position), at.position)
-        mean = sp.each(lambda x, v: jnp.where(still, v, x / safe), moved, at.xdot_d[:p])
+        moved = controlled(task, position) - at.position
+        mean = jnp.where(still, at.xdot_d[:p], moved / safe)
     if task.orientation:
-        turn = sp.matmul(rotation, sp.transpose(at.rotation))
-        angle = sp.pick(_log(turn), task.angular)
-        mean = sp.join(mean, sp.each(lambda x, v: jnp.where(still, v, x / safe), angle, at.xdot_d[p:]))
+        turn = rotation @ at.rotation.T
+        angle = _log(turn)[np.array(task.angular)]
+        mean = jnp.concatenate([mean, jnp.where(still, at.xdot_d[p:], angle / safe)])
     return Ahead(mean, turn if whole else None)
 
 
-@opaque
 def _log(turn):
     """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
-    w = 0.5 * jnp.sqrt(jnp.maximum(1 + turn[0][0] + turn[1][1] + turn[2][2], _HALF_TURN))
-    v = sp.axial(turn)
-    return sp.log_quaternion(w, sp.scale(0.25 / w, v if sp.unrolled(turn) else sp.packed(v)))
+    w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
+    return log_quaternion(w, 0.25 / w * axial(turn))

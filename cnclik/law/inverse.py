@@ -12,10 +12,8 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.record import leaf, record
-from cnclik.robot import spatial as sp
 
 
 class Factored(NamedTuple):
@@ -35,7 +33,7 @@ _OF_NONE = 1e-6  # [m², 1] trace that a J J^T of zeros counts as: of a joint wi
 
 def remembered(rows, factor, t):
     """J# t from what an inverse wants remembered: its columns (m, n) alone, or those of Jᵀ, and the factors between."""
-    return _apply(t if factor is None else dense.packed_solve(factor, t), rows)
+    return (t if factor is None else dense.cholesky_solve(dense.unpacked(factor, len(t)), t)) @ rows
 
 
 @record
@@ -44,7 +42,7 @@ class Pseudoinverse:
 
     def __call__(self, rows) -> Factored:
         columns, least = dense.pinv(rows)
-        return Factored(lambda t: _apply(t, columns), lax.stop_gradient(least), kept=lambda: (columns, None))
+        return Factored(lambda t: t @ columns, lax.stop_gradient(least), kept=lambda: (columns, None))
 
 
 @record
@@ -68,10 +66,10 @@ class ManipulabilityDamped:
     threshold: object  # w₀
 
     def __call__(self, rows) -> Factored:
-        thin = sp.thin(rows)
+        thin = dense.thin(rows)
         tiny = tiny_shift(thin)
-        factor = dense.ldl(dense.gram(thin, tiny))
-        w = jnp.sqrt(sp.product(sp.each(lambda p: jnp.maximum(p, tiny), factor[2])))
+        factor = dense.cholesky(dense.shifted(thin @ thin.T, tiny))
+        w = jnp.sqrt(jnp.prod(jnp.maximum(jnp.diagonal(factor) ** 2, tiny)))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
         shift = jnp.maximum(below * below, tiny)
         apply, damped, shift = damped_apply(rows, shift)
@@ -87,7 +85,7 @@ class SingularDamped:
     threshold: object  # ε
 
     def __call__(self, rows) -> Factored:
-        thin = sp.thin(rows)
+        thin = dense.thin(rows)
         tiny = tiny_shift(thin)
         squared = dense.least_squared(thin)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
@@ -98,26 +96,26 @@ class SingularDamped:
 
 def _kept(rows, factor):
     """What is remembered of Jᵀ (J Jᵀ + λ² I)⁻¹."""
-    return (lambda: (rows, dense.packed_factor(factor))) if len(rows) <= len(rows[0]) else None
+    return (lambda: (rows, dense.packed(factor))) if len(rows) <= rows.shape[1] else None
 
 
 def damped_apply(rows, shift):
     """Application of Jᵀ (J Jᵀ + shift·I)⁻¹, the factors behind it, and the shift: no less than what rounding needs."""
-    thin = sp.thin(rows)
-    gram = dense.gram(thin, 0.0)
-    trace = lax.stop_gradient(dense.trace(gram))
+    thin = dense.thin(rows)
+    gram = thin @ thin.T
+    trace = lax.stop_gradient(jnp.trace(gram))
     shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
-    factor = dense.ldl(dense.shifted(gram, shift))
+    factor = dense.cholesky(dense.shifted(gram, shift))
     if thin is rows:
-        return lambda t: _apply(dense.ldl_solve(factor, t), rows), factor, shift
+        return lambda t: dense.cholesky_solve(factor, t) @ rows, factor, shift
 
     # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: dense.ldl_solve(factor, sp.matvec(thin, t)), factor, shift
+    return lambda t: dense.cholesky_solve(factor, thin @ t), factor, shift
 
 
 def tiny_shift(rows):
     """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
-    trace = sp.squares(rows)
+    trace = jnp.sum(rows**2)
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
 
 
@@ -127,12 +125,9 @@ class Transpose:
 
     def __call__(self, rows) -> Factored:
         shift = 1e-12  # only so that the factorisation behind the estimate never divides by 0
-        thin = sp.thin(rows)
-        factor = dense.ldl(dense.gram(thin, shift))
-        return Factored(lambda t: _apply(t, rows), _least(factor, shift), kept=lambda: (rows, None))
-
-
-_apply = opaque(sp.combine)
+        thin = dense.thin(rows)
+        factor = dense.cholesky(dense.shifted(thin @ thin.T, shift))
+        return Factored(lambda t: t @ rows, _least(factor, shift), kept=lambda: (rows, None))
 
 
 def _least(factor, shift):

@@ -6,7 +6,6 @@ eq. 3.54).
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -15,17 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse, damped_apply
 from cnclik.law.null import evaluated
 from cnclik.law.task import Task, coordinates, error_and_rows
+from cnclik.precision import precise
 from cnclik.record import brief, leaf, record
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import RolledChain
+from cnclik.robot.model import Model, frames, jacobian_rows
+from cnclik.robot.rotations import safe_norm
 
 
 @record(kw_only=False)
@@ -63,7 +61,7 @@ class Law:
 
     def __post_init__(self):
         m = errors.kind("task", self.task, Task).m
-        n = errors.kind("chain", self.chain, (Chain, RolledChain)).n
+        n = errors.kind("chain", self.chain, (Chain, Model)).n
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")
@@ -121,46 +119,44 @@ def check_loop(law, *references) -> None:
 
 
 class Evaluation(NamedTuple):
-    """One evaluation of f(q, t) in component form, and what it was made of."""
+    """One evaluation of f(q, t), and what it was made of."""
 
-    qdot: tuple  # n joint velocities
-    e: tuple  # m task errors
-    x: Callable  # () to m task coordinates of the tip
-    rows: tuple  # of the task Jacobian, weighted
-    apply: Callable  # J#: m task components (weighted) to n joint components
+    qdot: jax.Array  # (n,) joint velocities
+    e: jax.Array  # (m,) task errors
+    x: Callable  # () to the task coordinates of the tip (m,)
+    rows: jax.Array  # (m, n) of the task Jacobian, weighted
+    apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
     least: object  # estimate of the least singular value
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
     held: object = False  # whether a limit changed what the task asked for
-    asked: tuple = ()  # m task velocities, weighted
+    asked: object = None  # (m,) task velocities, weighted
     kept: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
-    """f(q, t) for q a tuple of n scalars."""
+    """f(q, t) for q (n,), of a law whose chain is a `Model`."""
     return respond(law, q, look(law, reference, t, q))
 
 
 def respond(law: Law, q, at) -> Evaluation:
     """f at q, from what the law sees there."""
-    velocity = sp.vadd(sp.scale(law.feedforward, at.xdot_d), gain(law.alpha, clamped(law, at.e)))
+    velocity = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
     return answer(law, q, at, velocity, null_velocity(law, q))
 
 
+@precise
 def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
     """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
     rows, velocity = weigh(law, at.rows), weigh(law, velocity)
-    if sp.unrolled(rows) and all(sp.is_number(x) for row in rows for x in row):  # of sliders: nothing tells the dtype
-        rows = tuple(_without_literals(row, q) for row in rows)
     held = False
     if law.limits is None:
         made = law.inverse(rows)
         qdot = made.apply(velocity)
         if wanted is not None:
-            qdot = sp.vadd(qdot, sp.vsub(wanted, made.apply(sp.matvec(rows, wanted))))
+            qdot = qdot + (wanted - made.apply(rows @ wanted))
     else:
         made = law.limits(law.inverse, law.chain, q, rows, velocity, wanted)
         qdot, held = made.qdot, made.held
-    qdot = _without_literals(qdot, q)
     return Evaluation(
         qdot=qdot,
         e=at.e,
@@ -175,25 +171,21 @@ def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
     )
 
 
-def _without_literals(v, q):
-    """A vector over the joints with no literal left, such as the 0 of a joint that the task doesn't see."""
-    return sp.each(lambda x, like: jnp.full_like(like, x) if sp.is_number(x) else x, v, q) if sp.unrolled(q) else v
-
-
 class Seen(NamedTuple):
     """What the law sees at an instant; of a stage that needs no error, the rows alone."""
 
-    rows: tuple  # of the task Jacobian, unweighted
-    e: tuple = None  # (m,)
+    rows: jax.Array  # (m, n) of the task Jacobian, unweighted
+    e: object = None  # (m,)
     x: Callable = None  # () to (m,)
-    xdot_d: tuple = None  # (m,)
-    position: tuple = None  # the target's, in the task's coordinates
-    rotation: tuple = None
+    xdot_d: object = None  # (m,)
+    position: object = None  # the target's, in the task's coordinates
+    rotation: object = None
 
 
+@precise
 def look(law: Law, reference, t, q) -> Seen:
     """All that the law sees at q and t."""
-    position_d, rotation_d, xdot_d = target(law, reference, t, q)
+    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
     at = frames(law.chain, q)
     e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
     return Seen(
@@ -206,17 +198,10 @@ def look(law: Law, reference, t, q) -> Seen:
     )
 
 
+@precise
 def glance(law: Law, q) -> Seen:
     """The rows of J alone."""
-    return Seen(rows=_rows(law.chain, frames(law.chain, q), law.task.linear, law.task.angular))
-
-
-_rows = opaque(jacobian_rows)
-
-
-def target(law: Law, reference, t, q):
-    """The target's position, rotation and velocity at t, as `cnclik.law.reference.sample`, in the form of q."""
-    return ref.sample(reference, law.task, t, sp.unrolled(q))
+    return Seen(rows=jacobian_rows(law.chain, frames(law.chain, q), law.task.linear, law.task.angular))
 
 
 def correct(law: Law, q, rows, made, h, r):
@@ -230,65 +215,36 @@ def correct(law: Law, q, rows, made, h, r):
     """
     apply = made.apply
     if callable(law.null_velocity):
-        return dense.solve(_whole(law, q, rows, apply, h), r)
-    task = sp.matvec(rows, r)
+        return jnp.linalg.solve(_whole(law, q, rows, apply, h), r)
+    task = rows @ r
     exact = isinstance(law.inverse, Pseudoinverse)
     if law.alpha.ndim == 0 and law.limits is None and (exact or made.shift is not None):
         hz = h * law.alpha
         again = apply if exact else damped_apply(rows, made.shift / (1.0 + hz))[0]
-        return sp.vsub(r, sp.scale(hz / (1.0 + hz), again(task)))
-    c = _gain_rows(law)
-    inverse = _each_row(apply, _identity(task))
-    system = _plus_identity(h, sp.matmul(c, sp.products(rows, inverse)))
-    return sp.vsub(r, sp.scale(h, apply(dense.solve(system, sp.matvec(c, task)))))
+        return r - hz / (1.0 + hz) * again(task)
+    c = _gain(law)
+    inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(task), dtype=task.dtype))
+    return r - h * apply(jnp.linalg.solve(dense.shifted(h * c @ rows @ inverse, 1.0), c @ task))
 
 
 def _whole(law, q, rows, apply, h):
-    """I + h (A C B − (I − A B) ∂q̇₀/∂q), rows of n scalars."""
-    c = _gain_rows(law)
+    """I + h (A C B − (I − A B) ∂q̇₀/∂q), (n, n)."""
+    c = _gain(law)
     _, push = jax.linearize(lambda q: null_velocity(law, q), q)
 
-    def column(unit, moved):
+    def column(unit):
         turned = push(unit)
-        task = sp.vadd(sp.matvec(c, moved), sp.matvec(rows, turned))
-        return sp.vsub(apply(task), turned)
+        return apply(c @ rows @ unit + rows @ turned) - turned
 
-    columns = _each_row(column, _identity(q), sp.transpose(rows))
-    return _plus_identity(h, sp.transpose(columns))
+    return dense.shifted(h * jax.vmap(column, out_axes=1)(jnp.eye(len(q), dtype=q.dtype)), 1.0)
 
 
-def _gain_rows(law):
-    """C = W K W⁻¹: the gain as it acts on weighted errors."""
-    alpha, w, m = law.alpha, law.task.weights, law.task.m
-    if isinstance(law.chain, RolledChain):
-        return (
-            alpha * jnp.eye(m, dtype=alpha.dtype) if alpha.ndim < 2 else alpha if w is None else w[:, None] * alpha / w
-        )
+def _gain(law):
+    """C = W K W⁻¹ (m, m): the gain as it acts on weighted errors."""
+    alpha, w = law.alpha, law.task.weights
     if alpha.ndim < 2:
-        return tuple(tuple((alpha[i] if alpha.ndim else alpha) if i == j else 0.0 for j in range(m)) for i in range(m))
-    return tuple(tuple(alpha[i, j] if w is None else alpha[i, j] * w[i] / w[j] for j in range(m)) for i in range(m))
-
-
-def _identity(v):
-    """The identity, in the form of a vector."""
-    n = len(v)
-    if not sp.unrolled(v):
-        return jnp.eye(n, dtype=v.dtype)
-    one, zero = jnp.ones_like(v[0]), jnp.zeros_like(v[0])
-    return tuple(tuple(one if i == j else zero for j in range(n)) for i in range(n))
-
-
-def _each_row(fn, *matrices):
-    """fn of the rows of one or more matrices, row by row."""
-    return tuple(map(fn, *matrices)) if sp.unrolled(matrices[0]) else jax.vmap(fn)(*matrices)
-
-
-def _plus_identity(h, matrix):
-    if not sp.unrolled(matrix):
-        return h * matrix + jnp.eye(len(matrix), dtype=matrix.dtype)
-    return tuple(
-        tuple(sp.add(h * x, 1.0 if i == j else 0.0) for j, x in enumerate(row)) for i, row in enumerate(matrix)
-    )
+        return alpha * jnp.eye(law.task.m, dtype=alpha.dtype)
+    return alpha if w is None else w[:, None] * alpha / w
 
 
 def clamped(law: Law, e):
@@ -301,36 +257,23 @@ def clamped(law: Law, e):
         return e
     p = len(law.task.position)
     parts = [
-        sp.scale(limit / jnp.maximum(sp.safe_norm(part), limit), part)
+        limit / jnp.maximum(safe_norm(part), limit) * part
         for limit, part in zip(law.error_clamp, (e[:p], e[p:]), strict=True)
         if len(part)
     ]
-    return functools.reduce(sp.join, parts)
+    return jnp.concatenate(parts)
 
 
 def gain(alpha, e):
-    """K e for a scalar, per-axis or matrix gain; a matrix as an array, or as rows."""
-    if sp.unrolled(alpha):
-        return sp.matvec(alpha, e)
-    if not sp.unrolled(e):
-        return alpha * e if alpha.ndim < 2 else sp.matvec(alpha, e)
-    if alpha.ndim == 0:
-        return sp.scale(alpha, e)
-    if alpha.ndim == 1:
-        return tuple(alpha[i] * x for i, x in enumerate(e))
-    return tuple(sp.total(alpha[i, j] * x for j, x in enumerate(e)) for i in range(len(e)))
+    """K e for a scalar, per-axis or matrix gain."""
+    return alpha @ e if alpha.ndim == 2 else alpha * e
 
 
 def null_velocity(law: Law, q):
-    """q̇₀ in the form of q, or None, see `evaluated`."""
+    """q̇₀ (n,), or None, see `evaluated`."""
     return None if law.null_velocity is None else evaluated(law.null_velocity, q)
 
 
 def weigh(law: Law, items):
-    """Rows or components times the task's weights: what J# takes."""
-    weights = law.task.weights
-    if weights is None:
-        return items
-    if not sp.unrolled(items):
-        return (weights * items.T).T
-    return tuple(sp.scale(weights[i], x) if sp.unrolled(x) else sp.mul(weights[i], x) for i, x in enumerate(items))
+    """Rows (m, n) or components (m,) times the task's weights: what J# takes."""
+    return items if law.task.weights is None else (law.task.weights * items.T).T

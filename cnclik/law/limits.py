@@ -1,23 +1,22 @@
 """Limits: joint velocities that respect the robot's limits, with the task kept while freedom is left.
 
 A limits record is called with the inverse, the chain, q, the rows of the task Jacobian, the task velocity and
-the null-space velocity, and returns a `Limited`. Which joints have limits is known when the program is traced;
-the others cost nothing.
+the null-space velocity, and returns a `Limited`.
 """
 
 import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 
-from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law.inverse import Factored, positive, tiny_shift
 from cnclik.record import record
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import safe_norm
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 WIDE = 4 * math.pi  # [rad, m] a wider range, or one that is open, has limits that are felt as far as those of this one
@@ -27,7 +26,7 @@ NOISE = 0.05  # relative, of two of `_beyond_reach`: each feels the rounding of 
 class Limited(NamedTuple):
     """Joint velocities within limits."""
 
-    qdot: tuple
+    qdot: jax.Array
     apply: Callable  # the J# that acts at these velocities
     least: object  # estimate of the least singular value of J
     held: object  # whether a limit changed what was asked for
@@ -59,23 +58,11 @@ def velocity_scaling() -> Scaled:
 
 def slowed(chain, qdot):
     """The velocities scaled to the slowest joint, and whether that changed them."""
-    if unlimited(chain.velocity_limit):
+    if not chain.slowed:
         return qdot, False
-    s = sp.smallest(sp.each(_ratio, qdot, chain.velocity_limit))
-    return sp.scale(s, qdot), s < 1
-
-
-def unlimited(*bounds) -> bool:
-    """Whether it is known, while tracing, that there is no limit among these."""
-    return all(isinstance(b, tuple) and all(sp.is_number(x) and math.isinf(x) for x in b) for b in bounds)
-
-
-def _ratio(v, limit):
-    """What to scale a velocity with, so that it is within its limit."""
-    if sp.is_number(limit) and limit == math.inf:
-        return 1.0
-    over = jnp.abs(v) > limit
-    return jnp.where(over, limit / jnp.where(over, jnp.abs(v), 1.0), 1.0)
+    size, most = jnp.abs(qdot), chain.velocity_limit
+    s = jnp.min(jnp.where(size > most, most / jnp.where(size > most, size, 1.0), 1.0))
+    return s * qdot, s < 1
 
 
 def _through(apply, rows, velocity, wanted):
@@ -83,7 +70,7 @@ def _through(apply, rows, velocity, wanted):
     qdot = apply(velocity)
     if wanted is None:
         return qdot
-    return sp.vadd(qdot, sp.vsub(wanted, apply(sp.matvec(rows, wanted))))
+    return qdot + (wanted - apply(rows @ wanted))
 
 
 # --- weighted least norm ------------------------------------------------------------------------------
@@ -98,35 +85,27 @@ class Weighted:
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         plain = inverse(rows)
         asked = _through(plain.apply, rows, velocity, wanted)
-        roots = sp.each(_root, q, asked, chain.lower, chain.upper)
-        made = inverse(sp.rescale(rows, roots))
-        factored = Factored(lambda t: sp.each(sp.mul, roots, made.apply(t)), plain.least)
+        roots = _roots(chain, q, asked)
+        made = inverse(rows * roots)
+        factored = Factored(lambda t: roots * made.apply(t), plain.least)
         back = None
-        if not unlimited(chain.lower, chain.upper):
-            back = sp.each(lambda x, low, high: self.rate * (jnp.clip(x, low, high) - x), q, chain.lower, chain.upper)
+        if chain.bounded:
+            back = self.rate * (jnp.clip(q, chain.lower, chain.upper) - q)
         if wanted is not None:
-            wanted = sp.each(lambda r, w: sp.mul(sp.mul(r, r), w), roots, wanted)
-            back = wanted if back is None else sp.vadd(back, wanted)
+            wanted = roots * roots * wanted
+            back = wanted if back is None else back + wanted
         qdot, late = slowed(chain, _through(factored.apply, rows, velocity, back))
         # Held back: a joint four times as heavy as it would be in mid-range, unless it can't move at all.
-        stopped = sp.some(
-            sp.each(
-                lambda r, low, high: False if sp.is_number(r) else (r < 0.5) & (low < high),
-                roots,
-                chain.lower,
-                chain.upper,
-            )
-        )
-        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=sp.some((late, stopped)))
+        stopped = jnp.any((roots < 0.5) & (chain.lower < chain.upper))
+        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=late | stopped)
 
 
-@opaque
-def _root(q, qdot, low, high):
-    """Square root of a joint's inverse weight, 1/w = D/(D + N) with w = 1 + N/D = 1 + |∂H/∂q|; 0 for a fixed joint."""
-    if unlimited((low, high)):
-        return 1.0
-    room = high - low
-    room = min(room, WIDE) if sp.is_number(room) else jnp.minimum(room, WIDE)
+def _roots(chain, q, qdot):
+    """Square roots of the joints' inverse weights, 1/w = D/(D + N), w = 1 + N/D = 1 + |∂H/∂q|; 0 for a fixed joint."""
+    if not chain.bounded:
+        return jnp.ones_like(q)
+    low, high = chain.lower, chain.upper
+    room = jnp.minimum(high - low, WIDE)
     free = room > 0
     room = jnp.where(free, room, 1.0)
     below, above = (jnp.clip(gap, 0.0, 0.5 * room) for gap in (q - low, high - q))
@@ -158,12 +137,12 @@ def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
 class _Pass(NamedTuple):
     """What a pass of the saturation hands to the next."""
 
-    locked: tuple  # per joint: 1 where it moves at its bound
-    fixed: tuple  # n null-space velocities, those of locked joints at their bounds
+    locked: object  # (n,) 1 where a joint moves at its bound
+    fixed: object  # (n,) null-space velocities, those of locked joints at their bounds
     done: object  # a pass met every bound with the whole task
     best: object  # largest share of the task met so far, negative while no share fits
-    qdot: tuple  # the velocities that met it
-    kept: tuple  # and the joints locked then
+    qdot: object  # (n,) the velocities that met it
+    kept: object  # (n,) and the joints locked then
     held: object
 
 
@@ -175,45 +154,45 @@ class Saturated:
 
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         plain = inverse(rows)
-        if unlimited(chain.lower, chain.upper, chain.velocity_limit):
+        if not (chain.bounded or chain.slowed):
             qdot = _through(plain.apply, rows, velocity, wanted)
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, held=False)
-        low, high = sp.parts(self._bounds, q, chain.lower, chain.upper, chain.velocity_limit)
+        low, high = self._bounds(chain, q)
         # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
         # all of them false for NaN, so that no lane that is not finite passes for one at rest.
-        zero = (sp.total(q) + sp.total(velocity)) * 0.0
-        asked = sp.safe_norm(velocity)
+        zero = (jnp.sum(q) + jnp.sum(velocity)) * 0.0
+        asked = safe_norm(velocity)
 
         def free(locked):
             """The rows without the locked joints' columns."""
-            return sp.rescale(rows, sp.each(lambda gone: 1.0 - gone, locked))
+            return rows * (1.0 - locked)
 
         # A joint with a single value is no joint: out from the first pass on.
-        fixed = sp.each(lambda l, h: jnp.where(l < h, zero, zero + 1.0), low, high)
+        fixed = jnp.where(low < high, zero, zero + 1.0)
         reached = _beyond_reach(free(fixed), velocity)
 
         def one(at: _Pass, _):
             left = free(at.locked)
             apply = inverse(left).apply
             along = apply(velocity)
-            rest = sp.vsub(at.fixed, apply(sp.matvec(rows, at.fixed)))
+            rest = at.fixed - apply(rows @ at.fixed)
             # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
             # inverse holds back next to a singularity is no reason to stand still.
             lost = _beyond_reach(left, velocity) > (1 + NOISE) * reached + 0.01 * asked
-            along, rest = (sp.each(lambda x: x + zero, v) for v in (along, rest))
+            along, rest = (v + zero for v in (along, rest))
             s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
             s = jnp.where(lost, -1.0, s)
             fits = ~over & ~lost
             better = ~at.done & (fits | (s > at.best) | (at.best < 0))
             share = jnp.where(fits | (s < 0), 1.0, s)
-            made = sp.vadd(sp.scale(share, along), rest)
+            made = share * along + rest
 
             def choose(new, old):
-                return sp.each(lambda a, b: jnp.where(better, a, b), new, old)
+                return jnp.where(better, new, old)
 
             return _Pass(
-                locked=sp.each(jnp.maximum, at.locked, worst),
-                fixed=sp.each(lambda w, bound, v: jnp.where(w > 0, bound, v), worst, at_bound, at.fixed),
+                locked=jnp.maximum(at.locked, worst),
+                fixed=jnp.where(worst > 0, at_bound, at.fixed),
                 done=at.done | fits,
                 best=jnp.where(better, jnp.where(fits, 1.0, s), at.best),
                 qdot=choose(made, at.qdot),
@@ -222,11 +201,11 @@ class Saturated:
             ), None
 
         never = jnp.zeros_like(zero, bool)
-        nothing = sp.each(lambda x: jnp.zeros_like(x) + zero, q)
-        wanted = nothing if wanted is None else sp.vadd(nothing, wanted)
+        nothing = jnp.zeros_like(q) + zero
+        wanted = nothing if wanted is None else nothing + wanted
         start = _Pass(
             locked=fixed,
-            fixed=sp.each(lambda gone, bound, w: jnp.where(gone > 0, bound, w), fixed, low, wanted),
+            fixed=jnp.where(fixed > 0, low, wanted),
             done=never,
             best=zero - 1.0,
             qdot=nothing,
@@ -236,21 +215,18 @@ class Saturated:
         found, _ = lax.scan(one, start, None, length=max(chain.n - len(rows), 0) + 2)
         factored = inverse(free(found.kept))
         # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
-        qdot = sp.each(lambda v, l, h: jnp.clip(v + zero, l, h), found.qdot, low, high)
+        qdot = jnp.clip(found.qdot + zero, low, high)
         return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=found.held)
 
-    def _bounds(self, q, low, high, speed):
-        """The velocities a joint may have."""
-        far = min(speed, FAR) if sp.is_number(speed) else jnp.minimum(speed, FAR)
+    def _bounds(self, chain, q):
+        """The least and largest velocities that the joints may have."""
+        most = jnp.minimum(chain.velocity_limit, FAR)
 
         def bound(limit, unlimited):
-            if sp.is_number(limit):
-                room = limit - q if math.isfinite(limit) else jnp.full_like(q, unlimited)
-            else:
-                room = jnp.where(jnp.isfinite(limit), limit - q, unlimited)
-            return jnp.clip(self.rate * room, -far, far)
+            room = jnp.where(jnp.isfinite(limit), limit - q, unlimited)
+            return jnp.clip(self.rate * room, -most, most)
 
-        return bound(low, -FAR * FAR), bound(high, FAR * FAR)
+        return bound(chain.lower, -FAR * FAR), bound(chain.upper, FAR * FAR)
 
 
 def _beyond_reach(rows, velocity):
@@ -261,37 +237,31 @@ def _beyond_reach(rows, velocity):
     is felt in it: to NOISE.
     """
     shift = tiny_shift(rows)
-    factor = dense.ldl(dense.gram(rows, shift))
-    once = sp.scale(shift, dense.ldl_solve(factor, velocity))
-    return shift * sp.safe_norm(dense.ldl_solve(factor, once))
+    factor = dense.cholesky(dense.shifted(rows @ rows.T, shift))
+    once = shift * dense.cholesky_solve(factor, velocity)
+    return shift * safe_norm(dense.cholesky_solve(factor, once))
 
 
-@opaque
-def _share(along, rest, low, high, locked):
-    """The largest s ≤ 1 with low ≤ s·along + rest ≤ high, −1 if none; the joint that bounds it; its bound.
+def _share(a, b, low, high, locked):
+    """The largest s ≤ 1 with low ≤ s·a + b ≤ high, −1 if none; the joint that bounds it; its bound; whether one does.
 
     Flacco, De Luca & Khatib (2015), Algorithm 2.
     """
 
-    def joint(a, b, l, h, gone):
-        slack = 64 * jnp.finfo(a.dtype).eps * (1.0 + jnp.abs(a) + jnp.abs(b))
-        whole = a + b
-        out = (gone < 0.5) & ((whole > h + slack) | (whole < l - slack))
-        moves = jnp.abs(a) > slack
-        inverse = 1.0 / jnp.where(moves, a, 1.0)
-        one, two = (l - b) * inverse, (h - b) * inverse
-        cap = jnp.where(moves, jnp.maximum(one, two), -1.0)  # what doesn't move is outside whatever the share is
-        floor = jnp.where((gone < 0.5) & moves, jnp.minimum(one, two), 0.0)
-        return jnp.where(out, cap, 2.0), floor, jnp.where(whole > h, h, l), out
-
-    caps, floors, ends, beyond = sp.parts(joint, along, rest, low, high, locked)
-    smallest = sp.smallest(caps)
-    most, least = jnp.minimum(smallest, 1.0), -sp.smallest(sp.each(jnp.negative, floors))
+    slack = 64 * jnp.finfo(a.dtype).eps * (1.0 + jnp.abs(a) + jnp.abs(b))
+    whole, free = a + b, locked < 0.5
+    out = free & ((whole > high + slack) | (whole < low - slack))
+    moves = jnp.abs(a) > slack
+    inverse = 1.0 / jnp.where(moves, a, 1.0)
+    one, two = (low - b) * inverse, (high - b) * inverse
+    cap = jnp.where(moves, jnp.maximum(one, two), -1.0)  # what doesn't move is outside whatever the share is
+    cap = jnp.where(out, cap, 2.0)
+    most, least = jnp.minimum(jnp.min(cap), 1.0), jnp.max(jnp.where(free & moves, jnp.minimum(one, two), 0.0))
     s = jnp.where((most >= jnp.maximum(least, 0.0)) & (most >= 0), most, -1.0)
-    # The most critical joint is the one locked next.
-    critical = sp.first(sp.each(lambda cap, out: out & (cap <= smallest), caps, beyond))
-    worst = sp.each(lambda it, a: jnp.where(it, 1.0, 0.0).astype(a.dtype), critical, along)
-    return s, worst, ends, sp.some(beyond)
+    # The most critical joint, the first of several, is the one locked next.
+    critical = out & (cap <= jnp.min(cap))
+    worst = (critical & (jnp.cumsum(critical) == 1)).astype(a.dtype)
+    return s, worst, jnp.where(whole > high, high, low), jnp.any(out)
 
 
 def saturation(rate: ArrayLike = 10.0) -> Saturated:
@@ -319,22 +289,18 @@ def within(law, q, qdot, Ts):
     go farther out.
     """
     qdot, _ = slowed(law.chain, qdot)
-    after = sp.vadd(q, sp.scale(Ts, qdot))
+    after = q + Ts * qdot
     kept = inside(law, q, after)
     if kept is after:
         return after, qdot
     per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
-    qdot = sp.each(lambda x, v, there, end: jnp.where(there == end, v, (there - x) * per_time), q, qdot, kept, after)
+    qdot = jnp.where(kept == after, qdot, (kept - q) * per_time)
     return kept, qdot
 
 
 def inside(law, q, after):
     """Joint values after a step from q, within the position limits that the law respects, or as far outside as q."""
     chain = law.chain
-    if not getattr(law.limits, "positions", law.limits is not None) or unlimited(chain.lower, chain.upper):
+    if not getattr(law.limits, "positions", law.limits is not None) or not chain.bounded:
         return after
-
-    def joint(x, end, low, high):
-        return jnp.clip(end, jnp.minimum(low, x), jnp.maximum(high, x))
-
-    return sp.each(joint, q, after, chain.lower, chain.upper)
+    return jnp.clip(after, jnp.minimum(chain.lower, q), jnp.maximum(chain.upper, q))

@@ -1,6 +1,6 @@
 """Null-space terms: what a redundant arm does with the freedom that the task leaves.
 
-A term is a record that maps q (a tuple of n scalars) to a joint velocity q̇₀; the law projects it,
+A term is a record that maps q (n,) to a joint velocity q̇₀ (n,); the law projects it,
 (I − J# J) q̇₀ (Liégeois 1977; Siciliano et al. 2009, eq. 3.55).
 """
 
@@ -15,9 +15,8 @@ from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.law.task import Task
 from cnclik.record import leaf, record, replace
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.model import frames, jacobian_rows, modelled
 
 
 @record
@@ -30,7 +29,7 @@ class Posture:
     def __call__(self, q):
         if len(self.rest) != len(q):
             raise errors.fail("rest", f"have shape ({len(q)},)", f"has shape ({len(self.rest)},)")
-        return sp.each(lambda rest, x: self.rate * (rest - x), sp.like(q, self.rest), q)
+        return self.rate * (self.rest - q)
 
 
 @record
@@ -42,14 +41,14 @@ class MaximizeManipulability:
     gain: object
 
     def __call__(self, q):
-        return sp.scale(self.gain, jax.grad(self._measure)(q))
+        return self.gain * jax.grad(self._measure)(q)
 
     def _measure(self, q):
-        rows = jacobian_rows(self.chain, frames(self.chain, q), self.task.linear, self.task.angular)
-        thin = sp.thin(rows)
+        chain = modelled(self.chain)
+        rows = jacobian_rows(chain, frames(chain, q), self.task.linear, self.task.angular)
+        thin = dense.thin(rows)
         # A shift at rounding level: w has a kink at 0, where this stays finite.
-        _, _, pivots = dense.ldl(dense.gram(thin, tiny_shift(thin)))
-        return jnp.sqrt(sp.product(pivots))
+        return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(thin @ thin.T, tiny_shift(thin)))))
 
 
 @record(kw_only=False)
@@ -60,7 +59,7 @@ class ScaledNullVelocity:
     gain: object
 
     def __call__(self, q):
-        return sp.scale(self.gain, evaluated(self.base, q))
+        return self.gain * evaluated(self.base, q)
 
 
 @record(kw_only=False)
@@ -71,18 +70,18 @@ class WithoutDrift:
     drift: object
 
     def __call__(self, q):
-        return sp.vsub(evaluated(self.base, q), sp.like(q, self.drift))
+        return evaluated(self.base, q) - self.drift
 
 
 def evaluated(wanted, q):
-    """q̇₀ of a null-space velocity, in the form of q: a record works on that; a plain function is given an array."""
+    """q̇₀ (n,) of a null-space velocity, a record or a function of q, or itself."""
     if dataclasses.is_dataclass(wanted):
         return wanted(q)
-    values, n = wanted(sp.packed(q)) if callable(wanted) else wanted, len(q)
+    values, n = wanted(q) if callable(wanted) else wanted, len(q)
     values = jnp.asarray(errors.array("null_velocity", values, finite=False))
     if values.shape != (n,):
         raise errors.fail("null_velocity", f"return shape ({n},)", f"returns shape {values.shape}")
-    return sp.like(q, values)
+    return values
 
 
 def without(wanted, drift):

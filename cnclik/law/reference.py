@@ -1,8 +1,7 @@
 """References: the desired path x_d(t) and, from it, its exact velocity.
 
-A curve is a function of time that returns a target: a position (tuple of scalars), a rotation (rows), or
-both. Its velocity comes from `jax.jvp`, so path and feed-forward can't disagree, unless an explicit
-feed-forward overrides it.
+A curve is a function of time that returns a target: a position (d,), a rotation (3, 3), or both. Its velocity comes
+from `jax.jvp`, so path and feed-forward can't disagree, unless an explicit feed-forward overrides it.
 """
 
 from collections.abc import Callable
@@ -15,12 +14,12 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of, rows, vector
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
 from cnclik.robot import poses
-from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import Pose
+from cnclik.robot.rotations import log_so3, safe_norm, safe_sqrt
 
 Target = ArrayLike | Pose | Any | None  # a position, or a whole pose; see `hold`
 
@@ -31,7 +30,7 @@ A_REFERENCE = "be a Reference such as hold(...)"
 class Reference:
     """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
 
-    curve: object  # t -> (position tuple or None, rotation rows or None)
+    curve: object  # t -> (position (d,) or None, rotation (3, 3) or None)
     feedforward: object = None  # None: the curve's own velocity; else (m,), held constant
     known: bool = True  # whether a step may look at the target ahead of its start, see `causal`
 
@@ -43,49 +42,56 @@ class Reference:
 # --- sampling -----------------------------------------------------------------------------------------
 
 
-def sample(reference: Reference, task: Task, t, unrolled=True):
-    """Target and task velocity at time t in the task's coordinates: (position, rotation, xdot_d), in either form.
+def sample(reference: Reference, task: Task, t):
+    """Target and task velocity at time t in the task's coordinates: (position, rotation, xdot_d).
 
     xdot_d holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
+    position, rotation, velocity, drotation = _moving(reference, task, t)
+    if reference.feedforward is not None:
+        return position, rotation, reference.feedforward
+    if task.orientation:
+        velocity = jnp.concatenate([velocity, _spin(rotation, drotation)[np.array(task.angular)]])
+    return position, rotation, velocity
+
+
+def _moving(reference, task, t):
+    """Position, in the task's coordinates, rotation, and their derivatives."""
     t = jnp.asarray(t)
 
     def curve(t):
-        position, rotation = reference.curve(t, unrolled)
-        return controlled(task, position, unrolled), rotation
+        position, rotation = reference.curve(t)
+        return controlled(task, position, t.dtype), rotation
 
-    (position, rotation), (xdot_d, drotation) = jax.jvp(curve, (t,), (jnp.ones_like(t),))
-    if reference.feedforward is not None:
-        return position, rotation, vector(reference.feedforward, unrolled)
-    if task.orientation:
-        entries = [((2, 1), (0, 2), (1, 0))[i] for i in task.angular]
-        spin = sp.matmul(drotation, sp.transpose(rotation))
-        omega = tuple(spin[i][j] for i, j in entries) if unrolled else spin[tuple(np.transpose(entries))]
-        xdot_d = sp.join(xdot_d, omega)
-    return position, rotation, xdot_d
+    (position, rotation), (velocity, drotation) = jax.jvp(curve, (t,), (jnp.ones_like(t),))
+    return position, rotation, velocity, drotation
+
+
+def _spin(rotation, drotation):
+    """Angular velocity vee(Ṙ Rᵀ) in the base frame."""
+    turning = drotation @ rotation.T
+    return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
 
 
 def tangent(reference: Reference, task: Task, t) -> Reference:
     """The reference as it is known at time t and no later: from there on at the velocity it has, or is said to have."""
-    (position, rotation), (dposition, drotation) = jax.jvp(reference.curve, (t,), (jnp.ones_like(t),))
-    position, told = controlled(task, position), reference.feedforward
-    velocity = controlled(task, dposition) if told is None else tuple(told[i] for i in range(len(position)))
-    spin = None
-    if task.orientation and told is None:
-        turning = sp.matmul(drotation, sp.transpose(rotation))
-        spin = turning[2][1], turning[0][2], turning[1][0]
+    position, rotation, velocity, drotation = _moving(reference, task, t)
+    told, spin = reference.feedforward, None
+    if told is not None:
+        velocity = told[: len(position)]
+        if task.orientation:
+            spin = jnp.zeros(3, told.dtype).at[np.array(task.angular)].set(told[len(position) :])
     elif task.orientation:
-        about = dict(zip(task.angular, range(len(position), task.m), strict=True))
-        spin = tuple(told[about[i]] if i in about else jnp.zeros_like(t) for i in range(3))
+        spin = _spin(rotation, drotation)
     curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=spin)
     return replace(reference, curve=curve)
 
 
-def controlled(task, position, unrolled=True):
-    """The coordinates of a position that the task controls: given as such, or as x, y, z."""
+def controlled(task, position, dtype=None):
+    """The coordinates of a position that the task controls: given as such, or as x, y, z; none, of a dtype."""
     if not task.position:
-        return () if unrolled else jnp.zeros(0)
-    return position if len(position) == len(task.position) else sp.pick(position, task.linear)
+        return jnp.zeros(0, dtype)
+    return position if len(position) == len(task.position) else position[np.array(task.linear)]
 
 
 def motion(reference: Reference, task: Task, t):
@@ -94,17 +100,17 @@ def motion(reference: Reference, task: Task, t):
     Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it.
     """
 
-    def cells(t):
+    def coordinates(t):
         position, rotation = reference.curve(t)
-        turned = sp.scale(1.111, sum(rotation, ())) if task.orientation else ()
-        return tuple(jnp.asarray(v, t.dtype) for v in (*controlled(task, position), *turned))
+        turned = 1.111 * rotation.ravel() if task.orientation else jnp.zeros(0, t.dtype)
+        return jnp.concatenate([controlled(task, position, t.dtype), turned]).astype(t.dtype)
 
     # A user's own function may do what can't be done to many instants at once.
-    found = jax.lax.map(cells, t) if isinstance(reference.curve, Path) else jax.vmap(cells)(t)
-    moved = sp.safe_norm(tuple(v[1:] - v[:-1] for v in found))
+    found = jax.lax.map(coordinates, t) if isinstance(reference.curve, Path) else jax.vmap(coordinates)(t)
+    moved = safe_sqrt(jnp.sum((found[1:] - found[:-1]) ** 2, axis=1))
     if reference.feedforward is None:
         return moved
-    return moved + (t[1:] - t[:-1]) * sp.safe_norm(tuple(reference.feedforward[i] for i in range(task.m)))
+    return moved + (t[1:] - t[:-1]) * safe_norm(reference.feedforward)
 
 
 def check(reference: Reference, task: Task) -> None:
@@ -355,4 +361,4 @@ def rotation_matrix(name, value):
 @bounded_jit  # as a whole: one by one, its many small operations would each be compiled on first use
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
-    return jnp.stack(sp.log_so3(rows(last @ first.T)))
+    return log_so3(last @ first.T)

@@ -1,10 +1,12 @@
 """Shifted: a reference moved by a vector in the task's coordinates."""
 
-from cnclik.law.curves import whole
+import jax.numpy as jnp
+import numpy as np
+
 from cnclik.law.reference import Reference
 from cnclik.law.task import Task
 from cnclik.record import record, replace
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import exp_so3
 
 
 @record
@@ -15,19 +17,16 @@ class Shifted:
     task: object
     w: object
 
-    def __call__(self, t, unrolled=True):
-        w = self.w(t) if callable(self.w) else self.w
-        w = tuple(w[i] for i in range(self.task.m))
+    def __call__(self, t):
+        w, p = self.w(t) if callable(self.w) else jnp.asarray(self.w), len(self.task.position)
         position, rotation = self.base(t)
-        linear, turn = w[: len(self.task.position)], w[len(self.task.position) :]
-        if self.task.position:
-            places = range(len(linear)) if len(position) == len(linear) else self.task.linear
-            moved = dict(zip(places, linear, strict=True))
-            position = tuple(sp.add(v, moved[i]) if i in moved else v for i, v in enumerate(position))
+        if p:
+            places = range(p) if len(position) == p else self.task.linear
+            position = position.at[np.array(places)].add(w[:p])
         if self.task.orientation:
-            about = dict(zip(self.task.angular, turn, strict=True))
-            rotation = sp.matmul(sp.exp_so3(tuple(about.get(i, 0.0) for i in range(3))), rotation)
-        return (position, rotation) if unrolled else (whole(position), whole(rotation))
+            turn = jnp.zeros(3, w.dtype).at[np.array(self.task.angular)].set(w[p:])
+            rotation = exp_so3(turn) @ rotation
+        return position, rotation
 
 
 def shifted(reference: Reference, task: Task, w) -> Reference:

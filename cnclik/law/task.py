@@ -4,14 +4,14 @@ x are the task coordinates, e = x_d − x their error: positions along chosen ax
 vector [rad] that turns the tip into the desired orientation, in the base frame.
 """
 
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from cnclik import errors
-from cnclik.hints import opaque
-from cnclik.record import brief, record, replace
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import Frames, jacobian_rows
+from cnclik.record import brief, record
+from cnclik.robot.model import Frames, jacobian_rows
+from cnclik.robot.rotations import log_so3
 
 _AXES = "xyz"
 
@@ -94,23 +94,14 @@ def _task(position, orientation, weights):
 
 
 def error_and_rows(task: Task, chain, at: Frames, position_d, rotation_d):
-    """The error e (m,) and the rows of the task Jacobian, before weighting."""
-    return _error_and_rows(replace(task, weights=None), chain, at, position_d, rotation_d)
-
-
-@opaque
-def _error_and_rows(task, chain, at, position_d, rotation_d):
-    e = sp.vsub(position_d, sp.pick(at.position, task.linear))
+    """The error e (m,) and the rows of the task Jacobian (m, n), before weighting."""
+    e = position_d - at.position[np.array(task.linear, int)]
     if task.orientation:
-        turn = sp.log_so3(sp.matmul(rotation_d, sp.transpose(at.rotation)))
-        e = sp.join(e, sp.pick(turn, task.angular))
+        e = jnp.concatenate([e, log_so3(rotation_d @ at.rotation.T)[np.array(task.angular, int)]])
     return e, jacobian_rows(chain, at, task.linear, task.angular)
 
 
 def coordinates(task: Task, position, rotation):
-    """Task coordinates x of a pose: positions [m], then components of its rotation vector [rad]."""
-    x = sp.pick(position, task.linear)
-    return sp.join(x, sp.pick(_turned(rotation), task.angular)) if task.orientation else x
-
-
-_turned = opaque(sp.log_so3)
+    """Task coordinates x (m,) of a pose: positions [m], then components of its rotation vector [rad]."""
+    x = position[np.array(task.linear, int)]
+    return jnp.concatenate([x, log_so3(rotation)[np.array(task.angular, int)]]) if task.orientation else x

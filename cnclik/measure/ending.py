@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from cnclik.integrate.status import Status
 from cnclik.measure import outcome
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import safe_sqrt
 
 
 def ending(e, status, tolerance=1e-3):
@@ -16,7 +16,7 @@ def ending(e, status, tolerance=1e-3):
     Returns: the code, or NaN where the initial error is 0: a float. What begins with an error that is not finite has
       diverged.
     """
-    size = sp.safe_sqrt(jnp.sum(e * e, axis=-1))
+    size = safe_sqrt(jnp.sum(e * e, axis=-1))
     N, scale = status.shape[0], jnp.where(jnp.isfinite(size[0]), size[0], jnp.nan)
     size = jnp.where(jnp.isfinite(size), size, jnp.inf)
     third, last = size[N - 2 * (N // 4) : N - N // 4], jnp.max(size[N - N // 4 :])

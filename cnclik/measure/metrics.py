@@ -22,8 +22,8 @@ from cnclik.law.law import Law, check_loop, glance, weigh
 from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.record import cast
-from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.model import modelled, one_off
+from cnclik.robot.rotations import safe_sqrt
 
 
 @jax.tree_util.register_pytree_node_class
@@ -92,11 +92,11 @@ def _squares(rows):
 
 
 def _norms(rows):
-    return sp.safe_sqrt(_squares(rows))
+    return safe_sqrt(_squares(rows))
 
 
 def _root_mean(rows):
-    return sp.safe_sqrt(jnp.mean(_squares(rows)))
+    return safe_sqrt(jnp.mean(_squares(rows)))
 
 
 def _max(values):
@@ -121,7 +121,7 @@ def _rotation(loop):
 def _split(loop):
     """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
     path = ref.Reference(curve=loop.reference.curve)  # its own direction, whatever is fed forward
-    velocity = jax.vmap(lambda t: ref.sample(path, loop.law.task, t, unrolled=False)[2])(loop.run.target_time)
+    velocity = jax.vmap(lambda t: ref.sample(path, loop.law.task, t)[2])(loop.run.target_time)
     e = _position(loop)
     velocity = velocity[:, : e.shape[-1]]
     speed = _norms(velocity)[:, None]
@@ -204,9 +204,10 @@ def chatter(qdot):
 def _least_singular_value(loop):
     """σ_min, its derivative that of the Rayleigh quotient and not of a decomposition."""
 
+    law = modelled(loop.law)
+
     def one(q):
-        law, q = in_form(loop.law, q)
-        return sp.safe_sqrt(dense.least_squared(sp.thin(weigh(law, glance(law, q).rows))))
+        return safe_sqrt(dense.least_squared(dense.thin(weigh(law, glance(law, q).rows))))
 
     sigma = jax.vmap(one)(loop.run.q)
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))

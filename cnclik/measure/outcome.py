@@ -5,14 +5,12 @@ pass close to the target on its way.
 """
 
 import enum
-import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.hints import one_function
 from cnclik.integrate.drive import Drive, moving
 from cnclik.integrate.measured import state_at_rest, through
 from cnclik.integrate.method import DEFAULT, Method, named
@@ -20,8 +18,8 @@ from cnclik.integrate.solve import cast
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
 from cnclik.record import record
-from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import in_form
+from cnclik.robot.model import modelled
+from cnclik.robot.rotations import safe_norm
 
 
 class Ending(enum.IntEnum):
@@ -111,17 +109,19 @@ def outcome(
       scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
     """
     method = named(method)
-    law, start = in_form(law, q0)
     model = moving(drive, Ts) if model is None else model
-    law, reference, Ts, tolerance, drive, model = cast((law, reference, Ts, tolerance, drive, model), q0.dtype)
+    law, reference, Ts, tolerance, drive, model = cast(
+        (modelled(law), reference, Ts, tolerance, drive, model), q0.dtype
+    )
     Ts = jnp.asarray(Ts, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)
     given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
-    def one(own, seen, k):
-        *loop, tolerance, given = own
-        state, made = through(*loop, method=method, N=N)(False, seen.state, k)
-        size = sp.safe_norm(made.e)
+    step = through(law, reference, Ts, stage, drive, model, method=method, N=N)
+
+    def one(seen, k):
+        state, made = step(False, seen.state, k)
+        size = safe_norm(made.e)
         first = jnp.where(jnp.isfinite(size), size, jnp.nan)  # what begins nowhere arrives nowhere
         scale = jnp.where(k == 0, first, seen.scale) if given is None else seen.scale
         # A loop that diverges wanders through singularities; one that meets them first is another matter.
@@ -141,15 +141,12 @@ def outcome(
             singular_first=seen.singular_first | (~grown & ((status & int(Status.NEAR_SINGULAR)) != 0)),
         ), None
 
-    def loop(own, start, k):
-        return lax.scan(functools.partial(one, own), start, k)[0]
-
     # The step after the last is made too, only for its error: one more way to evaluate it would cost far more to
     # compile than it costs to run.
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
-    seen = _Seen(
-        state=state_at_rest(law, reference, start, drive, model, method=method),
+    start = _Seen(
+        state=state_at_rest(law, reference, q0, drive, model, method=method),
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,
@@ -159,8 +156,7 @@ def outcome(
         grown=never,
         singular_first=never,
     )
-    run = one_function(loop) if sp.unrolled(start) else loop
-    seen = run((law, reference, Ts, stage, drive, model, tolerance, given), seen, k)
+    seen, _ = lax.scan(one, start, k)
     scale, largest = seen.scale, seen.largest
     # Through a drive an error swings, and a loop is on its way where its swings become smaller.
     least = seen.least_before if drive.prompt else seen.largest_before

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import few_lanes, form, quick_jit, use_form
+from cnclik.hints import quick_jit
 from cnclik.integrate.method import CN, METHODS, Method, named
 from cnclik.integrate.solve import evaluations_of, solve
 from cnclik.integrate.stage import picard
@@ -24,9 +24,9 @@ from cnclik.paper.choices import DEFAULT, Reading
 from cnclik.paper.choices import READINGS as READINGS
 from cnclik.paper.choices import reading as reading
 from cnclik.record import replace, stack
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import planar_arm
-from cnclik.robot.rolled import in_form
+from cnclik.robot.model import modelled
+from cnclik.robot.rotations import safe_norm
 
 # Settings of Section V.
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
@@ -166,16 +166,16 @@ def _program(laws, references, q0, Ts, M, *, method, h, N_max):
         return run, None
 
     def passes(law, reference, q, t):
-        law, q = in_form(law, q)
+        law = modelled(law)
 
         def one(slope, _):
-            ahead = sp.vadd(q, sp.scale(h, slope))
+            ahead = q + h * slope
             new = evaluate(law, reference, t + TS, ahead).qdot
-            return new, TS * sp.safe_norm(sp.vsub(new, slope))
+            return new, TS * safe_norm(new - slope)
 
         first = evaluate(law, reference, t, q).qdot
         _, changes = jax.lax.scan(one, first, length=PASSES)
-        return jnp.append(TS * sp.safe_norm(first), changes)
+        return jnp.append(TS * safe_norm(first), changes)
 
     # Step by step over all lanes, not all at once: lanes of one shape share their compiled stages.
     states = jnp.swapaxes(run.q[:, :N], 0, 1), jnp.swapaxes(run.t[:, :N], 0, 1)
@@ -200,17 +200,16 @@ def run_method(Ts: str, name: str) -> Found:
     """All runs of one method on both arms, by one compiled program; `Ts` is "once" or "twice"."""
     todo = [(arm, lane) for arm in ARMS for lane in LANES]
     followed = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
-    with use_form(form() or "unrolled"), few_lanes(len(todo)):
-        run, residuals = _program(
-            stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
-            stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
-            np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
-            np.array([TS / 2**lane.halving for _, lane in todo]),
-            np.array([lane.M for _, lane in todo]),
-            method=tableau(METHODS[name], Ts),
-            h=followed,
-            N_max=max(lane.N for lane in LANES),
-        )
+    run, residuals = _program(
+        stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
+        stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
+        np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
+        np.array([TS / 2**lane.halving for _, lane in todo]),
+        np.array([lane.M for _, lane in todo]),
+        method=tableau(METHODS[name], Ts),
+        h=followed,
+        N_max=max(lane.N for lane in LANES),
+    )
     run, residuals = jax.device_get((run, residuals))
     found = Found({}, {})
     for i, (arm, lane) in enumerate(todo):

@@ -5,8 +5,8 @@ import functools
 import jax
 import numpy as np
 
-from cnclik.hints import as_here, form, use_form
-from cnclik.reaching import programs, search
+from cnclik.hints import as_here
+from cnclik.reaching import search
 from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
@@ -17,11 +17,9 @@ from cnclik.record import kept, replace
 from cnclik.threads import cores, side_by_side
 
 POOL = 1 << 18  # targets whose leftovers are searched for together
-EARLY, HARD = search.PLAIN + 4, 100  # so many targets without an answer after so many tries: it is worth it, too
-MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the unrolled form is worth its compiling
-# Targets, at most, that are sooner searched for one by one; rolled, also where none of them has an answer: more of
-# these take longer than to compile what `HARD` asks for.
-ONE_BY_ONE = {"unrolled": 128, "rolled": 512}
+EARLY = search.PLAIN + 4  # tries of all targets, before it is asked which are out of reach
+MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which C is worth its compiling
+ONE_BY_ONE = 512  # targets, at most, that are sooner searched for one by one
 ENDLESS = 1 << 40  # looks
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
@@ -39,13 +37,10 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             told = progress and (lambda done, total, i=i: progress(i + done, B))
             parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
         return replace(parts[0], **{name: np.concatenate([fields(p)[name] for p in parts]) for name in PER_TARGET})
-    kind = form() or form_for(asked.chain, B)
-    if native := native_for(asked, kind == "unrolled"):
+    if native := native_for(asked, often(asked.chain, B)):
         return native.reached(pose, near, progress)
-    chosen, few = use_form(kind), ONE_BY_ONE[kind]
-    if len(pose) <= few:
-        with chosen:
-            return each(asked, pose, near, progress)
+    if B <= ONE_BY_ONE:
+        return each(asked, pose, near, progress)
     setup = search.setup_of(asked)
     made = Answers.empty(B, n)
     sure, why = np.zeros(B, bool), np.zeros(B, int)
@@ -76,30 +71,23 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
             ids = np.flatnonzero(which & known & ~made.found & (why == 0))
             size = max(min(BLOCK, -(-len(ids) // cores())), SMALLEST)
             parts = [ids[i : i + size] for i in range(0, len(ids), size)]
-            with side_by_side(programs.workers(form())) as pool:
+            with side_by_side() as pool:
                 for _ in pool.map(as_here(fn), parts):
                     if progress is not None:
                         progress(int(made.found.sum()), B)
 
-        with chosen:
-            if form() == "unrolled":  # both programs compile at once
-                warm = as_here(lambda dtype: search.warm(setup, targets.bounds, dtype))
-                with side_by_side() as pool:
-                    list(pool.map(warm, ("float32", "float64")))
-            on_all_cores(first, ~far | downhill)
-            on_all_cores(functools.partial(later, tries=min(EARLY, setup.tries)), ~far)
-        # A target without an answer takes hundreds of times as long as one with: then the quicker form is the sooner.
-        with use_form(form() or "unrolled") if np.sum(known & ~made.found) > HARD else chosen:
-            on_all_cores(functools.partial(later, done=EARLY), ~far)
-            sure = asked.sure(made.looks) & ~far
-            if downhill:
-                on_all_cores(functools.partial(later, tries=min(TRIES_FAR, setup.tries)), far)
-                on_all_cores(nearest, ~made.found)
-            if asked.explain:
-                longer = functools.partial(later, done=setup.tries, tries=LONGER * setup.tries)
-                on_all_cores(longer, sure & asked.close(made.squares))
-            for status, bounds, tries in asked.beyond():
-                on_all_cores(functools.partial(free, status, bounds, tries), sure)
+        on_all_cores(first, ~far | downhill)
+        on_all_cores(functools.partial(later, tries=min(EARLY, setup.tries)), ~far)
+        on_all_cores(functools.partial(later, done=EARLY), ~far)
+        sure = asked.sure(made.looks) & ~far
+        if downhill:
+            on_all_cores(functools.partial(later, tries=min(TRIES_FAR, setup.tries)), far)
+            on_all_cores(nearest, ~made.found)
+        if asked.explain:
+            longer = functools.partial(later, done=setup.tries, tries=LONGER * setup.tries)
+            on_all_cores(longer, sure & asked.close(made.squares))
+        for status, bounds, tries in asked.beyond():
+            on_all_cores(functools.partial(free, status, bounds, tries), sure)
     if progress is not None:
         progress(B, B)
     return asked.reached(pose, near, *made.as_asked(), sure, why)
@@ -107,22 +95,17 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
 
 def path(asked: Asked, pose, progress=None) -> Reached:
     """Answers for the targets (B, 12) of a path, each from the answer before it."""
-    kind = form() or form_for(asked.chain, len(pose))
-    if native := native_for(asked, kind == "unrolled"):
+    if native := native_for(asked, often(asked.chain, len(pose))):
         return native.along(pose, progress)
-    with use_form(kind):
-        return along(asked, pose, progress)
+    return along(asked, pose, progress)
 
 
-def form_for(chain, targets) -> str:
-    """The form of programs for so many targets: rolled until a chain has been asked of so often that compiling pays.
-
-    Compiling takes seconds; then a target of the unrolled form is several times quicker one by one, and in batches ten.
-    """
+def often(chain, targets) -> bool:
+    """Whether a chain has been asked of, with so many targets more, so often that compiling C for it pays."""
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
     asked_of[0 if alone else 1] += targets
-    return "unrolled" if (asked_of[0] > ALONE if alone else asked_of[1] > MANY) else "rolled"
+    return asked_of[0] > ALONE if alone else asked_of[1] > MANY
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
@@ -135,8 +118,8 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
         mine = {name: v[start : start + size] for name, v in fields(first).items()}
         return _several(asked, setup, mine, targets.part(slice(start, start + size)), solutions)
 
-    kind = form() or form_for(asked.chain, len(pose) * PATIENCE)
-    with use_form(kind), jax.enable_x64(True), side_by_side(programs.workers(kind)) as pool:
+    often(asked.chain, len(pose) * PATIENCE)
+    with jax.enable_x64(True), side_by_side() as pool:
         made = list(pool.map(as_here(block), range(0, len(pose), size)))
     whole = {name: np.concatenate([part[name] for part in made]) for name in PER_TARGET}
     return replace(first, **whole, solutions=solutions)

@@ -9,11 +9,10 @@ from cnclik.law.task import position
 from cnclik.reaching.reach import reach
 from cnclik.reaching.result import Reached
 from cnclik.reaching.seeds import seeds
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import evenly, start_posture
-from cnclik.robot.rolled import roll
+from cnclik.robot.rotations import rotation_from_quaternion
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -81,12 +80,12 @@ def turns_evenly(count: int) -> np.ndarray:
     """Rotations (count, 3, 3) that fill all turns evenly (Shoemake 1992, of an even sequence)."""
     u, v, w = evenly(count, 3).T
     a, b, v, w = np.sqrt(1 - u), np.sqrt(u), 2 * np.pi * v, 2 * np.pi * w
-    rows = sp.rotation_from_quaternion((b * np.cos(w), a * np.sin(v), a * np.cos(v), b * np.sin(w)))
+    rows = rotation_from_quaternion((b * np.cos(w), a * np.sin(v), a * np.cos(v), b * np.sin(w)))
     return np.moveaxis(np.array(rows), -1, 0)
 
 
 def outline(chain: Chain) -> np.ndarray:
     """Base, joints and tip (j, 3) of the arm in the posture that a loop would start from [m]."""
     q = start_posture(chain, position())
-    at = frames(roll(chain), q)
+    at = frames(modelled(chain), q)
     return np.concatenate([np.zeros((1, 3)), at.points, at.position[None]])

@@ -50,7 +50,7 @@ class _Call(ctypes.Structure):
 def native_for(asked: Asked, soon: bool):
     """The native search for what is asked; None where there is no compiler, or it isn't worth its while.
 
-    The first chains of a process have it at once; in a loop over many, each asked of a few targets, the rolled
+    The first chains of a process have it at once; in a loop over many, each asked of a few targets, JAX's
     programs, which serve all chains, are sooner ready.
 
     Args: soon: whether the chain has been asked of often.

@@ -18,6 +18,7 @@ from cnclik.reaching.search import AROUND, CAREFUL, COARSE, NEARBY, PLACES, PLAI
 from cnclik.reaching.seeds import SETS, SIZE
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast
+from cnclik.robot.model import modelled
 
 SEARCH = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="utf-8")
 
@@ -52,11 +53,9 @@ def _look(chain, task, weighted):
 
     def one(q, best, squares, cost, steep, trust, arrived, careful, low, high, tolerance, position, rotation, roots):
         zero = jnp.zeros((), dtype)
-        at = Search(tuple(q), tuple(best), tuple(squares), cost, steep, trust, zero, arrived != 0)
-        roots = tuple(roots) if weighted else None
-        pose, bounds = (tuple(position), tuple(map(tuple, rotation))), (tuple(low), tuple(high))
-        made = iterate(cast(chain, dtype), task, at, pose, bounds, tuple(tolerance), careful != 0, roots)
-        packed = [jnp.stack(v) for v in (made.q, made.best, made.squares)]
-        return [*packed, made.cost, made.steep, made.trust, made.arrived.astype(jnp.int32)]
+        at = Search(q, best, squares, cost, steep, trust, zero, arrived != 0)
+        of, pose, bounds = cast(modelled(chain), dtype), (position, rotation), (low, high)
+        made = iterate(of, task, at, pose, bounds, tolerance, careful != 0, roots if weighted else None)
+        return [made.q, made.best, made.squares, made.cost, made.steep, made.trust, made.arrived.astype(jnp.int32)]
 
     return read(one, {"lanes": [*state, *own]}, {"lanes": state}, dtype=dtype)

@@ -3,18 +3,19 @@
 How many lanes, and how many steps, is decided as it runs: one program serves any number of targets.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik.hints import form, one_function, quick_jit
-from cnclik.integrate.lanes import OPTIONS, tiled
+from cnclik.engine.native import scalars
+from cnclik.hints import few_lanes, quick_jit
+from cnclik.integrate.lanes import tiled
 from cnclik.reaching.step import begin, in_parts, iterate
 from cnclik.record import cast
-from cnclik.robot import spatial as sp
-from cnclik.robot.rolled import in_form, roll
+from cnclik.robot.model import modelled
 
 CAPACITY, TILE = 2048, 128  # lanes
 
@@ -33,34 +34,30 @@ class Found(NamedTuple):
         return (self.squares <= tolerance**2).all(axis=1)
 
 
-def _lane(chain, task, bounds, tolerance, q, target, steps, careful, roots):
-    dtype = q.dtype
-    chain, q = in_form(chain, q)
-    chain = cast(chain, dtype)
-    target, roots = in_parts(target, roots, q)
-    bounds = tuple(sp.like(q, bound) for bound in bounds)
+def _lane(task, chain, bounds, tolerance, q, target, steps, careful, roots):
+    chain, target = cast(chain, q.dtype), in_parts(target)
 
-    def go(steps, careful, q, target, bounds, tolerance, roots):
-        def once(carry):
-            i, at = carry
-            return i + 1, iterate(chain, task, at, target, bounds, tolerance, careful, roots)
+    def once(carry):
+        i, at = carry
+        return i + 1, iterate(chain, task, at, target, bounds, tolerance, careful, roots)
 
-        start = begin(q, q[0] * 0.0)
-        return lax.while_loop(lambda c: (c[0] < steps) & ~c[1].arrived, once, (jnp.zeros_like(steps), start))[1]
-
-    at = one_function(go)(steps, careful, q, target, bounds, (tolerance[0], tolerance[1]), roots)
-    return Found(sp.packed(at.best), jnp.stack(at.squares), at.cost, at.steep, at.looks)
+    start = jnp.zeros_like(steps), begin(q, q[0] * 0.0)
+    _, at = lax.while_loop(lambda c: (c[0] < steps) & ~c[1].arrived, once, start)
+    return Found(at.best, at.squares, at.cost, at.steep, at.looks)
 
 
 def _many(chain, task, bounds, tolerance, q, target, steps, careful, roots, count):
+    read = scalars(functools.partial(_lane, task))
+
     def lane(q, target, *own):
-        return _lane(chain, task, own or bounds, tolerance, q, target, steps, careful, roots)
+        with few_lanes(0):  # as one native function it would have more arguments than XLA (jaxlib 0.10) can pass
+            return read(chain, own or bounds, tolerance, q, target, steps, careful, roots)
 
     own = bounds if bounds[0].ndim > 1 else ()
     return tiled(lane, min(TILE, q.shape[0]), q, target, *own, count=count)
 
 
-_quick, _soon = quick_jit(_many, compiler=OPTIONS), quick_jit(_many)
+_search = quick_jit(_many)
 
 
 def search(chain, task, bounds, tolerance, q, target, steps, careful=False, roots=None) -> Found:
@@ -69,25 +66,15 @@ def search(chain, task, bounds, tolerance, q, target, steps, careful=False, root
     Args:
       bounds: lower and upper, (n,) for all or (B, n), in that dtype. careful, roots: see `step.iterate`.
     """
-    rolled = form() == "rolled"
-    chain, run = (roll(chain), _soon) if rolled else (chain, _quick)
-    parts = []
+    chain, parts = modelled(chain), []
     for i in range(0, len(q), CAPACITY):
         cut = slice(i, i + CAPACITY)
         size = len(q[cut])
         own = tuple(filled(b[cut]) if b.ndim > 1 else b for b in bounds)
         part = filled(q[cut]), filled(target[cut])
-        found = run(chain, task, own, tolerance, *part, np.int32(steps), np.bool_(careful), roots, np.int32(size))
+        found = _search(chain, task, own, tolerance, *part, np.int32(steps), np.bool_(careful), roots, np.int32(size))
         parts.append([np.asarray(v)[:size] for v in found])
     return Found(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-def workers(kind) -> int | None:
-    """How many blocks of a form may run side by side: one of the rolled form, which calls LAPACK, else None, all.
-
-    See `cnclik.hints.shares_threads`.
-    """
-    return 1 if kind == "rolled" else None
 
 
 def filled(rows, size=CAPACITY):

@@ -12,9 +12,8 @@ import numpy as np
 
 from cnclik.record import kept, record
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import arm_length, evenly
-from cnclik.robot.rolled import roll
 
 SETS, SIZE = 16, 256
 ROWS = 64  # of a product: so few that distances stay in the cache, and that BLAS starts no threads beside ours
@@ -76,7 +75,7 @@ def starts(seed, near, periods, ends, low, high, xp=np):
 def _made(chain: Chain) -> Seeds:
     low, high = spans(chain)
     postures = low + (high - low) * evenly(SETS * SIZE, chain.n)
-    at = frames(roll(chain), postures)
+    at = frames(modelled(chain), postures)
     scale = 1.0 / arm_length(chain)
     tips = np.concatenate([at.position * scale, TURN * at.rotation.reshape(-1, 9)], axis=1)
     return Seeds(postures=postures, tips=tips, middle=(low + high) / 2, width=high - low, scale=scale)

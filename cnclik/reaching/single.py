@@ -13,20 +13,17 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import SMALL_ARRAYS, as_here, few_lanes, form, one_function, quick_jit
-from cnclik.integrate.lanes import OPTIONS
+from cnclik.hints import as_here, quick_jit
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import LONGER, TOUCHING
-from cnclik.reaching.programs import filled, workers
+from cnclik.reaching.programs import filled
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans, starts, turned
 from cnclik.reaching.step import begin, in_parts, iterate, look
 from cnclik.record import cast, kept, placed, replace
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.posture import evenly, start_posture
-from cnclik.robot.rolled import in_form
 from cnclik.threads import side_by_side
 
 TOGETHER = 8  # seeds side by side
@@ -39,7 +36,7 @@ AROUND = 0.3  # of the range of seeds, about `near`
 
 
 def each(asked, pose, near, progress=None):
-    """Answers for some targets (B, 12), one by one: in blocks, of the unrolled form on all cores."""
+    """Answers for some targets (B, 12), one by one: in blocks, on all cores."""
     rows = np.empty((len(pose), width(asked.chain.n)))
 
     def block(k):
@@ -53,7 +50,7 @@ def each(asked, pose, near, progress=None):
         if len(pose) == 1:
             rows[0] = _program(*shared, pose[0], None if near is None else near[0])
             return from_rows(asked.chain, asked.task, rows)
-        with side_by_side(workers(form())) as pool:
+        with side_by_side(1) as pool:  # LAPACK, see `cnclik.hints.shares_threads`
             done = 0
             for count in pool.map(as_here(block), range(0, len(pose), BLOCK)):
                 done += count
@@ -149,19 +146,7 @@ def _waypoints(asked, postures, to, poses, at, count, begins):
     return lax.fori_loop(0, count, one, (at, jnp.zeros((len(poses), width(len(at))), at.dtype)))
 
 
-def _alone(fn):
-    """A function of one lane, called with numbers: all of it one native function, or it would wait for threads."""
-
-    @functools.wraps(fn)
-    def whole(*args):
-        with few_lanes(1):
-            return one_function(fn, SMALL_ARRAYS)(*args)
-
-    quick, soon = quick_jit(whole, compiler=OPTIONS), quick_jit(whole)
-    return lambda *args: (soon if form() == "rolled" else quick)(*args)
-
-
-_program, _block, _path = _alone(_target), _alone(_targets), _alone(_waypoints)
+_program, _block, _path = map(quick_jit, (_target, _targets, _waypoints))
 
 
 def _search(asked, pose, near, postures, to):
@@ -222,7 +207,7 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
       most: rounds of seeds, and of others where hard(squared errors, looks) is true; looks; number of the first seeds.
     """
     dtype = target.dtype
-    chain = cast(in_form(chain, first[0])[0], dtype)
+    chain, parts = cast(modelled(chain), dtype), in_parts(target)
     rounds, longer, budget, seed = most
     bottom = rounds + DOWNHILL
     last = bottom + longer
@@ -249,10 +234,10 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
         begin_at = jnp.where(down, kept[0] + CLOSE * (begin_at - kept[0]).at[0].set(0.0), begin_at)
         begin_at = jnp.clip(begin_at, low, high)
         own = None if roots is None else jnp.where(down, roots, 1.0)
-        at = _together(chain, task, begin_at, target, low, high, tolerance, own)
-        q = sp.packed(at.best, axis=-1)
+        at = _together(chain, task, begin_at, parts, low, high, tolerance, own)
+        q = at.best
         k = jnp.argmin(jnp.where(at.arrived, -1.0, jnp.where(jnp.isfinite(at.cost), at.cost, jnp.inf)))
-        new = q[k], jnp.stack(at.squares, -1)[k], at.cost[k], at.steep[k]
+        new = q[k], at.squares[k], at.cost[k], at.steep[k]
         better = ~wide & ((r < bottom) & (new[2] < kept[2]) | at.arrived[k] | (r == rounds))
         looks = kept[4] + jnp.sum(at.looks)
         tried = jnp.where(r < rounds, looks, kept[5])
@@ -276,29 +261,18 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
 
 def _together(chain, task, starts, target, low, high, tolerance, roots):
     """Steps of some seeds side by side, until one has arrived."""
-    law, like = in_form(chain, starts[0])
 
-    def start(q):
-        q = in_form(chain, q)[1]
-        return begin(q, q[0] * 0.0)
+    def once(carry):
+        i, at = carry
+        step = jax.vmap(lambda at: iterate(chain, task, at, target, (low, high), tolerance, jnp.ones((), bool), roots))
+        return i + 1, step(at)
 
-    def go(at, target, low, high, tolerance, careful, roots):
-        def once(carry):
-            i, at = carry
-            step = jax.vmap(lambda at: iterate(law, task, at, target, (low, high), tolerance, careful, roots))
-            return i + 1, step(at)
+    def goes_on(carry):
+        i, at = carry
+        return (i < STEPS) & ~jnp.any(at.arrived)
 
-        def goes_on(carry):
-            i, at = carry
-            return (i < STEPS) & ~jnp.any(at.arrived)
-
-        return lax.while_loop(goes_on, once, (jnp.zeros((), jnp.int32), at))[1]
-
-    bounds = [sp.like(like, bound) for bound in (low, high)]
-    target, roots = in_parts(target, roots, like)
-    pair, careful = (tolerance[0], tolerance[1]), jnp.ones((), bool)
-    with few_lanes(TOGETHER):
-        return one_function(go)(jax.vmap(start)(starts), target, *bounds, pair, careful, roots)
+    start = jnp.zeros((), jnp.int32), jax.vmap(lambda q: begin(q, q[0] * 0.0))(starts)
+    return lax.while_loop(goes_on, once, start)[1]
 
 
 def refined(chain, task, target, q, held, found):
@@ -308,21 +282,13 @@ def refined(chain, task, target, q, held, found):
     makes joint motion: the least, where the arm is redundant. Where there is no answer the derivative is 0.
     """
     q, held = lax.stop_gradient((q, held))
-    whole = q
-    chain, parts = in_form(chain, q)
-    chain = cast(chain, q.dtype)
-    e, _ = look(chain, task, parts, in_parts(target, None, parts)[0])
-    at = frames(lax.stop_gradient(chain), parts)
-    rows = jacobian_rows(lax.stop_gradient(chain), at, task.linear, task.angular)
+    chain = cast(modelled(chain), q.dtype)
+    held_chain, held_target = lax.stop_gradient((chain, target))
+    e, _ = look(chain, task, q, in_parts(target))
     if 0 < len(task.angular) < 3:  # what is left of the turn about other axes turns these with it
-
-        def error(v):
-            parts = tuple(v) if sp.unrolled(rows) else v
-            chain_there, target_there = lax.stop_gradient((chain, target))
-            return sp.packed(look(chain_there, task, parts, in_parts(target_there, None, parts)[0])[0])
-
-        exact = -jax.jacfwd(error)(whole)
-        rows = tuple(map(tuple, exact)) if sp.unrolled(rows) else exact
-    rows = sp.rescale(rows, sp.like(parts, jnp.where(held, 0.0, 1.0).astype(q.dtype)))
-    step = sp.packed(sp.combine(dense.ldl_solve(dense.ldl(dense.gram(rows, tiny_shift(rows))), e), rows))
+        rows = -jax.jacfwd(lambda v: look(held_chain, task, v, in_parts(held_target))[0])(q)
+    else:
+        rows = jacobian_rows(held_chain, frames(held_chain, q), task.linear, task.angular)
+    rows = jnp.where(held, 0.0, rows)
+    step = dense.cholesky_solve(dense.cholesky(dense.shifted(rows @ rows.T, tiny_shift(rows))), e) @ rows
     return q + jnp.where(found, step - lax.stop_gradient(step), 0.0)

@@ -15,13 +15,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from cnclik.hints import opaque
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.law.task import Task
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.precision import precise
+from cnclik.robot.model import frames, jacobian_rows
+from cnclik.robot.rotations import quaternion_from_rotation
 
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9
@@ -36,7 +37,7 @@ class Search(NamedTuple):
 
     q: object  # where to look next
     best: object  # the posture of the least error so far
-    squares: object  # its squared position and orientation error [m², rad²], a pair
+    squares: object  # (2,) its squared position and orientation error [m², rad²]
     cost: object  # and their weighted sum; infinite before the first look
     steep: object  # squared length of the cost's free gradient there, over ‖e‖² ‖J‖²; 0 where no step helps
     trust: object  # τ
@@ -47,28 +48,26 @@ class Search(NamedTuple):
 def begin(q, zero) -> Search:
     """A search that has not looked yet. `zero`: a 0 of a lane's dtype."""
     never, far = zero > 1, zero + jnp.inf
-    return Search(q, q, (far, far), far, far, zero + 1.0, zero, never)
+    return Search(q, q, jnp.stack([far, far]), far, far, zero + 1.0, zero, never)
 
 
-def in_parts(target, roots, q):
-    """Position and rotation of a target (12,), and the roots of weights (m,) or None, in the form of q."""
-    position, rotation = target[:3], target[3:].reshape(3, 3)
-    if not sp.unrolled(q):
-        return (position, rotation), roots
-    return (tuple(position), tuple(map(tuple, rotation))), None if roots is None else tuple(roots)
+def in_parts(target):
+    """Position and rotation of a target (12,)."""
+    return target[:3], target[3:].reshape(3, 3)
 
 
+@precise
 def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, roots=None) -> Search:
     """Look at `q`, and step on; a search that has arrived stays.
 
     Args:
-      target: position (3,) and rows of the rotation. bounds: lower and upper (n,). tolerance: [m], [rad].
+      target: position (3,) and rotation. bounds: lower and upper (n,). tolerance: [m], [rad].
       careful: whether to take back steps that did not help; may be traced.
-      roots: of weights of the task's coordinates (m,), in the form of q; the task's own are not looked at.
+      roots: of weights of the task's coordinates (m,); the task's own are not looked at.
     """
     _, rows, squares, weighted = _look(chain, task, at.q, target, roots)
     low, high = bounds
-    cost = sp.dot(weighted, weighted)
+    cost = weighted @ weighted
     here = (squares[0] <= tolerance[0] ** 2) & (squares[1] <= tolerance[1] ** 2)
     better = (cost <= at.cost) | ~careful
     helped = jnp.where(cost < at.cost, jnp.maximum(at.trust * SHRINK, LEAST_TRUST), at.trust)
@@ -77,10 +76,10 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
     step, steep = _step(rows, weighted, cost, at.q, low, high, trust)
 
     def choose(wanted, new, old):
-        return sp.each(lambda a, b: jnp.where(wanted, a, b), new, old)
+        return jnp.where(wanted, new, old)
 
     best = choose(better, at.q, at.best)
-    onward = sp.each(lambda q, d, l, h: jnp.clip(q + d, l, h), at.q, step, low, high)
+    onward = jnp.clip(at.q + step, low, high)
     moved = Search(
         q=choose(here, at.q, choose(better, onward, at.best)),
         best=best,
@@ -94,6 +93,7 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
     return jax.tree.map(lambda old, new: jnp.where(at.arrived, old, new), at, moved)
 
 
+@precise
 def look(chain, task: Task, q, target):
     """Error e (m,) and its squares: position [m²] and orientation [rad²]."""
     e, _, squares, _ = _look(chain, task, q, target, None)
@@ -107,43 +107,26 @@ def _look(chain, task, q, target, roots):
     rows = jacobian_rows(chain, at, task.linear, task.angular)
     if roots is None:
         return e, rows, squares, e
-    weighted = sp.each(sp.mul, roots, e)
-    if sp.unrolled(rows):
-        return e, tuple(map(sp.scale, roots, rows)), squares, weighted
-    return e, roots[:, None] * rows, squares, weighted
+    return e, roots[:, None] * rows, squares, roots * e
 
 
-@opaque
 def _error(task, position, rotation, position_d, rotation_d):
-    """e (m,), and the squares of its two parts."""
-    where = sp.pick(sp.vsub(position_d, position), task.linear)
-    zero = 0.0 * position[0]
-    squares = [sp.dot(where, where) + zero if task.position else zero]
-    e = where
+    """e (m,), and the squares of its two parts (2,)."""
+    where, turn = (position_d - position)[np.array(task.linear, int)], jnp.zeros(0, position.dtype)
     if task.orientation:
-        turn = sp.quaternion_from_rotation(sp.matmul(rotation_d, sp.transpose(rotation)))[1:]
-        turn = sp.pick(sp.scale(2.0, turn), task.angular)
-        squares.append(sp.dot(turn, turn))
-        e = sp.join(where, turn) if task.position else turn
-    else:
-        squares.append(zero)
-    return e, tuple(squares)
+        turn = 2.0 * quaternion_from_rotation(rotation_d @ rotation.T)[1:][np.array(task.angular)]
+    zero = 0.0 * position[0]
+    return jnp.concatenate([where, turn]), jnp.stack([where @ where + zero, turn @ turn + zero])
 
 
-@opaque
 def _step(rows, e, cost, q, low, high, trust):
     """The step, each joint's clipped, and how steep the cost is for the joints that may move."""
     least = LEAST_DAMPING if jnp.finfo(cost.dtype).bits <= 32 else 1e-9
     shift = trust * (OF_ERROR * cost + least) + tiny_shift(rows)
-    downhill = sp.combine(e, rows)
-
-    def free(q, d, l, h):
-        pushes = ((q <= l) & (d < 0)) | ((q >= h) & (d > 0))
-        return jnp.where(pushes, 0.0, 1.0).astype(cost.dtype)
-
-    may = sp.each(free, q, downhill, low, high)
-    downhill, left = sp.each(sp.mul, may, downhill), sp.rescale(rows, may)
-    step = sp.combine(dense.ldl_solve(dense.ldl(dense.gram(left, shift)), e), left)
-    scale = cost * sp.squares(rows)
-    steep = sp.dot(downhill, downhill) / jnp.where(scale > 0, scale, 1.0)
-    return sp.each(lambda d: jnp.clip(d, -LONGEST, LONGEST), step), steep
+    downhill = e @ rows
+    pushes = ((q <= low) & (downhill < 0)) | ((q >= high) & (downhill > 0))
+    downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, rows)
+    step = dense.cholesky_solve(dense.cholesky(dense.shifted(left @ left.T, shift)), e) @ left
+    scale = cost * jnp.sum(rows**2)
+    steep = downhill @ downhill / jnp.where(scale > 0, scale, 1.0)
+    return jnp.clip(step, -LONGEST, LONGEST), steep

@@ -11,7 +11,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.record import kept, replace
-from cnclik.robot import spatial as sp
+from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, Chain
 from cnclik.robot.posture import arm_length
 
@@ -35,7 +35,7 @@ def _in_units(chain):
     if unit == 1.0:
         return chain, unit
     per = of_joints(chain, 1.0 / unit)
-    lower, upper = (tuple(map(sp.mul, bound, per)) for bound in (chain.lower, chain.upper))
+    lower, upper = (tuple(map(fixed.mul, bound, per)) for bound in (chain.lower, chain.upper))
     joints = tuple(_joint(joint, unit, per[joint.coordinate]) for joint in chain.joints)
     return replace(chain, joints=joints, tip=_offset(chain.tip, unit), lower=lower, upper=upper), unit
 
@@ -48,12 +48,12 @@ def of_joints(chain: Chain, unit):
 def _joint(joint, unit, per):
     slides = joint.kind == PRISMATIC
     by = (1.0 / unit if slides else 1.0) / per  # of what follows a joint of the other kind
-    offset = sp.mul(1.0 / unit, joint.offset) if slides else joint.offset
-    return replace(joint, origin=_offset(joint.origin, unit), multiplier=sp.mul(by, joint.multiplier), offset=offset)
+    offset = fixed.mul(1.0 / unit, joint.offset) if slides else joint.offset
+    return replace(joint, origin=_offset(joint.origin, unit), multiplier=fixed.mul(by, joint.multiplier), offset=offset)
 
 
 def _offset(offset, unit):
-    return replace(offset, position=tuple(sp.mul(1.0 / unit, x) for x in offset.position))
+    return replace(offset, position=fixed.scale(1.0 / unit, offset.position))
 
 
 def inward(asked, pose, near, xp=np):

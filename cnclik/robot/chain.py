@@ -12,19 +12,11 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.record import record, replace
 from cnclik.robot import poses
-from cnclik.robot import spatial as sp
+from cnclik.robot.fixed import ZERO, Offset, compose, is_number, rotation_about, vsub
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.tree import MOST
 
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
-
-
-@record
-class Offset:
-    """A fixed transform in component form: rotation (rows), then position, as seen from the frame before."""
-
-    position: tuple = sp.ZERO  # [m]
-    rotation: tuple = sp.IDENTITY
 
 
 @record
@@ -101,7 +93,7 @@ class Chain:
 
 
 def _is_whole(number) -> bool:
-    return sp.is_number(number) and float(number).is_integer()
+    return is_number(number) and float(number).is_integer()
 
 
 def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
@@ -204,11 +196,11 @@ def from_screws(
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
     kinds = _kinds(kinds, len(points))
     tip = _offset("home", home, places=True)
-    joints, last = [], sp.ZERO
+    joints, last = [], ZERO
     for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
-        joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=sp.vsub(point, last)), coordinate=i))
+        joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=vsub(point, last)), coordinate=i))
         last = point
-    tip = Offset(position=sp.vsub(tip.position, last), rotation=tip.rotation)
+    tip = Offset(position=vsub(tip.position, last), rotation=tip.rotation)
     return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
@@ -259,27 +251,13 @@ def with_base(chain: Chain, base) -> Chain:
     return replace(chain, joints=(first, *rest))
 
 
-def compose(first: Offset, second: Offset) -> Offset:
-    """The transform `first`, then `second` as seen from there."""
-    return Offset(
-        position=sp.vadd(first.position, sp.matvec(first.rotation, second.position)),
-        rotation=sp.matmul(first.rotation, second.rotation),
-    )
-
-
-def inverse(offset: Offset) -> Offset:
-    """The transform that takes a fixed one back."""
-    back = sp.transpose(offset.rotation)
-    return Offset(position=sp.scale(-1.0, sp.matvec(back, offset.position)), rotation=back)
-
-
 # --- reading arguments --------------------------------------------------------------------------------
 
 
 def _scalars(name, values, size=None) -> tuple:
     """A sequence as a tuple of scalars: Python numbers stay literal, entries of an array stay leaves."""
     if isinstance(values, (list, tuple)):
-        out = tuple(float(v) if sp.is_number(v) else v for v in values)
+        out = tuple(float(v) if is_number(v) else v for v in values)
     else:
         array = errors.array(name, values, (None,))
         out = tuple(array[i] for i in range(array.shape[0]))
@@ -287,7 +265,7 @@ def _scalars(name, values, size=None) -> tuple:
         raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(out)},)")
     for i, value in enumerate(out):
         errors.number(f"{name}[{i}]", value)
-        if sp.is_number(value) and abs(value) > MOST:
+        if is_number(value) and abs(value) > MOST:
             raise errors.fail(f"{name}[{i}]", f"be within ±{MOST:g}", f"is {value:g}")
     return out
 
@@ -332,7 +310,7 @@ def _offset(name, transform, places=False) -> Offset:
     position, rotation = found
     if isinstance(transform, (list, tuple)):  # what is written in Python's numbers stays so, among traced ones too
         written = [x for part in transform for x in (part if isinstance(part, (list, tuple)) else [part])]
-        if all(map(sp.is_number, written)):
+        if all(map(is_number, written)):
             position, rotation = position.tolist(), rotation.tolist()
         elif len(transform) == 4:
             rows = [_scalars(f"{name}[{i}]", transform[i], 4) for i in range(3)]
@@ -343,20 +321,20 @@ def _offset(name, transform, places=False) -> Offset:
 def _unit(name, axis):
     if all(errors.concrete(a) for a in axis) and not any(float(a) for a in axis):
         raise errors.fail(name, "not be the zero vector", "is")
-    if all(sp.is_number(a) for a in axis):
+    if all(is_number(a) for a in axis):
         length = math.sqrt(sum(a * a for a in axis))
         return tuple(a / length for a in axis)
-    length = sp.safe_norm(axis)
+    length = sum(a * a for a in axis) ** 0.5
     return tuple(a / length for a in axis)
 
 
 def _turn(axis, angle):
     """Rotation by a fixed angle; sines of literal multiples of π/2 are made exact, so that they fold."""
-    if sp.is_number(angle):
+    if is_number(angle):
         sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))
         sine, cosine = (round(v) * 1.0 if abs(abs(v) - 1) < 1e-15 else v for v in (sine, cosine))
     else:
         import jax.numpy as jnp
 
         sine, cosine = jnp.sin(angle), jnp.cos(angle)
-    return sp.rotation_about(axis, sine, cosine)
+    return rotation_about(axis, sine, cosine)

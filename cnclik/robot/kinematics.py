@@ -1,4 +1,4 @@
-"""Where the tip is and how it moves, on ordinary arrays: pose, geometric Jacobian, manipulability."""
+"""Where the tip is and how it moves: pose, geometric Jacobian, manipulability."""
 
 import jax
 import jax.numpy as jnp
@@ -8,10 +8,9 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import cast, record
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import RolledChain, in_form, one_off, roll
+from cnclik.robot.model import Model, frames, jacobian_rows, modelled, one_off
+from cnclik.robot.rotations import safe_sqrt
 
 
 @record
@@ -24,25 +23,19 @@ class Pose:
 
 def as_joint_values(chain: Chain, q, name="q", *, finite=False):
     """q as a floating array (n,), checked."""
-    n = errors.kind("chain", chain, (Chain, RolledChain)).n
+    n = errors.kind("chain", chain, (Chain, Model)).n
     q = errors.array(name, q, (n,), finite=finite)
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
 
 
 def _computed(fn):
-    """The vectors and matrices of fn(chain, q), in a list, as arrays.
-
-    Rolled in NumPy, which compiles nothing, where all are numbers; else one program, in either form.
-    """
-
-    @bounded_jit
-    def program(chain, q):
-        return [sp.packed(v, q.dtype) for v in fn(*in_form(cast(chain, q.dtype), q))]
+    """The arrays of fn(model, q), in a list: by NumPy, which compiles nothing, where all are numbers."""
+    program = bounded_jit(lambda chain, q: fn(cast(modelled(chain), q.dtype), q))
 
     def call(chain, q):
         if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
             return program(chain, q)
-        return [jax.device_put(v.astype(q.dtype)) for v in fn(roll(chain), np.asarray(q, float))]
+        return [jax.device_put(v.astype(q.dtype)) for v in fn(modelled(chain), np.asarray(q, float))]
 
     return call
 
@@ -97,7 +90,8 @@ def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
 
 @one_off
 def _manipulability(chain, task, q):
-    chain, start = in_form(cast(chain, q.dtype), q)
     axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
-    rows = sp.packed(sp.thin(jacobian_rows(chain, frames(chain, start), *axes)), q.dtype)
-    return sp.safe_sqrt(jnp.maximum(jnp.linalg.det(sp.products(rows, rows)), 0.0))
+    chain = cast(modelled(chain), q.dtype)
+    rows = jacobian_rows(chain, frames(chain, q), *axes)
+    rows = rows if len(rows) <= chain.n else rows.T
+    return safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))

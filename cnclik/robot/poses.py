@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
 
 ROUGH = 1e-3  # of a rotation: how far lengths of its rows are from 1, and cosines of their angles from 0
 _EXACT = 1e-12  # the same of one that is taken as it is
@@ -55,15 +55,7 @@ def rotations(name, value, *, finite=True):
 def quaternions(found) -> np.ndarray:
     """Unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations: of the products qᵢqⱼ the largest's row."""
     found = np.asarray(found, float)
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(found, (-2, -1), (0, 1))
-    rows = np.array(
-        [
-            [1 + a + e + i, h - f, c - g, d - b],
-            [h - f, 1 + a - e - i, b + d, c + g],
-            [c - g, b + d, 1 - a + e - i, f + h],
-            [d - b, c + g, f + h, 1 - a - e + i],
-        ]
-    )
+    rows = np.array(products_of_quaternion(np.moveaxis(found, (-2, -1), (0, 1))))
     rows = np.moveaxis(rows, (0, 1), (-2, -1))
     largest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), -1)
     made = np.take_along_axis(rows, largest[..., None, None], -2)[..., 0, :]
@@ -99,8 +91,8 @@ def _from_quaternions(name, value):
                 must = f"hold {'unit quaternions' if len(wrong) > 1 else 'a unit quaternion'} w x y z"
                 raise errors.fail(name, must, f"has one of norm {norm.ravel()[k]:.6g}{_at(wrong, k)}")
         value = xp.where(xp.isfinite(norm), value / norm, xp.nan)
-        rows = sp.rotation_from_quaternion(value.T)
-    made = np.array(rows) if xp is np else jnp.stack([jnp.stack(row) for row in rows])
+        rows = rotation_from_quaternion(value.T)
+    made = xp.array(rows)
     return made if value.ndim == 1 else xp.moveaxis(made, -1, 0)
 
 

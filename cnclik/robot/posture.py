@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import roll
+from cnclik.robot.fixed import IDENTITY
+from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
 
@@ -25,7 +25,7 @@ def arm_length(chain: Chain, least=1e-3):
     offsets = [*(joint.origin.position for joint in chain.joints[1:]), chain.tip.position]
     if all(errors.concrete(x) for p in offsets for x in p):
         return max(sum(math.hypot(*map(float, p)) for p in offsets), least)
-    return jnp.maximum(sp.total(sp.safe_norm(tuple(jnp.asarray(x, float) for x in p)) for p in offsets), least)
+    return jnp.maximum(sum(safe_norm(jnp.array(p, float)) for p in offsets), least)
 
 
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
@@ -44,15 +44,15 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
 def is_planar(chain: Chain) -> bool:
     """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
     return all(
-        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == sp.IDENTITY
+        joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == IDENTITY
         for joint in chain.joints
     )
 
 
 def task_jacobians(chain: Chain, task, postures):
     """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which compiles nothing."""
-    rolled = roll(chain)
-    return jacobian_rows(rolled, frames(rolled, np.asarray(postures, float)), task.linear, task.angular)
+    model = modelled(chain)
+    return jacobian_rows(model, frames(model, np.asarray(postures, float)), task.linear, task.angular)
 
 
 def least_singular_values(chain: Chain, task, postures):

@@ -3,8 +3,8 @@
 import re
 
 from cnclik import errors
-from cnclik.robot import spatial as sp
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Offset, assemble, compose, inverse
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, assemble
+from cnclik.robot.fixed import Offset, compose, inverse, scale
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
 _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -56,7 +56,7 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
         leader, multiplier, offset = _leader(by_name, edge, leaders)
         joint = Joint(
             kind=_MOVING[edge.type],
-            axis=sp.scale(-1.0, edge.axis) if turned else edge.axis,  # from its child a joint turns the other way
+            axis=scale(-1.0, edge.axis) if turned else edge.axis,  # from its child a joint turns the other way
             origin=before,
             coordinate=coordinates.setdefault(leader.name, len(coordinates)),
             multiplier=multiplier,

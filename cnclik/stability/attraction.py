@@ -20,7 +20,7 @@ from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import as_joint_values, jacobian
-from cnclik.robot.rolled import one_off
+from cnclik.robot.model import one_off
 from cnclik.stability.linear import checked, share_per_step
 from cnclik.stability.maps import endings_about
 from cnclik.stability.spectrum import hold_at

@@ -12,7 +12,7 @@ from cnclik.integrate.drive import Drive, sampled
 from cnclik.integrate.method import DEFAULT
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
-from cnclik.robot import spatial as sp
+from cnclik.robot.rotations import library
 from cnclik.stability.linear import EPS, REACH, amplification, checked, first_above, least_on
 
 SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
@@ -49,7 +49,7 @@ def loop_matrix(steps, drive: Drive, Ts: float):
     The state is the drives' (n, s), the sum of the steps where the loop depends on it, the commands under way, and
     the joint values that the method remembers.
     """
-    model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], sp.library(steps)
+    model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], library(steps)
     count = model.size + drive.adds_up + model.remembered + p - 1
     units = np.eye(n * count)
     x = units[:, : n * model.size].reshape(-1, n, model.size)

@@ -22,10 +22,8 @@ from cnclik.integrate.march import march
 from cnclik.integrate.method import named
 from cnclik.integrate.stage import picard
 from cnclik.law.feedback import per_step
-from cnclik.law.law import gain
 from cnclik.precision import in_float64
 from cnclik.record import record
-from cnclik.robot import spatial as sp
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
@@ -35,40 +33,30 @@ _PLATEAU = 1e-3  # a function within this share of its least value, at the end o
 
 
 class _Linear(NamedTuple):
-    """The field q̇ = −w q, for q = x + iy kept as two real scalars."""
+    """The field q̇ = −w q, for q = x + iy kept as (x, y)."""
 
-    qdot: tuple
+    qdot: object  # (2,)
     correct: object
 
 
-def _field(w):
-    a, b = w
+def _field(w, q):
+    def correct(h, r):
+        return jnp.linalg.solve(jnp.eye(2) + h * w, r)
 
-    def field(c, q):
-        def correct(h, r):
-            p, s = 1.0 + h * a, h * b
-            size = p * p + s * s
-            return (p * r[0] + s * r[1]) / size, (p * r[1] - s * r[0]) / size
-
-        x, y = q
-        return _Linear(qdot=(b * y - a * x, -a * y - b * x), correct=correct)
-
-    return field
+    return _Linear(qdot=-w @ q, correct=correct)
 
 
 def _held(w, Ts, q):
     """The same field as an exponential step has it: held at what decays exactly, from q at its start."""
-    a, b = w
-    rate = per_step(jnp.stack([jnp.stack([a, -b]), jnp.stack([b, a])]), Ts, q)
-    slope = _Linear(qdot=sp.scale(-1.0, gain(rate, q)), correct=None)
-    return lambda c, q: slope
+    return _Linear(qdot=-per_step(w, Ts) @ q, correct=None)
 
 
 @bounded_jit(static_argnames=("method",))
 def _amplification(method, stage, a, b):
     def one(a, b):
-        start, Ts = (jnp.ones_like(a), jnp.zeros_like(a)), jnp.ones_like(a)
-        field = _held((a, b), Ts, start) if method.exponential else _field((a, b))
+        w, start, Ts = jnp.array([[a, -b], [b, a]]), jnp.array([1.0, 0.0]), jnp.ones_like(a)
+        held = _held(w, Ts, start)
+        field = (lambda c, q: held) if method.exponential else (lambda c, q: _field(w, q))
         return march(field, start, Ts, method, stage).q
 
     return jax.vmap(one)(a, b)
@@ -94,7 +82,7 @@ def amplification(method, stage, z):
         return largest if np.iscomplexobj(z) or np.any(largest.imag) else largest.real
     flat = z.reshape(-1)
     a, b = jnp.asarray(flat.real, np.float64), jnp.asarray(flat.imag, np.float64)
-    x, y = _amplification(at_rest_as(method), stage, a, b)
+    x, y = _amplification(at_rest_as(method), stage, a, b).T
     value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
     return value.reshape(z.shape)
 

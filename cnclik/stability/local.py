@@ -7,7 +7,7 @@ import numpy as np
 
 from cnclik.integrate.drive import Drive
 from cnclik.law import reference as ref
-from cnclik.robot.rolled import one_off
+from cnclik.robot.model import one_off
 from cnclik.stability.driven import looked_at, modes_of, radius
 from cnclik.stability.spectrum import at_rest, directions, step_maps, task_radius
 
@@ -34,7 +34,7 @@ def targets(reference, task, t):
     """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...)."""
 
     def one(t):
-        position, rotation, velocity = ref.sample(reference, task, t, unrolled=False)
+        position, rotation, velocity = ref.sample(reference, task, t)
         return position if len(position) else None, rotation, velocity
 
     return jax.vmap(one)(t)

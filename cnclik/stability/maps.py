@@ -10,14 +10,14 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.solve import evaluations_per_step
+from cnclik.integrate.solve import answers_soon, evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.rolled import one_off, pays, quickly
+from cnclik.robot.model import one_off
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.recommend import largest_stable, loop_at_rest
 from cnclik.stability.spectrum import largest_rate, settle
@@ -103,10 +103,7 @@ def outcomes(
         return outcome(gained, reference, q0, Ts, N, method, own, **through, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    if pays(evaluations, law):
-        run = one_off(jax.vmap(one))
-    else:
-        run = lanes(one, block=BLOCK, quick=quickly(evaluations, law))
+    run = one_off(jax.vmap(one)) if answers_soon(evaluations, law) else lanes(one, block=BLOCK)
     done = []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023

@@ -15,7 +15,7 @@ from cnclik.law.shifted import shifted
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.rolled import one_off
+from cnclik.robot.model import one_off
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 

@@ -1,6 +1,6 @@
 """Spectrum: the one-step map of the whole loop, differentiated, and its eigenvalues.
 
-At rest (e = 0, target held) the loop's own `step` is differentiated as it is, passes unrolled. With exact J# every
+At rest (e = 0, target held) the loop's own `step` is differentiated as it is, passes one by one. With exact J# every
 task direction is then amplified by R(z) and every null-space direction by 1; damping, weights, gain matrices and
 null-space velocities come out by themselves.
 """
@@ -21,10 +21,10 @@ from cnclik.law.law import check_loop, evaluate
 from cnclik.law.null import without
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
-from cnclik.robot import spatial as sp
 from cnclik.robot.kinematics import as_joint_values, pose
+from cnclik.robot.model import modelled, one_off
 from cnclik.robot.posture import arm_length
-from cnclik.robot.rolled import in_form, one_off
+from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
@@ -42,23 +42,22 @@ def one_step(law, reference, q, Ts, method, stage):
     Of a multistep method of p instants it is the map of all that they were, (q[k], …, q[k−p+1]), at rest at q:
     (p·n, p·n), the newest first.
     """
-    law, _ = in_form(law, q)
-    law, reference, Ts = cast((law, reference, Ts), q.dtype)
+    law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
     t, n, p = jnp.zeros_like(Ts), len(q), method.steps
 
     def move(instants):
-        now, *past = (in_form(law, v)[1] for v in instants.reshape(p, n))
+        now, *past = instants.reshape(p, n)
         history = blank(law, now, method)
         if past:
             history = primed(law, reference, past, t, Ts, method, history)
         made = advance(law, reference, now, t, Ts, method, stage, history)
-        return sp.packed(made.q)
+        return made.q
 
-    rows = evaluate(law, reference, t, in_form(law, q)[1]).rows
+    rows = evaluate(law, reference, t, q).rows
     moved = jax.jacfwd(move)(jnp.tile(q, p))
     if p > 1:
         moved = jnp.concatenate([moved, jnp.eye((p - 1) * n, p * n, dtype=q.dtype)])
-    return moved, sp.packed(rows, q.dtype)
+    return moved, rows
 
 
 def step_maps(law, reference, q, scale, Ts, method, stage):
@@ -133,7 +132,7 @@ def spectral_radius(law, reference, q, Ts, method: Method = DEFAULT, stage=picar
 
 def _radius(law, reference, q, Ts, method, stage):
     found = jnp.linalg.eigvals(task_map(law, reference, q, Ts, method, stage))
-    return sp.safe_sqrt(jnp.max(found.real**2 + found.imag**2))
+    return safe_sqrt(jnp.max(found.real**2 + found.imag**2))
 
 
 _radius_of_numbers = one_off(_radius, static_argnames=("method",))  # one program, not one for each operation
@@ -227,12 +226,11 @@ def null_radius(moved, rows):
 
 def null_flow(law, held, q):
     """How the velocity at rest at q changes with q, ∂q̇/∂q (n, n), and the rows of the weighted J (m, n). Pure."""
-    law, held = cast((law, held), q.dtype)
+    law, held = cast((modelled(law), held), q.dtype)
 
     def flow(q):
-        made, at = in_form(law, q)
-        found = evaluate(made, held, jnp.zeros_like(q[0]), at)
-        return sp.packed(found.qdot), sp.packed(found.rows, q.dtype)
+        found = evaluate(law, held, jnp.zeros_like(q[0]), q)
+        return found.qdot, found.rows
 
     return jax.jacfwd(flow, has_aux=True)(q)
 
@@ -300,11 +298,10 @@ def at_rest(law, reference, q):
 
 def _drift(law, held, q):
     """The part (n,) of q̇₀ that moves the arm at rest at q."""
-    (law, held), drift = cast((law, held), q.dtype), jnp.zeros_like(q)
+    (law, held), drift = cast((modelled(law), held), q.dtype), jnp.zeros_like(q)
     for limits in (None, law.limits):  # without them first: they may shorten what they are given
         now = replace(law, limits=limits, null_velocity=without(law.null_velocity, drift))
-        now, at = in_form(now, q)
-        drift = drift + sp.packed(evaluate(now, held, jnp.zeros_like(q[0]), at).qdot)
+        drift = drift + evaluate(now, held, jnp.zeros_like(q[0]), q).qdot
     return drift
 
 
@@ -325,7 +322,7 @@ def hold_at(law, q, move=0.0):
     """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
     at = pose(law.chain, q)
     at = jax.tree.map(np.asarray, at) if errors.concrete(at.position) else at  # NumPy compiles nothing
-    position = sp.pick(at.position, law.task.linear) + move if law.task.position else None
+    position = at.position[np.array(law.task.linear)] + move if law.task.position else None
     return ref.hold(position, at.rotation if law.task.orientation else None)
 
 
@@ -346,8 +343,7 @@ def rest_tolerance(chain):
 
 @one_off
 def _error(law, reference, q):
-    law, q = in_form(law, q)
-    return jnp.linalg.norm(sp.packed(evaluate(law, reference, jnp.zeros_like(q[0]), q).e))
+    return jnp.linalg.norm(evaluate(modelled(law), reference, jnp.zeros_like(q[0]), q).e)
 
 
 @in_float64

@@ -23,17 +23,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import form, use_form
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import solve_measured
 from cnclik.integrate.method import named
-from cnclik.integrate.solve import evaluations_per_step, solve
+from cnclik.integrate.solve import answers_soon, evaluations_per_step, solve
 from cnclik.measure import metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.names import robot_from, stage_from
 from cnclik.reading import read_bytes
-from cnclik.robot.rolled import pays, quickly
 from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
@@ -145,18 +143,12 @@ class Spec:
     def study(self, /, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
         made = self.build(**values)
-        with use_form(form() or ("rolled" if pays(self._work(made), made.law) else None)):
-            run = _run(made)
-            return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
+        return metrics.measure_run(_run(made), made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
     def quick(self, program: dict) -> bool:
         """Whether a program is compiled with few passes, see `cnclik.lanes`."""
         made = self.build(**program, **self.first())
-        return quickly(self._work(made), made.law)
-
-    def _work(self, made) -> float:
-        """Evaluations of f of all lanes of a program."""
-        return _evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner)
+        return answers_soon(_evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner), made.law)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""

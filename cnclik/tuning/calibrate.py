@@ -9,10 +9,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.precision import in_float64
 from cnclik.record import record
-from cnclik.robot import spatial as sp
 from cnclik.robot.chain import Chain
-from cnclik.robot.frames import frames
-from cnclik.robot.rolled import in_form
+from cnclik.robot.model import frames, modelled
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
 
@@ -28,7 +26,7 @@ class PositionObjective:
 
     def __call__(self, values):
         chain = self.build(*values)
-        found = jax.vmap(lambda q: sp.packed(frames(*in_form(chain, q)).position, q.dtype))(self.q)
+        found = jax.vmap(lambda q: frames(modelled(chain), q).position)(self.q)
         return jnp.mean(jnp.sum((found - self.measured) ** 2, axis=-1)), jnp.zeros((0,), found.dtype)
 
 

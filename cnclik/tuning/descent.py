@@ -16,7 +16,7 @@ from jax import lax
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import record
-from cnclik.robot.rolled import one_off
+from cnclik.robot.model import one_off
 from cnclik.tuning.parameters import values_of
 
 FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a reverse one a few runs and their memory

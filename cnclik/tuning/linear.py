@@ -8,7 +8,7 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.spatial import safe_sqrt
+from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.driven import (
     driven_limits,
     each_drive,

@@ -12,7 +12,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.robot.spatial import safe_sqrt
+from cnclik.robot.rotations import safe_sqrt
 from cnclik.tuning.linear import driven_map
 
 

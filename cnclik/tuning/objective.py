@@ -15,7 +15,7 @@ from cnclik.integrate.stage import picard
 from cnclik.law.law import check_loop
 from cnclik.precision import in_float64
 from cnclik.record import record
-from cnclik.robot.rolled import one_off
+from cnclik.robot.model import one_off
 from cnclik.stability.driven import delay_margin, each_drive, noise_gain, radius
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying

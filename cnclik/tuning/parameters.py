@@ -13,8 +13,7 @@ from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
 from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import record, replace
-from cnclik.robot import spatial as sp
-from cnclik.robot.chain import Offset
+from cnclik.robot.fixed import Offset, scale
 from cnclik.stability.spectrum import largest_rate
 
 BOX, SPD = "box", "spd"
@@ -169,7 +168,7 @@ def scaled_links(chain, factors):
     """The chain with its links' offsets longer by factors (n + 1,): those before each joint, then the tip's."""
 
     def stretch(offset, factor):
-        return Offset(position=sp.scale(factor, offset.position), rotation=offset.rotation)
+        return Offset(position=scale(factor, offset.position), rotation=offset.rotation)
 
     joints = tuple(replace(j, origin=stretch(j.origin, factors[i])) for i, j in enumerate(chain.joints))
     return replace(chain, joints=joints, tip=stretch(chain.tip, factors[len(joints)]))

@@ -175,7 +175,7 @@ def gradient_in_words(count, mode, method, stage) -> str:
     elif getattr(stage, "implicit", False):
         stages = "stages by the implicit function theorem"
     else:
-        stages = "stages unrolled, pass by pass"
+        stages = "stages pass by pass"
     return f"{gradient_mode(count, mode)} mode, {numbers}, {stages}"
 
 

@@ -253,8 +253,7 @@ def _single(dtype):
     reference, solver = ck.hold(position, rotation), PinocchioCpp(*panda(), dtype)
 
     def solve(N=STEPS):
-        with ck.use_form("unrolled"):
-            return jax.block_until_ready(ck.solve(case.law, reference, q0, loops.TS, N))
+        return jax.block_until_ready(ck.solve(case.law, reference, q0, loops.TS, N))
 
     def cpp():
         return solver.run(*few, damping=loops.DAMPING, N=STEPS, M=None, **SETTINGS)

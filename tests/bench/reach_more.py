@@ -12,19 +12,16 @@ import scipy.optimize
 import scipy.spatial
 
 import cnclik as ck
-from cnclik.hints import opaque
 from cnclik.reaching import many, native_source, step
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.result import count as counts
-from cnclik.robot import spatial as sp
-from cnclik.robot.frames import frames
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import arm_length, start_posture
-from cnclik.robot.rolled import roll
 from tests.bench.reach_peers import PinocchioOptions, PinocchioReach, Robot, micro, seconds_of, share
 
 POSTURES, CHUNK, REFINED = 3_000_000, 100_000, 8  # of the brute-force search, and how many of them go downhill
 CHECKED = 50
-STEP = step._step.__wrapped__
+STEP = step._step
 LONG = PinocchioOptions(1e-9, 0.1, 30, 1000)  # a long search: did reach miss an answer?
 
 
@@ -79,7 +76,7 @@ class Brute:
 
     def __init__(self, robot):
         self._robot, (low, high) = robot, robot.range()
-        rng, chain = np.random.default_rng(43), roll(robot.chain)
+        rng, chain = np.random.default_rng(43), modelled(robot.chain)
         self._postures = low + (high - low) * rng.random((POSTURES, len(low)))
         parts = [frames(chain, self._postures[i : i + CHUNK]).position for i in range(0, POSTURES, CHUNK)]
         self._tree = scipy.spatial.cKDTree(np.concatenate(parts))
@@ -153,8 +150,7 @@ def curve(robot, count, jump=0.2):
 
 def _clipped(rows, e, cost, q, low, high, trust):
     """In place of `step._step`: joints at limits stay in."""
-    low, high = (sp.each(lambda v, far=far: v + far, v) for v, far in ((low, -jnp.inf), (high, jnp.inf)))
-    return STEP(rows, e, cost, q, low, high, trust)
+    return STEP(rows, e, cost, q, low - jnp.inf, high + jnp.inf, trust)
 
 
 NEAREST = "nearest(a, a->pose + 12 * target, number % SETS)"
@@ -162,7 +158,7 @@ AT_RANDOM = native_source.SEARCH.replace(NEAREST, "(number % SETS * SIZE + (numb
 PARTS = {  # what is another in the C source, or in the traced step
     "as it is": {},
     "seeds at random, not the nearest": {(native_source, "SEARCH"): AT_RANDOM},
-    "joints at limits clipped only, not taken out": {(step, "_step"): opaque(_clipped)},
+    "joints at limits clipped only, not taken out": {(step, "_step"): _clipped},
     "later tries plain, too": {(native_source, "PLAIN"): 1000},
     "all tries careful": {(native_source, "PLAIN"): 0},
     "first tries of 24 steps, not 9": {(native_source, "STEPS"): 24},

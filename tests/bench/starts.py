@@ -64,8 +64,7 @@ def arrivals(name, loops=LOOPS, progress=None) -> list:
     made = []
     for loop in loops:
         method, gains, clamp = LOOPS[loop]
-        with ck.use_form("rolled"):  # compiled in seconds, and run in no more
-            found = sweep(study, method=[method], z=gains, k=np.arange(STARTS)).isel({"method": 0})
+        found = sweep(study, method=[method], z=gains, k=np.arange(STARTS)).isel({"method": 0})
         for j, z in enumerate(gains):
             before, final, q = (found[v].values[j] for v in ("before", "final", "q"))
             arrived = final <= TOLERANCE

@@ -3,7 +3,6 @@
 A trick is turned off by replacing, in a process of its own, the one function that does it.
 """
 
-import contextlib
 import functools
 import json
 import os
@@ -11,78 +10,57 @@ import subprocess
 import sys
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
 import cnclik.hints as hints
 from cnclik.bench import loops
 from cnclik.bench import timing as bench
+from cnclik.engine import plan
+from cnclik.engine.native import native
 
 
 def all_on():
     pass
 
 
-def without_one_function():
-    _drop_metadata(lambda given: "xla_cpu_small_call" in given)
-
-
-def without_opaque_stages():
-    _drop_metadata(lambda given: given == {"inlineable": "false"})
+def by_xla():
+    plan._engine = jax.make_user_context(default_value="xla")
 
 
 def without_hints():
-    # As CNCLIK_HINTS=0 does, which is read when cnclik is imported.
-    hints._context = jax.make_user_context(default_value=False)
-
-
-def without_own_sines():
-    frames = sys.modules["cnclik.robot.frames"]  # not the function of that name
-    assert hasattr(frames, "sincos")
-    frames.sincos = hints.opaque(lambda angles: (tuple(map(jnp.sin, angles)), tuple(map(jnp.cos, angles))))
+    by_xla()
+    hints._context = jax.make_user_context(default_value=False)  # as CNCLIK_HINTS=0 does, read when cnclik is imported
 
 
 def without_wide_vectors():
-    sys.modules["cnclik.integrate.lanes"].OPTIONS = {}
+    by_xla()
+    sys.modules["cnclik.integrate.lanes"].OPTIONS = {}  # not the function of that name
 
 
-def without_tiles():
-    ck.lanes = lambda fn, cores: jax.jit(jax.vmap(fn))
+def by_vmap():
+    ck.lanes = lambda fn, cores: jax.jit(jax.vmap(native(fn)))
 
 
 def without_any():
-    without_own_sines()
     without_hints()
-    without_tiles()
+    by_vmap()
 
 
 def quick():
+    by_xla()
     ck.lanes = functools.partial(ck.lanes, quick=True)
-
-
-def quick_and_rolled():
-    quick()
-    hints._form = jax.make_user_context(default_value="rolled")
 
 
 TRICKS = {
     "everything on": all_on,
-    "without one native function per tile": without_one_function,
-    "without opaque stages": without_opaque_stages,
-    "without both (hints off)": without_hints,
-    "library sine and cosine": without_own_sines,
-    "without 512-bit vectors": without_wide_vectors,
-    "without tiles (one vmap)": without_tiles,
-    "without any: jit(vmap), hints off, library sine": without_any,
-    "lanes(quick=True)": quick,
-    "lanes(quick=True), rolled": quick_and_rolled,
+    "jit(vmap), as C within": by_vmap,
+    "by XLA": by_xla,
+    "by XLA, hints off": without_hints,
+    "by XLA, without 512-bit vectors": without_wide_vectors,
+    "without any: jit(vmap) by XLA, hints off": without_any,
+    "by XLA, lanes(quick=True)": quick,
 }
-
-
-def _drop_metadata(which):
-    original = hints.set_xla_metadata
-    hints.set_xla_metadata = lambda **given: contextlib.nullcontext() if which(given) else original(**given)
 
 
 # --- a process per trick ------------------------------------------------------------------------------

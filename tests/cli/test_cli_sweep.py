@@ -16,8 +16,6 @@ from cnclik.sweeps import spec as specs
 from cnclik.writing import LIST
 from tests.specs import reaching
 
-pytestmark = pytest.mark.form(None)  # as in the processes and module fixtures that these tests start
-
 TEXT = reaching(
     metrics=["final_error", "max_qdot", "evaluations", "error"],
     N=6,

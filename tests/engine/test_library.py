@@ -96,7 +96,6 @@ def test_forward_derivatives_and_a_gain_for_each_lane():
     check(jax.jacfwd(of), np.linspace(1, 5, SIZE), *given(), ulps=3e4)
 
 
-@pytest.mark.form("unrolled")
 def test_lanes_are_the_same_by_both_engines():
     run = ck.lanes(functools.partial(solve, N=3), tile=4, cores=2)
     with use_engine("native"):
@@ -111,7 +110,7 @@ def test_lanes_of_what_has_no_c_form_are_xlas():
         return jnp.linalg.svd(x, compute_uv=False)
 
     x = np.random.default_rng(0).normal(size=(5, 2, 2))
-    why = Programs(of).of(lane_avals([x]), jax.tree.structure((0,)))
+    why = Programs(of).of(lane_avals([x]))
     assert "`svd` has no C form" in str(why)
     same(ck.lanes(of)(x), jax.vmap(of)(x))
 
@@ -132,7 +131,7 @@ def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
     monkeypatch.setattr(compiler, "MOST_SECONDS", 0.3)
     x = np.linspace(0, 1, 9)
     assert runs_in_c()
-    why = Programs(jnp.cos).of(lane_avals([x]), jax.tree.structure((0,)))
+    why = Programs(jnp.cos).of(lane_avals([x]))
     assert str(why).startswith("the C compiler failed")
     same(ck.lanes(jnp.cos)(x), jnp.cos(x))
 

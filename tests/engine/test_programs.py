@@ -86,7 +86,16 @@ def test_moves_along_time():
         y = jnp.cumsum(jnp.sin(x), 0)
         back = lax.scan(lambda q, p: (q * 0.9 + p, q), q, y, reverse=True)[1]
         both = jnp.stack([y, back], 1)
-        found = [y[::-1], y[3:40:3], jnp.pad(y, ((2, 1), (0, 0))), both[:, 0] + both[:, 1], y.T[1], y[-1], y[5, 1]]
+        found = [
+            y[::-1],
+            jnp.flip(y[:, 1]),
+            y[3:40:3],
+            jnp.pad(y, ((2, 1), (0, 0))),
+            both[:, 0] + both[:, 1],
+            y.T[1],
+            y[-1],
+            y[5, 1],
+        ]
         found += [lax.cummax(x, 0), lax.cumsum(x, 0, reverse=True), jnp.roll(y, 3, 0), y @ A, jnp.max(y, 1)]
         found += [
             jnp.any(y > 3, 0),

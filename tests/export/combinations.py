@@ -10,7 +10,7 @@ import pytest
 import cnclik as ck
 from cnclik.export.load import compiled
 from cnclik.hints import QUICK_COMPILE, known_options
-from cnclik.law.curves import Tangent
+from cnclik.law.reference import tangent
 
 SEVERAL = 6  # steps of a multistep method, one after the other
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
@@ -100,22 +100,10 @@ def inputs(law, count, dtype, seed=0):
 
 
 def target(law, position, rotation, velocity):
-    """The reference that a target given as arguments is."""
-    task, p = law.task, len(law.task.position)
-    spin = rows = None
-    if task.orientation:
-        about = dict(zip(task.angular, [velocity[p + i] for i in range(len(task.angular))], strict=True))
-        spin = tuple(about.get(i, jnp.zeros_like(velocity[0])) for i in range(3))
-        rows = tuple(tuple(rotation[i, j] for j in range(3)) for i in range(3))
-    position = tuple(position[i] for i in range(p))
-    curve = Tangent(
-        t=jnp.zeros_like(velocity[0]),
-        position=position,
-        velocity=tuple(velocity[i] for i in range(p)),
-        rotation=rows,
-        spin=spin,
-    )
-    return ck.Reference(curve=curve)
+    """A target at t = 0, moving with a velocity of its own."""
+    held = ck.hold(position if law.task.position else None, rotation if law.task.orientation else None)
+    told = tangent(ck.replace(held, feedforward=velocity), law.task, jnp.zeros((), velocity.dtype))
+    return ck.replace(told, feedforward=None)
 
 
 def by_jax(combination):

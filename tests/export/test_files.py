@@ -16,7 +16,7 @@ from cnclik.cli import main
 from cnclik.record import record
 from tests.export.combinations import arm
 
-pytestmark = [pytest.mark.form(None), pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
+pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 STRICT = "-Wall -Wextra -Werror -pedantic -ffp-contract=off"
 COMPILERS = {
     "gcc": "gcc -std=c99 -O1",  # what is not set is seen where something is optimised

@@ -11,7 +11,7 @@ import cnclik as ck
 from cnclik.cli import main
 from tests.export.combinations import arm
 
-pytestmark = [pytest.mark.form(None), pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
+pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 ROBOTS = {"panda": ck.panda, "ur5": ck.ur5}
 
 

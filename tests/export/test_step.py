@@ -7,7 +7,6 @@ from cnclik.export.load import compiled
 from tests.export import matrix
 from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
 
-pytestmark = pytest.mark.form("unrolled")
 SPREAD = [
     Combination("planar3"),
     Combination("planar2", dtype="float32"),

@@ -10,9 +10,8 @@ import numpy as np
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
 from cnclik.law.task import position
-from cnclik.robot.frames import frames, jacobian_rows
+from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.posture import arm_length, start_posture
-from cnclik.robot.rolled import roll
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
 from tests.fuzz.judge import one_line
@@ -147,8 +146,8 @@ def _sound(made) -> None:
     lower, upper = np.array(made.lower), np.array(made.upper)
     assert ((lower <= q) & (q <= upper)).all(), f"the start {q} is not within {lower} and {upper}"
     for at in (np.zeros(made.n), q):
-        found = frames(roll(made), at)
-        rows = jacobian_rows(roll(made), found, (0, 1, 2), (0, 1, 2))
+        found = frames(modelled(made), at)
+        rows = jacobian_rows(modelled(made), found, (0, 1, 2), (0, 1, 2))
         for values in (found.position, found.rotation, rows):
             assert np.isfinite(np.asarray(values, float)).all(), f"{values} at {at}"
     str(made), made.units, made.periodic

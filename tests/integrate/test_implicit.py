@@ -11,6 +11,7 @@ import scipy.optimize
 import cnclik as ck
 from cnclik.integrate.solve import evaluations_per_step
 from cnclik.law.law import evaluate
+from cnclik.robot.model import modelled
 
 ARM = ck.planar_arm([1.0] * 3)
 Q = jnp.array([0.3, 0.9, -0.5])
@@ -30,7 +31,7 @@ def slope(law, reference, q):
 
 @jax.jit
 def _slope(law, reference, q):
-    return jnp.stack(evaluate(law, reference, jnp.zeros(()), tuple(q)).qdot)
+    return evaluate(modelled(law), reference, jnp.zeros(()), q).qdot
 
 
 @pytest.mark.parametrize(("stage", "tolerance"), [(ck.chord(12), 1e-6), (ck.newton(6), 1e-11)])
@@ -106,7 +107,7 @@ def test_correction_inverts_the_linearised_law_at_rest(kind):
 
     @jax.jit
     def both(q, r):
-        corrected = jnp.stack(evaluate(one, REST, jnp.zeros(()), tuple(q)).correct(h, tuple(r)))
+        corrected = evaluate(modelled(one), REST, jnp.zeros(()), q).correct(h, r)
         return jax.jacfwd(lambda q: _slope(one, REST, q))(q), corrected
 
     derivative, corrected = map(np.asarray, both(Q, r))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.hints import hints_on
+from cnclik.hints import switched_on
 from cnclik.integrate.lanes import lanes
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -111,7 +111,7 @@ def test_every_block_runs_in_the_callers_contexts():
     seen = []
 
     def noted(x):
-        seen.append((x.dtype, hints_on()))
+        seen.append((x.dtype, switched_on()))
         return x * 1.000000001
 
     x = np.linspace(0.0, 1.0, 40)

@@ -9,7 +9,7 @@ import cnclik as ck
 from cnclik.integrate import history
 from cnclik.integrate.multistep import adams
 from cnclik.law.law import look
-from cnclik.robot.rolled import roll
+from cnclik.robot.model import modelled
 from tests.integrate.test_exponential import ARM, CIRCLE, LAW, LENGTHS, START, by_steps
 from tests.oracles import clik, close, planar_jacobian, planar_law, planar_position
 
@@ -153,11 +153,9 @@ def test_steps_are_the_loop(method):
     close(by_steps(LAW, CIRCLE, START, 0.05, 9, method)[0], run.q, atol=1e-12)
 
 
-@pytest.mark.form("unrolled")
-def test_history_goes_from_one_form_to_the_other():
-    with ck.use_form("rolled"):
-        first = ck.step(LAW, CIRCLE, START, 0.0, 0.05, "EXP-AB2")
-        second = ck.step(LAW, CIRCLE, first.q, 0.05, 0.05, "EXP-AB2", history=first.history)
+def test_history_goes_from_one_engine_to_the_other():
+    first = ck.step(LAW, CIRCLE, START, 0.0, 0.05, "EXP-AB2")
+    second = ck.step(LAW, CIRCLE, first.q, 0.05, 0.05, "EXP-AB2", history=first.history)
     other = jax.jit(lambda q, h: ck.step(LAW, CIRCLE, q, 0.05, 0.05, "EXP-AB2", history=h))(first.q, first.history)
     close(other.q, second.q, atol=1e-14)
     assert jax.tree.structure(other.history) == jax.tree.structure(second.history)
@@ -239,7 +237,7 @@ def test_ordinary_motion_is_no_jump(dtype):
         ck.with_feedforward(CIRCLE, [0.0, 0.0]),
     ]
     task = ck.pose_task("xy", "z")
-    law = roll(ck.Law(ARM, task, alpha=1.0, inverse=ck.damped(0.1)))
+    law = modelled(ck.Law(ARM, task, alpha=1.0, inverse=ck.damped(0.1)))
     q = jnp.asarray(START, dtype)
     for reference, t0 in zip(paths, (0.0, 0.0, 50.0, 50.0, 50.0), strict=True):
         turning = ck.path(lambda t, f=reference.curve: _turned(f(t)[0], t))  # and a rotation with it
@@ -260,7 +258,7 @@ def _counts(law, reference, t0, q, Ts):
 
     def one(k):
         marks = [
-            history.mark(law, reference, look(law, reference, t, q), t, q)
+            history.mark(law, reference, look(law, reference, t, q), t)
             for t in (t0 + Ts * k, t0 + Ts * (k + 1).astype(q.dtype))
         ]
         blank = history.blank(law, q, ck.METHODS["AB2"])

@@ -38,7 +38,6 @@ def test_with_limits_it_arrives_and_keeps_them():
     assert q[:, 0].max() <= np.float32(2.02) and q[-1, 0] > 2.0199
 
 
-@pytest.mark.form("unrolled")
 def test_in_lanes_and_in_a_loop_of_ones_own():
     """A step gives q alone; its velocity, summed in double precision, is the remedy that the documentation names."""
     law, reference = ck.Law(ARM, ck.position("xy"), alpha=ALPHA), ck.hold(TARGET.astype(np.float32))

@@ -165,37 +165,6 @@ def test_no_new_compilation_for_new_numbers():
     assert len(traced) > once
 
 
-@pytest.mark.slow
-def test_hints_change_nothing_but_speed():
-    plain = {}
-    for method in ("CN", "RK4"):
-        with ck.use_hints(False):
-            plain[method] = run(method=method)
-        fenced = run(method=method)
-        for field in ("q", "x", "e", "qdot", "residual"):
-            close(getattr(plain[method], field), getattr(fenced, field), atol=1e-13)
-        np.testing.assert_array_equal(plain[method].status, fenced.status)
-    slope = jax.grad(lambda a: jnp.sum(run(alpha=a).q[-1]))
-    with ck.use_hints(False):
-        without = slope(4.0)
-    close(slope(4.0), without, rtol=1e-11)
-
-
-@pytest.mark.form("unrolled")
-def test_hints_are_part_of_the_cache_key():
-    """Turning the hints off must not find the fenced program in JAX's cache, nor the other way round."""
-
-    @jax.jit
-    def fn(q):
-        return ck.pose(ARM, q).position
-
-    marks = []
-    for on in (True, False, True):
-        with ck.use_hints(on):
-            marks.append("inlineable" in fn.lower(Q).as_text())
-    assert marks == [True, False, True]
-
-
 @pytest.mark.parametrize("method", ["EE", "CN", "RK4"])
 def test_float32(method):
     """30 steps of 0.1 s in single precision follow the double precision loop to 3e-6."""

@@ -1,4 +1,4 @@
-"""The pseudoinverse in component form: every shape and rank, values and derivatives; the LDLᵀ solver."""
+"""The pseudoinverse: every shape and rank, values and derivatives; Cholesky factors."""
 
 import functools
 
@@ -13,12 +13,8 @@ from cnclik.law import dense
 from tests.oracles import central_differences, close
 
 
-def rows(a):
-    return tuple(tuple(a[i, j] for j in range(a.shape[1])) for i in range(a.shape[0]))
-
-
 def pinv(a):
-    return jnp.stack([jnp.stack(row) for row in dense.pinv(rows(a))[0]]).T
+    return dense.pinv(a)[0].T
 
 
 def batched(fn):
@@ -34,16 +30,15 @@ def batched(fn):
 
 
 BATCH = 32
-many_unrolled = batched(lambda a: (pinv(a), dense.pinv(rows(a))[1]))
-many_rolled = batched(dense.pinv)
+many = batched(dense.pinv)
 
 
 def many_pinv(a):
-    return many_unrolled(a)[0]
+    return many(a)[0].transpose(0, 2, 1)
 
 
 def many_least(a):
-    return many_unrolled(a)[1]
+    return many(a)[1]
 
 
 def with_singular_values(shape, values, rng):
@@ -67,7 +62,7 @@ def cases(shape):
 
 
 SHAPES = [(m, n) for m in range(1, 7) for n in range(1, 8)]
-# One compilation each: wide, square and tall; the others behind `slow`, and all of them in the rolled form.
+# One compilation each: wide, square and tall; the others behind `slow`.
 QUICK = {(1, 1), (2, 3), (3, 3), (3, 4), (4, 2), (6, 1)}
 
 
@@ -79,36 +74,6 @@ def test_against_numpy(shape):
     for found, matrix in zip(many_pinv(a), a, strict=True):
         wanted = np.linalg.pinv(matrix, rcond=1e-12)
         close(found, wanted, atol=1e-12 * max(1e-300, np.abs(wanted).max()) * 10)
-
-
-# A program each, but of one source: n of the rolled form is a number in it.
-ROLLED = [s for s in SHAPES if s[1] in (s[0] - 1, s[0], 7)]
-
-
-@pytest.mark.parametrize(
-    "shape", [s if s in ROLLED else pytest.param(s, marks=pytest.mark.slow) for s in SHAPES], ids=str
-)
-def test_rolled_against_numpy(shape):
-    a = cases(shape)
-    for found, matrix in zip(many_rolled(a)[0], a, strict=True):
-        wanted = np.linalg.pinv(matrix, rcond=1e-12)
-        close(found.T, wanted, atol=1e-12 * max(1e-300, np.abs(wanted).max()) * 10)
-
-
-@pytest.mark.parametrize("shape", [(2, 5), (3, 4), (4, 2)], ids=str)
-def test_rolled_as_unrolled(shape):
-    """The least singular value as well, estimated or exact, and derivatives."""
-    a = cases(shape)
-    largest = np.maximum(np.linalg.norm(a, 2, axis=(1, 2)), 1e-300)
-    close(many_rolled(a)[1] / largest, many_least(a) / largest, atol=1e-12)
-    rng = np.random.default_rng(0)
-    at, along = a[0], rng.normal(size=shape)
-
-    @jax.jit
-    def slopes(at, along):
-        return [jax.jvp(f, (at,), (along,))[1] for f in (lambda a: dense.pinv(a)[0].T, pinv)]
-
-    close(*slopes(at, along), rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -148,9 +113,8 @@ def test_the_quick_way_is_as_good_as_any(dtype, m):
     [
         ((3, 4), many_pinv),
         pytest.param((6, 7), many_pinv, marks=pytest.mark.slow),
-        ((6, 7), lambda a: many_rolled(a)[0].transpose(0, 2, 1)),
     ],
-    ids=["(3, 4)", "(6, 7)", "rolled"],
+    ids=["(3, 4)", "(6, 7)"],
 )
 def test_ill_conditioned_keeps_relative_accuracy(shape, many):
     """Singular values down to 1e-8 of the largest count, as they do in numpy."""
@@ -205,7 +169,7 @@ def test_derivative_at_full_rank(shape):
         close(second, numeric, atol=1e-7 * np.abs(numeric).max())
 
 
-@pytest.mark.slow  # 6 rows; 3 rows and the rolled form are below and above
+@pytest.mark.slow  # 6 rows; 3 rows are below and above
 def test_derivative_of_a_whole_pose():
     """6×7, in one direction: the size of a pose task on a redundant arm."""
     rng = np.random.default_rng(5)
@@ -245,19 +209,19 @@ def test_float32():
     assert np.all(np.isfinite(jax.jit(jax.vmap(jax.jacfwd(pinv)))(a)))
 
 
-# --- LDLᵀ ---------------------------------------------------------------------------------------------
+# --- Cholesky factors ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("m", range(1, 7))
-def test_ldl_solves_and_traces(m):
+def test_factors_solve_and_trace(m):
     rng = np.random.default_rng(m)
     a = rng.normal(size=(m, m + 1))
     b = rng.normal(size=m)
 
     @jax.jit
     def solve(a, b):
-        factor = dense.ldl(dense.gram(rows(a), jnp.asarray(0.01)))
-        return jnp.stack(dense.ldl_solve(factor, tuple(b))), dense.inverse_trace(factor)
+        lower = dense.cholesky(dense.shifted(a @ a.T, jnp.asarray(0.01)))
+        return dense.cholesky_solve(lower, b), dense.inverse_trace(lower)
 
     s = a @ a.T + 0.01 * np.eye(m)
     x, trace = solve(a, b)
@@ -265,19 +229,16 @@ def test_ldl_solves_and_traces(m):
     assert trace == pytest.approx(np.trace(np.linalg.inv(s)), rel=1e-11)
 
 
-@pytest.mark.parametrize("form", ["rolled", "unrolled"])
 @pytest.mark.parametrize("m", [1, 3, 6])
-def test_packed_factors_solve_as_numpy_does(form, m):
+def test_packed_factors_solve_as_numpy_does(m):
     """Also next to singular: what is remembered of J Jᵀ + λ² I."""
     rows = np.random.default_rng(m).normal(size=(m, 7))
     rows[-1] = rows[0] + 1e-3 * rows[-1] if m > 1 else rows[-1]
     b, matrix = np.arange(1.0, m + 1), rows @ rows.T + 1e-4 * np.eye(m)
 
+    @jax.jit
     def solved(rows, b):
-        if form == "unrolled":
-            rows, b = tuple(map(tuple, rows)), tuple(b)
-        packed = dense.packed_factor(dense.ldl(dense.gram(rows, 1e-4)))
-        return jnp.stack(dense.packed_solve(packed, b)) if form == "unrolled" else dense.packed_solve(packed, b)
+        packed = dense.packed(dense.cholesky(dense.shifted(rows @ rows.T, 1e-4)))
+        return dense.cholesky_solve(dense.unpacked(packed, m), b)
 
-    found = jax.jit(solved)(jnp.asarray(rows), jnp.asarray(b))
-    np.testing.assert_allclose(found, np.linalg.solve(matrix, b), rtol=1e-8)
+    np.testing.assert_allclose(solved(jnp.asarray(rows), jnp.asarray(b)), np.linalg.solve(matrix, b), rtol=1e-8)

@@ -8,6 +8,7 @@ from scipy.optimize import linprog
 
 import cnclik as ck
 from cnclik.law import limits as room
+from cnclik.robot.model import modelled
 
 RATE, LANES = 10.0, 150
 ARM = ck.panda()
@@ -23,10 +24,9 @@ def lanes(m, seed, outside=0.0):
 
 def act(limits, j, task, q, wanted=None):
     def one(j, task, q):
-        wants = None if wanted is None else tuple(wanted)
-        rows = tuple(tuple(row) for row in j)
-        made = limits(ck.pseudoinverse(), ARM, tuple(q), rows, tuple(task), wants)
-        return jnp.stack(made.qdot), jnp.asarray(made.held)
+        wants = None if wanted is None else jnp.asarray(wanted)
+        made = limits(ck.pseudoinverse(), modelled(ARM), q, j, task, wants)
+        return made.qdot, jnp.asarray(made.held)
 
     return map(np.asarray, jax.jit(jax.vmap(one))(j, task, q))
 
@@ -111,10 +111,11 @@ def test_weighted_least_norm_is_chan_and_dubeys():
 
 def test_weighted_joints_stop_at_their_limits_and_return():
     q = np.array([-1.2, -1.0, -0.999, 0.0, 1.0, 1.2])
-    outward, inward = (room._root(q, v, -1.0, 1.0) for v in (1.0, -1.0))
-    one = ck.replace(ck.planar_arm([1.0]), lower=(-1.0,), upper=(1.0,))
-    at_rest = [ck.weighted_least_norm(RATE)(ck.pseudoinverse(), one, (x,), ((0.0 * x,),), (0.0 * x,), None) for x in q]
-    back = np.array([made.qdot[0] for made in at_rest])
+    one = modelled(ck.replace(ck.planar_arm([1.0]), lower=(-1.0,), upper=(1.0,)))
+    none = jnp.zeros(1)
+    outward, inward = (np.array([room._roots(one, x[None], v)[0] for x in q]) for v in (1.0, -1.0))
+    limited = ck.weighted_least_norm(RATE)
+    back = np.array([limited(ck.pseudoinverse(), one, x[None], none[None], none, None).qdot[0] for x in jnp.asarray(q)])
     np.testing.assert_allclose(outward[4:], 0, atol=1e-12)  # no way further out
     np.testing.assert_allclose(outward[:3], 1)  # free to come in
     np.testing.assert_allclose(back, [2.0, 0, 0, 0, 0, -2.0], atol=1e-12)
@@ -185,11 +186,11 @@ def test_manipulability_is_climbed_in_the_null_space():
     q0 = np.array([0.2, 0.3, 0.1])
     hold = ck.hold(ck.pose(arm, q0).position[:2])
     term = ck.maximize_manipulability(arm, task, 2.0)
-    gradient = np.array(term(tuple(jnp.asarray(q0)))) / 2.0
+    gradient = np.array(term(jnp.asarray(q0))) / 2.0
     step = 1e-6 * np.eye(3)
     w = lambda q: float(ck.manipulability(arm, q, task))  # noqa: E731
     np.testing.assert_allclose(gradient, [(w(q0 + d) - w(q0 - d)) / 2e-6 for d in step], atol=1e-6)
     law = ck.Law(arm, task, alpha=5.0, inverse=ck.damped(1e-3), null_velocity=term)
     run = ck.solve(law, hold, q0, 0.01, 300)
     assert w(run.q[-1]) > w(q0) + 0.04 and np.abs(run.e).max() < 1e-3
-    assert np.isfinite(np.array(term((jnp.zeros(()),) * 3))).all()  # stretched: a kink of w, no NaN
+    assert np.isfinite(np.array(term(jnp.zeros(3)))).all()  # stretched: a kink of w, no NaN

@@ -21,8 +21,7 @@ POSE = ck.pose_task()
 @functools.partial(jax.jit, static_argnums=2)
 def _sample(reference, t, task):
     position, rotation, xdot = sample(reference, task, t)
-    rotation = None if rotation is None else jnp.stack([jnp.stack(row) for row in rotation])
-    return jnp.stack(position) if position else None, rotation, jnp.stack(xdot)
+    return position if len(position) else None, rotation, xdot
 
 
 class Fixed:
@@ -63,7 +62,7 @@ def screw(t):
     """A pose as a function of time."""
     turn = ck.line([0.0, 0, 0], [1.0, 0, 0], duration=3.0, rotation=R0.as_matrix(), rotation_end=R1.as_matrix())
     position, rotation = turn.curve(t)
-    return ck.Pose(position=jnp.stack(position) * t, rotation=jnp.stack([jnp.stack(r) for r in rotation]))
+    return ck.Pose(position=position * t, rotation=rotation)
 
 
 REFERENCES = {
@@ -283,7 +282,7 @@ def test_waypoints_of_integers_and_of_traced_values():
     whole = ck.waypoints([0, 1, 3], np.array([[0, 0], [1, 3], [2, 1]]))
     oracle = CubicSpline([0, 1, 3], [[0, 0], [1, 3], [2, 1]], bc_type="clamped")
     close(at(whole, 0.5, "xy")[0], oracle(0.5), atol=1e-14)
-    place = lambda points: jnp.stack(ck.waypoints(TIMES, points).curve(jnp.asarray(1.7))[0])  # noqa: E731
+    place = lambda points: ck.waypoints(TIMES, points).curve(jnp.asarray(1.7))[0]  # noqa: E731
     slope = jax.jit(jax.jacfwd(place))(POINTS)
     close(np.einsum("ikl,kl->i", slope, POINTS), place(POINTS), atol=1e-13)  # linear in its points
 

@@ -1,14 +1,13 @@
 """Tasks: which coordinates, which rows, and the rotation-vector error."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.law.task import error_and_rows
-from cnclik.robot.frames import frames
+from cnclik.robot.model import frames, modelled
 from tests.oracles import close
 
 ARM = ck.from_screws(
@@ -21,10 +20,8 @@ Q = np.array([0.3, -0.7, 1.1, 0.4])
 
 @jax.jit
 def measure(task, q, position_d, rotation_d):
-    rows = lambda r: tuple(tuple(r[i, j] for j in range(3)) for i in range(3))  # noqa: E731
-    at = frames(ARM, tuple(q))
-    e, j = error_and_rows(task, ARM, at, tuple(position_d), rows(rotation_d))
-    return jnp.stack(e), jnp.array(j)
+    arm = modelled(ARM)
+    return error_and_rows(task, arm, frames(arm, q), position_d, rotation_d)
 
 
 TASKS = {

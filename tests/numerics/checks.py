@@ -13,14 +13,12 @@ TAME = Status.AT_LIMIT | Status.OVER_VELOCITY | Status.TASK_TOO_LARGE | Status.R
 # Of numbers that one and the same loop gives in two ways, relative to the loop's own: rounding, amplified by J#.
 TOLERANCE = {"float64": 1e-7, "float32": 3e-2}
 NUDGE, AMPLIFIED = 1e-3, 100.0  # [rad, m] at the start; and so many times as much later on: such a loop is chaotic
-UNROLLED = 4  # joints
-WAYS = ("vmap", "lanes", "unrolled", "plain", "gradient")
+WAYS = ("vmap", "lanes", "as C", "plain", "gradient")
 
 
 def way_of(seed) -> str:
-    """How a kind is run once more. Unrolled only where the arm is short: such programs take long to compile."""
-    way = WAYS[seed % len(WAYS)]
-    return way if way != "unrolled" or len(cases.kind(seed).kinds) <= UNROLLED else "vmap"
+    """How a kind is run once more."""
+    return WAYS[seed % len(WAYS)]
 
 
 def check(seed) -> tuple:
@@ -29,14 +27,12 @@ def check(seed) -> tuple:
     made = [m for m in (cases.loop(kind, [seed, k]) for k in range(LOOPS)) if m is not None]
     wrong, compared = None, 0
     with jax.enable_x64(kind.dtype == "float64"):
-        with ck.use_form("rolled"):
-            runs = [m.solve(kind) for m in made]
+        runs = [m.solve(kind) for m in made]
         for m, run in zip(made, runs, strict=True):
             wrong = wrong or _told(kind, m, run)
         way = way_of(seed)
         if made and wrong is None:
-            with ck.use_form("unrolled" if way == "unrolled" else "rolled"):
-                wrong, compared = {"gradient": _gradient}.get(way, _same)(kind, made[0], runs[0], way)
+            wrong, compared = {"gradient": _gradient}.get(way, _same)(kind, made[0], runs[0], way)
     return wrong, kind, len(made), compared
 
 
@@ -81,11 +77,10 @@ def tame(run, nudged):
 def _same(kind, m, run, way):
     """The same loop over several starts, one by one and in another way."""
     starts = m.q0 + (0.01 * np.arange(LANES)[:, None]).astype(kind.dtype) * (np.abs(m.q0) < 1e3)
-    with ck.use_form("rolled"):
-        alone = [run, *(m.solve(kind, q0=q) for q in starts[1:])]
-        regular = [
-            tame(one, m.solve(kind, q0=(q + NUDGE).astype(kind.dtype))) for q, one in zip(starts, alone, strict=True)
-        ]
+    alone = [run, *(m.solve(kind, q0=q) for q in starts[1:])]
+    regular = [
+        tame(one, m.solve(kind, q0=(q + NUDGE).astype(kind.dtype))) for q, one in zip(starts, alone, strict=True)
+    ]
 
     def end(q0):
         found = m.solve(kind, q0=q0)
@@ -95,8 +90,9 @@ def _same(kind, m, run, way):
         found = jax.vmap(end)(starts)
     elif way == "lanes":
         found = ck.lanes(end, tile=4, cores=1)(starts)
-    elif way == "unrolled":
-        found = jax.tree.map(lambda *v: np.stack(v), *[end(q) for q in starts])
+    elif way == "as C":
+        with ck.use_engine("native"):
+            found = jax.tree.map(lambda *v: np.stack(v), *map(jax.jit(end), starts))
     else:
         with ck.use_hints(False):
             found = jax.jit(jax.vmap(end))(starts)

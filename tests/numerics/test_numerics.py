@@ -5,8 +5,6 @@ import pytest
 import cnclik as ck
 from tests.numerics import cases, checks
 
-pytestmark = pytest.mark.form(None)  # each chooses its own
-
 
 def short(way, after=0):
     """The first seed of a short arm with a small task that is held against this way."""

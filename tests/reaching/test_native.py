@@ -136,15 +136,14 @@ def test_a_loop_over_many_chains_builds_few(monkeypatch):
     """Programs that serve all chains are sooner ready; a chain that is asked of often gets its own."""
     monkeypatch.setattr(native, "AT_ONCE", Native.libraries + 1)
     begun, lots = Native.libraries, [[0.9, 0.8, 0.0]] * 40
-    with ck.use_form(None):
-        for length in (0.5, 0.6, 0.7):
-            arm = ck.planar_arm([1.0, length])
-            assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
-            assert ck.reach(arm, lots, task=PLANE).solved.all()
-        assert Native.libraries == begun + 1
-        for _ in range(many.ALONE):
-            assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
-        assert Native.libraries == begun + 2
+    for length in (0.5, 0.6, 0.7):
+        arm = ck.planar_arm([1.0, length])
+        assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
+        assert ck.reach(arm, lots, task=PLANE).solved.all()
+    assert Native.libraries == begun + 1
+    for _ in range(many.ALONE):
+        assert ck.reach(arm, [0.9, 0.8, 0.0], task=PLANE).solved
+    assert Native.libraries == begun + 2
 
 
 def test_columns_are_rows_of_targets():

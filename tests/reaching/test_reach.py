@@ -90,10 +90,10 @@ def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
 def test_another_number_of_targets_compiles_nothing():
     targets = tips(WRIST, drawn(WRIST, 300))
     ck.reach(WRIST, targets[:20])
-    before = programs._soon._cache_size()
+    before = programs._search._cache_size()
     for count in (9, 33, 150, 300):
         ck.reach(WRIST, targets[:count])
-    assert programs._soon._cache_size() == before
+    assert programs._search._cache_size() == before
 
 
 @jax_alone
@@ -107,7 +107,7 @@ def test_one_by_one_or_in_batches(monkeypatch):
     near = drawn(held, 70, seed=3) + 0.01
     made, told = {}, []
     for most in (8, 1000):
-        monkeypatch.setattr(many, "ONE_BY_ONE", {"rolled": most})
+        monkeypatch.setattr(many, "ONE_BY_ONE", most)
         first = ck.reach(held, targets, progress=lambda *done: told.append(done))
         made[most] = first, ck.reach(held, within, near=near, jump=0.1)
     for batch, one_by_one in zip(*made.values(), strict=True):
@@ -120,15 +120,12 @@ def test_one_by_one_or_in_batches(monkeypatch):
 
 
 @jax_alone
-@pytest.mark.form(None)
-def test_forms_agree_that_there_is_an_answer():
+def test_few_and_many_are_answered():
     targets = tips(ARM, drawn(ARM, 30))[:, :3, 3]
-    for form in ("rolled", "unrolled"):
-        with ck.use_form(form):
-            for some in (targets, targets[:2]):
-                made = ck.reach(ARM, some, task=PLANE)
-                assert made.solved.all()
-                np.testing.assert_allclose(tips(ARM, made.q)[:, :2, 3], some[:, :2], atol=2e-6)
+    for some in (targets, targets[:2]):
+        made = ck.reach(ARM, some, task=PLANE)
+        assert made.solved.all()
+        np.testing.assert_allclose(tips(ARM, made.q)[:, :2, 3], some[:, :2], atol=2e-6)
 
 
 # --- why there is no answer ---------------------------------------------------------------------------
@@ -209,7 +206,6 @@ def test_two_tolerances():
 
 
 @both_ways
-@pytest.mark.form(None)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_weights_decide_what_is_nearest_and_nothing_else(dtype):
     task = ck.pose_task("xy", "z", weights=np.array([1.0, 1.0, 1e-4], dtype))
@@ -217,14 +213,12 @@ def test_weights_decide_what_is_nearest_and_nothing_else(dtype):
     targets = tips(arm, drawn(arm, 12))
     far = np.eye(4)
     far[0, 3] = 4.0  # with the hand turned away: the place matters ten thousand times as much
-    for form in ("rolled", "unrolled"):
-        with ck.use_form(form):
-            assert ck.reach(arm, targets, task=task).solved.all()
-            assert all(ck.reach(arm, t, task=task).solved for t in targets[:3])
-            for some in (far, np.stack([far] * 10)):
-                made = ck.reach(arm, some, task=task)
-                assert np.all(made.status == ReachStatus.OUT_OF_REACH)
-                np.testing.assert_allclose(made.position_error, 1.5, rtol=1e-3)
+    assert ck.reach(arm, targets, task=task).solved.all()
+    assert all(ck.reach(arm, t, task=task).solved for t in targets[:3])
+    for some in (far, np.stack([far] * 10)):
+        made = ck.reach(arm, some, task=task)
+        assert np.all(made.status == ReachStatus.OUT_OF_REACH)
+        np.testing.assert_allclose(made.position_error, 1.5, rtol=1e-3)
 
 
 @both_ways
@@ -332,15 +326,14 @@ def test_a_path_gives_what_its_waypoints_give_one_by_one():
     path = np.stack([1.2 + 0.5 * np.cos(t), 0.5 * np.sin(t), 0 * t], axis=1)
     path[40] = 5.0, 0.0, 0.0
     told = []
-    with ck.use_form("rolled"):
-        made = ck.reach(ARM, path, task=PLANE, near="previous", jump=0.3, progress=lambda *done: told.append(done))
-        at = made.q[0]
-        for k in range(1, len(path)):
-            alone = ck.reach(ARM, path[k], task=PLANE, near=at, jump=0.3)
-            assert made.status[k] == alone.status and made.evaluations[k] == alone.evaluations
-            np.testing.assert_allclose(made.q[k], alone.q, atol=1e-9)
-            np.testing.assert_allclose(made.distance[k], alone.distance, atol=1e-9)
-            at = alone.q if alone.solved else at
+    made = ck.reach(ARM, path, task=PLANE, near="previous", jump=0.3, progress=lambda *done: told.append(done))
+    at = made.q[0]
+    for k in range(1, len(path)):
+        alone = ck.reach(ARM, path[k], task=PLANE, near=at, jump=0.3)
+        assert made.status[k] == alone.status and made.evaluations[k] == alone.evaluations
+        np.testing.assert_allclose(made.q[k], alone.q, atol=1e-9)
+        np.testing.assert_allclose(made.distance[k], alone.distance, atol=1e-9)
+        at = alone.q if alone.solved else at
     assert np.flatnonzero(~made.solved).tolist() == [40] and told[-1] == (70, 70)
 
 
@@ -497,9 +490,9 @@ def test_the_forms_of_targets():
 
 
 def quaternion_of(r):
-    from cnclik.robot import spatial as sp
+    from cnclik.robot.rotations import quaternion_from_rotation
 
-    return sp.quaternion_from_rotation(r)
+    return quaternion_from_rotation(r)
 
 
 @both_ways

@@ -13,10 +13,8 @@ import pinocchio as pin
 import pytest
 
 import cnclik as ck
-from cnclik.robot import spatial as sp
 from cnclik.robot.builtin import panda, ur5
-from cnclik.robot.frames import frames, jacobian_rows
-from cnclik.robot.rolled import roll
+from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
 
@@ -98,30 +96,18 @@ def compare(arm, base, path, model, tip):
     other = Pinocchio(path, model)
     expected = [other.at(arm.joint_names, row, tip, base) for row in q]
 
-    # Run as written, one operation on all configurations after the other: compiling 577 chains would take minutes.
-    with ck.use_hints(False):
-        at = frames(arm, tuple(jnp.asarray(q).T))
-        found = at.position, at.rotation, jacobian_rows(arm, at, (0, 1, 2), (0, 1, 2))
-        found = [np.moveaxis(_filled(v), -1, 0) for v in found]
-    rolled = _all_seen(roll(arm), jnp.asarray(q))
+    arm = modelled(arm)
     return max(
         np.abs(a - np.stack(b)).max()
-        for form in (found, rolled)
-        for a, b in zip(form, zip(*expected, strict=True), strict=True)
+        for found in (_seen(arm, q), _all_seen(arm, jnp.asarray(q)))
+        for a, b in zip(found, zip(*expected, strict=True), strict=True)
     )
-
-
-def _filled(v):
-    """A vector or matrix of literals and (K,) arrays as one array (..., K)."""
-    if isinstance(v, tuple):
-        return np.stack([_filled(x) for x in v])
-    return np.broadcast_to(v, CONFIGURATIONS)
 
 
 def _seen(arm, q):
     at = frames(arm, q)
     rows = jacobian_rows(arm, at, (0, 1, 2), (0, 1, 2))
-    return tuple(sp.packed(v, float) for v in (at.position, at.rotation, rows))
+    return at.position, at.rotation, rows
 
 
 _all_seen = jax.jit(jax.vmap(_seen, (None, 0)))  # one program for all chains of a shape

@@ -24,7 +24,7 @@ from cnclik.integrate.trajectory import truncate
 from cnclik.law.law import evaluate
 from cnclik.law.reference import sample
 from cnclik.problem.names import task_from
-from cnclik.robot import spatial as sp
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability.local import Instant, radii, resting
 
@@ -279,7 +279,7 @@ def reachable(loop, N):
     if not moving(loop, N):
         return loop.reachable
     chain, task = loop.law.chain, loop.law.task
-    position, rotation, _ = sample(loop.reference, task, float(N * loop.Ts), unrolled=False)
+    position, rotation, _ = sample(loop.reference, task, float(N * loop.Ts))
     target = ck.hold(
         np.asarray(position) if task.position else None, np.asarray(rotation) if task.orientation else None
     )
@@ -295,7 +295,7 @@ def reachable(loop, N):
 
 @jax.jit
 def _error(law, target, q):
-    return sp.packed(evaluate(law, target, jnp.zeros(()), tuple(q)).e)
+    return evaluate(modelled(law), target, jnp.zeros(()), q).e
 
 
 def falsehood(loop, said, run, whole, of):
@@ -503,22 +503,21 @@ def main():
             f"ff{of.feedforward:g} d{of.drive.delay:g} {of.drive.order} {'clamp' * of.clamp} {of.null}",
             flush=True,
         )
-        with ck.use_form("rolled"):
-            for one in judge(of, args.each, args.seed, args.remedies):
-                kinds[one["kind"]] += 1
-                wrong[one["kind"]] += bool(one["false"])
-                for told in one["remedies"]:
-                    key = one["kind"] + ": " + told["mends"] + " " + "+".join(eval(told["change"]))
-                    tried[key] += 1
-                    vain[key] += not told["good"]
-                bad = [told for told in one["remedies"] if not told["good"]]
-                if one["false"] or bad:
-                    print(
-                        f"{number}.{one['number']} {one['about']}: {one['false'] and 'FALSE ' + one['false']}\n   ",
-                        one["said"],
-                        *(f"\n    VAIN {told}" for told in bad),
-                        flush=True,
-                    )
+        for one in judge(of, args.each, args.seed, args.remedies):
+            kinds[one["kind"]] += 1
+            wrong[one["kind"]] += bool(one["false"])
+            for told in one["remedies"]:
+                key = one["kind"] + ": " + told["mends"] + " " + "+".join(eval(told["change"]))
+                tried[key] += 1
+                vain[key] += not told["good"]
+            bad = [told for told in one["remedies"] if not told["good"]]
+            if one["false"] or bad:
+                print(
+                    f"{number}.{one['number']} {one['about']}: {one['false'] and 'FALSE ' + one['false']}\n   ",
+                    one["said"],
+                    *(f"\n    VAIN {told}" for told in bad),
+                    flush=True,
+                )
         jax.clear_caches()
     print({k: f"{wrong[k]} of {v}" for k, v in kinds.most_common()}, sum(wrong.values()))
     for key, count in sorted(tried.items()):

@@ -2,13 +2,11 @@
 
 import pytest
 
-import cnclik as ck
 from tests.stability import loops
 
 
 def wrong(number, count):
-    with ck.use_form("rolled"):
-        found = loops.judge(loops.family(number), count)
+    found = loops.judge(loops.family(number), count)
     told = [f"{one['about']}: {one['false']}: {one['said']}" for one in found if one["false"]]
     vain = [(one["about"], one["said"], told) for one in found for told in one["remedies"] if not told["good"]]
     kinds = {one["kind"] for one in found}
@@ -35,10 +33,9 @@ def test_no_verdict_is_false_and_no_remedy_vain(number):
 def test_what_nobody_can_know_is_not_said(number, loop, kind):
     """These were said, with remedies that did nothing."""
     of = loops.family(number)
-    with ck.use_form("rolled"):
-        ((drawn, _, whole),) = loops.grouped([(loops.draw(of, loop), of)])
-        run = loops.cut(drawn, whole)
-        said = loops.said_of(drawn, run, of)
+    ((drawn, _, whole),) = loops.grouped([(loops.draw(of, loop), of)])
+    run = loops.cut(drawn, whole)
+    said = loops.said_of(drawn, run, of)
     assert str(said.kind) != kind and "not known" in said.sentence, said.sentence
     assert not loops.falsehood(drawn, said, run, whole, of)
     assert not any("N" in one.change for one in said.remedies)

@@ -23,8 +23,6 @@ from cnclik.errors import ArgumentError
 from cnclik.sweeps import run_spec, spec, store
 from tests.specs import reaching
 
-pytestmark = pytest.mark.form(None)  # as in the processes and module fixtures that these tests start
-
 TEXT = reaching(
     metrics=["final_error", "ok", "error"],
     more="lanes = 16",

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.model import joint_frames, modelled
 from cnclik.robot.posture import arm_length
-from cnclik.robot.rolled import roll
 from cnclik.show import style
 
 THICK = 0.028  # radius of a link, of the arm's length
@@ -29,15 +29,10 @@ class Part(NamedTuple):
 
 def link_poses(chain, q):
     """Frames 0 … j and the tip, j joints, at q (K, n): (K, j + 2, 4, 4), in NumPy."""
-    rolled = roll(chain)
-    q = np.asarray(q, float)
-    values = q if rolled.mimic is None else q @ rolled.mimic[0].T + rolled.mimic[1]
-    factors = (np.ones_like(values), np.sin(values), np.cos(values), values)
-    own = sum(f[..., None, None] * part for f, part in zip(factors, rolled.transforms, strict=True) if part is not None)
-    found = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
-    for i in range(own.shape[1]):
-        found.append(found[-1] @ own[:, i])
-    return np.stack([*found, found[-1] @ rolled.tip], 1)
+    model, q = modelled(chain), np.asarray(q, float)
+    at = joint_frames(model, q)
+    base = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
+    return np.concatenate([base, at, at[:, -1:] @ model.tip], 1)
 
 
 def radius_of(chain) -> float:

@@ -1,22 +1,17 @@
-"""Sine and cosine together: one range reduction and two short polynomials, within 2 ulp.
+"""Sines: sine and cosine together, for XLA on a CPU: one range reduction and two short polynomials, within 2 ulp.
 
-The library's sine costs several times more on a CPU, where it dominates a kinematics loop. Here
-x = k·π/2 + r with |r| ≤ π/4 (Cody & Waite 1980): π/2 is split into parts so short that k times each but the
-last is exact for |x| ≤ 1e4, so a compiler that contracts a·b + c changes nothing there. sin r and cos r are
-minimax polynomials, relative error 4e-9 in float32 and 4e-18 in float64. Beyond the range, and for NaN, the
-library's functions are used.
+XLA's own cost several times more, and dominate a kinematics loop. Here x = k·π/2 + r with |r| ≤ π/4 (Cody & Waite
+1980): π/2 is split into parts so short that k times each but the last is exact for |x| ≤ 1e4, so a compiler that
+contracts a·b + c changes nothing there. sin r and cos r are minimax polynomials, relative error 4e-9 in float32 and
+4e-18 in float64. Beyond the range, and for NaN, XLA's functions are used.
 """
 
 import functools
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
-
-from cnclik.engine.tracing import is_read
-from cnclik.hints import on_cpu, opaque
 
 RANGE = 1e4
 
@@ -57,28 +52,8 @@ TABLES = {  # by bits of the mantissa
 }
 
 
-@jax.custom_jvp
 def sincos(angles):
-    """Sines and cosines of a tuple of angles [rad]: two tuples. Its derivative is exact, of any order."""
-    return _sincos(angles)
-
-
-@sincos.defjvp
-def _sincos_jvp(primals, tangents):
-    ((angles,), (turns,)) = primals, tangents
-    sines, cosines = sincos(angles)
-    moved = tuple(c * d for c, d in zip(cosines, turns, strict=True))
-    return (sines, cosines), (moved, tuple(-s * d for s, d in zip(sines, turns, strict=True)))
-
-
-def _sincos(angles):
-    if on_cpu() and not is_read():
-        return _own(angles)
-    return tuple(map(jnp.sin, angles)), tuple(map(jnp.cos, angles))  # a GPU's own are quick, and so are the engine's
-
-
-@opaque
-def _own(angles):
+    """Sines and cosines of a tuple of angles [rad]: two tuples."""
     far = [~(jnp.abs(x) <= RANGE) for x in angles]  # true for NaN as well
     near = [_reduced(x) for x in angles]
     # A far lane carries its angle into the loop in the place of its sine: were the angle an invariant of

@@ -1,4 +1,4 @@
-"""Sine and cosine against mpmath, in both precisions, and their derivatives."""
+"""Sine and cosine against mpmath, in both precisions."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from cnclik.robot.trig import RANGE, sincos
+from cnclik.engine.sines import RANGE, sincos
 
 
 def _angles(dtype, count=1500):
@@ -43,18 +43,3 @@ def test_beyond_the_range_the_library_answers():
     np.testing.assert_allclose(sines, jnp.sin(angles), rtol=4e-16)
     np.testing.assert_allclose(cosines, jnp.cos(angles), rtol=4e-16)
     assert np.isnan(sines[3:5]).all()
-
-
-def test_derivatives_of_any_order_both_modes():
-    def sine(x):
-        return sincos((x,))[0][0]
-
-    x = jnp.array(0.7)
-    for derivative, exact in (
-        (jax.grad(sine), np.cos(0.7)),
-        (jax.jacfwd(sine), np.cos(0.7)),
-        (jax.grad(jax.grad(sine)), -np.sin(0.7)),
-        (jax.jacfwd(jax.grad(jax.jacfwd(sine))), -np.cos(0.7)),
-        (jax.grad(lambda x: sine(x + 2e4)), np.cos(0.7 + 2e4)),
-    ):
-        np.testing.assert_allclose(derivative(x), exact, rtol=1e-14)

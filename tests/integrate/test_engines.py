@@ -1,4 +1,4 @@
-"""The rolled form gives what the unrolled form gives: every inverse, limit, null-space term, method and stage."""
+"""As C a loop gives what XLA gives: every inverse, limit, null-space term, method and stage."""
 
 import itertools
 
@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.robot import rolled
-from cnclik.robot.rolled import ROLLED, RolledChain, in_form, pays, quickly
 from tests.oracles import close
 
 LIMITS = {"lower": (-3.0, -2.0, -3.0, -2.0), "upper": (3.0, 0.9, 3.0, 2.0), "velocity_limit": (2.0, 2.0, np.inf, 1.0)}
@@ -41,6 +39,7 @@ NULL = {
     "manipulability": lambda arm, task: ck.maximize_manipulability(arm, task, 0.5),
     "function": lambda arm, task: lambda q: -0.3 * jnp.sin(q),
 }
+ENGINES = ("native", "xla")
 METHODS = (
     (ck.EE, ck.picard(0)),
     (ck.IE, ck.picard(2)),
@@ -86,16 +85,16 @@ def end(law, reference, method, stage, alpha, q0):
 
 
 @pytest.mark.parametrize("task, inverse, kept, null, number", [*QUICK, *WHOLE])
-def test_both_forms_agree(request, task, inverse, kept, null, number):
+def test_both_engines_agree(request, task, inverse, kept, null, number):
     slow = request.node.get_closest_marker("slow")
     arm = ARM if slow or task == "pose" else SHORT  # one joint more than the task has rows
     made, given, start = {}, loop(arm, task, inverse, kept, null, number), jnp.asarray(Q0[: arm.n])
-    for form in ("rolled", "unrolled"):
-        with ck.use_form(form):
+    for engine in ENGINES:
+        with ck.use_engine(engine):
             value = jax.jit(lambda alpha, q0: end(*given, alpha, q0)[1])(1.0, start)
             turned = jax.jacfwd(lambda alpha, q0: end(*given, alpha, q0)[0], (0, 1))
-            made[form] = value, jax.jit(turned)(1.0, start) if slow else ()  # quick: below
-    (one, d_one), (two, d_two) = made["rolled"], made["unrolled"]
+            made[engine] = value, jax.jit(turned)(1.0, start) if slow else ()  # quick: below
+    (one, d_one), (two, d_two) = (made[engine] for engine in ENGINES)
     for name in ("q", "x", "e", "qdot", "residual"):
         close(getattr(one, name), getattr(two, name), atol=1e-10, rtol=1e-9)
     np.testing.assert_array_equal(one.status, two.status)
@@ -111,10 +110,10 @@ def test_reverse_gradients_agree():
         return jnp.sum(end(*given, 1.0, q0)[0] ** 2)
 
     found = {}
-    for form in ("rolled", "unrolled"):
-        with ck.use_form(form):
-            found[form] = jax.jit(jax.grad(loss))(jnp.asarray(Q0[:3]))
-    close(found["rolled"], found["unrolled"], atol=1e-11)
+    for engine in ENGINES:
+        with ck.use_engine(engine):
+            found[engine] = jax.jit(jax.grad(loss))(jnp.asarray(Q0[:3]))
+    close(*found.values(), atol=1e-11)
 
 
 @pytest.mark.parametrize("limits", [None, pytest.param(ck.saturation(), marks=pytest.mark.slow)])
@@ -123,31 +122,12 @@ def test_a_whole_pose_of_a_real_arm(limits):
     to = ck.pose(arm, q0 + 0.1)
     law = ck.Law(arm, ck.pose_task(), alpha=5.0, limits=limits, inverse=ck.damped(0.05))
     runs = {}
-    for form in ("rolled", "unrolled"):
-        with ck.use_form(form):
-            runs[form] = ck.solve(law, ck.hold(to), q0, 0.01, 20)
+    for engine in ENGINES:
+        with ck.use_engine(engine):
+            runs[engine] = jax.jit(lambda q0: ck.solve(law, ck.hold(to), q0, 0.01, 20))(q0)
     for name in ("q", "x", "e", "qdot"):
-        close(getattr(runs["rolled"], name), getattr(runs["unrolled"], name), atol=1e-12)
-    np.testing.assert_array_equal(runs["rolled"].status, runs["unrolled"].status)
-
-
-@pytest.mark.form(None)
-def test_the_form_follows_from_the_work():
-    law = ck.Law(ARM, TASKS["position"], alpha=1.0)
-    size = law.chain.n * law.task.m
-    assert pays(1) and pays(ROLLED) and not pays(ROLLED + 1) and not pays(None)
-    assert pays(size * ROLLED, law) and not pays(size * ROLLED + 1, law)
-    assert quickly(size * rolled.ROLLED_QUICK, law) and not quickly(size * rolled.ROLLED_QUICK + 1, law)  # rolled
-    assert not quickly(size * ROLLED, law) and quickly(size * ROLLED + 1, law)  # unrolled
-    assert quickly(size * rolled.QUICK, law) and not quickly(size * rolled.QUICK + 1, law)
-    with ck.use_form("unrolled"):
-        assert not pays(1)
-    with ck.use_form("rolled"):
-        assert pays(None)
-    law, q = in_form(ck.Law(ARM, TASKS["position"], alpha=1.0), jnp.asarray(Q0), 10)
-    assert isinstance(law.chain, RolledChain) and q.shape == (4,)
-    with pytest.raises(ck.ArgumentError, match="Argument `form` must be"):
-        ck.use_form("round")
+        close(*(getattr(run, name) for run in runs.values()), atol=1e-12)
+    np.testing.assert_array_equal(*(run.status for run in runs.values()))
 
 
 def test_robots_of_one_shape_share_a_program():
@@ -156,7 +136,7 @@ def test_robots_of_one_shape_share_a_program():
     runs = []
     before = None
     for length in (1.0, 1.1, 1.2):
-        arm = ck.planar_arm([length, 0.8, 0.5])  # literals: unrolled, each would be a program of its own
+        arm = ck.planar_arm([length, 0.8, 0.5])
         law = ck.Law(arm, ck.position("xy"), alpha=2.0)
         runs.append(ck.solve(law, ck.hold([0.5, 1.0]), [0.3, 0.4, 0.5], 0.1, 7))
         size = _solve_soon._cache_size()

@@ -1,0 +1,377 @@
+"""To JAX: a graph as a JAX function of one lane, one operation on scalars for each node.
+
+`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and what scans stack up are arrays. A branch
+becomes a choice of results where it is light, else a loop that runs once if some lane needs it.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import jaxpr_as_fun
+
+from cnclik.engine.graph import Cond, Node, Scan, While, live
+from cnclik.engine.operations import COST, is_operation
+from cnclik.engine.reader import read
+from cnclik.engine.row_texts import all_items
+from cnclik.engine.sines import sincos
+from cnclik.engine.stacks import Rows
+from cnclik.engine.to_c import HEAVY, REGION_WEIGHT, cells_of
+from cnclik.engine.tracing import to_be_read
+from cnclik.hints import SMALL_ARRAYS, hints_on, one_function
+
+LONGEST, BACK, WORTH = 40, 8, 4  # as measured; each is flat around
+FEWEST = 3  # operations that are worth a stage
+
+_OTHER_NAMES = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
+
+
+_sincos = jax.jit(sincos, inline=False)
+
+
+class Derived:
+    """A function of one lane, read and written as JAX. Raises UnsupportedError where it can't be read."""
+
+    def __init__(self, fn, avals, treedef):
+        """avals: of one lane's arguments, leaf by leaf. treedef: how they make up the arguments."""
+        with to_be_read():
+            self.read = *_, (self.shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
+        self.avals, self.written = avals, {}
+
+    def __call__(self, *leaves) -> list:
+        """Results, leaf by leaf, of one lane's arguments, leaf by leaf."""
+        made = self.written.get(hints_on())
+        if made is None:  # once, as `vmap` remembers what it made of it
+            graph, given, outs, _ = self.read
+            types = [s.dtype for s in self.shapes]
+            writer = functools.partial(_Writer, graph, given, outs, fenced=hints_on())
+            closed = jax.make_jaxpr(lambda *x: writer(x).results(types))(*self.avals)
+            made = self.written[hints_on()] = one_function(jaxpr_as_fun(closed), SMALL_ARRAYS)
+        return made(*leaves)
+
+
+class _Writer:
+    """Writes a graph as JAX operations."""
+
+    def __init__(self, graph, given, outs, leaves, *, fenced):
+        self.graph, self.outs, self.fenced, self.active = graph, outs, fenced, None
+        self.values = {n.number: x for n, x in zip(given, leaves, strict=True)}
+        ends = [n for out in outs for n in cells_of(out)]
+        self.needed = live(ends)
+        self.users, self.stages = _users(graph, self.needed, ends), {}
+
+    def results(self, dtypes) -> list:
+        """Results of the function, of these types."""
+        self.block(self.graph.root)
+        return [self.result(out, d) for out, d in zip(self.outs, dtypes, strict=True)]
+
+    def result(self, out, dtype):
+        """A result as an array."""
+        if isinstance(out, Node):
+            return self.whole(out)
+        shape = (out.length,) if isinstance(out, Rows) else ()
+        cells = [self.whole(c, shape) for c in cells_of(out)]
+        return jnp.stack(cells, len(shape)).reshape(out.shape) if cells else jnp.zeros(out.shape, dtype)
+
+    def of(self, n):
+        """The value of a node."""
+        return n.value if n.op in ("const", "array") else self.values[n.number]
+
+    def whole(self, n, shape=None):
+        """The value of a node as an array of a shape, by default its own."""
+        x, shape = jnp.asarray(self.of(n), n.dtype), n.shape if shape is None else shape
+        return x if x.shape == shape else lax.broadcast_in_dim(x, shape, range(x.ndim))
+
+    # --- blocks ---------------------------------------------------------------------------------------
+
+    def block(self, block):
+        """Everything in a block that is needed."""
+        items = [i for i in block.items if (i.number if isinstance(i, Node) else id(i)) in self.needed]
+        group = []
+        for item in items:
+            if isinstance(item, Node) and is_operation(item) and not item.shape:
+                group.append(item)
+                continue
+            self.operations(group)
+            group = []
+            if isinstance(item, Node):
+                self.values[item.number] = self.node(item)
+            else:
+                {Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
+        self.operations(group)
+
+    def operations(self, nodes):
+        """Operations on scalars, in stages."""
+        if not self.fenced:
+            for n in nodes:
+                self.values[n.number] = self.applied(n, self.of)
+            return
+        rest = []
+        for k, n in enumerate(nodes):
+            if n.op not in ("sin", "cos"):
+                rest.append(n)
+            elif n.number not in self.values:
+                self.stages_of(rest)
+                self.sines([m for m in nodes[k:] if m.op in ("sin", "cos") and self.is_there(m.args[0])])
+                rest = []
+        self.stages_of(rest)
+
+    def is_there(self, n) -> bool:
+        """Whether a node has a value."""
+        return n.known or n.number in self.values
+
+    def sines(self, nodes):
+        """Sines and cosines of angles that are there, all in one stage."""
+        angles = {n.args[0].number: n.args[0] for n in nodes}
+        with set_xla_metadata(inlineable="false"):
+            found = dict(zip(angles, zip(*_sincos([self.whole(a) for a in angles.values()]), strict=True), strict=True))
+        self.values |= {n.number: found[n.args[0].number][n.op == "cos"] for n in nodes}
+
+    def stages_of(self, nodes):
+        """Operations on scalars, in stages."""
+        for stage, outs in _stages(nodes, self.users):
+            self.stage(stage, outs)
+
+    def stage(self, nodes, outs):
+        """Some operations as a function that XLA may not inline; the same function for what is the same elsewhere."""
+        if len(nodes) < FEWEST:
+            for n in nodes:
+                self.values[n.number] = self.applied(n, self.of)
+            return
+        inside = {n.number: n for n in nodes}
+        given = {a.number: a for n in nodes for a in n.args if a.number not in inside and not a.known}
+        place = {number: i for i, number in enumerate([*given, *inside])}
+
+        def about(a):
+            return (a.dtype.str, a.value.tobytes()) if a.known else place[a.number]
+
+        key = tuple((n.op, n.params, n.dtype.str, *map(about, n.args)) for n in nodes)
+        key = key, tuple(place[n.number] for n in outs), tuple(a.dtype.str for a in given.values())
+        if key not in self.stages:
+
+            def body(*values):
+                own = dict(zip(given, values, strict=True))
+                for n in nodes:
+                    own[n.number] = self.applied(n, lambda a: a.value if a.known else own[a.number])
+                return [own[n.number] for n in outs]
+
+            self.stages[key] = jax.jit(body, inline=False)
+        with set_xla_metadata(inlineable="false"):
+            found = self.stages[key](*map(self.whole, given.values()))
+        self.values |= zip((n.number for n in outs), found, strict=True)
+
+    # --- nodes ----------------------------------------------------------------------------------------
+
+    def applied(self, n, of):
+        """An operation."""
+        args = [of(a) for a in n.args]
+        if n.shape:
+            args = [x if np.shape(x) == n.shape else lax.broadcast_in_dim(x, n.shape, range(np.ndim(x))) for x in args]
+        if n.op == "convert_element_type":
+            return lax.convert_element_type(args[0], n.dtype)
+        if n.op == "round":
+            return lax.round(args[0], lax.RoundingMethod(n.params))
+        if n.op == "integer_pow":
+            return lax.integer_pow(args[0], n.params)
+        return getattr(lax, _OTHER_NAMES.get(n.op, n.op))(*args)
+
+    def node(self, n):
+        """A node that is no operation on scalars."""
+        if is_operation(n):
+            return self.applied(n, self.of)
+        return getattr(self, f"_{n.op}")(n, *n.args)
+
+    def _index(self, n, x):
+        return _at(self.of(x), n.params)
+
+    def _column(self, n, x):
+        return _at(self.of(x), (None, *n.params))
+
+    def _within(self, n, x):
+        return _at(self.of(x), (None, n.params))
+
+    def _slid(self, n, x):
+        start, stride = n.params
+        last = start + stride * (n.shape[0] - 1)
+        low, high = min(start, last), max(start, last)
+        x = lax.slice(self.whole(x), (low,), (high + 1,), (abs(stride),))
+        return lax.rev(x, (0,)) if stride < 0 else x
+
+    def _joined(self, n, *pieces):
+        return lax.concatenate([self.whole(p, (size,)) for p, size in zip(pieces, n.params, strict=True)], 0)
+
+    def _list(self, n, *cells):
+        return jnp.stack(list(map(self.whole, cells)))
+
+    def _pick(self, n, index, *cells):
+        return lax.dynamic_index_in_dim(self._list(n, *cells), self.of(index), keepdims=False)
+
+    def _take(self, n, row, index):
+        return lax.dynamic_index_in_dim(self.whole(row), self.of(index), keepdims=False)
+
+    # --- regions --------------------------------------------------------------------------------------
+
+    def within(self, nodes, values, active=None):
+        """A writer of what lies in a region, where some nodes have these values.
+
+        Args: active: whether the lane takes part in it: a loop inside does not wait for one that doesn't.
+        """
+        inner = object.__new__(type(self))
+        inner.__dict__ |= self.__dict__
+        if active is not None:
+            inner.active = active if self.active is None else active & self.active
+        inner.values = self.values | {n.number: x for n, x in zip(nodes, values, strict=True)}
+        return inner
+
+    def ended(self, nodes, values):
+        """Nodes that a region gives."""
+        self.values |= {n.number: x for n, x in zip(nodes, values, strict=True)}
+
+    def scan(self, r):
+        """A loop, with what it takes from rows and what it stacks up."""
+        nk = len(r.carries)
+        alive = [i for i, c in enumerate(r.carries) if {c.number, r.outs[i].number} & self.needed]
+        rows = [i for i, row in enumerate(r.rows) if row.number in self.needed]
+        stacked = [k for k, node in enumerate(r.outs[nk:]) if node.number in self.needed]
+
+        def body(carry, xs):
+            inner = self.within([*(r.carries[i] for i in alive), *(r.rows[i] for i in rows)], [*carry, *xs])
+            inner.block(r.block)
+            return [inner.whole(r.then[i]) for i in alive], [inner.whole(r.ys[r.stacks[k]]) for k in stacked]
+
+        first, xs = [self.whole(r.first[i]) for i in alive], [self.whole(r.xs[i]) for i in rows]
+        ends, ys = lax.scan(body, first, xs, length=r.length, reverse=r.reverse)
+        self.ended([*(r.outs[i] for i in alive), *(r.outs[nk + k] for k in stacked)], [*ends, *ys])
+
+    def loop(self, r):
+        """Rounds as long as a lane goes on."""
+
+        def asked(carry):
+            inner = self.within(r.carries, carry)
+            inner.block(r.asking)
+            begins = inner.whole(r.begins)
+            return inner, begins if self.active is None else begins & self.active
+
+        def body(carry):
+            inner = asked(carry)[0]  # what the body shares with the condition
+            inner = inner.within((), (), inner.whole(r.begins))
+            inner.block(r.block)
+            return list(map(inner.whole, r.then))
+
+        ends = lax.while_loop(lambda carry: asked(carry)[1], body, list(map(self.whole, r.first)))
+        self.ended(r.outs, ends)
+
+    def choice(self, r):
+        """A branch."""
+        alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
+        which, found = self.whole(r.which), None
+        for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
+            results = [results[i] for i in alive]
+            here = (~which, which)[k] if which.dtype == bool else which == k
+            made = (self.where_needed if self.weight(block) >= HEAVY else self.always)(block, results, here)
+            found = made if found is None else [lax.select(here, x, y) for x, y in zip(made, found, strict=True)]
+        self.ended([r.outs[i] for i in alive], found)
+
+    def weight(self, block) -> int:
+        """What a block costs, in operations."""
+        several = [i for i in block.items if (i.number if isinstance(i, Node) else id(i)) in self.needed]
+        return sum(COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in several)
+
+    def always(self, block, results, here):
+        """Results of a branch, for all lanes."""
+        inner = self.within((), (), here)
+        inner.block(block)
+        return list(map(inner.whole, results))
+
+    def where_needed(self, block, results, here):
+        """Results of a branch by a loop that runs once if some lane takes it; of other lanes nothing is said.
+
+        What it needs is carried through the loop, and ends as 0: XLA moves what does not change in a loop out of it.
+        """
+        reals = [n for n in _needs(block, results) if n.number in self.values and n.dtype.kind == "f"]
+
+        def body(state):
+            inner = self.within(reals, state[1], state[0])
+            inner.block(block)
+            return jnp.zeros_like(here), list(map(jnp.zeros_like, state[1])), list(map(inner.whole, results))
+
+        empty = [jnp.zeros(n.shape, n.dtype) for n in results]
+        return lax.while_loop(lambda state: state[0], body, (here, list(map(self.whole, reals)), empty))[2]
+
+
+def _at(x, places):
+    """The part of an array at known places of its first axes; None: all of an axis."""
+    sizes = [x.shape[k] if p is None else 1 for k, p in enumerate(places)] + list(x.shape[len(places) :])
+    starts = [p or 0 for p in places] + [0] * (x.ndim - len(places))
+    part = lax.slice(x, starts, [a + b for a, b in zip(starts, sizes, strict=True)])
+    return lax.squeeze(part, [k for k, p in enumerate(places) if p is not None])
+
+
+def _needs(block, results) -> list:
+    """Nodes that a block and its results refer to, in order."""
+    found = {n.number: n for n in results}
+    for item in all_items(block):
+        several = item.args if isinstance(item, Node) else [*item.used, *getattr(item, "xs", ())]
+        found |= {n.number: n for n in several}
+    return list(found.values())
+
+
+def _users(graph, needed, ends) -> dict:
+    """{number of a node: numbers of the operations that use it}; of any other use −1."""
+    found = {}
+    for item in all_items(graph.root):
+        if isinstance(item, Node):
+            by = item.number if is_operation(item) and not item.shape else -1
+            for a in item.args if item.number in needed else ():
+                found.setdefault(a.number, set()).add(by)
+        elif id(item) in needed:
+            for n in (*item.used, *getattr(item, "xs", ())):
+                found.setdefault(n.number, set()).add(-1)
+    for n in ends:
+        found.setdefault(n.number, set()).add(-1)
+    return found
+
+
+def _stages(nodes, users):
+    """Operations as stages, [(nodes, which of them are used outside)], so that XLA copies little within each.
+
+    XLA computes each result of a stage in one loop over the lanes, with all that leads to it, whatever else needs the
+    same. What several results need is a result of an earlier stage, unless it is little.
+    """
+    cones = _roots({n.number: n for n in nodes}, users)
+    by_number, stage_of, stages = {n.number: n for n in nodes}, {}, []
+    for root in cones:
+        before = (a.number for k in cones[root] for a in by_number[k].args)
+        at = max((stage_of[a] + 1 for a in before if a in stage_of), default=0)
+        at = max(at, len(stages) - BACK)
+        while at < len(stages) and len(stages[at][0]) > LONGEST:
+            at += 1
+        if at == len(stages):
+            stages.append((set(), []))
+        stage_of[root] = at
+        stages[at][0].update(cones[root])
+        stages[at][1].append(by_number[root])
+    return [([by_number[k] for k in sorted(inside)], outs) for inside, outs in stages]
+
+
+def _roots(nodes, users):
+    """{number of what is computed in a loop of its own: the numbers of what is computed there}, in order."""
+    top, shared = {}, {}
+    for number in reversed(nodes):
+        above = {top.get(u, -1) for u in users[number]}
+        if len(above) > 1 or -1 in above:
+            top[number], shared[number] = number, np.inf if -1 in above else len(above) - 1
+        else:
+            (top[number],) = above
+    cones, open_cones = {}, {}
+    for number, n in nodes.items():
+        cone = {number}.union(*(open_cones.get(a.number, ()) for a in n.args))
+        copies = shared.get(number, 0)
+        if copies * sum(COST.get(nodes[k].op, 1) for k in cone) >= WORTH:
+            cones[number] = cone
+        else:
+            open_cones[number] = cone
+    return cones

@@ -1,0 +1,96 @@
+"""Fixed transforms: geometry as it is given, in which numbers stay numbers and traced values stay traced.
+
+Vectors are tuples of scalars and matrices tuples of rows. A product with a Python 0 or 1 leaves no trace, so that of an
+arm whose link lengths are parameters the rest of the geometry stays known; `robot.model` makes arrays of it.
+"""
+
+import functools
+
+from cnclik.record import record
+
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+ZERO = (0.0, 0.0, 0.0)
+
+
+def is_number(a) -> bool:
+    """Whether a scalar is one of Python's own numbers, which are compiled in."""
+    return type(a) in (float, int)
+
+
+def mul(a, b):
+    if is_number(b) and not is_number(a):
+        a, b = b, a
+    if is_number(a) and a in (0, 1, -1):
+        return 0.0 if a == 0 else b if a == 1 else -b
+    return a * b
+
+
+def add(a, b):
+    if is_number(a) and a == 0:
+        return b
+    return a if is_number(b) and b == 0 else a + b
+
+
+def vadd(a, b):
+    return tuple(map(add, a, b))
+
+
+def scale(s, v):
+    return tuple(mul(s, x) for x in v)
+
+
+def vsub(a, b):
+    return vadd(a, scale(-1.0, b))
+
+
+def matvec(m, v):
+    return tuple(functools.reduce(add, map(mul, row, v)) for row in m)
+
+
+def matmul(a, b):
+    columns = transpose(b)
+    return tuple(matvec(columns, row) for row in a)
+
+
+def transpose(m):
+    return tuple(zip(*m, strict=True))
+
+
+def rotation_parts(axis):
+    """a aᵀ, [a]× and I − a aᵀ of a unit axis: a rotation about it is their sum, times 1, the sine and the cosine.
+
+    Rodrigues' formula (Murray, Li & Sastry 1994, eq. 2.14).
+    """
+    x, y, z = axis
+    along = tuple(scale(a, axis) for a in axis)
+    crossed = ((0.0, mul(-1.0, z), y), (z, 0.0, mul(-1.0, x)), (mul(-1.0, y), x, 0.0))
+    return along, crossed, tuple(map(vsub, IDENTITY, along))
+
+
+def rotation_about(axis, sine, cosine):
+    """The rotation about a unit axis by an angle of this sine and cosine."""
+    along, crossed, across = rotation_parts(axis)
+    rows = zip(along, crossed, across, strict=True)
+    return tuple(vadd(a, vadd(scale(cosine, c), scale(sine, s))) for a, s, c in rows)
+
+
+@record
+class Offset:
+    """A fixed transform: rotation (rows), then position, as seen from the frame before."""
+
+    position: tuple = ZERO  # [m]
+    rotation: tuple = IDENTITY
+
+
+def compose(first: Offset, second: Offset) -> Offset:
+    """The transform `first`, then `second` as seen from there."""
+    return Offset(
+        position=vadd(first.position, matvec(first.rotation, second.position)),
+        rotation=matmul(first.rotation, second.rotation),
+    )
+
+
+def inverse(offset: Offset) -> Offset:
+    """The transform that takes a fixed one back."""
+    back = transpose(offset.rotation)
+    return Offset(position=scale(-1.0, matvec(back, offset.position)), rotation=back)

@@ -1,0 +1,155 @@
+"""Model: a chain as arrays, where its frames are, and the geometric Jacobian; the core that every loop runs on.
+
+Joint i's transform is affine in the sine and cosine of its value and in the value itself,
+
+  Tᵢ(v) = Aᵢ + sin(v) Bᵢ + cos(v) Cᵢ + v Dᵢ  (4×4).
+"""
+
+import functools
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.cache import bounded_jit
+from cnclik.engine.constants import of_the_model
+from cnclik.hints import quick_jit
+from cnclik.record import kept, mapped, record
+from cnclik.robot import fixed
+from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.rotations import library
+
+
+@record
+class Model:
+    """A `Chain` as arrays: j joints, n coordinates."""
+
+    n: int  # joint coordinates
+    transforms: tuple  # A, B, C, D as above, (j, 4, 4) each; D is None where all joints are revolute
+    axes: object  # (j, 3) unit vectors in the joints' own frames
+    turning: object  # (j,) true for revolute joints; None where all are
+    mimic: object  # (multipliers (j, n), offsets (j,)) of the joint values; None where they are the coordinates
+    tip: object  # (4, 4)
+    lower: object  # (n,) as in `Chain`
+    upper: object
+    velocity_limit: object
+    bounded: bool  # whether some joint has a position limit, as far as that is known
+    slowed: bool  # and a velocity limit
+
+
+@record
+class Frames:
+    """The tip's pose, and for each joint its axis and a point on it, in the base frame."""
+
+    position: object  # (3,) [m]
+    rotation: object  # (3, 3)
+    axes: object  # (j, 3)
+    points: object  # (j, 3) [m]
+
+
+def joint_frames(chain: Model, q):
+    """The joints' frames in the base frame (..., j, 4, 4), each after its joint's motion, at q (..., n)."""
+    xp = library(q, chain.tip)
+    values = q if chain.mimic is None else q @ chain.mimic[0].T + chain.mimic[1]
+    still, sine, cosine, slide = chain.transforms
+    own = still + xp.sin(values)[..., None, None] * sine + xp.cos(values)[..., None, None] * cosine
+    if slide is not None:
+        own = own + values[..., None, None] * slide
+    return xp.stack(list(itertools.accumulate((own[..., i, :, :] for i in range(own.shape[-3])), xp.matmul)), -3)
+
+
+def frames(chain: Model, q) -> Frames:
+    """All frames at q (n,), as arrays; NumPy's where all are numbers, and then also of q (..., n)."""
+    xp = library(q, chain.tip)
+    chain = chain if xp is np else of_the_model(chain)
+    at = joint_frames(chain, q)
+    tip = at[..., -1, :, :] @ chain.tip
+    axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
+    return Frames(position=tip[..., :3, 3], rotation=tip[..., :3, :3], axes=axes, points=at[..., :3, 3])
+
+
+def jacobian_rows(chain: Model, at: Frames, linear, angular):
+    """Rows of the geometric Jacobian (..., m, n), those of the axes `linear` and `angular` among 0, 1, 2.
+
+    A revolute joint moves the tip by a × (p − pᵢ) and turns it by a; a prismatic one moves it by a.
+    """
+    xp = library(at.axes, at.points)
+    velocity, spin = xp.cross(at.axes, at.position[..., None, :] - at.points), at.axes
+    if chain.turning is not None:
+        turning = chain.turning[:, None]
+        velocity, spin = xp.where(turning, velocity, at.axes), xp.where(turning, spin, 0.0)
+    rows = xp.swapaxes(xp.concatenate([velocity, spin], axis=-1), -1, -2)
+    rows = rows[..., np.array([*linear, *(3 + i for i in angular)], int), :]
+    return rows if chain.mimic is None else rows @ chain.mimic[0]
+
+
+def modelled(tree):
+    """The tree with every `Chain` in it as a `Model`."""
+    if isinstance(tree, Model):
+        return tree
+    if not hasattr(tree, "__dataclass_fields__"):
+        return mapped(tree, Chain, modelled)
+    return kept(tree, "_modelled", _model if isinstance(tree, Chain) else lambda tree: mapped(tree, Chain, modelled))
+
+
+def _model(chain: Chain) -> Model:
+    xp = np if all(map(errors.concrete, jax.tree.leaves(chain))) else jnp  # NumPy compiles nothing
+    nothing = ((0.0,) * 3,) * 3
+
+    def matrix(rotation, position=fixed.ZERO, last=0.0):
+        return [*([*row, p] for row, p in zip(rotation, position, strict=True)), [0.0, 0.0, 0.0, last]]
+
+    def parts(joint):
+        """A, B, C and D."""
+        own = [fixed.matmul(joint.origin.rotation, part) for part in fixed.rotation_parts(joint.axis)]
+        still, sine, cosine = own if joint.kind == REVOLUTE else (joint.origin.rotation, nothing, nothing)
+        away = fixed.ZERO if joint.kind == REVOLUTE else fixed.matvec(joint.origin.rotation, joint.axis)
+        return matrix(still, joint.origin.position, 1.0), matrix(sine), matrix(cosine), matrix(nothing, away)
+
+    *turns, slide = (xp.array(part) for part in zip(*map(parts, chain.joints), strict=True))
+    turning = np.array([j.kind == REVOLUTE for j in chain.joints])
+    slide, turning = (None, None) if turning.all() else (slide, turning)
+    mimic = None
+    if [(j.coordinate, j.multiplier, j.offset) for j in chain.joints] != [(i, 1.0, 0.0) for i in range(chain.n)]:
+        onto = np.eye(chain.n)[[j.coordinate for j in chain.joints]]
+        multipliers, offsets = (xp.array([getattr(j, name) for j in chain.joints]) for name in ("multiplier", "offset"))
+        mimic = onto * multipliers[:, None], offsets
+
+    limits = {name: getattr(chain, name) for name in ("lower", "upper", "velocity_limit")}
+
+    def some(*names):
+        return not all(type(x) is float and math.isinf(x) for name in names for x in limits[name])
+
+    return Model(
+        n=chain.n,
+        transforms=(*turns, slide),
+        axes=xp.array([j.axis for j in chain.joints], float),
+        turning=turning,
+        mimic=mimic,
+        tip=xp.array(matrix(chain.tip.rotation, chain.tip.position, 1.0)),
+        **{name: xp.array(bound, float) for name, bound in limits.items()},
+        bounded=some("lower", "upper"),
+        slowed=some("velocity_limit"),
+    )
+
+
+def one_off(fn=None, *, as_given=False, **options):
+    """`jax.jit`, with its arguments, for programs that are run once or twice: compiled `quick`.
+
+    Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape; unless
+    they are wanted `as_given`, by a function that changes their links or has one for each lane.
+    """
+    if fn is None:
+        return functools.partial(one_off, as_given=as_given, **options)
+    jitted, quick = bounded_jit(fn, **options), quick_jit(fn, **options)
+
+    @functools.wraps(fn)
+    def call(*args, **named):
+        if not all(map(errors.concrete, jax.tree.leaves((args, named)))):
+            return jitted(*args, **named)  # part of another program
+        return quick(*(args if as_given else map(modelled, args)), **named)
+
+    return call

@@ -1,0 +1,141 @@
+"""Rotations as arrays: exponential and logarithm, quaternions; norms with derivatives everywhere."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+
+
+def library(*arrays):
+    """NumPy, which compiles nothing, where all of some arrays are its own, else JAX's."""
+    return np if all(isinstance(v, (np.ndarray, np.generic)) for v in arrays) else jnp
+
+
+def safe_norm(v):
+    """‖v‖ with derivative 0 (not NaN) at v = 0."""
+    return safe_sqrt(v @ v)
+
+
+def safe_sqrt(x):
+    """√x with derivative 0 (not NaN) at x = 0.
+
+    What stands for 0 below the root is a rounding: a compiler may work x out twice, once without rounding a product
+    (fused multiply-add), and find 0 only once; with 1 there, a target that rests would then have moved by 1 m.
+    """
+    zero, least = x == 0, float(jnp.finfo(jnp.result_type(x)).eps) ** 2
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, least, x)))
+
+
+def axial(m):
+    """Twice the vector of a 3×3 matrix's antisymmetric part: of a rotation by θ about a, 2 sin θ a."""
+    return jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+
+
+def crossed(w):
+    """[w]×, the matrix of the cross product with w."""
+    x, y, z = w
+    zero = jnp.zeros_like(x)
+    return jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+
+
+def exp_so3(w):
+    """Rotation of a rotation vector [rad]: exp([w]×) = I + a [w]× + b [w]×², finite with all derivatives at w = 0."""
+    squared = w @ w
+    small = squared < 1e-4
+    safe = jnp.where(small, 1.0, squared)
+    angle = jnp.sqrt(safe)
+    a = jnp.where(small, _series(squared, 1, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880), jnp.sin(angle) / angle)
+    b = jnp.where(small, _series(squared, 1 / 2, -1 / 24, 1 / 720, -1 / 40320), (1 - jnp.cos(angle)) / safe)
+    identity = jnp.eye(3, dtype=w.dtype)
+    return identity + a * crossed(w) + b * (jnp.outer(w, w) - squared * identity)
+
+
+def _series(x, *coefficients):
+    """Horner's rule: c0 + c1 x + c2 x² + ..."""
+    out = coefficients[-1]
+    for c in coefficients[-2::-1]:
+        out = c + x * out
+    return out
+
+
+def quaternion_from_rotation(r):
+    """Unit quaternion (w, x, y, z), w ≥ 0, of a rotation.
+
+    The rows of 4 q qᵀ are linear in the entries of R; taking the row with the largest diagonal keeps the
+    one square root away from 0, so values and derivatives stay finite everywhere (after Shepperd 1978).
+    """
+    rows = jnp.array(products_of_quaternion(r))
+    row, largest = rows[0], rows[0, 0]
+    for k in (1, 2, 3):
+        better = rows[k, k] > largest
+        row, largest = jnp.where(better, rows[k], row), jnp.where(better, rows[k, k], largest)
+    factor = 0.5 / jnp.sqrt(largest)
+    return jnp.where(row[0] < 0, -factor, factor) * row
+
+
+def products_of_quaternion(r):
+    """Rows of 4 q qᵀ of a rotation's quaternion, each entry linear in those of the rotation."""
+    (a, b, c), (d, e, f), (g, h, i) = r
+    return [
+        [1 + a + e + i, h - f, c - g, d - b],
+        [h - f, 1 + a - e - i, b + d, c + g],
+        [c - g, b + d, 1 - a + e - i, f + h],
+        [d - b, c + g, f + h, 1 - a - e + i],
+    ]
+
+
+def rotation_from_quaternion(q):
+    """Rotation of a unit quaternion (w, x, y, z), as rows of scalars, or of arrays where q is four of them."""
+    w, x, y, z = q
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def log_so3(r):
+    """Rotation vector [rad], of length at most π, of a rotation: the inverse of `exp_so3`.
+
+    Values and derivatives are finite at 0 and at π. At exactly π the vector and its negative describe the
+    same rotation; one of them is returned, with the derivative of its branch.
+    """
+    q = quaternion_from_rotation(r)
+    w, v = q[0], q[1:]
+    squared = v @ v  # sin²(θ/2)
+    small = squared < 1e-4
+    sine = jnp.sqrt(jnp.where(small, 1.0, squared))
+    # Below the threshold 2 asin(s)/s as a series; elsewhere atan2, exact up to θ = π where w = 0.
+    series = _series(squared, 2.0, 1 / 3, 3 / 20, 5 / 56, 35 / 576)
+    return jnp.where(small, series, 2 * jnp.arctan2(sine, jnp.where(small, 1.0, w)) / sine) * v
+
+
+def log_quaternion(w, v):
+    """Rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0; smooth, without a branch.
+
+    From y = tan²(θ/8) ≤ 0.172, where the series of atan(√y)/√y is short: a third of the time of `log_so3`.
+    """
+    up = 1.0 / (1.0 + w)
+    x = (v @ v) * up * up  # tan²(θ/4)
+    upper = 1.0 / (1.0 + jnp.sqrt(1.0 + x))
+    y = x * upper * upper
+    terms = 10 if jnp.finfo(jnp.result_type(y)).bits <= 32 else 22
+    return 8 * up * upper * _series(y, *((-1) ** k / (2 * k + 1) for k in range(terms))) * v
+
+
+def turn_from(a, b):
+    """log(exp(−a) exp(b)) of rotation vectors [rad]: exact relative to their size, however small they are."""
+    (wa, va), (wb, vb) = half_turn(a), half_turn(b)
+    w = wa * wb + va @ vb
+    v = wa * vb - wb * va - jnp.cross(va, vb)
+    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)  # the shorter way
+    return log_quaternion(sign * w, sign * v)
+
+
+def half_turn(v):
+    """Unit quaternion (w, (x, y, z)) of a rotation vector no longer than 2π [rad], by series without a branch."""
+    squared = 0.25 * (v @ v)
+    terms = 9 if jnp.finfo(jnp.result_type(squared)).bits <= 32 else 15
+    sine = _series(squared, *((-1) ** k / math.factorial(2 * k + 1) for k in range(terms)))
+    cosine = _series(squared, *((-1) ** k / math.factorial(2 * k) for k in range(terms)))
+    return cosine, 0.5 * sine * v
