@@ -3,8 +3,8 @@
 Everything is measured anew; sections can be chosen by name, the others keep what the file holds:
 
     python -m tests.bench                     # all: about 15 minutes
-    python -m tests.bench peers tricks        # some
-    python -m tests.bench.document            # docs/speed.md from the files
+    python -m tests.bench peers cores         # some
+    python -m tests.bench.document            # the pages from the files
 
 Needs `pip install -e .[test,bench]`, g++ and Eigen (libeigen3-dev). Leave the machine alone meanwhile.
 """
@@ -18,7 +18,7 @@ import time
 
 from cnclik.bench import timing as bench
 from cnclik.bench.lines import Line
-from tests.bench import document, peers, tricks
+from tests.bench import document, peers
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "speed"
 
@@ -73,7 +73,6 @@ def million(rounds, seconds):
 
 SECTIONS = {
     "peers": lambda args: peers.compare(args.rounds, args.batch, say),
-    "tricks": lambda args: tricks.compare(args.rounds, args.batch, say=say),
     "cores": lambda args: cores(min(args.rounds, 5), args.seconds),
     "compile": lambda args: compiling(min(args.rounds, 3), args.seconds),
     "gradient": lambda args: gradient(min(args.rounds, 3), args.seconds),
@@ -86,7 +85,7 @@ def main() -> None:
     parser.add_argument("section", nargs="*", help=f"any of {', '.join(SECTIONS)}; by default all")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--seconds", type=float, default=2.0, help="for the repeated runs of one line")
-    parser.add_argument("--batch", type=int, default=peers.BATCH, help="of peers and tricks; less only to try things")
+    parser.add_argument("--batch", type=int, default=peers.BATCH, help="of peers; less only to try things")
     parser.add_argument("--output", type=pathlib.Path, default=RESULTS / "peers.json")
     args = parser.parse_args()
     for name in args.section:

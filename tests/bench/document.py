@@ -1,6 +1,6 @@
-"""Tables of docs/speed.md from the files that were measured: `python -m tests.bench.document`.
+"""Tables of docs/speed.md and how-measured.md from the files that were measured: `python -m tests.bench.document`.
 
-The page's text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
+The pages' text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
 results/speed/peers.json (`python -m tests.bench`), table.json (`cnclik bench --json`) and first.json
 (`python -m tests.bench.first --json`).
 """
@@ -17,7 +17,7 @@ from cnclik.measure.files import markdown
 from tests.bench import first
 
 ROOT = pathlib.Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "speed.md"
+PAGES = [ROOT / "docs" / name for name in ("speed.md", "how-measured.md")]
 RESULTS = ROOT / "results" / "speed"
 
 
@@ -167,18 +167,6 @@ def _single(found):
     return markdown(("one warm solve of 50 steps", "type", "flags", "µs", "range"), rows)
 
 
-def _tricks(found):
-    rows, best = [], found["tricks"][0]
-    for r in found["tricks"]:
-        slower = f"{ratio(r, best)[0]:.2f}×"
-        speed, compile_s = (
-            f"{r['evaluations_per_second'] / 1e6:.3g}",
-            f"{max(r['compile_s'], 0):.1f}",
-        )  # a slow run hides it
-        rows.append((r["name"], speed, slower, compile_s, f"{r['difference']:.0e}"))
-    return markdown(("with", "M eval/s", "time, times everything on", "compile [s]", "q differs by"), rows)
-
-
 def _machine(found):
     m = found["machine"]
     return (
@@ -207,8 +195,6 @@ def sections(results: pathlib.Path) -> dict:
         made |= {"machine": _machine(found), "reach": _reach(found)}
         if "peers" in found:
             made |= {"peers": _peers(found), "single": _single(found)}
-        if "tricks" in found:
-            made["tricks"] = _tricks(found)
     if (results / "table.json").exists():
         made["bench"] = _bench(json.loads((results / "table.json").read_text()))
     if (results / "first.json").exists():
@@ -217,11 +203,9 @@ def sections(results: pathlib.Path) -> dict:
 
 
 def fill(text: str, made: dict) -> str:
-    """The page with every marked section replaced that there is something new for."""
+    """A page with every marked section replaced that there is something new for."""
     for name, table in made.items():
         pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        if not pattern.search(text):
-            raise SystemExit(f"{PAGE.name} has no section marked {name}.")
         text = pattern.sub(lambda m, table=table: f"{m[1]}\n{table.strip()}\n\n{m[2]}", text)
     return text
 
@@ -241,5 +225,6 @@ def show(found: dict) -> None:
 
 if __name__ == "__main__":
     made = sections(RESULTS)
-    PAGE.write_text(fill(PAGE.read_text(), made))
-    print(f"Wrote {', '.join(made) or 'nothing'} in {PAGE}", file=sys.stderr)
+    for page in PAGES:
+        page.write_text(fill(page.read_text(), made))
+    print(f"Wrote {', '.join(made) or 'nothing'} in {', '.join(p.name for p in PAGES)}", file=sys.stderr)

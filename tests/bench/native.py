@@ -1,6 +1,6 @@
-"""`python -m tests.bench.native`: a function without robots in it, inside a user's own jit, plain and as C (a minute).
+"""`python -m tests.bench.native`: functions without robots in them, inside a user's own jit, plain and as C (a minute).
 
-docs/speed.md shows the table. On one core, by CPU time, in turn, the least of several rounds; the first call compiles.
+docs/how-fast.md shows the table. On one core, by CPU time, in turn, the least of several rounds; the first call compiles.
 """
 
 import functools
@@ -14,6 +14,23 @@ import numpy as np
 import cnclik as ck
 
 LANES, ROUNDS = 4096, 15
+LINKS = np.array([0.5, 0.4, 0.3], np.float32)
+
+
+def tip(q):
+    """Where a chain of three links ends."""
+    angles = jnp.cumsum(q)
+    return jnp.stack([LINKS @ jnp.cos(angles), LINKS @ jnp.sin(angles)])
+
+
+def chain(q, _):
+    """Joints of the chain after 50 steps of damped least squares."""
+
+    def closer(q, _):
+        J = jax.jacfwd(tip)(q)
+        return q + 0.01 * J.T @ jnp.linalg.solve(J @ J.T + 0.01 * jnp.eye(2), jnp.ones(2)), None
+
+    return jax.lax.scan(closer, q[:3], length=50)[0]
 
 
 def swing(state, lengths, solve=jnp.linalg.solve):
@@ -54,6 +71,7 @@ def gradient(fn):
 
 
 PROGRAMS = {
+    "chain × 50 steps": (value, chain),
     "value": (value, swing),
     "value, `solve` by hand": (value, functools.partial(swing, solve=by_hand)),
     "gradient by the lengths": (gradient, swing),
@@ -65,7 +83,7 @@ def main():
     """Print the table."""
     states = np.random.default_rng(0).normal(size=(LANES, 4)).astype(np.float32)
     lengths = np.array([1.0, 0.7], np.float32)
-    print(f"| {LANES:,} pendulums × 200 steps | jit(vmap) [ms] | with `ck.native` [ms] | ratio | first calls [s] |")
+    print(f"| {LANES:,} lanes; pendulums × 200 steps | jit(vmap) [ms] | with `ck.native` [ms] | ratio | first calls [s] |")
     print("| --- | ---: | ---: | ---: | ---: |")
     for name, (make, fn) in PROGRAMS.items():
         runs, first, best = [make(fn), make(ck.native(fn))], [], [np.inf] * 2
