@@ -1,6 +1,6 @@
 """`python -m tests.bench.native`: functions without robots in them, inside a user's own jit, plain and as C (a minute).
 
-docs/how-fast.md shows the table. On one core, by CPU time, in turn, the least of several rounds; the first call compiles.
+docs/how-fast.md shows the table. On one core, by CPU time, in turn, the least of several rounds.
 """
 
 import functools
@@ -83,7 +83,7 @@ def main():
     """Print the table."""
     states = np.random.default_rng(0).normal(size=(LANES, 4)).astype(np.float32)
     lengths = np.array([1.0, 0.7], np.float32)
-    print(f"| {LANES:,} lanes; pendulums × 200 steps | jit(vmap) [ms] | with `ck.native` [ms] | ratio | first calls [s] |")
+    print(f"| {LANES:,}; pendulums × 200 steps | jit(vmap) [ms] | with `ck.native` [ms] | ratio | first calls [s] |")
     print("| --- | ---: | ---: | ---: | ---: |")
     for name, (make, fn) in PROGRAMS.items():
         runs, first, best = [make(fn), make(ck.native(fn))], [], [np.inf] * 2
