@@ -1,6 +1,6 @@
 """The command line: one module per verb, each loaded only when its verb is used.
 
-A verb's module holds a dataclass `Args` (its options, read by tyro) and `run(args)`. To add one, name it
+A verb's module holds a dataclass `Args` (its options, see `arguments`) and `run(args)`. To add one, name it
 in `VERBS`.
 """
 

@@ -1,121 +1,170 @@
-"""Command line arguments into a verb's `Args`; whatever is wrong with them comes out as one line.
+"""Command line arguments into a verb's `Args`: a dataclass whose fields are its options.
 
-The arguments are held against the dataclass before tyro reads them, so that no message depends on tyro's wording, and
-numbers with a unit become numbers in the option's own.
+A field's type says how many values of which kind its option takes, the text below it is its help. Numbers with a unit
+become numbers in the option's own. Whatever is wrong comes out as one line.
 """
 
-import contextlib
+import argparse
+import ast
 import dataclasses
-import io
+import inspect
 import itertools
 import re
+import textwrap
 import typing
-
-import tyro
 
 from cnclik import errors, quantities
 
-_FRAME = re.compile("[^\x20-\u024f\u0370-\u03ff]+")  # what tyro draws around its messages
 _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
 
-@dataclasses.dataclass(frozen=True)
-class Unit:
-    """Mark of an option: the unit of its numbers, see `cnclik.quantities.units`."""
+def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about="", positional=False):
+    """A field of `Args` of which more is to be said than its type and default.
 
-    unit: str
+    Args:
+      default: where nothing is given; a function makes it. Without one the option must be given.
+      unit: of its numbers, see `cnclik.quantities.units`.
+      metavar: what stands for a value in the help; by default its kind.
+      name: of the option; the field's by default.
+      about: its help, where no text stands below the field.
+      positional: given by its place, and not by a name.
+    """
+    made = {"default_factory" if callable(default) else "default": default}
+    return dataclasses.field(
+        **made, metadata={"unit": unit, "metavar": metavar, "name": name, "about": about, "positional": positional}
+    )
 
 
-class _Kind(typing.NamedTuple):
-    """What an option takes: a type, and the unit of its numbers; and whether it must be given."""
+class _Option(typing.NamedTuple):
+    """What an option takes."""
 
+    name: str
+    field: str
     hint: object
-    unit: str = "1"
-    required: bool = False
+    default: object
+    unit: str
+    metavar: str
+    about: str
+    positional: bool
+
+    @property
+    def many(self):
+        """Whether it may be given again and again, one value each time."""
+        return typing.get_origin(self.hint) is list
+
+    @property
+    def switch(self):
+        """Whether it stands without a value."""
+        return _most(self.hint) == 0
 
 
 def parse(Args, argv, *, prog, description):
-    """`argv` as an instance of the dataclass `Args`; `--help` prints and exits as tyro does.
+    """`argv` as an instance of the dataclass `Args`; `--help` prints and exits.
 
     Its attribute `written` has {option: the unit that each of its numbers was given in, or None}.
 
     Raises: ArgumentError naming the option, what it must be and what it is, or the nearest name.
     """
-    argv, written = [str(a) for a in argv], {}
-    if not {"-h", "--help"} & set(argv):
-        argv, written = _checked(Args, argv)
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            made = tyro.cli(Args, args=argv, prog=prog, description=description)
-        object.__setattr__(made, "written", written)  # beside the fields, of frozen ones too
-        return made
-    except SystemExit as leaving:
-        if not leaving.code:
-            raise
-    raise errors.ArgumentError(" ".join(_FRAME.sub(" ", said.getvalue()).split()))
+    every, argv = _options(Args), [str(a) for a in argv]
+    if {"-h", "--help"} & set(argv):
+        more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # which dataclasses write
+        _parser(every, prog, f"{description}\n\n{inspect.cleandoc(more)}").print_help()
+        raise SystemExit(0)
+    named, places = {one.name: one for one in every if not one.positional}, [one for one in every if one.positional]
+    loose, given = _split(named, argv)
+    if len(loose) > len(places):
+        raise _unknown(named, loose[len(places)])
+    made = {one.field: _value(one.hint, [word]) for one, word in zip(places, loose, strict=False)}
+    written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
+    for one, values in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
+        values, written[one.name[2:].replace("-", "_")] = _in_own_units(one, values, Ts)
+        if not _fits(one.hint, values):
+            raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.hint)}, but is {' '.join(values)!r}.")
+        value = _value(one.hint, values)
+        made[one.field] = [*made.get(one.field, []), *value] if one.many else value
+        Ts = value if one.field == "Ts" else Ts
+    for one in every:
+        if one.field not in made and one.default is dataclasses.MISSING:
+            kind, what = ("Argument", f": {one.about.rstrip('.')}") if one.positional else ("Option", "")
+            raise errors.ArgumentError(f"{kind} `{one.name}` must be given, but is not{what}.")
+    args = Args(**made)
+    object.__setattr__(args, "written", written)  # beside the fields, of frozen ones too
+    return args
 
 
-def _checked(Args, argv):
-    """(argv with numbers in the options' own units, units as they were written).
+def _options(Args) -> list:
+    """The options of a dataclass; those that are given by their place among them."""
+    hints, about, every = typing.get_type_hints(Args), _texts(Args), []
+    for field in dataclasses.fields(Args):
+        marks, lazy = field.metadata, field.default_factory is not dataclasses.MISSING
+        positional, name = marks.get("positional", False), marks.get("name") or field.name
+        metavar = marks.get("metavar") or (name.upper() if positional else _metavar(hints[field.name]))
+        every.append(_Option(
+            metavar if positional else "--" + name.replace("_", "-"), field.name, hints[field.name],
+            field.default_factory() if lazy else field.default, marks.get("unit", "1"), metavar,
+            marks.get("about") or about.get(field.name, ""), positional,
+        ))  # fmt: skip
+    return every
 
-    Raises: ArgumentError for an unknown option, a value of the wrong kind, one too many or one missing.
+
+def _texts(Args) -> dict:
+    """{field: the text below it} of a dataclass and of those that it is made of."""
+    found = {}
+    for kind in reversed(Args.__mro__[:-1]):
+        try:
+            body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
+        except (OSError, TypeError):  # made by `make_dataclass`, or without its source
+            continue
+        for field, text in itertools.pairwise(body):
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+                found[field.target.id] = " ".join(text.value.value.split())
+    return found
+
+
+def _split(named, argv):
+    """(what is given by its place, [(option, its values)]); the values of --no-NAME are ["False"].
+
+    Raises: ArgumentError for an unknown option, or one without a value.
     """
-    options, positionals = _fields(Args)
-    switches = {"--no-" + name[2:]: kind for name, kind in options.items() if kind.hint is bool}
-    loose, queue, given = [], list(argv), []
+    off = {"--no-" + name[2:]: one for name, one in named.items() if one.switch}
+    loose, given, queue = [], [], list(argv)
     while queue:
         token = queue.pop(0)
         if not _is_option(token):
             loose.append(token)
             continue
-        written, equals, value = token.partition("=")
-        name = "--" + written.lstrip("-").replace("_", "-")
-        kind = (options | switches).get(name)
-        if kind is None or not written.startswith("--"):
-            raise _unknown(options, written)
-        values = [value] if equals else _values(kind, queue)
+        typed, equals, value = token.partition("=")
+        name = "--" + typed.lstrip("-").replace("_", "-")
+        one = (named | off).get(name)
+        if one is None or not typed.startswith("--"):
+            raise _unknown(named, typed)
+        values = [value] if equals else _values(one, queue)
         queue = queue if equals else queue[len(values) :]
-        if not values and _least(kind.hint):
-            raise errors.ArgumentError(f"Option `{name}` must be given {_words(kind.hint)}, but has no value.")
-        given.append((name, kind, values))
-    given.sort(key=lambda one: one[1].unit == quantities.SAMPLES)  # a time is samples once the sampling time is known
-    Ts, units, tokens = next((f.default for f in dataclasses.fields(Args) if f.name == "Ts"), None), {}, []
-    for name, kind, values in given:
-        values, units[name[2:].replace("-", "_")] = _in_own_units(name, kind, values, Ts)
-        if not _fits(kind.hint, values):
-            raise errors.ArgumentError(f"Option `{name}` must be {_words(kind.hint)}, but is {' '.join(values)!r}.")
-        Ts = quantities.number(values[0]) if name == "--Ts" else Ts
-        tokens += [name, *values]
-    most = sum(_most(hint) or len(loose) for hint, _, _ in positionals.values())
-    if len(loose) > most:
-        raise _unknown(options, loose[most])
-    for name, (_, required, what) in list(positionals.items())[len(loose) :]:
-        if required:
-            raise errors.ArgumentError(f"Argument `{name}` must be given, but is not{': ' + what if what else ''}.")
-    for name, kind in options.items():
-        if kind.required and all(name != one for one, *_ in given):
-            raise errors.ArgumentError(f"Option `{name}` must be given, but is not.")
-    return [*loose, *tokens], units
+        if not values and _least(one.hint):
+            raise errors.ArgumentError(f"Option `{name}` must be given {_words(one.hint)}, but has no value.")
+        if one.switch and values in ([], ["True"], ["False"]):
+            values = [str((values != ["False"]) is (name not in off))]
+        given.append((one, values))
+    return loose, given
 
 
-def _values(kind, queue) -> list:
+def _values(one, queue) -> list:
     """The values at the head of a queue that an option takes, a unit that stands apart among them."""
     values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
-    most = _most(kind.hint)
-    if most is not None and values[most : most + 1] and values[most] in quantities.units(kind.unit):
+    most = 1 if one.many else _most(one.hint)
+    if most is not None and values[most : most + 1] and values[most] in quantities.units(one.unit):
         most += 1
     return values[:most]
 
 
-def _in_own_units(name, kind, values, Ts):
+def _in_own_units(one, values, Ts):
     """(values as numbers without units, the units that they had); what is no number passes, and fits nothing."""
-    if not _is_numeric(kind.hint) or values == ["None"] or not values:
+    if not _is_numeric(one.hint) or values == ["None"] or not values:
         return values, ()
     try:
-        found = quantities.read(" ".join(values), kind.unit, Ts)
+        found = quantities.read(" ".join(values), one.unit, Ts)
     except ValueError as error:
-        raise errors.ArgumentError(f"Option `{name}` must be {_words(kind.hint)}, but {error}.") from None
+        raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.hint)}, but {error}.") from None
     if not any(found.written) and len(found) == len(values):
         return values, found.written
     return [f"{v:.0f}" if v.is_integer() and abs(v) < 1e15 else repr(v) for v in found], found.written
@@ -125,31 +174,11 @@ def _is_option(token) -> bool:
     return token.startswith("-") and len(token) > 1 and not _NUMBER.match(token)
 
 
-def _unknown(options, found):
+def _unknown(named, found):
     try:
-        errors.one_of("Option", found, list(options))
+        errors.one_of("Option", found, list(named))
     except errors.ArgumentError as error:
         return errors.ArgumentError(str(error).replace("Argument `Option`", "Option", 1))
-
-
-def _fields(Args):
-    """({"--name": _Kind}, {"NAME": (type, required, what it is)}): the options of a dataclass and its positionals."""
-    hints, marked = typing.get_type_hints(Args), typing.get_type_hints(Args, include_extras=True)
-    options, positionals = {}, {}
-    for field in dataclasses.fields(Args):
-        marks = getattr(marked[field.name], "__metadata__", ())
-        about = {key: v for m in marks for key in ("name", "metavar", "help") if (v := getattr(m, key, None))}
-        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        if tyro.conf.Positional in marks:
-            name = about.get("metavar", field.name.upper())
-            positionals[name] = hints[field.name], required, about.get("help", "").rstrip(".")
-        else:
-            append = tyro.conf.UseAppendAction in marks
-            hint = hints[field.name]
-            hint = typing.get_args(hint)[0] if append else hint
-            unit = next((m.unit for m in marks if isinstance(m, Unit)), "1")
-            options["--" + about.get("name", field.name).replace("_", "-")] = _Kind(hint, unit, required)
-    return options, positionals
 
 
 # --- types --------------------------------------------------------------------------------------------
@@ -179,7 +208,7 @@ def _least(hint):
 def _fits(hint, values) -> bool:
     origin, inner = _parts(hint)
     if hint is bool:
-        return values in ([], ["True"], ["False"])
+        return values in (["True"], ["False"])
     if origin is typing.Literal:
         return values[0] in map(str, inner)
     if origin in (tuple, list):
@@ -190,6 +219,21 @@ def _fits(hint, values) -> bool:
     if hint is int:
         return re.fullmatch("[+-]?[0-9]+", values[0]) is not None
     return hint is not float or quantities.number(values[0]) is not None
+
+
+def _value(hint, values):
+    """Values that fit a type, of it."""
+    origin, inner = _parts(hint)
+    if hint is bool:
+        return values == ["True"]
+    if origin is typing.Literal:
+        return next(a for a in inner if str(a) == values[0])
+    if origin in (tuple, list):
+        each = inner if _most(hint) else inner[:1] * len(values)
+        return origin(_value(kind, [v]) for kind, v in zip(each, values, strict=True))
+    if origin:
+        return None if values == ["None"] else _value(next(a for a in inner if _fits(a, values)), values)
+    return hint(values[0])
 
 
 def _is_numeric(hint) -> bool:
@@ -214,3 +258,36 @@ def _words(hint) -> str:
     if origin:
         return " or ".join(_words(a) for a in inner)
     return f"a {getattr(hint, '__name__', hint)}".lower()
+
+
+# --- help ---------------------------------------------------------------------------------------------
+
+
+def _metavar(hint) -> str:
+    """What stands for an option's values in the help: "X", "INT INT", "NAME ...", "one,two"."""
+    origin, inner = _parts(hint)
+    if origin is typing.Literal:
+        return "{" + ",".join(map(str, inner)) + "}"
+    if origin in (tuple, list):
+        return " ".join(map(_metavar, inner)) if _most(hint) else f"{_metavar(inner[0])} ..."
+    return _metavar(inner[0]) if origin else {int: "INT", float: "X", str: "NAME"}.get(hint, "PATH")
+
+
+def _parser(every, prog, description):
+    """What prints the help."""
+    needed = {one.name: one.default is dataclasses.MISSING for one in every if one.positional}
+    usage = " ".join([prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog, usage, description.strip(), formatter_class=form)
+    for one in every:
+        about = one.about.replace("%", "%%")
+        if one.default not in (None, False, (), [], dataclasses.MISSING):
+            shown = " ".join(map(str, one.default)) if isinstance(one.default, tuple) else one.default
+            about = f"{about} (default: {'on' if shown is True else shown})"
+        if one.positional:
+            parser.add_argument(one.field, metavar=one.name, help=about)
+        elif one.switch:
+            parser.add_argument(one.name, "--no-" + one.name[2:], action="store_true", dest=one.field, help=about)
+        else:
+            parser.add_argument(one.name, metavar=one.metavar, dest=one.field, help=about)
+    return parser

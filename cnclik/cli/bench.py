@@ -5,9 +5,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from cnclik import errors
 from cnclik.bench import lines
@@ -28,7 +26,7 @@ class Args(CacheOption):
     """Method of the step."""
     stage: tuple[Literal[lines.STAGES], ...] = ()
     """How implicit stages are solved; explicit methods don't use it."""
-    M: Annotated[tuple[int, ...], tyro.conf.arg(name="M")] = ()
+    M: tuple[int, ...] = ()
     """Passes of the implicit stage."""
     dtype: tuple[Literal["float32", "float64"], ...] = ()
     """Type of all numbers."""
@@ -36,7 +34,7 @@ class Args(CacheOption):
     """Loops side by side."""
     cores: tuple[int, ...] = ()
     """Cores that the process is held to."""
-    N: Annotated[int | None, tyro.conf.arg(name="N")] = None
+    N: int | None = None
     """Steps of a loop; by default 50, fewer for large batches."""
     all: bool = False
     """Every combination of the table's robots, methods, types and batches (long)."""

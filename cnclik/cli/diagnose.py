@@ -3,39 +3,36 @@ drive."""
 
 import dataclasses
 import pathlib
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from cnclik import errors
-from cnclik.cli.arguments import Unit
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import Number
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import in_samples
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions):
-    log: Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(metavar="LOG.csv")]
+    log: pathlib.Path = option(metavar="LOG.csv", positional=True)
     """A recording: a row for each sample, a column for each joint, error or command."""
-    Ts: Annotated[Number, Unit("s")] = None
+    Ts: float | None = option(None, unit="s")
     """Sampling time of loop and recording [s]; of a column of times (time, timestamp, header.stamp, ...) by default."""
-    alpha: Annotated[Number, Unit("1/s")] = None
+    alpha: float | None = option(None, unit="1/s")
     """Gain of the loop [1/s]: the answer then names the gain that ends the ringing, else by how much to change it."""
-    columns: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...", help_behavior_hint="")] = None
+    columns: tuple[str, ...] | None = None
     """Which columns, by name or number; all but times and status by default. With --step: commands, then motions."""
-    longest_period: Annotated[Number, Unit("s")] = None
+    longest_period: float | None = option(None, unit="s")
     """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
     step: bool = False
     """Fit a drive to recorded commands and motion: columns named command..., position..., or the two there are."""
     command: Literal["position", "velocity"] = "position"
     """With --step: what was commanded."""
-    kind: Annotated[Literal["delay", "lag", "second-order"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    kind: Literal["delay", "lag", "second-order"] | None = None
     """With --step: which drive; by default the simplest that explains the recording."""
     json: bool = False
     """Print all numbers as JSON."""
-    out: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    out: pathlib.Path | None = None
     """Where to draw diagnose.png."""
 
 

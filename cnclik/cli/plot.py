@@ -2,16 +2,15 @@
 
 import dataclasses
 import pathlib
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions):
-    folder: Annotated[pathlib.Path, tyro.conf.Positional]
+    folder: pathlib.Path = option(positional=True)
     """Folder of a sweep, with its data.zarr."""
     spec: pathlib.Path | None = None
     """A spec whose [[figure]] tables to draw in place of those the sweep was run with."""

@@ -6,36 +6,22 @@ needs; `problem(args)` builds what they say.
 
 import dataclasses
 import keyword
-from typing import Annotated
 
-import tyro
-
-from cnclik.cli.arguments import Unit
+from cnclik.cli.arguments import option
 from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
-_METAVARS = {NAME: "NAME", NUMBER: "X", NUMBERS: "X ...", INTEGER: "INT"}
-
-Numbers = Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="X ...", help_behavior_hint="")]
-Number = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
 
 
 def _field(name):
-    """(name, type, field) of one option, for a dataclass that tyro reads."""
-    option = SWEPT[name]
-    kind, default = _TYPES[option.kind], option.default
-    about = {"help": option.help, "metavar": _METAVARS[option.kind]}
+    """(name, type, field) of one option, for a dataclass of options."""
+    one = SWEPT[name]
+    kind, default = _TYPES[one.kind], one.default
     if name == "robot":
-        marked = Annotated[tyro.conf.Positional[str], tyro.conf.arg(**about | {"metavar": "ROBOT"})]
-        return name, marked, dataclasses.field()
-    if default is None:  # "(default: None)" tells nobody anything
-        kind, about = kind | None, about | {"help_behavior_hint": ""}
-    elif option.kind == NUMBERS:
-        default = (default,)
-    if keyword.iskeyword(name):
-        about["name"] = name
-    marked = Annotated[kind, tyro.conf.arg(**about), Unit(option.unit)]
-    return name + "_" * keyword.iskeyword(name), marked, dataclasses.field(default=default)
+        return name, str, option(about=one.help, positional=True)
+    kind = kind | None if default is None else kind
+    default = (default,) if one.kind == NUMBERS and default is not None else default
+    return name + "_" * keyword.iskeyword(name), kind, option(default, unit=one.unit, name=name, about=one.help)
 
 
 def _group(title, names):

@@ -5,26 +5,22 @@ import dataclasses
 import functools
 import pathlib
 import time
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.arguments import Unit
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import robot_and_task
-from cnclik.cli.problem import Number, Numbers, RobotOptions, TaskOptions, look_at_units
+from cnclik.cli.problem import RobotOptions, TaskOptions, look_at_units
 from cnclik.cli.remarks import print_json
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
-    targets: Annotated[
-        tyro.conf.Positional[pathlib.Path | None], tyro.conf.arg(metavar="TARGETS", help_behavior_hint="")
-    ] = None
+    targets: pathlib.Path | None = option(None, positional=True)
     """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms."""
-    random: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    random: int | None = None
     """So many poses that can be reached, at random, in place of TARGETS."""
     map: Literal["xy", "xz", "yz", "box"] | None = None
     """Where the robot can reach, over a plane or a box, in place of TARGETS."""
@@ -32,23 +28,23 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """Places of --map along each axis."""
     orientations: int = 24
     """Orientations of --map at each place."""
-    at: Annotated[float, Unit("m")] = 0.0
+    at: float = option(0.0, unit="m")
     """Where on the third axis the plane of --map lies [m]."""
     seed: int = 0
     """Of --random and of the search."""
-    tolerance: Annotated[tuple[float, float], Unit("m, rad")] = (1e-6, 1e-6)
+    tolerance: tuple[float, float] = option((1e-6, 1e-6), unit="m, rad")
     """Of position [m] and orientation [rad]."""
-    accept: Annotated[tuple[float, float] | None, tyro.conf.arg(help_behavior_hint=""), Unit("m, rad")] = None
+    accept: tuple[float, float] | None = option(None, unit="m, rad")
     """A wider pair, within which an answer is ACCEPTED where the tolerance is not met."""
-    near: Annotated[Numbers, Unit("q")] = None
+    near: tuple[float, ...] | None = option(None, unit="q")
     """Joint values to search from [rad, m], such as where the robot is now."""
     path: bool = False
     """Targets are a path: search each from the answer before it."""
-    jump: Annotated[Number, Unit("q")] = None
+    jump: float | None = option(None, unit="q")
     """The most that any joint may be away from --near, or from the answer before [rad, m]."""
     solutions: int = 1
     """Different answers for each target."""
-    seeds: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    seeds: int | None = None
     """Postures to start from, at most, for each target; 512, of --map 32."""
     budget: int = 25_000
     """Evaluations for each target, at most, while there is no answer."""
@@ -56,7 +52,7 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """Keep the joint limits."""
     json: bool = False
     """Print the summary as JSON; the search runs twice, for the time without compiling."""
-    out: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    out: pathlib.Path | None = None
     """Where to write the answers: FILE.npz, .nc or .csv; of --map a folder, reach-out."""
 
 

@@ -4,10 +4,8 @@ import dataclasses
 import math
 import sys
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from cnclik.cli.arguments import option
 from cnclik.cli.common import CacheOption
 
 DEEPEST = 120  # columns that the lines of the tree take; what is deeper stands below one another
@@ -17,7 +15,7 @@ DEEPEST = 120  # columns that the lines of the tree take; what is deeper stands 
 class Args(CacheOption):
     """Show a robot's tree, joints and limits."""
 
-    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    file: Path = option(positional=True)
     """A URDF file."""
 
 

@@ -6,9 +6,6 @@ import math
 import pathlib
 import textwrap
 import time
-from typing import Annotated
-
-import tyro
 
 from cnclik import errors
 from cnclik.cli import progress
@@ -24,13 +21,12 @@ from cnclik.cli.advice import (
     title_of,
     without_largest,
 )
-from cnclik.cli.arguments import Unit
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import (
     DriveOptions,
     LoopOptions,
-    Numbers,
     RobotOptions,
     TaskOptions,
     drive_words,
@@ -43,11 +39,11 @@ from cnclik.problem.options import DRIVE
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
-    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")] = "planar-clockwise:1,1,1,1,1"
+    robot: str = option("planar-clockwise:1,1,1,1,1", positional=True)
     """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
-    target: Annotated[Numbers, Unit("x")] = None
+    target: tuple[float, ...] | None = option(None, unit="x")
     """Where the loop is to come to rest: position [m], for a pose optionally a quaternion w x y z."""
-    speed: Annotated[float, Unit("m/s")] = 0.1
+    speed: float = option(0.1, unit="m/s")
     """Of the tip [m/s]: for lag, tracking error and joint velocities."""
     json: bool = False
     """Print the advice as JSON, and nothing else."""
@@ -63,9 +59,9 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     """Methods of --plane."""
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
     """Passes M of --plane; the strip over M goes up to the largest."""
-    alpha_range: Annotated[tuple[float, float] | None, Unit("1/s")] = None
+    alpha_range: tuple[float, float] | None = option(None, unit="1/s")
     """Gains of --map [1/s]; by default about --alpha and the linear boundary."""
-    Ts_range: Annotated[tuple[float, float] | None, Unit("s")] = None
+    Ts_range: tuple[float, float] | None = option(None, unit="s")
     """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
     cells: int = 128
     """Cells of --map along each axis."""

@@ -3,21 +3,20 @@
 import dataclasses
 import pathlib
 import time
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.quantities import in_samples
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions):
-    spec: Annotated[pathlib.Path, tyro.conf.Positional]
+    spec: pathlib.Path = option(positional=True)
     """The spec, a TOML file (see docs/sweeps.md and sweeps/)."""
-    set: Annotated[list[str], tyro.conf.UseAppendAction] = dataclasses.field(default_factory=list)
+    set: list[str] = option(list)
     """NAME=VALUE in place of what the spec says; may be repeated. --set alpha=5, --set axes.M=[1,5]."""
     out: pathlib.Path | None = None
     """Folder for data.zarr, figures and summary; sweep-NAME of the spec by default."""

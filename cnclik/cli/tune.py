@@ -6,16 +6,13 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from cnclik import errors
 from cnclik.cli import common
-from cnclik.cli.arguments import Unit
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import assumed_drives, dead_time, start_and_target
-from cnclik.cli.problem import MeasuredOptions, Number, ProblemOptions, problem, table
+from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
 from cnclik.version import __version__
 
@@ -32,21 +29,21 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """What is tuned: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts."""
     shape: str = "as-given"
     """Gain to tune: scalar, per-axis, matrix (symmetric positive definite), or as --alpha is given."""
-    loss: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[=WEIGHT] ...")] = ("tracking",)
+    loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")
     """tracking (RMS), worst, settling, effort, jerk, noise, delay; several with weights: tracking=1 jerk=1e-4."""
-    delay_margin: Annotated[float, Unit(SAMPLES)] = 1.0
+    delay_margin: float = option(1.0, unit=SAMPLES)
     """Further dead time [samples] with which a step must still not overshoot."""
     noise_gain: float = 0.5
     """Bound of how much of measurement noise the joints follow (standard deviations)."""
     ringing: bool = False
     """Let go of both: the loss alone is made small, and the loop rings."""
-    margin: Number = None
+    margin: float | None = None
     """Bound of the spectral radius along the path, by which small errors shrink per step; 1, or 0.9 with --ringing."""
-    alpha_bounds: Annotated[tuple[float, float] | None, Unit("1/s")] = None
+    alpha_bounds: tuple[float, float] | None = option(None, unit="1/s")
     """Bounds of the gain [1/s]; z = alpha·Ts from 0.001 to 10 by default."""
-    Ts_bounds: Annotated[tuple[float, float] | None, Unit("s")] = None
+    Ts_bounds: tuple[float, float] | None = option(None, unit="s")
     """Bounds of the sampling time [s], where it is tuned; a factor 4 around --Ts by default."""
-    velocity_limit: Annotated[Number, Unit("q/s")] = None
+    velocity_limit: float | None = option(None, unit="q/s")
     """Joint velocity limit [rad/s, m/s] for all joints in place of the robot's own; 0 for none."""
     model_error: float = 0.0
     """Relative error of the link lengths the law believes in."""

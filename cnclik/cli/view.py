@@ -5,12 +5,10 @@ import dataclasses
 import os
 import threading
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from cnclik import errors
 from cnclik.cli import terminal
+from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
 
@@ -19,9 +17,9 @@ from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
 class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Show a robot live with sliders, or play runs of `solve`, answers of `reach`, a loop of a sweep."""
 
-    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT|FILE")]
+    robot: str = option(metavar="ROBOT|FILE", positional=True)
     """A robot, as for solve; or what is to be played: trajectory.nc, .csv, .npz, a folder of solve or of a sweep."""
-    file: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    file: Path | None = option(None, positional=True)
     """After a ROBOT a file to play that doesn't name it; after a FILE another one, shown beside it."""
     N: int = 500
     """Steps."""
@@ -29,7 +27,7 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Name or address to listen on; others than this machine can look where it is 0.0.0.0."""
     port: int = 8080
     """Port to listen on; the next one that is free."""
-    html: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    html: Path | None = None
     """Write the moving scene as one page, FILE.html, and end."""
 
 

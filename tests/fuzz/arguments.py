@@ -10,7 +10,6 @@ from unittest import mock
 
 import jax
 import numpy as np
-import tyro
 
 from cnclik.cli import VERBS, main
 from cnclik.problem import words
@@ -92,12 +91,12 @@ def draw(rng):
     """(the command line, the URDF file beside it)."""
     verb = any_of(rng, tuple(VERBS))
     argv, odd = [verb], any_of(rng, (0.0, 0.05, 0.3))
-    hints = typing.get_type_hints(_args(verb), include_extras=True)
+    hints = typing.get_type_hints(_args(verb))
     fields = [f for f in dataclasses.fields(_args(verb)) if f.name not in LEFT_OUT]
     for field in fields:
-        if _positional(hints[field.name]) and chance(rng, 0.95):
+        if _positional(field) and chance(rng, 0.95):
             argv.append(_word(rng, field.name.rstrip("_"), hints[field.name], odd))
-    named = [f for f in fields if not _positional(hints[f.name]) or chance(rng, odd / 5)]
+    named = [f for f in fields if not _positional(f) or chance(rng, odd / 5)]
     for _ in range(int(rng.integers(5))):
         field = any_of(rng, named or fields)
         name = field.name.rstrip("_").replace("_", "-")
@@ -125,8 +124,8 @@ def _args(verb):
     return importlib.import_module(f"cnclik.cli.{verb}").Args
 
 
-def _positional(hint):
-    return tyro.conf.Positional in getattr(hint, "__metadata__", ())
+def _positional(field):
+    return field.metadata.get("positional", False)
 
 
 def _inner(hint) -> set:
