@@ -13,7 +13,7 @@ import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
-    *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads", "lazy"),
+    *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads"),
     *("reading", "writing", "version", "quantities"),
 )
 BASE = ("engine", "robot", "law", "integrate")  # reached through the names of the package alone
@@ -139,7 +139,7 @@ def test_rooms_are_reached_in_a_process_of_their_own():
 
 def test_a_name_is_what_a_room_offers_where_a_module_is_called_alike():
     code = (
-        "import cnclik.export.load, cnclik.reaching.reach, cnclik.tuning.tune, cnclik.stability.verdict\n"
+        "import cnclik.export.library, cnclik.reaching.public, cnclik.tuning.tune, cnclik.stability.verdict\n"
         "import cnclik as ck\n"
         "offered = [ck.export.load, ck.reaching.reach, ck.tuning.tune, ck.stability.verdict, ck.reach, ck.tune]\n"
         "print([type(one).__name__ for one in offered])"

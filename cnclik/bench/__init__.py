@@ -1,11 +1,7 @@
 """What this machine does in a second: `bench.measure_apart(bench.Line(robot="panda", method="EE", stage="picard"))`."""
 
-from cnclik.lazy import on_use
+import lazy_loader
 
-__getattr__, __all__ = on_use(
-    __name__,
-    {
-        "lines": "Line product table",
-        "timing": "LineError measure measure_apart",
-    },
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__, submod_attrs={"lines": ["Line", "product", "table"], "timing": ["LineError", "measure", "measure_apart"]}
 )

@@ -17,7 +17,7 @@ import numpy as np
 
 from cnclik.bench import loops
 from cnclik.engine.compiler import build, opened
-from cnclik.export.load import load
+from cnclik.export.library import load
 from cnclik.export.write import c
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import EE

@@ -92,7 +92,7 @@ def _answers(args, chain, task):
     from cnclik.measure.answers import ENDINGS, answers, save, transforms
     from cnclik.problem.magnitudes import remark_on_places
     from cnclik.problem.tables import read_targets
-    from cnclik.reaching.reach import reach
+    from cnclik.reaching.public import reach
     from cnclik.reaching.result import fields
     from cnclik.reaching.targets import read
     from cnclik.record import replace

@@ -4,6 +4,8 @@
 `source`, `solve_source`, `lanes_source` and `reach_source` what is written around it; all else is `cnclik.engine`'s.
 """
 
-from cnclik.lazy import on_use
+import lazy_loader
 
-__getattr__, __all__ = on_use(__name__, {"write": "c", "load": "Compiled compiled load"})
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__, submod_attrs={"write": ["c"], "library": ["Compiled", "compiled", "load"]}
+)

@@ -4,11 +4,12 @@ run = paper.experiment("5dof", "track", "CN")     # one of its runs
 found = paper.reproduce("reproduced")             # all of them, with data, claims and figures in a folder
 """
 
-from cnclik.lazy import on_use
+import lazy_loader
+
 from cnclik.paper import choices
 from cnclik.paper.choices import DEFAULT, READINGS, reading
 
-__getattr__, _ = on_use(__name__, {"claims": "judge", "readings": "experiment"})
+__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={"claims": ["judge"], "readings": ["experiment"]})
 __all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
 
 

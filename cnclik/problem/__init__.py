@@ -1,13 +1,13 @@
 """A loop in plain names: one vocabulary and one builder."""
 
-from cnclik.lazy import on_use
+import lazy_loader
 
-__getattr__, __all__ = on_use(
+__getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    {
-        "options": "DEFAULTS OPTIONS",
-        "reference": "REFERENCES reference_from",
-        "build": "Problem problem_from",
-        "names": "inverse_from limits_from method_from robot_from stage_from start_from task_from",
+    submod_attrs={
+        "options": ["DEFAULTS", "OPTIONS"],
+        "reference": ["REFERENCES", "reference_from"],
+        "build": ["Problem", "problem_from"],
+        "names": ["inverse_from", "limits_from", "method_from", "robot_from", "stage_from", "start_from", "task_from"],
     },
 )

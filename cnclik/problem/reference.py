@@ -13,7 +13,7 @@ from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.magnitudes import remark_on_places
 from cnclik.problem.names import fitting
 from cnclik.problem.tables import read_poses
-from cnclik.reaching.reach import reach
+from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain

@@ -6,7 +6,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.task import position
-from cnclik.reaching.reach import reach
+from cnclik.reaching.public import reach
 from cnclik.reaching.result import Reached
 from cnclik.reaching.seeds import seeds
 from cnclik.robot.chain import Chain

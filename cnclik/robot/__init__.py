@@ -1,13 +1,13 @@
 """The robot: chains and the ways to build one, where the tip is and how it moves."""
 
-from cnclik.lazy import on_use
+import lazy_loader
 
-__getattr__, __all__ = on_use(
+__getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    {
-        "chain": "Chain Joint Offset assemble from_dh from_screws planar_arm with_tool",
-        "kinematics": "Pose jacobian manipulability pose",
-        "urdf": "load_urdf",
-        "builtin": "panda ur5",
+    submod_attrs={
+        "chain": ["Chain", "Joint", "Offset", "assemble", "from_dh", "from_screws", "planar_arm", "with_tool"],
+        "kinematics": ["Pose", "jacobian", "manipulability", "pose"],
+        "urdf": ["load_urdf"],
+        "builtin": ["panda", "ur5"],
     },
 )

@@ -4,14 +4,9 @@ Modules: `run` (one loop), `stability`, `diagnosis`, `sweeps`, `tuning`; `style`
 `viewer` (robots in a browser), `report` (one page for a result).
 """
 
-from cnclik.lazy import on_use
+import lazy_loader
 
-__getattr__, __all__ = on_use(
+__getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    {
-        "output": "FigureError draw",
-        "run": "plot",
-        "style": "save",
-        "viewer.front": "view",
-    },
+    submod_attrs={"output": ["FigureError", "draw"], "run": ["plot"], "style": ["save"], "viewer.front": ["view"]},
 )

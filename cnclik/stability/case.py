@@ -142,7 +142,7 @@ class Case:
 
     def reach_to(self, target):
         """The same for another position, turned alike."""
-        from cnclik.reaching.reach import reach  # here: most runs end where nothing is asked of it
+        from cnclik.reaching.public import reach  # here: most runs end where nothing is asked of it
 
         chain, task = self.law.chain, replace(self.law.task, weights=None)
         if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.export.load import compiled
+from cnclik.export.library import compiled
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
 

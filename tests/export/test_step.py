@@ -3,7 +3,7 @@
 import pytest
 
 import cnclik as ck
-from cnclik.export.load import compiled
+from cnclik.export.library import compiled
 from tests.export import matrix
 from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
 

@@ -5,14 +5,9 @@ Modules: `body` (a robot's shapes from its chain), `meshes` (from its URDF file)
 loop run anew), `swept` (loops of a sweep), `front` (the front door), `need` (whether viser is there).
 """
 
-from cnclik.lazy import on_use
+import lazy_loader
 
-__getattr__, __all__ = on_use(
+__getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    {
-        "files": "read_motions",
-        "motion": "Motion motion_of",
-        "page": "as_page",
-        "front": "view",
-    },
+    submod_attrs={"files": ["read_motions"], "motion": ["Motion", "motion_of"], "page": ["as_page"], "front": ["view"]},
 )

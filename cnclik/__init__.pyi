@@ -1,0 +1,66 @@
+"""What `cnclik` offers and where it is, for editors, type checkers and the loader."""
+
+from . import (
+    bench as bench, diagnosis as diagnosis, export as export, measure as measure, paper as paper,
+    problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
+    tuning as tuning,
+)
+from .compilation import use_cache as use_cache
+from .diagnosis.diagnose import diagnose as diagnose
+from .diagnosis.fit import fit_drive as fit_drive
+from .engine.native import native as native
+from .engine.plan import use_engine as use_engine
+from .errors import ArgumentError as ArgumentError
+from .hints import use_hints as use_hints
+from .integrate.drive import Drive as Drive
+from .integrate.history import History as History
+from .integrate.lanes import lanes as lanes
+from .integrate.method import (
+    CN as CN, EE as EE, HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4,
+    TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
+)
+from .integrate.multistep import Multistep as Multistep
+from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
+from .integrate.solve import Step as Step, solve as solve, step as step
+from .integrate.stage import chord as chord, newton as newton, picard as picard
+from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
+from .integrate.trajectory import Trajectory as Trajectory
+from .law.inverse import (
+    damped as damped, manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,
+    singular_damped as singular_damped, transpose as transpose,
+)
+from .law.law import Law as Law
+from .law.limits import (
+    saturation as saturation, velocity_scaling as velocity_scaling, weighted_least_norm as weighted_least_norm,
+)
+from .law.null import maximize_manipulability as maximize_manipulability, posture as posture
+from .law.reference import (
+    Reference as Reference, causal as causal, circle as circle, hold as hold, line as line, lissajous as lissajous,
+    path as path, waypoints as waypoints, with_feedforward as with_feedforward,
+)
+from .law.resampled import resampled as resampled
+from .law.task import Task as Task, orientation as orientation, pose_task as pose_task, position as position
+from .measure.dataset import to_dataset as to_dataset
+from .measure.kept import check_limits as check_limits
+from .measure.metrics import Metrics as Metrics, measure_run as measure_run
+from .problem.build import problem_from as problem_from
+from .reaching.map import reachability as reachability
+from .reaching.public import reach as reach
+from .reaching.result import ReachStatus as ReachStatus, Reached as Reached
+from .record import replace as replace
+from .robot.builtin import panda as panda, ur5 as ur5
+from .robot.chain import (
+    Chain as Chain, from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
+    with_base as with_base, with_tool as with_tool,
+)
+from .robot.kinematics import Pose as Pose, jacobian as jacobian, manipulability as manipulability, pose as pose
+from .robot.urdf import load_urdf as load_urdf
+from .show.run import plot as plot
+from .stability.linear import stability_limit as stability_limit
+from .stability.recommend import margin as margin, recommend as recommend
+from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
+from .stability.verdict import verdict as verdict
+from .sweeps.sweep import sweep as sweep
+from .tuning.calibrate import calibrate as calibrate
+from .tuning.tune import tune as tune
+from .version import __version__ as __version__
