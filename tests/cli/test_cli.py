@@ -106,7 +106,7 @@ def run(code):
 
 
 OTHERS = """
-import jax, jax.numpy, numpy, sys, time
+import jax, jax.numpy, lazy_loader, numpy, sys, time
 before, start = {m.partition(".")[0] for m in sys.modules}, time.process_time()
 import cnclik as ck
 others = lambda: {m.partition(".")[0] for m in sys.modules} - before - set(sys.stdlib_module_names) - {"cnclik"}
@@ -114,7 +114,7 @@ others = lambda: {m.partition(".")[0] for m in sys.modules} - before - set(sys.s
 
 
 def test_import_is_light():
-    """No package but jax and numpy, and under a second beyond jax (processor time: other work doesn't count)."""
+    """No package but jax and numpy (and what loads names on use), and under a second beyond jax (processor time: other work doesn't count)."""
     late = "'cnclik.sweeps.sweep' in sys.modules"
     *said, seconds = run(OTHERS + f"print(others(), {late}, time.process_time() - start)").split()
     assert said == ["set()", "False"] and float(seconds) < 1
@@ -125,6 +125,36 @@ def test_names_loaded_on_use_are_public_and_light():
     same = "ck.sweep is __import__('cnclik.sweeps.sweep', fromlist='x').sweep"
     code = OTHERS + "from cnclik import measure_run\n" + f"print({unknown}, others(), {same}, hasattr(ck, 'sweeep'))"
     assert run(code) == "[] set() True False"
+
+
+def test_solver_search_advice_and_export_stand_on_jax_and_numpy(tmp_path):
+    """With nothing else installed: what draws, stores and prints is not even looked for."""
+    code = f"""
+import sys
+class Missing:
+    def find_spec(name, path=None, target=None):
+        if name in "matplotlib xarray zarr h5py h5netcdf rich optax viser".split():
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing)
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+import cnclik as ck
+arm, q0 = ck.planar_arm([1.0, 0.8]), np.array([0.3, 0.6])
+law, there = ck.Law(arm, ck.position("xy"), alpha=5.0), ck.hold([1.2, 0.9])
+run = ck.solve(law, there, q0, 0.01, 300)
+ck.step(law, there, q0, 0.0, 0.01)
+ck.lanes(lambda q: ck.solve(law, there, q, 0.01, 3).q[-1])(np.tile(q0, (8, 1)))
+jax.jit(ck.native(jnp.sin))(q0)
+assert ck.reach(arm, (np.array([1.2, 0.9, 0.0]), None), task=ck.position("xy")).solved
+assert ck.verdict(law, there, run, Ts=0.01).kind == "settled"
+print(ck.recommend(law, there, run.q[-1], Ts=0.01).recommended > 0, end=" ")
+ck.export.c(law, out={str(tmp_path / "made")!r})
+try:
+    ck.plot(run)
+except ModuleNotFoundError as error:
+    print(error)
+"""
+    assert run(code) == "True No module named 'matplotlib'"
 
 
 def test_answers_that_hold_no_number_need_no_jax():
