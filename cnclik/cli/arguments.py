@@ -73,7 +73,8 @@ def parse(Args, argv, *, prog, description):
     named, places = {one.name: one for one in every if not one.positional}, [one for one in every if one.positional]
     loose, given = _split(named, argv)
     if len(loose) > len(places):
-        raise _unknown(named, loose[len(places)])
+        alone = " and ".join(one.name for one in places) or "nothing"
+        raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
     made = {one.field: _value(one.hint, [word]) for one, word in zip(places, loose, strict=False)}
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
     for one, values in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
@@ -201,8 +202,9 @@ def _most(hint):
 
 
 def _least(hint):
+    """How many it must be given."""
     most = _most(hint)
-    return 0 if most is None else most
+    return 1 if most is None else most
 
 
 def _fits(hint, values) -> bool:
@@ -253,6 +255,8 @@ def _words(hint) -> str:
     if origin is typing.Literal:
         return "one of " + ", ".join(map(str, inner))
     if origin in (tuple, list):
+        if typing.get_origin(inner[0]) is typing.Literal:
+            return f"some of {', '.join(map(str, typing.get_args(inner[0])))}"
         each = {int: "integers", float: "numbers"}.get(inner[0], "values")
         return f"{len(inner)} {each}" if _most(hint) else each
     if origin:
