@@ -13,9 +13,9 @@ import warnings
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.compiler import build, can_build, closed_after, opened
+from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.engine.graph import UnsupportedError
-from cnclik.hints import hints_on
+from cnclik.engine.plan import in_c
 from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
@@ -55,7 +55,7 @@ def native_for(asked: Asked, soon: bool):
 
     Args: soon: whether the chain has been asked of often.
     """
-    if not hints_on():
+    if not in_c():
         return None
     made = asked.__dict__.get("_native")
     if made is None:
@@ -63,7 +63,7 @@ def native_for(asked: Asked, soon: bool):
         if not (soon or Native.libraries < AT_ONCE or name in asked.chain.__dict__):
             return None
         with _building:
-            library = kept(asked.chain, name, lambda _: can_build() and _built(asked))
+            library = kept(asked.chain, name, lambda _: _built(asked))
         made = kept(asked, "_native", lambda asked: library and Native(asked, library))
     return made or None
 
