@@ -46,6 +46,7 @@ class Case:
     """
 
     law: Law
+    reference: ref.Reference
     loop: tuple
     seen: Observed
     t: np.ndarray
@@ -174,6 +175,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
     parts = ((late[:, :p], "m"), (late[:, p:], "rad"))
     return Case(
         law=law,
+        reference=reference,
         loop=(Ts, method, stage, drive),
         seen=seen,
         t=t,

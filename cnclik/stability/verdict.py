@@ -27,6 +27,7 @@ from cnclik.stability.local import Instant, maps, resting
 from cnclik.stability.observed import rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
+from cnclik.stability.trial import MOST_TRIED, Trials, only_longer
 
 AROUND = 3  # times around a path that tell, however slow a direction of the loop is
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
@@ -81,7 +82,10 @@ class Verdict:
 
 
 def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> Verdict:
-    """What a run did, why, and what to do about it: pure description, nothing is run again. In float64.
+    """What a run did, why, and what to do about it. In float64.
+
+    What it did is told from the run alone. What to do about it is tried before it is named: the loop is run again with
+    each remedy, for 4096 steps or as many as the run has.
 
     Args:
       law, reference, Ts, method, stage, drive: what was run, see `solve`.
@@ -110,8 +114,8 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype):
         found = (*remedies.slower_joints(case), *found)
     if (left := reasons.outside(case)) and kind not in _UNSTABLE_KINDS:
         what, found = f"{what}; {left}", (*found, *remedies.inside(case))
-    found = tuple({one.words: one for one in found}.values())
-    words = _in_words(found)
+    found, more = _tried(case, tuple({one.words: one for one in found}.values()))
+    what, words = f"{what}{more}", _in_words(found)
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {words[0].upper()}{words[1:]}." if words else ""),
@@ -120,6 +124,43 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype):
         null_radius=case.null_radius,
         error=np.inf if case.seen.bad is not None else case.seen.largest,
     )
+
+
+def _tried(case, found):
+    """Remedies with which the loop does better, as runs with them show, and what is to be said of the others."""
+    trials, kept, vain, N = Trials(case), [], [], 0
+    for one in found:
+        if only_longer(one.change, case.period):
+            made, N = _long_enough(case, trials, one)
+            kept += made
+        elif trials.better(one):
+            kept.append(one)
+        else:
+            vain.append(one)
+    said = f"; runs of up to N = {N} steps were tried, and which one is long enough is not known" if N else ""
+    if vain and not any(one.mends == vain[0].mends for one in kept):
+        said += f"; tried, and no better: {', '.join(one.words for one in vain)}"
+    return tuple(kept), said
+
+
+def _long_enough(case, trials, one):
+    """A longer run that is long enough, as a tuple; where none of those tried is, an empty one, and their largest N."""
+    tried, longer = 0, remedies.longer if one.mends == "verdict" else remedies.to_the_end
+    for times in (1, 2, 4):
+        (one,) = longer(case, times)
+        N = one.change["N"]
+        if N > MOST_TRIED:
+            break
+        if one.mends == "error":
+            enough = trials.better(one)
+        else:
+            run = trials.longer(N)
+            later = case_of(case.law, case.reference, run, case.seen.dtype, *case.loop)
+            enough = _judged(later)[0] != Behaviour.UNDECIDED
+        if enough:
+            return (one,), 0
+        tried = N
+    return ((), tried) if tried else ((one,), 0)  # what would take too long is named untried
 
 
 def _in_words(found) -> str:
@@ -273,7 +314,7 @@ def _rings(case):
 
 
 def _ringing(case, error):
-    swings = f"the error swings from side to side and keeps {case.overshoot:.2g} of itself each time"
+    swings = f"the error oscillates about the target, each swing {case.overshoot:.2g} times the one before"
     return Behaviour.RINGING, f"{swings}; {error}", remedies.faster(case)
 
 

@@ -8,7 +8,6 @@ judged are its first N steps, and what is true stands in the rest. Each remedy i
 import argparse
 import dataclasses
 import functools
-import math
 from collections import Counter
 
 import jax
@@ -27,6 +26,7 @@ from cnclik.problem.names import task_from
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability.local import Instant, radii, resting
+from cnclik.stability.trial import Run, changed
 
 SHORT, LONG = 200, 20  # most steps that are judged, and how many times as many are run
 MOST = 12_000  # steps that a remedy may ask for here
@@ -351,44 +351,11 @@ def spectral(loop, run, of):
 
 def mended(loop, of, remedy):
     """The loop and the family with a remedy's change, taken as data."""
-    law, reference, change = loop.law, loop.reference, dict(remedy.change)
-    loop = dataclasses.replace(loop, N=change.pop("N", loop.N), q0=np.asarray(change.pop("q0", loop.q0)))
-    if "stage" in change:
-        of = dataclasses.replace(of, stage=getattr(ck, change.pop("stage"))(change.pop("M")))
-    of = dataclasses.replace(of, method=change.pop("method", of.method))
-    if "target" in change:
-        reference = ck.hold(np.asarray(change.pop("target"), float), reference.curve.rotation)
-    if "shift" in change:
-        shift, curve = np.asarray(change.pop("shift"), float), reference.curve
-        moved = {
-            name: np.asarray(getattr(curve, name)) + shift
-            for name in ("center", "start", "end")
-            if hasattr(curve, name)
-        }
-        reference = ck.replace(reference, curve=ck.replace(curve, **moved))
-    if "period" in change:
-        field = "period" if hasattr(reference.curve, "period") else "duration"
-        old, period = float(getattr(reference.curve, field)), float(change.pop("period"))
-        reference = ck.replace(reference, curve=ck.replace(reference.curve, **{field: jnp.asarray(period)}))
-        loop = dataclasses.replace(loop, N=math.ceil(loop.N * period / old))  # the same part of it
-    if "alpha" in change:
-        law = ck.replace(law, alpha=jnp.asarray(change.pop("alpha")))
-    if change.pop("inverse", None) == "pseudoinverse":
-        law = ck.replace(law, inverse=ck.pseudoinverse())
-        change.pop("damping")
-    if "damping" in change:
-        law = ck.replace(law, inverse=ck.damped(jnp.asarray(change.pop("damping"))))
-    if "error_clamp" in change:
-        law = ck.replace(law, error_clamp=np.asarray(change.pop("error_clamp"), float))
-    if "limits" in change:
-        law = ck.replace(law, limits=getattr(ck, change.pop("limits").replace("-", "_"))())
-    if "feedforward" in change:
-        law = ck.replace(law, feedforward=change.pop("feedforward"))
-    if "null_gain" in change:
-        null = law.null_velocity
-        law = ck.replace(law, null_velocity=ck.replace(null, rate=null.rate * change.pop("null_gain")))
-    assert not change, change
-    return dataclasses.replace(loop, law=law, reference=reference), of
+    _, turn, _ = sample(loop.reference, loop.law.task, float(loop.N * loop.Ts))
+    how = dict(N=loop.N, method=of.method, stage=of.stage, drive=of.drive, turn=np.asarray(turn))
+    made = changed(Run(law=loop.law, reference=loop.reference, q0=loop.q0, **how), remedy.change)
+    loop = dataclasses.replace(loop, law=made.law, reference=made.reference, q0=made.q0, N=made.N)
+    return loop, dataclasses.replace(of, method=made.method, stage=made.stage, drive=made.drive)
 
 
 def excess(law, run):
@@ -447,7 +414,7 @@ def grouped(pairs):
     groups = {}
     for loop, of, *more in pairs:
         N = SHORT * LONG if loop.N <= SHORT * LONG else MOST
-        key = jax.tree.structure((loop.law, loop.reference)), of.method, str(of.stage)
+        key = jax.tree.structure((loop.law, loop.reference)), of.method, str(of.stage), repr(of.drive)
         groups.setdefault((key, N), []).append((loop, of, *more))
     for (_, N), group in groups.items():
         of = group[0][1]
@@ -456,10 +423,10 @@ def grouped(pairs):
             yield *one, run
 
 
-def judge(of: Family, count: int, seed: int = 0, remedies: bool = True):
-    """Of each loop of a family a dict: what it is, its verdict, what is false, and what each remedy made of it."""
+def judge(of: Family, numbers, seed: int = 0, remedies: bool = True):
+    """Of these loops of a family a dict each: what it is, its verdict, what is false, what each remedy made of it."""
     found, changed = [], []
-    for loop, _, number, whole in grouped([(draw(of, i, seed), of, i) for i in range(count)]):
+    for loop, _, number, whole in grouped([(draw(of, i, seed), of, i) for i in numbers]):
         run = cut(loop, whole)
         said = said_of(loop, run, of)
         size = np.linalg.norm(whole.e, axis=1)
@@ -503,7 +470,7 @@ def main():
             f"ff{of.feedforward:g} d{of.drive.delay:g} {of.drive.order} {'clamp' * of.clamp} {of.null}",
             flush=True,
         )
-        for one in judge(of, args.each, args.seed, args.remedies):
+        for one in judge(of, range(args.each), args.seed, args.remedies):
             kinds[one["kind"]] += 1
             wrong[one["kind"]] += bool(one["false"])
             for told in one["remedies"]:
