@@ -6,6 +6,7 @@ from cnclik.diagnosis.judge import Kind
 from cnclik.diagnosis.late import Loop, gain_of, loops_of, phase_delay
 from cnclik.diagnosis.modes import trend
 from cnclik.diagnosis.turned import APART, together, turned_of
+from cnclik.quantities import in_samples
 from cnclik.stability.driven import DrivenLimits, driven_limits
 from cnclik.stability.linear import late_monotone, late_stable
 
@@ -190,12 +191,17 @@ def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
         "that."
     )
     more = factor - 1
-    if alpha is not None and more > NEAR * alpha * Ts:
+    share = np.nan if alpha is None else alpha * Ts / more  # factor ** d of a loop with d samples of dead time
+    made = {"growth": factor, "z": -alpha * Ts if share >= 1 / NEAR else -more, "cause": "wrong sign"}
+    if share < 1 / NEAR:
         note += f" It grows by {more:.3g} a sample and alpha·Ts is {alpha * Ts:.3g}: something else pushes as well."
-    sure = WHOLE if clear else OTHER
+    elif share > NEAR and (delay := float(np.log(share) / np.log(factor))) <= LATEST:
+        note += f" At alpha·Ts = {alpha * Ts:.3g} such a loop has {in_samples(delay, Ts)} of dead time."
+        made |= {"delay": delay}
+    clear = clear or 1 / NEAR <= share <= NEAR  # it grows as fast as alpha itself makes it
     if not clear:
         note += " A path that starts slowly may look alike: record the loop at rest, pushed."
-    return {"growth": factor, "z": -more, "cause": "wrong sign", "confidence": sure, "note": note}
+    return made | {"confidence": WHOLE if clear else OTHER, "note": note}
 
 
 def limits_of(loop: Loop, Ts) -> DrivenLimits:

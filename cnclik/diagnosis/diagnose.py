@@ -32,7 +32,8 @@ class Diagnosis:
       Ts: sampling time of recording and loop [s].
       period: of the oscillation [samples]; growth: factor of its size per sample. Of a monotone decay growth alone.
       factors: (g,) complex, of all modes that were found, the dominant first; of each pair one.
-      z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that.
+      z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that. Of a
+        wrong sign z is negative: −alpha·Ts, or, where alpha is not given, what it is without dead time.
       lag: time constant [s], where there is one; then d is no whole number.
       cause: "dead time", "lag" (with dead time), "turned frames" or "wrong sign".
       angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn

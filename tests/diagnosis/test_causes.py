@@ -24,6 +24,25 @@ def test_growth_without_swinging_is_a_wrong_sign(growth, noise):
     assert "sign of the error, of the Jacobian or of the command is wrong" in str(found)
 
 
+@pytest.mark.parametrize(("d", "named"), [(0, 0), (2, 0), (7, 7)])  # of two nobody can be sure
+def test_the_gain_of_a_wrong_sign_at_a_given_alpha(d, named):
+    """Its z was that of no dead time, whatever alpha was: less than half of it at seven samples."""
+    found = diagnose(loop(-0.05, d, 120), TS, alpha=0.05 / TS)
+    assert found.cause == "wrong sign" and found.z == pytest.approx(-0.05), str(found)
+    assert (found.delay or 0) == pytest.approx(named, abs=0.1)
+    assert ("samples" in found.note and "of dead time" in found.note) is (named > 0), found.note
+
+
+@pytest.mark.parametrize(
+    ("alpha", "said"), [(None, "A path that starts slowly"), (0.02 / TS, ""), (0.005 / TS, "pushes")]
+)
+def test_an_alpha_that_explains_a_growth_settles_that_it_is_no_path(alpha, said):
+    """Growth to three times what it was may be a path's, but not just that of the gain."""
+    found = diagnose(0.2 + 1.02 ** np.arange(60.0), TS, alpha=alpha)
+    assert found.cause == "wrong sign" and said in found.note, str(found)
+    assert ("path" in found.note) is bool(said) and (found.confidence >= 0.9) is not bool(said)
+
+
 def test_the_sign_of_one_column_alone():
     e, grows = loop(0.1, 1, 120), loop(-0.05, 2, 120)
     found = diagnose(np.stack([e, grows], 1), TS, alpha=0.05 / TS)
