@@ -16,9 +16,9 @@ COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
 FREE = (2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: one of order 1 that swings
 # is a loop without dead time
 PENALTY = 1.0  # on the logarithm of the number of rows, for each number
-MODEL = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
+UNMODELLED_STEPS = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
 MAIN = 3  # parts of the columns that are looked at, at most
-LITTLE = 0.3  # share of the largest part, below which a part is none
+NO_PART = 0.3  # share of the largest part, below which a part is none
 SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
 
 
@@ -32,7 +32,7 @@ def excited(y, Ts, z=None) -> list:
     most = min(DEAD, N // 8)
     rows = N - most - 3
     number = PENALTY * np.log(rows)
-    floor = MODEL**2 * np.var(np.diff(y, axis=0), axis=0) + np.finfo(float).tiny
+    floor = UNMODELLED_STEPS**2 * np.var(np.diff(y, axis=0), axis=0) + np.finfo(float).tiny
     tried, least = [], np.inf
     for lag, half in ((0.0, 0), *itertools.product(LAGS, (0, 1))):
         keep, b = _drive(lag)
@@ -65,7 +65,7 @@ def _main(y):
     """(N, c) of the main parts of columns: joints share a loop, and what excites it."""
     y = y / np.maximum(np.std(y, axis=0), np.finfo(float).tiny)
     _, size, parts = np.linalg.svd(y, full_matrices=False)
-    return y @ parts[: min(int(np.sum(size > LITTLE * size[0])), MAIN)].T
+    return y @ parts[: min(int(np.sum(size > NO_PART * size[0])), MAIN)].T
 
 
 def _drive(lag):

@@ -19,7 +19,7 @@ LOST = 0.05  # share that is left at the end of what has died out
 WINDOW = 1.5  # periods of a window in which an oscillation must be seen
 BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
 CLEAN = 1e-3  # or this share of the waves themselves
-LITTLE = 2e-3  # share of the range that is hardly anything
+HARDLY = 2e-3  # share of the range that is hardly anything
 WAVES = 0.04  # share of the range that such bends may leave in waves
 ABOVE = 1.5  # or times what is left,
 OFTEN = 10  # where there are fewer periods
@@ -123,7 +123,7 @@ def _grows(y, found, i, swinging) -> bool:
 def explained(y, found: Modes) -> bool:
     """Whether what path and modes leave of y (N, k) is noise, or hardly anything."""
     left = y - found.path - found.parts.sum(0)
-    return bool(np.all(found.noise <= np.maximum(BENT * roughness(left), LITTLE * np.ptp(y, axis=0))))
+    return bool(np.all(found.noise <= np.maximum(BENT * roughness(left), HARDLY * np.ptp(y, axis=0))))
 
 
 def _is_there(y, found, part, angle) -> bool:

@@ -19,16 +19,16 @@ PERIODS = 12  # of a recording that is looked at
 SHORT = 150  # rows of a recording in which other dead times are tried as well where none of these explains it:
 WIDE = 12  # so many, and twice as many as the phase gives
 LAGS = 8  # dead times with a lag that are tried
-LITTLE = 0.2  # samples of a lag that is none
+NO_LAG = 0.2  # samples of a lag that is none
 TEMPER = 0.25  # in place of a half: no real loop is one of these exactly
 SIMPLE = 0.03  # share of the likeliest loop's probability from which on dead time alone is told first
 USUAL = 0.05  # [s] of a lag, up to about which drives of robots lag
 LONGEST = 0.2  # [s] of a lag: what is slower is no robot's drive
 WORSE = 4.0  # times the noise power that such a loop may leave, or:
 PART = 1e-3  # this share of the recording's
-MODEL = 3e-4  # share of a recording by which a real loop differs from a linear one
+UNMODELLED = 3e-4  # share of a recording by which a real loop differs from a linear one
 KNOWN = 0.1  # relative deviation of the loop's gain from a known alpha·Ts
-FAR = 9.0  # criterion that a gain which is not the known one costs, at most
+OTHER_GAIN = 9.0  # criterion that a gain which is not the known one costs, at most
 
 
 class Loop(NamedTuple):
@@ -53,7 +53,7 @@ class Loop(NamedTuple):
 
     def as_known(self, z) -> float:
         """How well its gain fits a known one, if there is one: at most 1."""
-        return 1.0 if z is None else float(np.exp(-0.5 * min((np.log(self.z / z) / KNOWN) ** 2, FAR)))
+        return 1.0 if z is None else float(np.exp(-0.5 * min((np.log(self.z / z) / KNOWN) ** 2, OTHER_GAIN)))
 
     def factors(self, Ts):
         """All factors of the loop."""
@@ -120,7 +120,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         odds = [np.exp(TEMPER * (best - one.score)) * one.usual / (lagging if one.lag else 1) for one in tried]
         found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
         found = sorted(found, key=lambda one: -one.share)
-        hardly = found[0].lag < LITTLE * Ts
+        hardly = found[0].lag < NO_LAG * Ts
         simple = [one for one in found if not one.lag and (one.share > SIMPLE * found[0].share or hardly)]
         return [*simple[:1], *(one for one in found if one is not (simple or [None])[0])], True
     alone = Loop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
@@ -154,7 +154,7 @@ class _Fit(NamedTuple):
         q, _ = np.linalg.qr(np.hstack([columns_of(factors[factors.imag >= 0], N)[0], self.basis]))
         left = self.y - q @ (q.T @ self.y)
         power = np.sum(left**2, axis=0) / max(N - q.shape[1], 1)
-        floor = MODEL**2 * np.var(self.y, axis=0) + np.finfo(float).tiny
+        floor = UNMODELLED**2 * np.var(self.y, axis=0) + np.finfo(float).tiny
         off = -2 * np.log(loop.as_known(self.z))
         return loop._replace(score=float(N * np.sum(np.log(power + floor))) + off, power=power)
 

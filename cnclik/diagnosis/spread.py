@@ -7,7 +7,7 @@ from cnclik.record import replace
 
 DRAWN = 40  # drives that are drawn
 WIDE = 2.0  # standard deviations between which they are drawn
-MODEL = 0.05  # by which such a gain is off even where a fit leaves nothing
+GAIN_SPREAD = 0.05  # by which such a gain is off even where a fit leaves nothing
 TASK = 6  # coordinates of a pose
 TOGETHER = 0.5  # share of their motion that commands must have in common, to have moved the joints at once
 POINTS = 4000  # frequencies that are looked at
@@ -66,7 +66,7 @@ def stable_range(fit, deviations, gain, structured, command) -> tuple:
         each = [fit.shape.drive(v) for v in fit.values + off]
         found.append(min(largest_stable(d, fit.shape.Ts) / max(abs(g), 1e-3) for d, g in zip(each, gain, strict=True)))
     low, high = min(found) / fit.shape.Ts, max(found) / fit.shape.Ts
-    return (float(low * (1 - MODEL)), float(high * (1 + MODEL))), ""
+    return (float(low * (1 - GAIN_SPREAD)), float(high * (1 + GAIN_SPREAD))), ""
 
 
 def _at_once(command) -> bool:
