@@ -12,8 +12,6 @@ from cnclik.cli.heading import robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
 
-PIECE = 2000  # steps between two looks at the clock
-
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
@@ -121,29 +119,20 @@ def _march(made, report):
     """The whole trajectory, in pieces that tell of progress, and the time per step once compiled [s]."""
     import jax
 
-    from cnclik.integrate.solve import solve
-    from cnclik.integrate.trajectory import join, truncate
+    from cnclik.integrate.pieces import in_pieces, joined, piece_of
 
     if made.measured or made.pace is not None:
         return _whole(made, report)
-    size = made.N if made.method.steps > 1 else min(made.N, PIECE)  # a memory would begin anew with every piece
-    pieces = -(-made.N // size)  # the last one may run past N; what is beyond is cut off
-
-    def piece(k, q):
-        begun = time.perf_counter()
-        t0 = k * size * made.Ts
-        found = solve(made.law, made.reference, q, made.Ts, size, made.method, made.stage, t0=t0)
-        return jax.block_until_ready(found), time.perf_counter() - begun
-
+    size = piece_of(made.method, made.N)
     report(0, made.N)
-    piece(0, made.q0)  # compiles
-    parts, seconds = [], 0.0
-    for k in range(pieces):
-        part, more = piece(k, parts[-1].q[-1] if parts else made.q0)
-        parts.append(part)
-        seconds += more
-        report(min((k + 1) * size, made.N), made.N)
-    return truncate(join(parts), made.N), seconds / (pieces * size)
+    next(in_pieces(*made.loop, size=size))  # compiles
+    parts, seconds, begun = [], 0.0, time.perf_counter()
+    for part in in_pieces(*made.loop, size=size):
+        parts.append(jax.block_until_ready(part))
+        seconds += time.perf_counter() - begun
+        report(min(len(parts) * size, made.N), made.N)
+        begun = time.perf_counter()
+    return joined(parts, made.N), seconds / (len(parts) * size)
 
 
 def _whole(made, report):

@@ -1,0 +1,36 @@
+"""Pieces: a long run as several of one length, so that one program serves runs of any number of steps."""
+
+import numpy as np
+
+from cnclik.integrate.solve import solve
+from cnclik.integrate.trajectory import INSTANTS, STEPS, join, truncate
+from cnclik.record import replace
+
+PIECE = 2000  # steps of a piece, at most
+
+
+def piece_of(method, N: int) -> int:
+    """Steps of the pieces of a run of N; all of them for a multistep method, whose memory would begin anew."""
+    return N if method.steps > 1 else min(N, PIECE)
+
+
+def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
+    """Yield the runs of `size` steps each that are, one after the other, `solve`'s N steps and the rest of the last.
+
+    Args: as for `solve`, of concrete values; the method makes single steps, or `size` is at least N.
+    """
+    part, q = None, q0
+    for begun in range(0, N, size):
+        if np.isfinite(q).all():
+            part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
+        else:  # lost, as it is for good
+            last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *STEPS)}
+            last = {name: np.broadcast_to(value[-1:], value.shape) for name, value in last.items()}
+            part = replace(part, t=np.asarray(part.t) + size * Ts, **last)
+        yield part
+        q = part.q[-1]
+
+
+def joined(parts, N: int):
+    """Their first N steps as one `Trajectory`, of NumPy arrays."""
+    return truncate(join(parts), N)
