@@ -53,7 +53,7 @@ def run(args: Args) -> None:
             folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
     with progress.bar("verdict"):
         beside.result()
-        told = verdict(made.law, made.reference, trajectory, **asked)
+        told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
     given = table(args)
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     loop = "; ".join(filter(None, (f"{_loop(made, args.written)}, along {args.reference}", drive_words(made))))

@@ -41,8 +41,8 @@ class Case:
         sense, 0 where it is none.
       rows, radius, null_radius: J (m, n) and spectral radii over the task and its null space, at rest at the end.
       overshoot: how far beyond the target an error lands there, as a share of itself.
-      fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold.
-      e: weighted error at the end. size: of the last quarter's error, in words.
+      fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold, at the run's pace.
+      e: weighted error at the end. size: of the last quarter's error, in words. more: pace and noise of the run.
     """
 
     law: Law
@@ -65,6 +65,7 @@ class Case:
     fold: float
     e: np.ndarray
     size: str
+    more: dict
 
     @property
     def steps(self):
@@ -159,7 +160,7 @@ class Case:
         return float(radii(*resting(self.law, at), np.ones(1), *self.loop)[0])
 
 
-def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
+def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Case:
     """The evidence of one lane's run that was computed in a dtype."""
     seen = observe(law, run, Ts, dtype)
     t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
@@ -173,6 +174,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
     late, p = e[: seen.bad][-len(seen.late) :], len(law.task.position)
     parts = ((late[:, :p], "m"), (late[:, p:], "rad"))
+    rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
     return Case(
         law=law,
         reference=reference,
@@ -189,8 +191,15 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive) -> Case:
         period=float(getattr(reference.curve, "period", getattr(reference.curve, "duration", 0.0))),
         e=weighted,
         size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
-        **_at_rest(law, end, weighted, Ts, method, stage, drive),
+        more=more,
+        **rest | {"fold": rest["fold"] / _advance(t, len(seen.late), Ts)},
     )
+
+
+def _advance(t, late, Ts) -> float:
+    """How far the path's time got in the last quarter's steps, of theirs: paced steps are shorter."""
+    steps = min(late, len(t) - 1)
+    return min(max(1 / SLOWEST, float(t[-1] - t[-1 - steps]) / (steps * Ts)), 1.0)
 
 
 def farthest(law, places) -> int:

@@ -75,6 +75,7 @@ class Observed(NamedTuple):
         return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a loop on its way to infinity
 def observe(law, run, Ts, dtype) -> Observed:
     """What one lane's trajectory shows, up to its first instant that is not finite."""
     e, q, qdot = (np.asarray(v, float) for v in (run.e, run.q, run.qdot))

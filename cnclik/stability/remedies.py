@@ -223,7 +223,9 @@ def slower_path(case, share, mends="error") -> tuple:
         N = math.ceil(case.steps * abs(period) / case.path)  # the same part of it
         words = f"follow a slower path: one that takes {abs(period):g} s, not {case.path:.3g} s, with N = {N} steps"
         return (Remedy(change={"period": period, "N": N}, words=words, mends=mends),)
-    return (Remedy(change={"speed": share}, words=f"follow the path at {share:.2g} of its speed", mends=mends),)
+    N = math.ceil(case.steps / share)
+    words = f"follow the path at {share:.2g} of its speed, with N = {N} steps"
+    return (Remedy(change={"speed": share, "N": N}, words=words, mends=mends),)
 
 
 def slower_joints(case) -> tuple:

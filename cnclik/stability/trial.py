@@ -3,33 +3,36 @@
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik.integrate import stage as stages
 from cnclik.integrate.drive import Drive
+from cnclik.integrate.measured import solve_driven, white_noise
 from cnclik.integrate.method import named
+from cnclik.integrate.pieces import in_pieces, joined, piece_of
 from cnclik.integrate.solve import solve
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
 from cnclik.law.reference import hold
 from cnclik.record import record, replace
-from cnclik.stability.observed import ARRIVED
+from cnclik.stability.observed import ARRIVED, observe
 
 LEAST_TRIED = 1 << 12  # steps that a trial takes, at least; another power of two where more are asked for
-MOST_TRIED = 1 << 14  # and at most
+MOST_TRIED = 1 << 15  # and at most, or as many as the run that is judged has
+SHORTEST = 16  # steps of a run whose own program is used again, piece by piece
 BETTER = 0.9  # ratio of two errors below which a loop does better
 GONE = 0.25  # and below which a longer run has shrunk it
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
+INSIDE = 1e-6  # [rad, m] beyond a limit that is a rounding
 HUGE = 1e300  # stands for what is not finite
 PLACES = ("center", "start", "end")  # what a shift moves of a path
-UNTRIED = {"speed", "dtype", "task", "limits"}  # another program or problem; limits do what they say by construction
 
 
 @record
 class Run:
-    """What is run: law, reference, start, what `solve` is told besides; turn: rotation wanted at the end."""
+    """What is run: law, reference, start, what `solve` is told besides; turn: rotation wanted at the end; noise: that
+    of the measured error, or None."""
 
     law: object
     reference: object
@@ -39,30 +42,36 @@ class Run:
     stage: object
     drive: Drive
     turn: object = None
+    pace: object = None
+    noise: object = None
+
+
+@record
+class _Altered:
+    """A path that is moved, and followed at another speed."""
+
+    curve: object
+    shift: object  # (3,)
+    speed: object
+
+    def __call__(self, t):
+        position, rotation = self.curve(self.speed * t)
+        return (position if position is None else position + self.shift[: len(position)]), rotation
 
 
 def changed(run: Run, change: dict) -> Run:
     """The same run with a remedy's change."""
-    law, reference, change = run.law, run.reference, dict(change)
-    curve = reference.curve
+    law, change = run.law, dict(change)
     made = {"N": change.pop("N", run.N), "q0": np.asarray(change.pop("q0", run.q0), float)}
     made["method"] = named(change.pop("method")) if "method" in change else run.method
     made["drive"] = replace(run.drive, feedback=change.pop("feedback", run.drive.feedback))
     made["stage"] = getattr(stages, change.pop("stage"))(change.pop("M")) if "stage" in change else run.stage
-    if "target" in change:
-        reference = hold(np.asarray(change.pop("target"), float), run.turn)
-    if "shift" in change:
-        shift = np.asarray(change.pop("shift"), float)
-        moved = {name: np.asarray(getattr(curve, name)) + shift for name in PLACES if hasattr(curve, name)}
-        reference = replace(reference, curve=replace(curve, **moved))
-    if "period" in change:
-        field = "period" if hasattr(curve, "period") else "duration"
-        reference = replace(reference, curve=replace(curve, **{field: jnp.asarray(float(change.pop("period")))}))
+    made["reference"] = _path(run, change)
     if change.pop("inverse", None) == "pseudoinverse":
         law = replace(law, inverse=inverse.pseudoinverse())
         change.pop("damping")
     if "damping" in change:
-        law = replace(law, inverse=inverse.damped(jnp.asarray(change.pop("damping"))))
+        law = replace(law, inverse=inverse.damped(np.asarray(change.pop("damping"), float)))
     if "limits" in change:
         law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
     if "null_gain" in change:
@@ -70,7 +79,27 @@ def changed(run: Run, change: dict) -> Run:
     arrays = {name: np.asarray(change.pop(name), float) for name in ("alpha", "error_clamp") if name in change}
     law = replace(law, **arrays | {name: change.pop(name) for name in ("feedforward",) if name in change})
     assert not change, change
-    return Run(law=law, reference=reference, turn=run.turn, **made)
+    return replace(run, law=law, **made)
+
+
+def _path(run, change):
+    """The reference with what a remedy changes of it, which is taken out of the change."""
+    reference, curve = run.reference, run.reference.curve
+    if "target" in change:
+        return hold(np.asarray(change.pop("target"), float), run.turn)
+    shift, speed = np.asarray(change.pop("shift", np.zeros(3)), float), np.asarray(change.pop("speed", 1.0), float)
+    fields = [name for name in PLACES if getattr(curve, name, None) is not None]
+    if speed != 1 or (shift.any() and not fields):
+        told = reference.feedforward
+        reference = replace(reference, feedforward=None if told is None else told * speed)
+        curve = _Altered(curve=curve, shift=shift, speed=speed)
+    elif shift.any():
+        moved = {name: np.asarray(getattr(curve, name), float) for name in fields}
+        curve = replace(curve, **{name: at + shift[: len(at)] for name, at in moved.items()})
+    if "period" in change:
+        field = "period" if hasattr(curve, "period") else "duration"
+        curve = replace(curve, **{field: np.asarray(float(change.pop("period")))})
+    return replace(reference, curve=curve)
 
 
 def _slower(null, share):
@@ -89,7 +118,7 @@ class Trials:
 
     def __init__(self, case):
         Ts, method, stage, drive = case.loop
-        how = dict(N=case.steps, method=method, stage=stage, drive=drive, turn=case.turn)
+        how = dict(N=case.steps, method=method, stage=stage, drive=drive, turn=case.turn, **case.more)
         self.case, self.Ts = case, Ts
         self.given = Run(law=case.law, reference=case.reference, q0=case.start.q, **how)
         self.unchanged = functools.cache(lambda steps: self._run(self.given, steps))
@@ -99,44 +128,62 @@ class Trials:
         return truncate(self.unchanged(_power(N)), N)
 
     def _run(self, made, steps):
-        law = replace(made.law, alpha=jnp.asarray(made.law.alpha, float))  # one program for all gains
-        how = dict(t0=self.case.t[0]) if made.drive.prompt else dict(drive=made.drive)
-        run = solve(law, made.reference, made.q0, self.Ts, steps, made.method, made.stage, **how)
-        return jax.tree.map(np.asarray, run)
+        """The run of so many steps: by the program that the given run used, where that is one of single steps."""
+        how = made.law, made.reference, made.q0, self.Ts, steps, made.method, made.stage
+        if made.noise is not None:
+            noise = white_noise(made.noise, steps, made.law.task.m)
+            return jax.tree.map(np.asarray, solve_driven(*how, drive=made.drive, noise=noise))
+        if made.pace is not None:
+            return jax.tree.map(np.asarray, solve(*how, t0=self.case.t[0], pace=made.pace))
+        if not (made.drive.prompt and made.drive.exact):
+            return jax.tree.map(np.asarray, solve(*how, drive=made.drive))
+        own = self.case.steps
+        size = piece_of(made.method, own if own >= SHORTEST and made.method.steps == 1 else steps)
+        return joined(in_pieces(*how, size=size, t0=self.case.t[0]), steps)
+
+    def possible(self, remedy) -> bool:
+        """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""
+        N = self.case.steps
+        return "task" not in remedy.change and remedy.change.get("N", N) <= max(MOST_TRIED, N)
 
     def better(self, remedy) -> bool:
-        """Whether the loop does better with a remedy: in the run's own steps, or in the end; True where that can't be
-        tried."""
-        curve, change, N = self.case.reference.curve, remedy.change, self.case.steps
+        """Whether the loop does better with a remedy: in the run's own steps, or in the end."""
+        change, N, given = remedy.change, self.case.steps, self.case.seen
         after = change.get("N", N)
-        fixed = "shift" in change and not any(hasattr(curve, name) for name in PLACES)
-        if UNTRIED & set(change) or fixed or max(N, after) > MOST_TRIED:
-            return True
+        if "dtype" in change:  # trials are in float64
+            return self._late(self.unchanged(_power(N))) < given.largest
+        made = changed(self.given, change)
+        if remedy.mends in ("velocity", "limits"):
+            seen = self._seen(self._run(made, after))
+            slower = not seen.too_fast or max(seen.excess, 1.0) < SLOWER * max(given.excess, 1.0)
+            return slower if remedy.mends == "velocity" else float(seen.outside.max()) <= INSIDE
         steps = _power(max(N, after))
-        was, now = self.unchanged(steps), self._run(changed(self.given, change), steps)
+        was, now = self.unchanged(steps), self._run(made, steps)
         was_here, now_here = truncate(was, N), truncate(now, after)
-        if remedy.mends == "velocity":
-            return self._excess(now_here) < SLOWER * self._excess(was_here)
-        gone = max(ARRIVED * self.case.seen.size[0], self.case.seen.floor)
+        gone = max(ARRIVED * given.size[0], given.floor)
 
         def ratio(before, later):
-            return max(_late(later), gone) / max(_late(before), gone)
+            return max(self._late(later), gone) / max(self._late(before), gone)
 
         in_the_end = ratio(was, now)
         if remedy.mends == "motion":
             turns = _reversed(now_here) < CALMER * _reversed(was_here)
             calmer = turns or min(in_the_end, ratio(truncate(was, 5 * N), truncate(now, 5 * N))) < CALMER
-            return in_the_end <= 1 and (calmer or _late(now) <= gone)
-        if _late(now_here) <= gone:
+            return in_the_end <= 1 and (calmer or self._late(now) <= gone)
+        if self._late(now_here) <= gone:
             return True
         here = ratio(was_here, now_here)
         if only_longer(change, self.case.period):
             return here < GONE
-        return here < BETTER and (in_the_end <= 1 or bool({"shift", "period"} & set(change)))  # another path
+        return here < BETTER and (in_the_end <= 1 or bool({"shift", "period", "speed"} & set(change)))  # another path
 
-    def _excess(self, run):
-        """Largest joint velocity over its limit."""
-        return float(np.max(np.abs(run.qdot) / np.maximum(np.array(self.case.law.chain.velocity_limit, float), 1e-12)))
+    def _seen(self, run):
+        return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
+
+    def _late(self, run):
+        """Largest error of the last quarter; huge where one is not finite."""
+        seen = self._seen(run)
+        return HUGE if seen.bad is not None else min(seen.largest, HUGE)
 
 
 def only_longer(change, period):
@@ -146,15 +193,10 @@ def only_longer(change, period):
 
 def _power(N):
     """Steps of a trial of N."""
-    return max(LEAST_TRIED, 1 << (N - 1).bit_length())
+    return max(LEAST_TRIED, 1 << (N - 1).bit_length()) if N <= MOST_TRIED else N
 
 
-def _late(run):
-    """Largest error of the last quarter; huge where one is not finite."""
-    size = np.linalg.norm(run.e[-max(len(run.e) // 4, 1) :], axis=1)
-    return min(float(size.max()), HUGE) if np.isfinite(size).all() else HUGE
-
-
+@np.errstate(over="ignore", invalid="ignore")
 def _reversed(run):
     """Largest joint velocity that the next step reverses, in the second half; huge where one is not finite."""
     v = run.qdot[len(run.qdot) // 2 - 1 :]

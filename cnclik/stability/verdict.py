@@ -18,7 +18,7 @@ from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import check_loop
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.record import record, replace
 from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import PLENTY, UNSTABLE, case_of
@@ -27,7 +27,7 @@ from cnclik.stability.local import Instant, maps, resting
 from cnclik.stability.observed import rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
-from cnclik.stability.trial import MOST_TRIED, Trials, only_longer
+from cnclik.stability.trial import Trials, only_longer
 
 AROUND = 3  # times around a path that tell, however slow a direction of the loop is
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
@@ -81,23 +81,27 @@ class Verdict:
         return _in_words(self.remedies)
 
 
-def verdict(law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> Verdict:
+def verdict(
+    law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), pace=None, noise=None
+) -> Verdict:
     """What a run did, why, and what to do about it. In float64.
 
     What it did is told from the run alone. What to do about it is tried before it is named: the loop is run again with
-    each remedy, for 4096 steps or as many as the run has.
+    each remedy, for 4096 steps or as many as the run has. A run that needs no remedy is not run again.
 
     Args:
       law, reference, Ts, method, stage, drive: what was run, see `solve`.
       run: its `Trajectory`, one lane.
-    Raises: ArgumentError for a run of several lanes or of no step, or one with another Ts.
+      pace: what it was run at, see `solve`. noise: standard deviation of its measured error, a number or (m,).
+    Raises: ArgumentError for a run of several lanes or of no step, or one with another Ts, or at a pace that is not
+      given.
     """
     dtype = np.asarray(errors.kind("run", run, Trajectory).e).dtype
-    return _verdict(law, reference, run, Ts, method, stage, drive, dtype=dtype)
+    return _verdict(law, reference, run, Ts, method, stage, drive, dtype=dtype, pace=pace, noise=noise)
 
 
 @in_float64
-def _verdict(law, reference, run, Ts, method, stage, drive, dtype):
+def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     check_loop(law, reference)
     method, stage = checked(method, stage)
     one_lane(run)
@@ -107,15 +111,17 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype):
     step = float(run.t[-1] - run.t[0]) / len(run.residual)
     if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
-    case = case_of(law, reference, run, dtype, float(Ts), method, stage, check_drive(drive, law.chain.n))
+    if run.path_time is not None and more["pace"] is None:
+        raise errors.fail("pace", "be the run's", "is left out")
+    case = case_of(law, reference, run, dtype, float(Ts), method, stage, check_drive(drive, law.chain.n), **more)
     kind, what, found = _judged(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         what = f"{what}; {case.seen.over_velocity}"
         found = (*remedies.slower_joints(case), *found)
     if (left := reasons.outside(case)) and kind not in _UNSTABLE_KINDS:
         what, found = f"{what}; {left}", (*found, *remedies.inside(case))
-    found, more = _tried(case, tuple({one.words: one for one in found}.values()))
-    what, words = f"{what}{more}", _in_words(found)
+    found, left_out = _tried(case, tuple({one.words: one for one in found}.values()))
+    what, words = f"{what}{left_out}", _in_words(found)
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {words[0].upper()}{words[1:]}." if words else ""),
@@ -133,13 +139,16 @@ def _tried(case, found):
         if only_longer(one.change, case.period):
             made, N = _long_enough(case, trials, one)
             kept += made
+        elif not trials.possible(one):
+            kept.append(_untried(one))
         elif trials.better(one):
             kept.append(one)
         else:
             vain.append(one)
     said = f"; runs of up to N = {N} steps were tried, and which one is long enough is not known" if N else ""
-    if vain and not any(one.mends == vain[0].mends for one in kept):
-        said += f"; tried, and no better: {', '.join(one.words for one in vain)}"
+    mended = {one.mends for one in kept}
+    if left := [one.words for one in vain if one.mends not in mended]:
+        said += f"; tried, and no better: {', '.join(left)}"
     return tuple(kept), said
 
 
@@ -148,19 +157,23 @@ def _long_enough(case, trials, one):
     tried, longer = 0, remedies.longer if one.mends == "verdict" else remedies.to_the_end
     for times in (1, 2, 4):
         (one,) = longer(case, times)
-        N = one.change["N"]
-        if N > MOST_TRIED:
+        if not trials.possible(one):
             break
+        N = one.change["N"]
         if one.mends == "error":
             enough = trials.better(one)
         else:
             run = trials.longer(N)
-            later = case_of(case.law, case.reference, run, case.seen.dtype, *case.loop)
+            later = case_of(case.law, case.reference, run, case.seen.dtype, *case.loop, **case.more)
             enough = _judged(later)[0] != Behaviour.UNDECIDED
         if enough:
             return (one,), 0
         tried = N
-    return ((), tried) if tried else ((one,), 0)  # what would take too long is named untried
+    return ((), tried) if tried else ((_untried(one),), 0)
+
+
+def _untried(one):
+    return replace(one, words=f"{one.words} (not tried)")
 
 
 def _in_words(found) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.law.reference import sample
 from cnclik.problem.build import problem_from
 from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, trial, verdict
@@ -446,3 +447,68 @@ def test_what_is_tried_is_what_the_options_change(change):
     tried = trial.changed(trial.Run(law=made.law, reference=made.reference, q0=made.q0, **how), change)
     run = ck.solve(tried.law, tried.reference, tried.q0, made.Ts, tried.N, tried.method, tried.stage)
     np.testing.assert_allclose(run.q, asked.run().q, atol=1e-9)
+
+
+def test_only_what_needs_a_remedy_is_run_again(monkeypatch):
+    """And by the program that the run itself has used: its own steps again, piece by piece."""
+    asked, pieces = [], trial.in_pieces
+
+    def recorded(*args, size, **more):
+        asked.append(size)
+        return pieces(*args, size=size, **more)
+
+    monkeypatch.setattr(trial, "in_pieces", recorded)
+    assert judge(law(np.array(5.0)), NEAR, 60).kind == Behaviour.SETTLED and not asked
+    slow = law(np.array(0.5))
+    ck.solve(slow, NEAR, Q5, Ts, 60, ck.EE)
+    before = sys.modules["cnclik.integrate.solve"]._solve_soon._cache_size()
+    found = judge(slow, NEAR, 60)
+    assert found.kind == Behaviour.CONVERGING and "N" in found.remedies[0].change
+    assert set(asked) == {60} and sys.modules["cnclik.integrate.solve"]._solve_soon._cache_size() == before
+
+
+def test_a_run_at_a_pace_is_judged_and_tried_at_its_pace():
+    """Held back by its pace, it held 0.08 of its time constants and was told to make no progress, after six of them."""
+    how = dict(Ts=Ts, method=ck.EE)
+    pace = ck.Pace(velocity=0.0005)
+    run = ck.solve(law(1.0), NEAR, Q5, Ts, 60, ck.EE, pace=pace)
+    with pytest.raises(ck.ArgumentError, match="`pace` must be the run's, but is left out"):
+        verdict(law(1.0), NEAR, run, **how)
+    found = verdict(law(1.0), NEAR, run, **how, pace=pace)
+    assert found.kind == Behaviour.UNDECIDED, found.sentence
+    there = ck.solve(law(1.0), NEAR, Q5, Ts, found.remedies[0].change["N"], ck.EE, pace=pace)
+    assert verdict(law(1.0), NEAR, there, **how, pace=pace).kind == Behaviour.SETTLED
+
+
+def test_a_run_too_long_to_be_tried_says_so():
+    found = judge(law(1e-5), NEAR, 60)
+    assert found.remedies[0].change["N"] > trial.MOST_TRIED and found.remedy.endswith("to decide (not tried)")
+
+
+@pytest.mark.parametrize(
+    ("path", "shift", "speed"),
+    [
+        (ck.path(lambda t: jnp.stack([1.5 + 0.1 * jnp.sin(t), 1.0 + 0.1 * t])), [0.1, -0.2, 0.0], 0.5),
+        (ck.waypoints([0.0, 1.0, 2.0], [[1.5, 1.0], [1.6, 1.2], [1.4, 1.3]]), [0.1, -0.2, 0.0], 0.5),
+        (ck.circle([1.5, 1.0], 0.2, period=2.0), [0.1, -0.2, 0.0], 1.0),
+        (ck.circle([1.5, 1.0, 0.0], 0.2, period=2.0), [0.1, -0.2, 0.0], 0.25),
+        (ck.with_feedforward(ck.line([1.5, 1.0], [1.2, 1.1], duration=2.0), [0.3, 0.1]), [0.0, 0.1, 0.0], 0.5),
+    ],
+)
+def test_a_path_that_is_tried_is_moved_and_slowed(path, shift, speed):
+    run = trial.Run(law=law(1.0), reference=path, q0=Q5, N=10, method=ck.EE, stage=ck.picard(5), drive=ck.Drive())
+    made = trial.changed(run, {"shift": shift, "speed": speed, "N": 20}).reference
+    for t in (0.0, 0.7, 1.9):
+        was, now = path.curve(speed * t)[0], made.curve(t)[0]
+        np.testing.assert_allclose(now, np.asarray(was) + shift[: len(was)], atol=1e-12)
+        told, tells = (sample(one, XY, at)[2] for one, at in ((path, speed * t), (made, t)))
+        np.testing.assert_allclose(tells, speed * told, atol=1e-12)
+
+
+def test_what_was_tried_is_said_where_nothing_mends():
+    """Noise shakes the joints; damping and a clamp don't keep it out, and were named."""
+    made = problem_from("planar:1,1,1", alpha=5.0, noise=0.001, N=300, method="EE", Ts=0.1)
+    how = dict(Ts=made.Ts, method=made.method, stage=made.stage)
+    found = verdict(made.law, made.reference, made.run(), **how, noise=made.noise)
+    assert found.kind == Behaviour.SHAKING and not found.remedies
+    assert "tried, and no better: use damped(" in found.sentence

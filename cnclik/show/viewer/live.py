@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from cnclik.hints import as_here
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import METHODS
 from cnclik.markup import escaped
 from cnclik.show.viewer import play
@@ -120,9 +121,8 @@ class Live:
         seen = self.seen
         made, run = with_loop(self.problem, seen.loop), seen.run
         self._tell("Judging …")
-        more = {} if made.drive is None else {"drive": made.drive}
-        loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, **more)
-        self._tell(str(verdict(made.law, made.reference, run, **loop)))
+        loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
+        self._tell(str(verdict(made.law, made.reference, run, **loop, pace=made.pace, noise=made.noise)))
 
     def end(self) -> None:
         """No run from here on."""
