@@ -52,7 +52,6 @@ def test_what_nobody_can_know_is_not_said(number, loop, kind):
         pytest.param(8, 7, "Use limits velocity_scaling(). Run", id="the null space is not what is too fast"),
         pytest.param(45, 14, "Run for N = ", id="the time constants at the end are not those of the way there"),
         pytest.param(14, 33, "no better: reduce alpha", id="through a lag", marks=pytest.mark.slow),
-        pytest.param(19, 5, "no better: reduce alpha", id="a line past a singularity", marks=pytest.mark.slow),
         pytest.param(23, 26, "no better: reduce the gain", id="a null space that is late", marks=pytest.mark.slow),
         pytest.param(33, 32, "no better: reduce alpha", id="less gain lags more", marks=pytest.mark.slow),
         pytest.param(42, 32, "tried, and which one is long enough is not known", id="no N", marks=pytest.mark.slow),
@@ -66,7 +65,7 @@ def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(25))
+@pytest.mark.parametrize("number", range(50))
 def test_no_verdict_of_many_is_false(number):
-    told, vain, _, _ = wrong(number, range(80))
-    assert not told and len(vain) <= 2
+    told, vain, _, _ = wrong(number, range(40))
+    assert not told and not vain
