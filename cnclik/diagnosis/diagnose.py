@@ -4,6 +4,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
+from cnclik.diagnosis.blocks import orthogonal
 from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
@@ -238,7 +239,7 @@ def _noise_driven(seen, longest, alpha, Ts) -> dict:
     """Fields of a loop that noise keeps swinging, if there is one."""
     if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
         return {}
-    basis, _ = np.linalg.qr(trend(len(seen), longest if len(seen) > 3 * longest else None))
+    basis, _ = orthogonal(trend(len(seen), longest if len(seen) > 3 * longest else None))
     loops = excited(seen - basis @ (basis.T @ seen), Ts, None if alpha is None else alpha * Ts)
     return advice_excited(loops, alpha, Ts) if loops else {}
 

@@ -8,6 +8,7 @@ import itertools
 
 import numpy as np
 
+from cnclik.diagnosis.blocks import triangle
 from cnclik.diagnosis.late import TEMPER, Loop
 
 DEAD = 60  # samples of dead time, at most
@@ -50,7 +51,7 @@ def excited(y, Ts, z=None) -> list:
         return []
     tried = [one for one in tried if one.z > 0]
     odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) for one in tried]
-    found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
+    found = [one._replace(share=float(o)) for one, o in zip(tried, odds / np.sum(odds), strict=True)]
     found = sorted((one for one in found if one.share > 1e-3), key=lambda one: -one.share)
     return found if found and _left(found[0].slowest(Ts)) > SWINGS else []
 
@@ -64,7 +65,7 @@ def _left(factor) -> float:
 def _main(y):
     """(N, c) of the main parts of columns: joints share a loop, and what excites it."""
     y = y / np.maximum(np.std(y, axis=0), np.finfo(float).tiny)
-    _, size, parts = np.linalg.svd(y, full_matrices=False)
+    _, size, parts = np.linalg.svd(triangle(y))
     return y @ parts[: min(int(np.sum(size > NO_PART * size[0])), MAIN)].T
 
 
@@ -83,14 +84,16 @@ def _over_dead_times(y, a, b, c, start, most, floor) -> list:
     first, N = most + 3, len(y)
     left = lfilter(a, c, y, axis=0)[first:]
     acts = lfilter(b, c, y, axis=0)
-    power = np.mean(left**2, axis=0) + floor
-    made = []
-    for delay in range(most + 1):
-        late = acts[first - 1 - delay : N - 1 - delay]
-        z = -np.sum(np.sum(left * late, 0) / power) / max(np.sum(np.sum(late**2, 0) / power), 1e-300)
-        score = len(left) * float(np.sum(np.log(np.mean((left + z * late) ** 2, axis=0) + floor)))
-        made.append(start._replace(delay=delay + start.delay, z=float(z), score=score))
-    return made
+    late = np.lib.stride_tricks.sliding_window_view(acts[2 : N - 1], N - first, axis=0)[::-1]  # (d, k, rows)
+    square = np.mean(left**2, axis=0)
+    both, own = np.einsum("ni,din->di", left, late) / len(left), np.einsum("din,din->di", late, late) / len(left)
+    z = -np.sum(both / (square + floor), 1) / np.maximum(np.sum(own / (square + floor), 1), 1e-300)
+    power = np.maximum(square + z[:, None] * (2 * both + z[:, None] * own), 0.0)
+    scores = len(left) * np.sum(np.log(power + floor), 1)
+    return [
+        start._replace(delay=delay + start.delay, z=float(one), score=float(score))
+        for delay, (one, score) in enumerate(zip(z, scores, strict=True))
+    ]
 
 
 def _autoregression(y, order, first, floor) -> float:
@@ -98,6 +101,6 @@ def _autoregression(y, order, first, floor) -> float:
     power = np.var(np.diff(y, axis=0), axis=0) + floor
     past = np.stack([y[first - 1 - j : len(y) - 1 - j] / np.sqrt(power) for j in range(order)], -1)
     now = y[first:] / np.sqrt(power)
-    weights, *_ = np.linalg.lstsq(past.reshape(-1, order), now.ravel(), rcond=None)
-    left = (now - past @ weights) ** 2
+    r = triangle(np.column_stack([past.reshape(-1, order), now.ravel()]))
+    left = (now - past @ np.linalg.lstsq(r[:, :order], r[:, order], rcond=None)[0]) ** 2
     return len(now) * float(np.sum(np.log(np.mean(left, axis=0) * power + floor)))

@@ -4,6 +4,7 @@ import enum
 
 import numpy as np
 
+from cnclik.diagnosis.blocks import orthogonal
 from cnclik.diagnosis.modes import Modes, polynomials, roughness
 
 MOST = 2000  # rows that are looked at: those that move most
@@ -136,7 +137,7 @@ def _is_there(y, found, part, angle) -> bool:
     if not np.any(large | clean):
         return False
     width = min(max(int(WINDOW * 2 * np.pi / angle), 8), len(y))
-    smooth, _ = np.linalg.qr(np.linspace(-1, 1, width)[:, None] ** np.arange(4))
+    smooth, _ = orthogonal(np.linspace(-1, 1, width)[:, None] ** np.arange(4))
     both = power = 0.0
     for first in range(0, len(y) - width + 1, width):
         there, wave = y[first : first + width], part[first : first + width]

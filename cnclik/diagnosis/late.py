@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cnclik.diagnosis.blocks import triangle
 from cnclik.diagnosis.modes import columns_of
 from cnclik.integrate.drive import MOST, Drive, sampled
 from cnclik.stability.driven import driven_factors
@@ -118,7 +119,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         lagging = sum(1 for one in tried if one.lag)
         best = min(one.score for one in tried)
         odds = [np.exp(TEMPER * (best - one.score)) * one.usual / (lagging if one.lag else 1) for one in tried]
-        found = [one._replace(share=float(o / sum(odds))) for one, o in zip(tried, odds, strict=True)]
+        found = [one._replace(share=float(o)) for one, o in zip(tried, odds / np.sum(odds), strict=True)]
         found = sorted(found, key=lambda one: -one.share)
         hardly = found[0].lag < NO_LAG * Ts
         simple = [one for one in found if not one.lag and (one.share > SIMPLE * found[0].share or hardly)]
@@ -149,11 +150,10 @@ class _Fit(NamedTuple):
 
     def scored(self, loop: Loop) -> Loop:
         """A loop with its criterion: what is left when all its motions are projected out, and its gain."""
-        N = len(self.y)
+        N, k = self.y.shape
         factors = loop.factors(self.Ts)
-        q, _ = np.linalg.qr(np.hstack([columns_of(factors[factors.imag >= 0], N)[0], self.basis]))
-        left = self.y - q @ (q.T @ self.y)
-        power = np.sum(left**2, axis=0) / max(N - q.shape[1], 1)
+        r = triangle(np.hstack([columns_of(factors[factors.imag >= 0], N)[0], self.basis, self.y]))
+        power = np.sum(r[-k:, -k:] ** 2, axis=0) / max(N - (len(r) - k), 1)
         floor = UNMODELLED**2 * np.var(self.y, axis=0) + np.finfo(float).tiny
         off = -2 * np.log(loop.as_known(self.z))
         return loop._replace(score=float(N * np.sum(np.log(power + floor))) + off, power=power)

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cnclik.diagnosis.blocks import orthogonal, triangle
+
 ROWS = 128  # of a Hankel matrix, at most
 ORDER = 12  # factors of a recording, at most
 GROWTH = 4.0  # per sample, at most
@@ -52,17 +54,56 @@ def find_modes(y, slowest: float) -> Modes:
 
 
 def _best(y, basis):
-    found = _in_parts(y, basis, np.zeros(0, complex))
-    for factors in _candidates(y, basis):
-        other = _in_parts(y, basis, factors)
-        found = other if other.score < found.score else found
-    while len(found.factors):  # what the criterion doesn't miss goes
-        fewer = [_in_parts(y, basis, np.delete(found.factors, i)) for i in range(len(found.factors))]
-        best = min(fewer, key=lambda one: one.score)
-        if best.score > found.score:
+    still, _ = orthogonal(basis)
+    sets = [np.zeros(0, complex), *_candidates(y, basis)]
+    columns, owners = zip(*(columns_of(factors, len(y)) for factors in sets), strict=True)
+    moving = _without(still, np.hstack([*columns, y]))
+    *columns, rest = np.split(moving, np.cumsum([len(owner) for owner in owners]), axis=1)
+    tried = [
+        _Reduced(factors=factors, owner=owner, r=triangle(np.hstack([own, rest])), y=y, path=basis.shape[1])
+        for factors, owner, own in zip(sets, owners, columns, strict=True)
+    ]
+    best = min(tried, key=lambda one: one.score)
+    while len(best.factors):  # what the criterion doesn't miss goes
+        fewer = min((best.without(i) for i in range(len(best.factors))), key=lambda one: one.score)
+        if fewer.score > best.score:
             break
-        found = best
-    return found
+        best = fewer
+    return _in_parts(y, still, best)
+
+
+class _Reduced(NamedTuple):
+    """A recording and the motions of factors, both without their path and as a triangle: what fits need of them."""
+
+    factors: np.ndarray
+    owner: np.ndarray  # (c,) the factor of each column
+    r: np.ndarray  # (c + k, c + k) R of columns and recording
+    y: np.ndarray
+    path: int  # columns of the path
+
+    @property
+    def weights(self):
+        """(c, k)."""
+        c = len(self.owner)
+        return np.linalg.lstsq(self.r[:, :c], self.r[:, c:], rcond=1e-13)[0]
+
+    @property
+    def score(self) -> float:
+        """As of `Modes`."""
+        (N, k), c = self.y.shape, len(self.owner)
+        left = self.r[:, c:] - self.r[:, :c] @ self.weights
+        return misfit(np.sum(left**2, axis=0) / N, self.y) + PENALTY * np.log(N) * (c * (k + 1) + self.path * k)
+
+    def without(self, i):
+        """All but the i-th factor."""
+        kept, owner = self.owner != i, np.delete(self.owner, self.owner == i)
+        r = self.r[:, np.concatenate([kept, np.ones(self.y.shape[1], bool)])]
+        return self._replace(factors=np.delete(self.factors, i), owner=owner - (owner > i), r=r)
+
+
+def _without(still, a):
+    """Columns a (N, c) without their path, in the span of orthonormal columns (N, t)."""
+    return a - still @ (still.T @ a)
 
 
 def _candidates(y, basis):
@@ -72,19 +113,31 @@ def _candidates(y, basis):
     width = N - rows + 1
     every = -(-width * y.shape[1] // WINDOWS)
     windows = np.lib.stride_tricks.sliding_window_view(y / _size(y), width, axis=0)[..., ::every]  # (rows, k, width)
-    still, _ = np.linalg.qr(basis[:width:every])
-    windows = windows - (windows @ still) @ still.T
-    square = np.linalg.qr(windows.reshape(rows, -1).T, mode="r")  # its right singular vectors are all that is needed
-    values, space = np.linalg.svd(square)[1:]
-    space = space.T
+    still, _ = orthogonal(basis[:width:every])
+    windows = _without(still, windows.reshape(-1, windows.shape[-1]).T).T.reshape(rows, -1)
+    space, values = _signal_space(windows)
     most = min(ORDER, rows // 2, int(np.sum(values > 1e-12 * values[0])))
+    # The right singular vectors of its first columns, beside the same a sample later, are those of their triangle.
+    both = triangle(np.hstack([space[:-1, :most], space[1:, :most]]))
     for order in range(1, most + 1):
-        _, _, v = np.linalg.svd(np.hstack([space[:-1, :order], space[1:, :order]]), full_matrices=True)
+        _, _, v = np.linalg.svd(both[:, np.r_[:order, most : most + order]])
         v = v.T
         found = np.linalg.eigvals(-np.linalg.lstsq(v[order:, order:].T, v[:order, order:].T, rcond=None)[0].T)
         found = found[(found.imag >= 0) & (np.abs(found) < GROWTH) & (np.abs(found) > 1e-3)]
         found = np.where(np.abs(found.imag) < 1e-12, found.real, found)
         yield found[np.argsort(-np.abs(found))]
+
+
+def _signal_space(windows):
+    """(first left singular vectors, their values) of windows (rows, M).
+
+    Eigenvectors of the square tell no value below 1e-8 of the largest. What the windows make of as many again, once
+    more, are those of all values (subspace iteration: Golub & Van Loan 2013, Section 8.2.4).
+    """
+    _, space = np.linalg.eigh(windows @ windows.T)
+    over, _ = orthogonal(windows.T @ space[:, : -2 * ORDER - 1 : -1])
+    space, values, _ = np.linalg.svd(windows @ over, full_matrices=False)
+    return space, values
 
 
 def _size(y):
@@ -111,39 +164,27 @@ def columns_of(factors, N: int):
     return np.stack(columns, 1) if columns else np.zeros((N, 0)), np.array(owner, int)
 
 
-def _in_parts(y, basis, factors):
-    N, k = y.shape
-    columns, owner = columns_of(factors, N)
-    design = np.hstack([columns, basis])
-    weights, *_ = np.linalg.lstsq(design, y, rcond=1e-13)
-    left = y - design @ weights
-    parts = np.stack(
-        [columns[:, owner == i] @ weights[: len(owner)][owner == i] for i in range(len(factors))] or [np.zeros((N, k))]
-    )[: len(factors)]
-    numbers = len(owner) * (k + 1) + basis.shape[1] * k
-    return Modes(
-        factors=factors,
-        parts=parts,
-        path=basis @ weights[len(owner) :],
-        noise=np.std(left, axis=0),
-        score=misfit(left, y) + PENALTY * np.log(N) * numbers,
-    )
+def _in_parts(y, still, best: _Reduced):
+    columns, owner = columns_of(best.factors, len(y))
+    each = [columns[:, owner == i] @ best.weights[owner == i] for i in range(len(best.factors))]
+    parts = np.array(each).reshape(len(each), *y.shape)
+    moving = y - parts.sum(0)
+    path = still @ (still.T @ moving)
+    return Modes(best.factors, parts, path, noise=np.std(moving - path, axis=0), score=best.score)
 
 
-def misfit(left, y) -> float:
-    """-2 log of the likelihood of what is left (N, k) of y, each column with a noise of its own."""
+def misfit(power, y) -> float:
+    """-2 log of the likelihood of what is left of y (N, k), of a mean square (k,): each column has its own noise."""
     N = len(y)
     floor = (EXACT * np.std(y, axis=0)) ** 2 + (1e-15 * np.abs(y).max(0)) ** 2 + np.finfo(float).tiny
-    return float(N * np.sum(np.log(np.mean(left**2, axis=0) + floor)))
+    return float(N * np.sum(np.log(power + floor)))
 
 
 def polynomials(y) -> float:
     """The information criterion of the polynomial that explains y (N, k) best, as `Modes.score` counts."""
     N, k = y.shape
-    base, _ = np.linalg.qr(np.linspace(-1, 1, N)[:, None] ** np.arange(DEGREE + 1))
-    return min(
-        misfit(y - base[:, :n] @ (base[:, :n].T @ y), y) + PENALTY * np.log(N) * n * k for n in range(3, DEGREE + 2)
-    )
+    r = triangle(np.hstack([np.linspace(-1, 1, N)[:, None] ** np.arange(DEGREE + 1), y]))[:, DEGREE + 1 :]
+    return min(misfit(np.sum(r[n:] ** 2, axis=0) / N, y) + PENALTY * np.log(N) * n * k for n in range(3, DEGREE + 2))
 
 
 def shape_of(y, found: Modes, i: int):

@@ -19,6 +19,7 @@ COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
 MOST = 100  # samples of dead time and of a measurement's together: theory's matrices have as many rows
 LARGEST = 1e12  # a quantity of a drive, and its inverse: beyond, products of them are no numbers
+TERMS = 15  # of the exponential's series: 0.5^16/16! is below rounding
 FASTEST = 5e4  # rates of a drive times Ts: what is faster is at rest within a sample, and as fast as this
 _ABSENT = ("lag", "joint_noise", "resolution")  # not there where they are 0
 _QUANTITIES = (  # of all joints or of each
@@ -248,18 +249,24 @@ def _continuous(drive, Ts, xp):
 
 def _held(a, b, h, known):
     """Φ(h) = exp(A h) and Γ(h) = ∫₀ʰ exp(A s) b ds, from one exponential of a larger matrix (Van Loan 1978)."""
-    if known:
-        from scipy.linalg import expm
-
-        xp = np
-    else:
-        from jax.scipy.linalg import expm
-
-        xp = jnp
+    xp = np if known else jnp
     whole = xp.concatenate([a, b[..., None]], -1)
-    whole = xp.concatenate([whole, xp.zeros_like(whole[..., :1, :])], -2)
-    made = expm(whole * h)
+    whole = h * xp.concatenate([whole, xp.zeros_like(whole[..., :1, :])], -2)
+    made = _exponential(whole) if known else jax.scipy.linalg.expm(whole)
     return made[..., :-1, :-1], made[..., :-1, -1]
+
+
+def _exponential(a):
+    """exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times. SciPy's calls LAPACK, whose threads
+    wait for each other longer than so small a matrix takes."""
+    size = np.abs(a).sum(-1).max(initial=0.0)
+    doublings = max(math.frexp(size)[1] + 1, 0)  # then at most a half
+    a, less = a / 2.0**doublings, np.zeros_like(a)
+    for k in range(TERMS, 0, -1):
+        less = (a + a @ less) / k
+    for _ in range(doublings):
+        less = 2 * less + less @ less
+    return less + np.eye(a.shape[-1])
 
 
 # --- in a loop ----------------------------------------------------------------------------------------

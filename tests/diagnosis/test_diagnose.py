@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.diagnosis import Kind, diagnose
+from cnclik.diagnosis import Kind, diagnose, fit_drive
 from cnclik.diagnosis.advice import limits_of
+from cnclik.diagnosis.blocks import orthogonal, triangle
 from cnclik.diagnosis.late import Loop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import solve_driven
 from cnclik.stability.driven import driven_limits, respond
-from tests.diagnosis.recordings import loop, monotone, stable
+from tests.diagnosis.recordings import loop, monotone, servo, stable
 
 TS = 0.002
 
@@ -219,3 +220,41 @@ def test_what_cannot_be_diagnosed(signal, options, line):
     with pytest.raises(ArgumentError) as said:
         diagnose(signal, **{"Ts": TS} | options)
     assert str(said.value) == line
+
+
+def test_no_decomposition_is_so_large_that_blas_parts_it_among_threads(monkeypatch):
+    """Threads that wait for each other on cores that are taken: five of 1,500 small logs took ten seconds of CPU. One
+    eigenvalue problem of 128 rows for each search of modes is left; exponentials of drives call no LAPACK."""
+    rng, apart = np.random.default_rng(0), []
+    for name in ("qr", "svd", "lstsq", "eigvals", "pinv", "solve"):
+
+        def watched(a, *rest, _made=getattr(np.linalg, name), _name=name, **options):
+            if a.shape[-2] * a.shape[-1] > 9216:
+                apart.append((_name, a.shape))
+            return _made(a, *rest, **options)
+
+        monkeypatch.setattr(np.linalg, name, watched)
+    monkeypatch.setattr("scipy.linalg.expm", lambda a: apart.append(("expm", a.shape)))
+    t = TS * np.arange(4000)
+    path = np.outer(np.sin(t), rng.uniform(-1, 1, 20))
+    ringing = np.tile(loop(0.3, 4, 1000), 4)
+    swinging, _ = respond([-0.28], Drive(delay=4), TS, np.ones(4000), noise=0.01 * rng.standard_normal(4000))
+    for e in (ringing, swinging):
+        y = path + np.outer(e[:4000], rng.uniform(0.1, 1, 20)) + 3e-4 * rng.standard_normal((4000, 20))
+        assert diagnose(y, TS).rings
+    command = np.where(np.arange(1500) > 20, 0.1, 0.0)
+    motion = servo(command, TS, 2.0, omega=40.0, zeta=0.8) + 1e-4 * rng.standard_normal(1500)
+    assert fit_drive(None, command, motion, TS).drive.order == 2
+    assert not apart
+
+
+def test_pieces_of_a_tall_matrix_have_its_triangle():
+    rng = np.random.default_rng(0)
+    for shape in ((5, 8), (100, 7), (9000, 34), (3000, 90)):
+        a = rng.standard_normal(shape) * np.geomspace(1, 1e-9, shape[1])
+        r = triangle(a)
+        np.testing.assert_allclose(r.T @ r, a.T @ a, rtol=1e-9, atol=1e-13 * np.abs(a.T @ a).max() ** 0.5)
+        if shape[0] >= shape[1]:
+            q, r = orthogonal(a)
+            np.testing.assert_allclose(q.T @ q, np.eye(shape[1]), atol=1e-13)
+            np.testing.assert_allclose(q @ r, a, rtol=1e-12, atol=1e-14)

@@ -45,7 +45,6 @@ def verdicts(counts: dict, seed: int, processes: int):
         for first in range(0, count, AT_ONCE)
     ]
     work.sort(key=lambda one: one[1].start / counts[one[0]])
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else threads that wait for each other take the inputs' time
     context = multiprocessing.get_context("spawn")
     pool = concurrent.futures.ProcessPoolExecutor(processes, context, begin)
     waiting = {pool.submit(batch, *one): one for one in work}

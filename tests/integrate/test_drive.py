@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -238,3 +239,15 @@ def test_a_drive_that_does_not_fit_the_loop_is_refused():
         ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, "EE", t0=1.0, drive=Drive(delay=1))
     with pytest.raises(ArgumentError, match="`delay` must be a known number"):
         jax.jit(lambda d: Drive(delay=d).delay)(1.0)
+
+
+def test_exponentials_of_drives():
+    """Against 60 digits: stiff, badly damped and slow servos."""
+    rng = np.random.default_rng(0)
+    with mpmath.workdps(60):
+        for _ in range(40):
+            w, zeta = 10 ** rng.uniform(-4, 1.5), 10 ** rng.uniform(-2, 1.5)
+            a = np.array([[0, 1, 0], [0, 0, w], [0, -w, -2 * zeta * w]])
+            drive = Drive(natural_frequency=w, damping_ratio=zeta)
+            exact = np.array(mpmath.expm(mpmath.matrix(a), method="taylor").tolist(), float)
+            np.testing.assert_allclose(sampled(drive, 1.0).phi, exact, atol=2e-14)
