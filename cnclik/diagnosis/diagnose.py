@@ -6,7 +6,7 @@ from cnclik import errors
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.blocks import orthogonal
 from cnclik.diagnosis.excited import excited
-from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, Kind, explained, judged, looked_at, spans
+from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, TURNS, Kind, explained, judged, looked_at, spans
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
 from cnclik.quantities import in_samples
@@ -17,6 +17,7 @@ WANDERS = 1.15  # factor between the periods of two parts of a recording from wh
 FADED = 0.3  # size of an oscillation in one part as a share of the other's, below which they aren't compared
 NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
 MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
+SURELY = 0.9  # confidence in a loop from which on growth in few periods is no beginning of a swing
 STILL = 1e-12  # share of the largest value that is rounding
 UNFINISHED = (
     "It may be the beginning of a swing, a path, or columns that are not of one loop, such as commands: the gain "
@@ -143,6 +144,10 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
         made |= advice(kind, found.factors[chosen[0]], shape, loop, found.noise, alpha, Ts)
         whole = made.pop("whole", True)
         periods = _wandering(scaled[:last, moving], first, longest)
+        alone = made.get("pure") or alpha is not None  # with a lag as well few rows fit many loops
+        sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
+        if kind is Kind.GROWING and len(seen) < TURNS * made["period"] and not (sure or periods):
+            kind, made, whole = Kind.UNDECIDED, given | {"kind": Kind.UNDECIDED, "first": first}, True
     report(3, 4, "noise")
     noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
     if kind is Kind.NOISE or not whole or periods or noisy:

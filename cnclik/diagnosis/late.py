@@ -24,6 +24,7 @@ NO_LAG = 0.2  # samples of a lag that is none
 TEMPER = 0.25  # in place of a half: no real loop is one of these exactly
 SIMPLE = 0.03  # share of the likeliest loop's probability from which on dead time alone is told first
 USUAL = 0.05  # [s] of a lag, up to about which drives of robots lag
+SHORTEST = 1e-2  # samples of a lag
 LONGEST = 0.2  # [s] of a lag: what is slower is no robot's drive
 WORSE = 4.0  # times the noise power that such a loop may leave, or:
 PART = 1e-3  # this share of the recording's
@@ -189,7 +190,8 @@ def _with_lags(fit, factor, phase) -> list:
     best = min(tried, key=lambda one: one.score)
 
     def at(values):
-        return best._replace(lag=best.lag * np.exp(values[0]), z=best.z * np.exp(values[1]))
+        lag = max(best.lag * np.exp(values[0]), SHORTEST * fit.Ts)
+        return best._replace(lag=lag, z=best.z * np.exp(values[1]))
 
     made = minimize(
         lambda values: fit.scored(at(values)).score,
@@ -216,7 +218,7 @@ def _family(factor, phase, Ts) -> list:
 
     found = []
     for delay in phase * np.arange(LAGS) / LAGS if factor.imag and 0.2 < phase < MOST else ():
-        low, high = np.log(1e-2 * Ts), np.log(1e3 * max(phase, 1) * Ts)
+        low, high = np.log(SHORTEST * Ts), np.log(1e3 * max(phase, 1) * Ts)
         turn = [np.angle(gain(delay, np.exp(at))) for at in (low, high)]
         if turn[0] * turn[1] < 0:
             lag = float(np.exp(brentq(lambda at, d=delay: np.angle(gain(d, np.exp(at))), low, high, xtol=1e-6)))

@@ -193,6 +193,19 @@ def test_the_beginning_of_a_swing_is_no_decay_and_no_noise(d, share):
         assert "No smaller gain" not in str(found)
 
 
+@pytest.mark.parametrize(("d", "rows"), [(7, (16,)), (10, range(16, 24, 2)), (10, (19, 25)), (15, (28, 34))])
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_the_beginning_of_a_swing_does_not_grow(d, rows, noise):
+    """Few rows of a stable loop, at first at rest, were fitted by growing oscillations that are none of a loop's."""
+    rng = np.random.default_rng(d)
+    for N in rows:
+        y = np.outer(loop(0.85 * stable(d), d, N), [0.1, -0.04])
+        found = diagnose(y + noise * rng.standard_normal(y.shape), TS)
+        assert found.kind is not Kind.GROWING, (N, found)
+    grows = np.outer(loop(1.4 * stable(4), 4, 40), [0.1, -0.04])
+    assert about(diagnose(grows + noise * rng.standard_normal(grows.shape), TS), 1.4 * stable(4), 4)
+
+
 def test_recorded_commands_beside_joints_are_no_decay_of_a_loop():
     """A step of all joints with its commands, which have no noise: no factor explains both."""
     command = np.where(np.arange(400)[:, None] < 20, 0.0, [0.1, -0.2, 0.15, 0.1, 0.2, -0.1])
