@@ -16,13 +16,14 @@ def unless_given(written, *names) -> str:
 
 def assumed_drives(made) -> list:
     """A sentence about drives of which nothing but dead time was given."""
-    drive = made.drive
-    if drive is not None and (drive.order or drive.feedback == "commanded"):
-        return []
-    late = 0 if drive is None else drive.lumped.delay
-    after = f"after {in_samples(late, made.Ts)} of dead time " if late else ""
-    return [f"Assumed: {after}the drives follow at once, without a lag. A lag asks for a smaller gain: measure it with "
-            "`cnclik diagnose LOG.csv --step`, which prints the options to give here."]  # fmt: skip
+    from cnclik.integrate.drive import Drive
+    from cnclik.stability.recommend import assumed_of
+
+    said = assumed_of(made.drive or Drive(), made.Ts)
+    measure = (
+        "A lag asks for a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
+    )
+    return [f"{said} {measure} to give here."] if said else []
 
 
 def dead_time(made) -> str:

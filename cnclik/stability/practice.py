@@ -27,7 +27,7 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.linear import first_above
 from cnclik.stability.rebased import WHERE, bearable_delay
-from cnclik.stability.recommend import Advice, advice_of, loop_at_rest, recommendation_of
+from cnclik.stability.recommend import Advice, advice_of, assumed_of, loop_at_rest, recommendation_of
 from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
@@ -264,15 +264,12 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
             f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} Drives that follow at once, as in "
             "a simulation of kinematics alone: --delay 0."
         )
-    if drive.order or drive.feedback == "commanded":
-        return ""
-    late = drive.lumped.delay
-    said = f"Assumed: after {in_samples(late, Ts)} of dead time the drives follow at once"
-    if not late:
-        return "Assumed: the drives follow at once, without dead time, lag or servo."
+    said, late = assumed_of(drive, Ts), drive.lumped.delay
+    if not (said and late):
+        return said
     lagging = min(chosen, taking_back(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
     return (
-        f"{said}, without a lag. Servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, would overshoot: at most "
+        f"{said} Servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, would overshoot: at most "
         f"{lagging:.3g} 1/s is for them. {_MEASURE}"
     )
 

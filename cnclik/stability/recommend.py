@@ -12,6 +12,7 @@ from cnclik.integrate.solve import evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.law.null import MaximizeManipulability
 from cnclik.precision import in_float64
+from cnclik.quantities import in_samples
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.stability.driven import (
@@ -43,6 +44,7 @@ from cnclik.stability.spectrum import (
 )
 
 REACH = 1e4  # z up to which is looked
+_MEASURED = "On a robot give `drive`, as `ck.fit_drive` finds it: real drives take a smaller gain."
 
 
 @record
@@ -51,6 +53,7 @@ class Recommendation:
 
     Attributes:
       name: "alpha" or "Ts".
+      assumed: what is taken for true of drives that nobody described, in words; "" where a lag or a servo is given.
       largest: the largest stable value, of the law's alpha's shape; inf where every one is stable, 0 where none is,
         as with a null-space velocity that is unstable by itself.
       fastest: the value with the smallest spectral radius; inf where larger is faster without end.
@@ -65,6 +68,7 @@ class Recommendation:
     """
 
     name: str
+    assumed: str
     largest: object
     fastest: object
     monotone: object
@@ -79,13 +83,14 @@ class Recommendation:
     evaluations: int
 
     def __str__(self):
+        said = f"{self.assumed} {_MEASURED}\n{self.name}" if self.assumed else self.name
         first = ""
         if self.recommended is not None:
             first = f"recommended {in_words(self.recommended)} (z = {self.z_recommended:.4g}), "
         if self.z_recommended == 0:
-            return f"{self.name}: none is recommended; {self.limit}"
+            return f"{said}: none is recommended; {self.limit}"
         return (
-            f"{self.name}: {first}stable to {in_words(self.largest)} (z = {self.z_largest:.4g}), fastest at "
+            f"{said}: {first}stable to {in_words(self.largest)} (z = {self.z_largest:.4g}), fastest at "
             f"{in_words(self.fastest)} (z = {self.z_fastest:.4g}, error × {self.radius:.3g} per step); {self.limit}"
         )
 
@@ -274,6 +279,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
     beyond = spectrum_of(moved[0], rows)
     return Recommendation(
         name="Ts" if Ts is None else "alpha",
+        assumed=assumed_of(drive, Ts),
         largest=value(z_largest),
         fastest=value(z_fastest),
         monotone=value(z_monotone),
@@ -287,6 +293,16 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
+
+
+def assumed_of(drive: Drive, Ts) -> str:
+    """What is taken for true where nothing but dead time is known of the drives; "" where more is, or none matters."""
+    late = drive.lumped.delay
+    if drive.order or drive.feedback == "commanded":
+        return ""
+    if not late:
+        return "Assumed: the drives follow at once, without dead time, lag or servo."
+    return f"Assumed: after {in_samples(late, Ts)} of dead time the drives follow at once, without a lag."
 
 
 def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:

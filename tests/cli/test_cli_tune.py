@@ -71,7 +71,9 @@ def test_infeasible_margin_is_in_the_summary(tmp_path, capsys):
     made, out = json.loads((tmp_path / "tuned.json").read_text()), capsys.readouterr().out
     assert not made["satisfied"] and made["status"] == "infeasible" and 0.7 < made["after"]["violation"] < 0.9
     assert (
-        stopped.value.code == 1 and "# Not tuned" in out and "Assumed: the drives follow at once, without a lag" in out
+        stopped.value.code == 1
+        and "# Not tuned" in out
+        and "Assumed: the drives follow at once, without dead time, lag or servo" in out
     )
     assert (
         "| constraints | NOT kept, " in out and "## Nothing for a controller\n\nThe constraints are NOT kept, " in out

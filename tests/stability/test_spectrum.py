@@ -232,3 +232,18 @@ def test_null_space_velocities_that_pull_at_the_task_are_told():
     climbs = on_the_way(ck.maximize_manipulability(FOUR, XY, 5.0), inverse=ck.damped(0.5))
     with pytest.raises(ck.ArgumentError, match="`q` must be no singular posture to climb the manipulability from"):
         recommend(climbs, None, np.zeros(4), Ts=Ts)
+
+
+def test_a_recommendation_says_first_what_it_assumes_of_the_drives():
+    """A gain is of the drives as they are given: where a lag may hide, it is said before the gain."""
+    for drive, words in (
+        (ck.Drive(), "Assumed: the drives follow at once, without dead time, lag or servo."),
+        (ck.Drive(delay=4), "Assumed: after 4 samples (40 ms) of dead time the drives follow at once, without a lag."),
+    ):
+        made = recommend(law(), None, Q, Ts=0.01, drive=drive)
+        assert str(made).startswith(words) and "\nalpha: recommended" in str(made) and made.assumed == words
+        assert repr(made).index(words) < repr(made).index("largest")
+    told = recommend(law(), None, Q, Ts=0.01, drive=ck.Drive(delay=4, lag=0.02))
+    assert str(told).startswith("alpha: recommended") and told.assumed == ""
+    assert recommend(law(), None, Q, Ts=0.01, drive=ck.Drive(delay=4, feedback="commanded")).assumed == ""
+    assert str(recommend(law(), None, Q)).startswith("Assumed: the drives follow at once")
