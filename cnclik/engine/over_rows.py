@@ -37,7 +37,23 @@ def slid(g, row, start, stride, length):
 def _joined(g, pieces, lengths, dtype):
     if all(p is pieces[0] and not p.shape for p in pieces):
         return pieces[0]
-    return g.shared("joined", tuple(pieces), tuple(lengths), (sum(lengths),), dtype)
+    row, start = _part(pieces[0], lengths[0])
+    follows = start
+    for piece, length in zip(pieces, lengths, strict=True):
+        if not row.shape or _part(piece, length) != (row, follows):
+            return g.shared("joined", tuple(pieces), tuple(lengths), (sum(lengths),), dtype)
+        follows += length
+    return slid(g, row, start, 1, follows - start)
+
+
+def _part(piece, length):
+    """(row, where in it) of entries side by side: what a carry ends as is the last that its scan stacks up of it."""
+    if piece.op == "slid" and piece.params[1] == 1:
+        return piece.args[0], piece.params[0]
+    if piece.op == "end" and length == 1 and isinstance(r := piece.value[0], Scan) and not r.reverse:
+        same = [y for y in r.outs[len(r.carries) :] if r.ys[y.value[2]] is r.then[piece.value[2]]]
+        return (same[0], r.length - 1) if same else (piece, 0)
+    return piece, 0
 
 
 def _each(rows, fn, length):

@@ -37,13 +37,13 @@ class Program:
             raise UnsupportedError(f"a tile needs {self.work >> 20} MiB of memory")
 
     def __call__(self, leaves, size, cores=1) -> list:
-        """Results of a batch of `size` lanes, as NumPy arrays.
+        """Results of a batch of `size` lanes, as NumPy arrays that `jax.device_put` takes without a copy.
 
         Args: leaves: arrays (size, ...), or (...) for what all lanes share.
         """
         leaves = [np.asarray(x, a.dtype, order="C") for x, a in zip(leaves, self.avals, strict=True)]
         strides = [a.size if x.ndim > len(a.shape) else 0 for x, a in zip(leaves, self.avals, strict=True)]
-        made = [np.empty((size, *s.shape), s.dtype) for s in self.shapes]
+        made = [_empty((size, *s.shape), s.dtype) for s in self.shapes]
         ins = (ctypes.c_void_p * len(leaves))(*[x.ctypes.data for x in leaves])
         stride = (ctypes.c_int64 * len(leaves))(*strides)
         out = (ctypes.c_void_p * len(made))(*[x.ctypes.data for x in made])
@@ -60,6 +60,13 @@ class Program:
             for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
                 pass
         return made
+
+
+def _empty(shape, dtype):
+    """An array that begins where JAX's do: at 64 bytes."""
+    size = int(np.prod(shape)) * dtype.itemsize
+    whole = np.empty(size + 64, np.uint8)
+    return whole[-whole.ctypes.data % 64 :][:size].view(dtype).reshape(shape)
 
 
 def _built(text, operations):

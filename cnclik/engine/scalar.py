@@ -11,6 +11,8 @@ from cnclik.engine.to_c import Writer
 class ScalarWriter(Writer):
     """Writes the statements of a graph for one lane, which call the `helpers` for its `functions`."""
 
+    beside = 1
+
     def __init__(self, graph, given, outs, reads, writes, prefix=""):
         super().__init__(graph, given, outs, np.dtype(np.float64), reads, writes)
         self.prefix = prefix

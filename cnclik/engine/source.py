@@ -51,7 +51,12 @@ def lane(dtype, data, stride):
 
 def entry(dtype, data, size):
     """What stores entries of lanes from `first` on, each lane with so many numbers."""
-    return lambda at, words: f"store_{vector(dtype)}({data} + first * {size} + {at}, {size}, {words}, n);"
+
+    def store(at, *words):
+        name = f"four_{vector(dtype)}" if len(words) > 1 else vector(dtype)
+        return f"store_{name}({data} + first * {size} + {at}, {size}, {', '.join(words)}, n);"
+
+    return store
 
 
 def vectors(writer, main) -> str:

@@ -7,7 +7,7 @@ an array that stays whole (an argument too large to be taken apart, a table).
 import numpy as np
 
 from cnclik.engine.cells import array_of
-from cnclik.engine.graph import Node, UnsupportedError
+from cnclik.engine.graph import Node, Scan, UnsupportedError
 
 MANY = 64  # entries along axis 0 from which on a known array, or an argument, is taken as rows
 
@@ -76,6 +76,10 @@ def entry(g, row, k):
     if row.op == "slid":
         start, stride = row.params
         return entry(g, row.args[0], start + stride * k)
+    if row.op == "stacked" and isinstance(r := row.value[0], Scan) and k == (0 if r.reverse else r.length - 1):
+        y = r.ys[row.value[2]]
+        if y in r.then:  # of the last round a carry knows it
+            return r.outs[r.then.index(y)]
     return g.shared("index", (row,), (k,), (), row.dtype)
 
 

@@ -22,6 +22,7 @@ class Writer(RowTexts):
     """Writes the statements of a graph."""
 
     prefix = ""
+    beside = 4  # entries that are stored at once
 
     def __init__(self, graph, given, outs, main, reads, writes, *, piece=0, shared=()):
         """
@@ -211,7 +212,7 @@ class Writer(RowTexts):
         j = self.new("j")
         k = f"({r.length - 1} - {j})" if r.reverse else j
         stores = self.make_room(r, stacked, k)
-        direct = [(o, out) for o, out in self.direct.items() if out.cells.flat[0].value[0] is r]
+        direct = [(o, *about[1:]) for o, about in self.direct.items() if about[0] is r]
         names = {i: self.variable(r.carries[i], self.of(r.first[i])) for i in alive}
         self.names |= {r.carries[i].number: name for i, name in names.items()}
         self.line(f"for (int64_t {j} = 0; {j} < {r.length}; ++{j}) {{")
@@ -223,13 +224,16 @@ class Writer(RowTexts):
             else:
                 self.names[r.rows[i].number] = self.row(r.xs[i], k, memo)
         ends = [r.then[i] for i in alive] + [y for y, _ in stores]
-        ends += [r.ys[c.value[2]] for _, out in direct for c in out.cells.flat]
+        ends += [y for _, _, _, ys in direct for y in ys]
         self.block(r.block, ends)
         for y, node in stores:
             self.line(f"{self.where[node.number](k)} = {self.of(y)};")
-        for o, out in direct:
-            nodes = [r.ys[c.value[2]] for c in out.cells.flat]
-            self.store(o, list(map(self.of, nodes)), f"({k}) * {len(nodes)} + ")
+        for o, start, length, ys in direct:
+            if length < r.length:
+                self.line(f"if ({k} >= {start} && {k} < {start + length}) {{")
+            self.store(o, list(map(self.of, ys)), f"({k} - {start}) * {len(ys)} + ")
+            if length < r.length:
+                self.line("}")
         self.move_on(r, names)
         self.line("}")
         self.leave()
@@ -361,9 +365,13 @@ class Writer(RowTexts):
         return self.lines
 
     def store(self, o, texts, offset=""):
-        """Entries of a result."""
-        for c, words in enumerate(texts):
-            self.line(self.writes[o](f"{offset}{c}", words))
+        """Entries of a result; four at once, some of them twice, where there are so many."""
+        several = self.beside <= len(texts) and cells_of(self.outs[o])[0].dtype.kind != "b"
+        at, some = 0, self.beside if several else 1
+        while at < len(texts):
+            at = min(at, len(texts) - some)
+            self.line(self.writes[o](f"{offset}{at}", *texts[at : at + some]))
+            at += some
 
 
 def cells_of(out) -> list:
@@ -372,11 +380,20 @@ def cells_of(out) -> list:
 
 
 def _direct(outs) -> dict:
-    """{number: result} of those results that one scan stacks up whole, and that lies in no other region."""
+    """{number: (scan, first round, how many, nodes of one)} of results that are rounds of what a scan stacks up."""
     found = {}
     for k, out in enumerate(outs):
-        cells = cells_of(out)
-        whole = isinstance(out, Rows) and cells and all(c.op == "stacked" and len(c.shape) == 1 for c in cells)
-        if whole and len({id(c.value[0]) for c in cells}) == 1 and cells[0].block.parent is None:
-            found[k] = out
+        cells = cells_of(out) if isinstance(out, Rows) else []
+        rounds = {_rounds(c) for c in cells if not c.known}
+        if len(rounds) == 1 and None not in rounds:
+            ((r, start),) = rounds
+            ys = [c if c.known else r.ys[(c.args[0] if c.op == "slid" else c).value[2]] for c in cells]
+            found[k] = r, start, out.length, ys
     return found
+
+
+def _rounds(row):
+    """(scan, first round) of a row that is what a scan in no other region stacks up, or a part of it; else None."""
+    row, start = (row.args[0], row.params[0]) if row.op == "slid" and row.params[1] == 1 else (row, 0)
+    stacked = row.op == "stacked" and len(row.shape) == 1 and row.block.parent is None
+    return (row.value[0], start) if stacked else None

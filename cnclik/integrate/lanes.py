@@ -80,7 +80,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
         if not concrete:
             return traced(*args)
         if isinstance(found, Program):
-            return jax.tree.unflatten(function.structure, map(jnp.asarray, found(leaves, size, cores)))
+            return jax.tree.unflatten(function.structure, jax.device_put(found(leaves, size, cores)))
         if size <= tile:
             return compiled(*args)
         read = in_scalars() and isinstance(function.scalars.of(avals), Derived)

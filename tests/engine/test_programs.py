@@ -109,6 +109,33 @@ def test_moves_along_time():
     check(fn, batch(70, 3), batch(3, seed=1), ulps=200)
 
 
+@pytest.mark.parametrize("dtype", ["float32", "float64", "int32", "uint8"])
+def test_results_that_are_rounds_of_a_loop_are_stored_as_they_are_made(dtype):
+    def fn(x):
+        def one(x, k):
+            x = (3 * x + k.astype(x.dtype)) % 7
+            return x, (x, x[:3], x[0], jnp.append(2 * x, 5 * x), jnp.full(2, 3, x.dtype))
+
+        end, (xs, three, first, many, same) = lax.scan(one, x, jnp.arange(70))
+        back = lax.scan(one, x, jnp.arange(70), reverse=True)[1][0]
+        return (
+            xs,
+            three[:69],
+            first,
+            many[3:60],
+            same,
+            jnp.append(xs[:69], end[None], 0),
+            back,
+            xs[-1],
+            back[0],
+            xs[::2],
+        )
+
+    x = np.abs(7 * batch(6)).astype(dtype)
+    with jax.enable_x64(dtype == "float64"):
+        same(in_c(fn, x), jax.jit(jax.vmap(fn))(x), ulps=0)
+
+
 def test_branches():
     def heavy(x):
         return lax.fori_loop(0, 5, lambda i, x: jnp.exp(jnp.sin(x)) + i, x)

@@ -20,6 +20,19 @@ static inline T K(load)(const N *p, int64_t stride, int64_t n)
   return r;
 }
 
+/* Four numbers that lie side by side in each lane. */
+static inline void K(store_four)(N *p, int64_t stride, T a, T b, T c, T d, int64_t n)
+{
+#if defined(FOUR) && SIZE == MAIN
+  if (n == W) {
+    store_four((char *)p, stride * SIZE, (REGISTER)a, (REGISTER)b, (REGISTER)c, (REGISTER)d);
+    return;
+  }
+#endif
+  const T v[] = {a, b, c, d};
+  for (int i = 0; i < n; ++i) for (int k = 0; k < 4; ++k) p[i * stride + k] = v[k][i];
+}
+
 static inline void K(store)(N *p, int64_t stride, T v, int64_t n)
 {
   if (n == W) for (int i = 0; i < W; ++i) p[i * stride] = v[i];

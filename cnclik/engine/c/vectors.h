@@ -91,5 +91,37 @@ static inline void store_M(uint8_t *p, int64_t stride, M v, int64_t n)
   for (int i = 0; i < n; ++i) p[i * stride] = v[i] != 0;
 }
 
+/* Four vectors of numbers of 4 bytes turned into W places of four; the lines of memory that follow are asked for. */
+#if MAIN == 4 && BYTES == 64 && defined(__AVX512F__)
+#define FOUR
+typedef __m512 REGISTER;
+#define OF_REGISTER(name) _mm512_##name
+#define QUARTER(r, j) _mm512_extractf32x4_ps(r, j)
+#elif MAIN == 4 && BYTES == 32 && defined(__AVX__)
+#define FOUR
+typedef __m256 REGISTER;
+#define OF_REGISTER(name) _mm256_##name
+#define QUARTER(r, j) _mm256_extractf128_ps(r, (j) & 1)
+#endif
+#ifdef FOUR
+static inline void store_four(char *p, int64_t stride, REGISTER a, REGISTER b, REGISTER c, REGISTER d)
+{
+  const REGISTER ab = OF_REGISTER(unpacklo_ps)(a, b), cd = OF_REGISTER(unpacklo_ps)(c, d);
+  const REGISTER AB = OF_REGISTER(unpackhi_ps)(a, b), CD = OF_REGISTER(unpackhi_ps)(c, d);
+  const REGISTER turned[] = {
+    OF_REGISTER(shuffle_ps)(ab, cd, 0x44), OF_REGISTER(shuffle_ps)(ab, cd, 0xee),
+    OF_REGISTER(shuffle_ps)(AB, CD, 0x44), OF_REGISTER(shuffle_ps)(AB, CD, 0xee)};
+  for (int i = 0; i < W; ++i) __builtin_prefetch(p + i * stride + 128, 1);
+  for (int i = 0; i < 4; ++i) {
+    _mm_storeu_ps((float *)(p + i * stride), QUARTER(turned[i], 0));
+    _mm_storeu_ps((float *)(p + (i + 4) * stride), QUARTER(turned[i], 1));
+#if BYTES == 64
+    _mm_storeu_ps((float *)(p + (i + 8) * stride), QUARTER(turned[i], 2));
+    _mm_storeu_ps((float *)(p + (i + 12) * stride), QUARTER(turned[i], 3));
+#endif
+  }
+}
+#endif
+
 /* What is kept between the rounds of loops: T's at a place of the work memory. */
 #define AT(T, place) ((T *)(work + (place)))
