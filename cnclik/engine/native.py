@@ -185,7 +185,7 @@ def _plain(*args, function, batched):
     """The function by JAX: scalar by scalar, or as it is where it can't be read."""
     axes = [0 if b else None for b in batched]
     lane, _ = _lanes([jax.typeof(x) for x in args], batched)
-    found = function.scalars.of(lane) if in_scalars() else None
+    found = function.scalars.of(lane) if in_scalars() and not jax.config.jax_disable_jit else None
     fn = found if isinstance(found, Derived) else function._flat
     return jax.vmap(fn, axes)(*args) if any(batched) else fn(*args)
 
@@ -210,6 +210,8 @@ mlir.register_lowering(native_p, mlir.lower_fun(_called, multiple_results=True),
 
 @native_p.def_impl
 def _now(*args, function, batched):
+    if jax.config.jax_disable_jit:
+        return _plain(*args, function=function, batched=batched)
     return _jitted(*args, function=function, batched=batched)
 
 

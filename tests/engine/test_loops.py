@@ -1,4 +1,4 @@
-"""Loops of the library as C: laws, limits, methods, stages and what lies around them, held against jax.vmap.
+"""Loops of the library as C and derived for JAX, held against jax.vmap: laws, limits, methods, stages.
 
 A third of a spread by default; the spread, in which every name occurs, and every pair of names with `pytest -m slow`.
 """
@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.engine.compiler import can_build
-from engine.compare import in_c, same
+from engine.compare import check
 from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination
-
-pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
 
 N, SIZE = 5, 11
 
@@ -64,12 +61,10 @@ def run_of(combination):
 
 
 def held(combination, loose=1.0):
-    """Asserts that C gives what JAX does."""
+    """Asserts that the derived programs give what JAX does."""
     law, run = run_of(combination)
     with jax.enable_x64(combination.dtype == "float64"):
-        given = lanes_of(law, combination.dtype)
-        wanted = jax.jit(jax.vmap(run))(*given)
-        same(in_c(run, *given), jax.tree.map(np.asarray, wanted), ulps=loose * 3e3)
+        check(run, *lanes_of(law, combination.dtype), ulps=loose * 3e3, scalar_too=False)
 
 
 @pytest.mark.parametrize("combination", spread()[::3], ids=str)

@@ -7,11 +7,8 @@ import pytest
 from jax import lax
 
 import cnclik as ck
-from cnclik.engine.compiler import can_build
 from cnclik.errors import ArgumentError
-from engine.compare import same
-
-pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
+from engine.compare import NEEDS_C, same
 
 
 def own(case, k):
@@ -71,11 +68,18 @@ def test_transformations(name):
     same(jax.tree.map(np.asarray, found), jax.tree.map(np.asarray, wanted), ulps=400)
 
 
+def test_without_jit_it_is_the_function_step_by_step():
+    with jax.disable_jit():
+        found = jax.vmap(jax.grad(loss(NATIVE)))(MANY)
+    same(np.asarray(found), np.asarray(jax.vmap(jax.grad(loss(own)))(MANY)), ulps=400)
+
+
 def test_arguments_by_name():
     given = {"case": {"x": X, "y": Y}, "k": K}
     same(jax.tree.map(np.asarray, NATIVE(**given)), jax.tree.map(np.asarray, own(**given)), ulps=400)
 
 
+@NEEDS_C
 def test_it_is_c():
     text = jax.jit(jax.vmap(lambda x: NATIVE({"x": x, "y": Y}, K))).lower(MANY).as_text()
     assert "lanes-" in text and "sine" not in text
@@ -105,3 +109,22 @@ def test_errors_are_the_functions_own():
         ck.native(lambda x: 1 / 0)(X)
     with pytest.raises(TypeError, match="dot_general"):
         ck.native(lambda x: x @ MANY)(X)
+
+
+LAW = ck.Law(ck.panda(), ck.pose_task(), alpha=5.0, inverse=ck.damped(0.1))
+
+
+def moved(q0):
+    target = ck.hold(jnp.array([0.4, 0.1, 0.5]), jnp.eye(3))
+    return jnp.sum(ck.solve(LAW, target, q0, 0.01, 4, "EE").e[-1] ** 2)
+
+
+@pytest.mark.parametrize(
+    "fn",
+    [ck.lanes(moved), jax.vmap(moved), jax.vmap(jax.grad(moved)), ck.lanes(jax.grad(moved))],
+    ids=["lanes", "solve", "gradient", "lanes of a gradient"],
+)
+def test_for_a_gpu_it_is_jax_alone(fn):
+    """Lowered for CUDA, without one: neither C nor LAPACK, and the engine's scalars."""
+    text = jax.jit(fn).trace(np.zeros((300, 7))).lower(lowering_platforms=("cuda",)).as_text()
+    assert "custom_call" not in text and "dot_general" not in text and "sine" in text

@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from jax import lax
 
-from cnclik.engine.compiler import can_build
 from cnclik.engine.reader import ELEMENTWISE
-from engine.compare import check, in_c, in_scalar_c
-
-pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
+from engine.compare import NEEDS_C, check, in_c, in_scalar_c
 
 SIZE = 37  # no multiple of any vector's lanes
 SPECIAL = (0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 0.5, -0.5, 1.5, 2.5, -2.5, 3e4, -7e5)
@@ -49,6 +46,7 @@ def test_functions_of_one_number(names, dtype):
     )
 
 
+@NEEDS_C
 @pytest.mark.parametrize("by", [in_c, in_scalar_c])
 @pytest.mark.parametrize("dtype", REALS)
 def test_sines_and_angles_are_exact_to_a_few_ulp(dtype, by):
@@ -93,7 +91,7 @@ def test_functions_of_whole_numbers(dtype):
 
 @pytest.mark.parametrize("dtype", WHOLE)
 def test_known_whole_numbers_are_worked_out_as_they_would_be(dtype):
-    x, y = numbers(dtype), numbers(dtype, 1)
+    x, y = numbers(dtype)[:9], np.roll(numbers(dtype)[:9], 1)
     two = ["add", "sub", "mul", "div", "rem", "bitwise_and", "shift_left", "shift_right_logical"]
     two += ["shift_right_arithmetic", "lt", "max"]
 
@@ -101,7 +99,7 @@ def test_known_whole_numbers_are_worked_out_as_they_would_be(dtype):
         return {n: getattr(lax, n)(jnp.asarray(x), jnp.asarray(y)) for n in two}
 
     # XLA itself, told the numbers, dies of the least one over -1 (jaxlib 0.10).
-    check(lambda *_: all_of(x, y), *(np.broadcast_to(v, (3, SIZE)) for v in (x, y)), by=all_of)
+    check(lambda *_: all_of(x, y), *(np.broadcast_to(v, (3, *v.shape)) for v in (x, y)), by=all_of)
 
 
 def test_functions_of_truths():

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from jax import lax
 
-from cnclik.engine.compiler import can_build
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.graph import UnsupportedError, While
 from cnclik.engine.program import Program
 from cnclik.engine.reader import read_jaxpr
 from cnclik.engine.tracing import to_be_read
-from engine.compare import check, in_c, same
-
-pytestmark = pytest.mark.skipif(not can_build(), reason="no C compiler")
+from engine.compare import NEEDS_C, check, in_c, same
 
 SIZE = 19
 A = np.random.default_rng(5).normal(size=(3, 3)) / 3
@@ -76,8 +73,7 @@ def test_derivatives(fn, kind):
 
 
 def test_a_long_gradient_keeps_what_is_cheap_to_keep():
-    given = batch(3), batch(400, 3, seed=1)
-    check(jax.value_and_grad(smooth), *given, ulps=5000)
+    given = batch(3), batch(120, 3, seed=1)
     check(jax.value_and_grad(lambda q, p: smooth(q, p[::-1])), *given, ulps=5000)
 
 
@@ -210,6 +206,7 @@ def test_odd_arguments_and_results():
     check(lambda x: x + jax.random.normal(jax.random.key(3), (4,)), batch(4))
 
 
+@NEEDS_C
 @pytest.mark.parametrize("size", [1, 2, 15, 16, 17, 130])
 @pytest.mark.parametrize("cores", [1, 3])
 def test_any_number_of_lanes_on_any_number_of_cores(size, cores):
@@ -237,22 +234,24 @@ def test_long_bodies_are_written_in_pieces(monkeypatch):
     check(fn, *given, ulps=50)
 
 
+@NEEDS_C
 def test_zeros_of_a_model_vanish_and_others_stay():
     eye = np.eye(3)
 
-    def plain(x, eye=eye):
+    def unmarked(x, eye=eye):
         return jnp.asarray(eye) @ x
 
     def marked(x):
-        return plain(x, of_the_model(eye))
+        return unmarked(x, of_the_model(eye))
 
     x = batch(3)
-    check(marked, x, by=plain)
+    check(marked, x, by=unmarked)
     x[0, 0] = np.inf
-    assert np.isnan(check(plain, x)[0, 1:]).all() and np.array_equal(in_c(marked, x), x)
+    assert np.isnan(check(unmarked, x)[0, 1:]).all() and np.array_equal(in_c(marked, x), x)
     check(jax.jacfwd(marked), x, by=lambda x: jnp.asarray(eye))
 
 
+@NEEDS_C
 @pytest.mark.parametrize(
     ("fn", "name"),
     [
@@ -305,6 +304,7 @@ def random_program(seed):
     check(jax.grad(lambda x, y: jnp.sum(jnp.sin(fn(x, y)[1])) + jnp.sum(fn(x, y)[0])), *given, ulps=5000)
 
 
+@NEEDS_C
 def test_a_program_tells_how_long_it_is():
     made = Program(track, [jax.ShapeDtypeStruct((3,), "float64"), jax.ShapeDtypeStruct((9, 3), "float64")],
                    jax.tree.structure((0, 0)))  # fmt: skip
