@@ -135,11 +135,36 @@ def _pinv_by_elimination(rows):
     P (2I − J P) squares what is left of I − J P, of the size eps·κ²: in the end as good as any, eps·κ, while
     κ³ < 1/eps. κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹) tells; a singular J makes that infinite or NaN.
     """
+    lower, inverse, trusted = _eliminated(rows)
+    first = cholesky_solve(lower, rows)
+    return 2.0 * first - first @ rows.T @ first, 1.0 / jnp.sqrt(inverse), trusted
+
+
+def _eliminated(rows):
+    """The Cholesky factor of J Jᵀ, the trace of (J Jᵀ)⁻¹, and whether to trust them."""
     lower = cholesky(rows @ rows.T)
     size, inverse = jnp.sum(rows**2), inverse_trace(lower)
-    first = cholesky_solve(lower, rows)
-    trusted = size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3)
-    return 2.0 * first - first @ rows.T @ first, 1.0 / jnp.sqrt(inverse), trusted
+    return lower, inverse, size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3)
+
+
+@jax.custom_jvp
+def pinv_applied(rows, t):
+    """J# t of `pinv` for no more rows than joints, refined with vectors: P t + P (t − J P t). Derivatives are those of
+    `pinv`."""
+    if len(rows) <= 2:
+        return t @ _pinv(rows)[0]
+    lower, _, trusted = _eliminated(rows)
+
+    def quick(rows, t):
+        first = cholesky_solve(lower, t) @ rows
+        return first + cholesky_solve(lower, t - rows @ first) @ rows
+
+    return lax.cond(trusted, quick, lambda rows, t: t @ _pinv_by_rotations(rows)[0], rows, t)
+
+
+@pinv_applied.defjvp
+def _pinv_applied_jvp(primals, tangents):
+    return jax.jvp(lambda rows, t: t @ pinv(rows)[0], primals, tangents)
 
 
 def _pinv_by_rotations(rows):

@@ -4,6 +4,7 @@ An inverse is a record that, called with the rows of J, factors them once and re
 function to apply J# to any number of task velocities, and what the factorisation says of singularity.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -36,13 +37,19 @@ def remembered(rows, factor, t):
     return (t if factor is None else dense.cholesky_solve(dense.unpacked(factor, len(t)), t)) @ rows
 
 
+def through(apply, rows, velocity, wanted):
+    """J# v + (I − J# J) q̇₀, with one application of J#; q̇₀ may be None."""
+    return apply(velocity) if wanted is None else apply(velocity - rows @ wanted) + wanted
+
+
 @record
 class Pseudoinverse:
     """See `pseudoinverse`."""
 
     def __call__(self, rows) -> Factored:
         columns, least = dense.pinv(rows)
-        return Factored(lambda t: t @ columns, lax.stop_gradient(least), kept=lambda: (columns, None))
+        apply = functools.partial(dense.pinv_applied, rows) if len(rows) <= rows.shape[1] else lambda t: t @ columns
+        return Factored(apply, lax.stop_gradient(least), kept=lambda: (columns, None))
 
 
 @record

@@ -16,7 +16,7 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.inverse import Pseudoinverse, damped_apply
+from cnclik.law.inverse import Pseudoinverse, damped_apply, through
 from cnclik.law.null import evaluated
 from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.precision import precise
@@ -151,9 +151,7 @@ def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
     held = False
     if law.limits is None:
         made = law.inverse(rows)
-        qdot = made.apply(velocity)
-        if wanted is not None:
-            qdot = qdot + (wanted - made.apply(rows @ wanted))
+        qdot = through(made.apply, rows, velocity, wanted)
     else:
         made = law.limits(law.inverse, law.chain, q, rows, velocity, wanted)
         qdot, held = made.qdot, made.held

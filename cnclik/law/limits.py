@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from cnclik.law import dense
-from cnclik.law.inverse import Factored, positive, tiny_shift
+from cnclik.law.inverse import Factored, positive, through, tiny_shift
 from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
 
@@ -43,7 +43,7 @@ class Scaled:
 
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         factored = inverse(rows)
-        qdot, held = slowed(chain, _through(factored.apply, rows, velocity, wanted))
+        qdot, held = slowed(chain, through(factored.apply, rows, velocity, wanted))
         return Limited(qdot=qdot, apply=factored.apply, least=factored.least, held=held)
 
 
@@ -65,14 +65,6 @@ def slowed(chain, qdot):
     return s * qdot, s < 1
 
 
-def _through(apply, rows, velocity, wanted):
-    """J# v + (I − J# J) q̇₀."""
-    qdot = apply(velocity)
-    if wanted is None:
-        return qdot
-    return qdot + (wanted - apply(rows @ wanted))
-
-
 # --- weighted least norm ------------------------------------------------------------------------------
 
 
@@ -84,7 +76,7 @@ class Weighted:
 
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         plain = inverse(rows)
-        asked = _through(plain.apply, rows, velocity, wanted)
+        asked = through(plain.apply, rows, velocity, wanted)
         roots = _roots(chain, q, asked)
         made = inverse(rows * roots)
         factored = Factored(lambda t: roots * made.apply(t), plain.least)
@@ -94,7 +86,7 @@ class Weighted:
         if wanted is not None:
             wanted = roots * roots * wanted
             back = wanted if back is None else back + wanted
-        qdot, late = slowed(chain, _through(factored.apply, rows, velocity, back))
+        qdot, late = slowed(chain, through(factored.apply, rows, velocity, back))
         # Held back: a joint four times as heavy as it would be in mid-range, unless it can't move at all.
         stopped = jnp.any((roots < 0.5) & (chain.lower < chain.upper))
         return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=late | stopped)
@@ -155,7 +147,7 @@ class Saturated:
     def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
         plain = inverse(rows)
         if not (chain.bounded or chain.slowed):
-            qdot = _through(plain.apply, rows, velocity, wanted)
+            qdot = through(plain.apply, rows, velocity, wanted)
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, held=False)
         low, high = self._bounds(chain, q)
         # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,

@@ -37,6 +37,9 @@ def many_pinv(a):
     return many(a)[0].transpose(0, 2, 1)
 
 
+many_applied = jax.jit(jax.vmap(dense.pinv_applied))
+
+
 def many_least(a):
     return many(a)[1]
 
@@ -106,6 +109,9 @@ def test_the_quick_way_is_as_good_as_any(dtype, m):
         wanted = np.linalg.pinv(a.astype(float), rcond=1e-14)
         error = np.abs(np.asarray(many_pinv(a), float) - wanted).max(axis=(1, 2)) / condition
         assert error.max() < 50 * eps * condition
+        t = draw.normal(size=(50, m)).astype(dtype)
+        error = np.abs(many_applied(a, t) - np.einsum("bij,bj->bi", wanted, t)).max(axis=1) / condition
+        assert error.max() < 100 * eps * condition
 
 
 @pytest.mark.parametrize(
@@ -206,6 +212,9 @@ def test_float32():
     assert found.dtype == jnp.float32
     for one, matrix in zip(found, a, strict=True):
         close(one, np.linalg.pinv(matrix.astype(float), rcond=1e-5), atol=5e-5)
+    t = rng.normal(size=(len(a), 3)).astype(np.float32)
+    close(many_applied(a, t), np.einsum("bij,bj->bi", found, t), atol=5e-5)  # of singular ones, too
+    close(*(jax.vmap(jax.jacrev(f))(a, t) for f in (dense.pinv_applied, lambda a, t: t @ dense.pinv(a)[0])))
     assert np.all(np.isfinite(jax.jit(jax.vmap(jax.jacfwd(pinv)))(a)))
 
 
