@@ -73,6 +73,8 @@ def text(node, of) -> str:
     """An operation in C; `of(argument, plain)` gives an argument's text, a plain constant as a number."""
     name, args = node.op, node.args
     kind, T = args[-1].dtype.kind, vector(args[-1].dtype)
+    if name == "bitcast_convert_type":
+        return f"({vector(node.dtype)}){of(args[0], False)}"
     if name == "convert_element_type":
         return _converted(of(args[0], False), args[0].dtype, node.dtype)
     if kind == "b" and name in _TRUTH:
@@ -144,5 +146,6 @@ _SIMPLE = {
 }
 _NAMES = frozenset([
     *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min", "sign", "rem",
-    "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical",
+    "bitcast_convert_type", "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic",
+    "shift_right_logical",
 ])  # fmt: skip

@@ -10,14 +10,14 @@ import jax
 import numpy as np
 from jax.interpreters import partial_eval
 
-from cnclik.engine import over_rows, stacks
+from cnclik.engine import over_rows, random, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
 from cnclik.engine.cells import CALLS, MOVES, array_of, called, walk
 from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
-from cnclik.engine.operations import TYPES
 from cnclik.engine.places import PLACES, out_of_whole
+from cnclik.engine.random import check_dtype
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.stacks import Deep, Rows, is_cells
 
@@ -28,7 +28,7 @@ _NAMES = """
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq erf
     exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter
     not or pow rem round rsqrt select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square
-    sub tan tanh xor
+    sub tan tanh xor bitcast_convert_type
 """
 ELEMENTWISE = frozenset(_NAMES.split())
 _SAME = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
@@ -57,7 +57,7 @@ class Reader:
 
     def constant(self, value, aval=None):
         """A known array."""
-        if _is_extended(getattr(value, "dtype", None)):
+        if hasattr(value, "dtype") and random.is_key(value):
             return Opaque(value)
         value = np.asarray(value, getattr(aval, "dtype", None))
         check_dtype(value.dtype)
@@ -65,7 +65,7 @@ class Reader:
 
     def cells(self, x):
         """Any value as cells."""
-        return stacks.cells_of(self.g, x, LIMIT)
+        return random.as_cell(self, x.value) if isinstance(x, Opaque) else stacks.cells_of(self.g, x, LIMIT)
 
     def run(self, jaxpr, consts, values) -> list:
         """Results of an open jaxpr."""
@@ -86,8 +86,12 @@ class Reader:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
             return list(inputs)
-        if any(isinstance(x, Opaque) for x in inputs) or any(_is_extended(v.aval.dtype) for v in eqn.outvars):
-            return self._by_jax(eqn, inputs)
+        if any(random.is_key(v.aval) for v in (*eqn.invars, *eqn.outvars)):
+            return self._of_keys(eqn, inputs)
+        if name == "bitcast_convert_type" and eqn.invars[0].aval.shape != eqn.outvars[0].aval.shape:
+            raise UnsupportedError(f"`{name}` to numbers of another size has no C form")
+        if name in random.RANDOM:
+            return random.RANDOM[name](self, eqn, *map(self.cells, inputs))
         for v in eqn.outvars:
             check_dtype(v.aval.dtype)
         inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
@@ -129,6 +133,11 @@ class Reader:
         with jax.ensure_compile_time_eval():
             made = eqn.primitive.bind(*values, **eqn.params)
         return [self.constant(x) for x in (made if eqn.primitive.multiple_results else [made])]
+
+    def _of_keys(self, eqn, inputs):
+        if all(isinstance(x, Opaque) or stacks.known_value(x) is not None for x in inputs):
+            return self._by_jax(eqn, inputs)
+        return random.drawn(self, eqn, list(map(self.cells, inputs)))
 
     def _elementwise(self, eqn, inputs):
         (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
@@ -174,16 +183,6 @@ def _counted(eqn):
     params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
     sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
     return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)
-
-
-def check_dtype(dtype):
-    """Raise UnsupportedError where numbers of a type have no C form."""
-    if _is_extended(dtype) or np.dtype(dtype).name not in TYPES:
-        raise UnsupportedError(f"numbers of type {dtype} have no C form")
-
-
-def _is_extended(dtype) -> bool:
-    return dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.extended)
 
 
 def read(fn, *avals):

@@ -170,8 +170,8 @@ class _Writer:
         args = [of(a) for a in n.args]
         if n.shape:
             args = [x if np.shape(x) == n.shape else lax.broadcast_in_dim(x, n.shape, range(np.ndim(x))) for x in args]
-        if n.op == "convert_element_type":
-            return lax.convert_element_type(args[0], n.dtype)
+        if n.op in ("convert_element_type", "bitcast_convert_type"):
+            return getattr(lax, n.op)(args[0], n.dtype)
         if n.op == "round":
             return lax.round(args[0], lax.RoundingMethod(n.params))
         if n.op == "integer_pow":

@@ -256,7 +256,8 @@ def test_zeros_of_a_model_vanish_and_others_stay():
     ("fn", "name"),
     [
         (lambda x: jnp.linalg.svd(x.reshape(2, 2))[1], "svd"),
-        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int)), (4,)) + x, "random_seed"),
+        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int), impl="rbg"), (4,)) + x, "random_seed"),
+        (lambda x: x.view("uint32"), "bitcast_convert_type"),
         (lambda x: (jax.debug.print("here"), x)[1], "effects"),
         (lambda x: x + 1j, "complex"),
         (lambda x: jnp.sort(jnp.concatenate([x] * 20)), "sorting"),
