@@ -70,6 +70,15 @@ def _slice(g, eqn, x):
     return [_each(inner, lambda c: slid(g, c, start, stride, length), length)]
 
 
+def _split(g, eqn, x):
+    axis, sizes = eqn.params["axis"], list(map(int, eqn.params["sizes"]))
+    starts = np.cumsum([0, *sizes[:-1]]).tolist()
+    if axis:
+        return [Rows(part, x.length) for part in np.split(x.cells, starts[1:], axis - 1)]
+    parts = zip(starts, sizes, strict=True)
+    return [_each(x, lambda c, a=start, n=size: slid(g, c, a, 1, n), size) for start, size in parts]
+
+
 def _rev(g, eqn, x):
     dimensions = eqn.params["dimensions"]
     others = [d - 1 for d in dimensions if d]
@@ -228,5 +237,5 @@ def moved(g, eqn, x):
 
 OVER_ROWS = {
     **{"slice": _slice, "rev": _rev, "concatenate": _concatenate, "pad": _pad, "broadcast_in_dim": _broadcast},
-    **{"stack": _stack, "dot_general": _dot},
+    **{"stack": _stack, "split": _split, "dot_general": _dot},
 }

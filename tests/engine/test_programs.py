@@ -8,7 +8,7 @@ from jax import lax
 
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.graph import UnsupportedError, While
-from cnclik.engine.program import Program
+from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.reader import read_jaxpr
 from cnclik.engine.tracing import to_be_read
 from engine.compare import NEEDS_C, check, in_c, same
@@ -75,6 +75,18 @@ def test_derivatives(fn, kind):
 def test_a_long_gradient_keeps_what_is_cheap_to_keep():
     given = batch(3), batch(120, 3, seed=1)
     check(jax.value_and_grad(lambda q, p: smooth(q, p[::-1])), *given, ulps=5000)
+
+
+def test_the_gradient_of_joined_rows_stays_a_loop():
+    def fn(q, path):
+        end, qs, _ = track(q, path)
+        whole = jnp.append(qs[:-1], end[None], 0)
+        return jnp.mean(jnp.sum(whole**2, axis=1)) + jnp.sum(jnp.split(whole, [1, 2], axis=1)[1])
+
+    q, path = batch(3), batch(300, 3, seed=1)
+    check(jax.grad(fn), q, path, ulps=64)
+    leaves, treedef = jax.tree.flatten((q, path))
+    assert Program(jax.grad(fn), lane_avals(leaves), treedef).operations < 300
 
 
 def test_moves_along_time():
