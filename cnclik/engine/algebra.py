@@ -72,6 +72,8 @@ def folded(name, values, dtype, params):
             return values[0] / values[1] if dtype.kind == "f" else _wrapped(_whole_division(*values), dtype)
         if name == "convert_element_type":
             return _converted(values[0], dtype)
+        if name == "bitcast_convert_type":
+            return np.asarray(values[0]).view(dtype)[()]
         if name == "integer_pow":
             return None if dtype.kind != "f" and params < 0 else values[0] ** dtype.type(params)
         if name == "round":

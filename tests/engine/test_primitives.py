@@ -195,4 +195,5 @@ def test_a_zero_of_no_model_keeps_what_is_not_a_number():
 def test_every_elementwise_primitive_has_a_test():
     tested = {*ONE, *TWO, "and", "or", "xor", "not", "shift_left", "shift_right_logical", "shift_right_arithmetic"}
     tested |= {"integer_pow", "round", "clamp", "select_n", "convert_element_type", "add_any", "lt_to", "le_to"}
+    tested |= {"bitcast_convert_type"}  # of `test_random`
     assert tested == ELEMENTWISE
