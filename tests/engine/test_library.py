@@ -124,6 +124,22 @@ def test_without_a_compiler_lanes_are_xlas(monkeypatch):
     same(ck.lanes(jnp.sin)(x), jnp.sin(x))
 
 
+def test_the_compiler_of_a_package_is_found_where_the_system_has_none(monkeypatch, tmp_path):
+    package = tmp_path / "ziglang"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "zig").write_text("")
+    (package / "zig").chmod(0o755)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    compiler._of_a_package.cache_clear()
+    try:
+        assert compiler.command() == [str(package / "zig"), "cc"]
+    finally:
+        compiler._of_a_package.cache_clear()
+
+
 @pytest.mark.parametrize("fault", ["exit 1", "sleep 9", "echo >&2 'x.c: error: no room'; exit 2"])
 def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
     broken = tmp_path / "broken cc"

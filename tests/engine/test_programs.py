@@ -117,6 +117,7 @@ def test_moves_along_time():
     check(fn, batch(70, 3), batch(3, seed=1), ulps=200)
 
 
+@NEEDS_C
 @pytest.mark.parametrize("dtype", ["float32", "float64", "int32", "uint8"])
 def test_results_that_are_rounds_of_a_loop_are_stored_as_they_are_made(dtype):
     def fn(x):
