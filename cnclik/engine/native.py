@@ -9,14 +9,14 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir, partial_eval
 
 from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.engine.plan import in_c, in_scalars
-from cnclik.engine.program import Program, Programs, lane_avals
+from cnclik.engine.program import Program, Programs, key_of, lane_avals
+from cnclik.engine.reader import closes_over_traced
 from cnclik.engine.to_jax import Derived
 
 _registered = {}  # {name of a library: the program}: XLA may call it as long as the process lives
@@ -53,9 +53,11 @@ def native(fn):
             program = function.programs.of(lane_avals(leaves, batched=False))
             if isinstance(program, Program):  # at once, without a program of JAX's around it
                 results = jax.device_put([x[0] for x in program(leaves, 1)])
-                return jax.tree.unflatten(function.structure, results)
+                return jax.tree.unflatten(function.trees[key_of(program.avals)], results)
         leaves = [jnp.asarray(x) for x in leaves]
         tree = function.tree(leaves)
+        if function.itself:  # it has effects, or closes over numbers that only the trace around it knows
+            return fn(*args, **named)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
 
     call.of = of
@@ -82,21 +84,22 @@ class Function:
     def __init__(self, fn, linear=0, of=None):
         self.fn, self.linear, self.of = fn, linear, of
         self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived)
-        self.derivatives, self.shapes = {}, {}
+        self.derivatives, self.shapes, self.trees, self.itself = {}, {}, {}, False
 
     def _flat(self, *leaves):
-        results, self.structure = jax.tree.flatten(self.fn(*leaves))
+        results, self.trees[key_of(map(jax.typeof, leaves))] = jax.tree.flatten(self.fn(*leaves))
         return results
 
     def out(self, avals) -> tuple:
         """(avals of the results, leaf by leaf, their tree)"""
-        program = self.programs.known(avals)
+        program, key = self.programs.known(avals), key_of(avals)
         if isinstance(program, Program):  # traced before
-            return program.shapes, self.structure
-        key = jax.config.jax_enable_x64, *((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in avals)
+            return program.shapes, self.trees[key]
         if key not in self.shapes:
-            given = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) for a in avals]
-            self.shapes[key] = jax.tree.flatten(jax.eval_shape(self.fn, *given))
+            given = [_aval(a.shape, a) for a in avals]
+            closed, shapes = jax.make_jaxpr(self.fn, return_shape=True)(*given)
+            self.itself |= bool(closed.effects) or closes_over_traced(closed)
+            self.shapes[key] = jax.tree.flatten(shapes)
         return self.shapes[key]
 
     def tree(self, leaves):
@@ -242,8 +245,8 @@ def _batch(args, dims, *, function, batched):
     return [x.reshape(size, inner, *x.shape[1:]) for x in made], [0] * len(made)
 
 
-def _is_real(aval):
-    return np.issubdtype(aval.dtype, np.floating)
+def _is_inexact(aval):
+    return jnp.issubdtype(aval.dtype, jnp.inexact)
 
 
 def _nothing(primal):
@@ -253,7 +256,7 @@ def _nothing(primal):
 def _jvp(primals, tangents, *, function, batched):
     made = native_p.bind(*primals, function=function, batched=batched)
     by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
-    real = tuple(_is_real(x) for x in made)
+    real = tuple(_is_inexact(x) for x in made)
     if not by or not any(real):
         return made, list(map(_nothing, made))
     found = iter(
@@ -306,11 +309,12 @@ def scalars(fn):
     @functools.wraps(fn)
     def call(*args):
         function, leaves = as_c.of(*args)
-        made = function.scalars.of(lane_avals(leaves, batched=False)) if in_scalars() else None
+        lane = lane_avals(leaves, batched=False)
+        made = function.scalars.of(lane) if in_scalars() else None
         if not isinstance(made, Derived):
             return fn(*args)
         flat = jax.custom_jvp(made)
         flat.defjvp(lambda primals, tangents: jax.jvp(function._flat, primals, tangents))
-        return jax.tree.unflatten(function.structure, flat(*leaves))
+        return jax.tree.unflatten(function.trees[key_of(lane)], flat(*leaves))
 
     return call

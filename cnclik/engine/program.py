@@ -100,21 +100,22 @@ class Programs:
 
     def of(self, avals):
         """The program for flat arguments of these avals, or why there is none."""
-        return self.found.made(self._key(avals), lambda _: self._made(avals))
+        return self.found.made(key_of(avals), lambda _: self._made(avals))
 
     def known(self, avals):
         """The same where it has been asked for before, else None."""
-        return self.found.get(self._key(avals))
-
-    def _key(self, avals):
-        about = ((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
-        return jax.config.jax_enable_x64, *about
+        return self.found.get(key_of(avals))
 
     def _made(self, avals):
         try:
             return self.make(self.fn, avals, jax.tree.structure(tuple(avals)))
         except UnsupportedError as error:
             return error
+
+
+def key_of(avals) -> tuple:
+    """By what programs of a function are told apart."""
+    return jax.config.jax_enable_x64, *((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
 
 
 def lane_avals(leaves, *, batched=True) -> list:

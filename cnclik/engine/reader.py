@@ -7,6 +7,7 @@ What is small is taken apart into scalars, so that moving data about costs nothi
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import partial_eval
 
@@ -32,7 +33,7 @@ _NAMES = """
 """
 ELEMENTWISE = frozenset(_NAMES.split())
 _SAME = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
-_PASSED_ON = frozenset(["reduce_precision", "optimization_barrier", "real", "pcast", "pvary", "name"])
+_PASSED_ON = frozenset(["optimization_barrier", "real", "pcast", "pvary", "name"])
 _PARAMS = {"integer_pow": "y", "round": "rounding_method"}
 RULES = ARRAYS | PLACES | MATRICES
 
@@ -76,7 +77,7 @@ class Reader:
         name = eqn.primitive.name
         if name in CALLS:
             return self.run(*called(eqn.params), inputs)
-        if name in _PASSED_ON:
+        if name in _PASSED_ON or (name == "reduce_precision" and _keeps(eqn)):
             return list(inputs)
         if name == model_p.name:
             return [self._of_the_model(*inputs)]
@@ -178,11 +179,22 @@ class Reader:
         return [Rows(np.broadcast_to(x.reshape(sizes), out.shape[1:]), out.shape[0])]
 
 
+def _keeps(eqn) -> bool:
+    """Whether a `reduce_precision` leaves every number as it is."""
+    about = jnp.finfo(eqn.invars[0].aval.dtype)
+    return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
+
+
 def _counted(eqn):
     """What an iota gives."""
     params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
     sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
     return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)
+
+
+def closes_over_traced(closed) -> bool:
+    """Whether a closed jaxpr holds numbers of a trace around it, which are known in that trace alone."""
+    return any(isinstance(x, jax.core.Tracer) for x in closed.consts)
 
 
 def read(fn, *avals):
@@ -195,6 +207,8 @@ def read_jaxpr(closed, known=()):
     """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}."""
     if closed.effects:
         raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
+    if closes_over_traced(closed):
+        raise UnsupportedError("what the function closes over is traced")
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
     g = Graph()
     reader, given, values = Reader(g), [], []

@@ -18,7 +18,7 @@ from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.engine.native import native, scalars
 from cnclik.engine.plan import in_c, in_scalars
-from cnclik.engine.program import Program, lane_avals
+from cnclik.engine.program import Program, key_of, lane_avals
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import is_read
 from cnclik.hints import QUICK_COMPILE, as_here, few_lanes, is_wide, known_options, quick_jit, switched_on
@@ -80,7 +80,7 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
         if not concrete:
             return traced(*args)
         if isinstance(found, Program):
-            return jax.tree.unflatten(function.structure, jax.device_put(found(leaves, size, cores)))
+            return jax.tree.unflatten(function.trees[key_of(avals)], jax.device_put(found(leaves, size, cores)))
         if size <= tile:
             return compiled(*args)
         read = in_scalars() and isinstance(function.scalars.of(avals), Derived)
