@@ -51,9 +51,9 @@ def checked_file(name, file, *endings, overwrite=True) -> pathlib.Path:
     return file
 
 
-def checked_folder(name, path, *, overwrite=True) -> None:
-    """Raise ArgumentError unless `path` is, or can become, a folder that can be written into; nothing is left there."""
-    with output_folder(path, name=name, overwrite=overwrite):
+def checked_folder(name, path, *, overwrite=True, files=()) -> None:
+    """Raise ArgumentError unless `path` is, or can become, a folder that takes files; nothing is left there."""
+    with output_folder(path, name=name, overwrite=overwrite, files=files):
         pass
 
 
@@ -72,6 +72,30 @@ def check_own(name, folder, of="cnclik's own") -> None:
     if there and not any(map(_is_own, there)):
         found = f"{there[0].name[:30]} in {str(folder)[-40:]!r} is not ({_OVERWRITE})"
         raise errors.fail(name, f"be a new folder, or one of {of}", found)
+
+
+def check_free(name, folder, files) -> None:
+    """Raise ArgumentError where one of some files, by their names, can't be written into a folder: said before work."""
+    try:
+        for file in files:
+            _check_target(pathlib.Path(folder) / file, overwrite=False)
+    except OSError as error:
+        raise _refused(name, folder, errors.reason(error)) from None
+
+
+def _check_target(target, *, overwrite) -> None:
+    """Raise OSError where a file can't take this place."""
+    if os.path.isdir(target):
+        raise IsADirectoryError(errno.EISDIR, f"{target.name} is a folder there")
+    if is_input(target):
+        raise FileExistsError(errno.EEXIST, f"{target.name} there is what the command reads")
+    if os.path.lexists(target) and not (overwrite or _is_own(target)):
+        raise FileExistsError(errno.EEXIST, f"{target.name} there is not cnclik's own ({_OVERWRITE})")
+
+
+def _refused(name, folder, reason):
+    found = f"{str(folder)[-80:]!r} does not: {reason}"
+    return errors.ArgumentError(f"Argument `{name}` must be a folder that takes all files, but {found}.")
 
 
 def _is_own(path) -> bool:
@@ -112,8 +136,9 @@ class Folder:
     and the computation goes on; `finish` says so at the end.
     """
 
-    def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str, overwrite: bool):
+    def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str, overwrite: bool, replaces=()):
         self.out, self.path, self.name, self.overwrite, self.problem = out, hidden, name, overwrite, None
+        self.replaces = replaces
         self.told = False  # whether a message says where the files are
 
     def write(self, file: str, make) -> None:
@@ -138,20 +163,23 @@ class Folder:
             try:
                 for target in made.values():
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    if os.path.isdir(target):
-                        raise IsADirectoryError(errno.EISDIR, f"{target.name} is a folder there")
-                    if is_input(target):
-                        raise FileExistsError(errno.EEXIST, f"{target.name} there is what the command reads")
-                    if os.path.lexists(target) and not (self.overwrite or _is_own(target)):
-                        raise FileExistsError(errno.EEXIST, f"{target.name} there is not cnclik's own ({_OVERWRITE})")
+                    _check_target(target, overwrite=self.overwrite)
                 _list(made)
                 for file, target in made.items():
                     os.replace(file, target)
+                self._remove_earlier(made.values())
             except OSError as error:
                 self._beside(error)
         if self.problem:
             self.told = True
-            raise self._fail(f"{errors.reason(self.problem)}; the files are kept in {self.path}") from self.problem
+            reason = f"{errors.reason(self.problem)}; the files are kept in {self.path}"
+            raise _refused(self.name, self.out, reason) from self.problem
+
+    def _remove_earlier(self, made):
+        """Remove what an earlier run of the command left and this one did not make: it is of another result."""
+        for target in (self.out / file for file in self.replaces):
+            if target not in made and not is_input(target) and os.path.isfile(target) and _is_own(target):
+                target.unlink()
 
     def _beside(self, problem):
         """Keep files that can't be moved where they are, no longer hidden."""
@@ -180,16 +208,13 @@ class Folder:
                 return
         self.told = self.problem is not None
         kept = f"; the files before it are kept in {self.path}" if self.told else ""
-        raise self._fail(f"{errors.reason(problem)}, nor is there room anywhere else{kept}") from problem
+        reason = f"{errors.reason(problem)}, nor is there room anywhere else{kept}"
+        raise _refused(self.name, self.out, reason) from problem
 
     def discard(self) -> None:
         """Remove files that went elsewhere, unless a message says where they are."""
         if self.problem and not self.told:
             shutil.rmtree(self.path, ignore_errors=True)
-
-    def _fail(self, reason):
-        found = f"{str(self.out)[-80:]!r} does not: {reason}"
-        return errors.ArgumentError(f"Argument `{self.name}` must be a folder that takes all files, but {found}.")
 
 
 def _list(made) -> None:
@@ -221,7 +246,7 @@ def _write(path, make):
 
 
 @contextlib.contextmanager
-def output_folder(path, *, name="out", overwrite=True):
+def output_folder(path, *, name="out", overwrite=True, files=(), replaces=()):
     """A `Folder` whose files are moved into `path` when the block ends well.
 
     `path` is created if need be, and found unwritable before any work is done. On an error or an interrupt
@@ -232,6 +257,9 @@ def output_folder(path, *, name="out", overwrite=True):
       name: what the user calls it, for the message.
       overwrite: whether it may hold files, and none of cnclik's, and whether these are written over. What the command
         reads is not.
+      files: names of what is going to be written there, now or later: one in the way is refused at once.
+      replaces: names that the same command may have written before: those of cnclik's own that it doesn't write this
+        time are removed at the end, so that the folder holds one result.
 
     Yields: the `Folder`, with `write(file, make)`.
     Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into, or is one of others;
@@ -240,6 +268,7 @@ def output_folder(path, *, name="out", overwrite=True):
     path = errors.path(name, path)
     if not overwrite:
         check_own(name, path)
+        check_free(name, path, files)
     with contextlib.ExitStack() as stack:
         try:
             created = [p for p in (path, *path.parents) if not os.path.exists(p)]
@@ -251,7 +280,7 @@ def output_folder(path, *, name="out", overwrite=True):
         except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
             found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
-        folder = Folder(path, hidden, name, overwrite)
+        folder = Folder(path, hidden, name, overwrite, replaces)
         stack.callback(folder.discard)
         yield folder
         folder.finish()

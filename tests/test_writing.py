@@ -360,3 +360,38 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_has_is_not(
     finally:
         second.kill()
         second.wait()
+
+
+def test_a_file_in_the_way_is_known_before_any_work(tmp_path):
+    """Of another in a folder of ours; a folder in its place; what the command reads."""
+    with output_folder(tmp_path, overwrite=False) as folder:
+        folder.write_text("first.txt", "ours")
+    (tmp_path / "numbers.csv").write_text("theirs")
+    (tmp_path / "there.png").mkdir()
+    for file, why in (("numbers.csv", "is not cnclik's own"), ("there.png", "is a folder there")):
+        asked = output_folder(tmp_path, overwrite=False, files=["first.txt", file])
+        with pytest.raises(ArgumentError, match=why), asked:
+            raise AssertionError("work has begun")
+    with output_folder(tmp_path, files=["numbers.csv"], overwrite=True) as folder:
+        folder.write_text("numbers.csv", "ours, as was asked")
+
+
+def test_what_an_earlier_run_left_does_not_lie_beside_another_result(tmp_path):
+    with output_folder(tmp_path, overwrite=False) as folder:
+        for file in ("data.nc", "data.csv", "changed.csv", "kept.csv"):
+            folder.write_text(file, f"first {file}")
+    (tmp_path / "changed.csv").write_text("changed by hand since")
+    (tmp_path / "theirs.csv").write_text("theirs")
+    asked = dict(overwrite=True, replaces=["data.csv", "changed.csv", "theirs.csv", "data.nc"])
+    with pytest.raises(KeyError), output_folder(tmp_path, **asked):
+        raise KeyError
+    assert (tmp_path / "data.csv").exists()
+    with output_folder(tmp_path, **asked) as folder:
+        folder.write_text("data.nc", "second")
+    left = {file.name: file.read_text() for file in tmp_path.iterdir() if not file.name.startswith(".")}
+    assert left == {
+        "data.nc": "second",
+        "kept.csv": "first kept.csv",
+        "changed.csv": "changed by hand since",
+        "theirs.csv": "theirs",
+    }

@@ -48,7 +48,7 @@ def run(args: Args) -> None:
         remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log, gaps=True)
     if args.out is not None:
-        checked_folder("out", args.out, overwrite=args.overwrite)
+        checked_folder("out", args.out, overwrite=args.overwrite, files=["diagnose.png"])
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
     t, times, unit = clock(names, table)

@@ -249,7 +249,7 @@ def _map(args, chain, task):
     out = args.out or pathlib.Path("reach-out")
     count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
     begun = time.perf_counter()
-    with output_folder(out, overwrite=args.overwrite) as folder:
+    with output_folder(out, overwrite=args.overwrite, files=["map.npz", "map.png"]) as folder:
         with progress.bar("targets", count) as report:
             found = reachability(
                 chain,

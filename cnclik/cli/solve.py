@@ -42,7 +42,9 @@ def run(args: Args) -> None:
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    with output_folder(args.out, overwrite=args.overwrite) as folder:
+    drawn, written = [f"{kind}.png" for kind in _CAPTIONS], ["trajectory.nc", *["trajectory.csv"] * args.csv]
+    whole = dict(files=[*written, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
+    with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
         with progress.bar("steps") as report:
             trajectory, seconds = _march(made, report)
         from cnclik.measure.dataset import to_dataset
@@ -67,7 +69,6 @@ def run(args: Args) -> None:
         print("\n".join([title, loop, *where]))
         Console().print(_shown(facts))
         print(answer)
-    written = ["trajectory.nc", *["trajectory.csv"] * args.csv]
     figures = _figures(data, made) if args.figures or args.report else {}
     if args.figures:
         with args.figures_first(), progress.bar("figures") as report:
@@ -170,7 +171,7 @@ def _figures(data, made) -> dict:
             functools.partial(pictures.KINDS[kind], data, made.law.chain),
             {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
         )
-        for kind in ("joints", "error", "velocities", "status", "tip")
+        for kind in _CAPTIONS
     }
 
 

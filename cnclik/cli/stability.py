@@ -83,7 +83,8 @@ def run(args: Args) -> None:
     load_ahead("cnclik.show.style")
     figures, advised = {}, None
     loop = _loop(args) if args.map else ()
-    with output_folder(args.out, overwrite=args.overwrite) as out:
+    files = ["plane.nc", "plane.md", "plane.png"] * args.plane + ["map.nc", "map.png"] * args.map
+    with output_folder(args.out, overwrite=args.overwrite, files=files) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:

@@ -44,7 +44,8 @@ def run(args: Args) -> None:
     from cnclik.problem import options
     from cnclik.problem.magnitudes import remark_on_times
     from cnclik.sweeps import spec as specs
-    from cnclik.sweeps import store
+    from cnclik.sweeps import store, summary
+    from cnclik.writing import check_free
 
     spec = specs.read(args.spec, args.set)
     numbers = {n: v for n, v in spec.fixed.items() if n in ("Ts", "delay", "lag") and isinstance(v, (int, float))}
@@ -56,6 +57,8 @@ def run(args: Args) -> None:
     grid = spec.grid()
     print(f"{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
     begun = time.perf_counter()
+    if not args.overwrite:
+        check_free("out", out, [*summary.FILES, *([f"data.{args.export}"] if args.export else [])])
     with progress.bar("loops", quiet=place["process"] != 0) as report:
         whole = store.run(spec, out, fresh=args.fresh, overwrite=args.overwrite, progress=report, **place)
     if not whole:

@@ -67,11 +67,14 @@ def run(args: Args) -> None:
     from cnclik import tuning
     from cnclik.cli import progress
     from cnclik.show.output import draw, load_ahead
+    from cnclik.tuning.page import CAPTIONS, page_rows
     from cnclik.writing import output_folder
 
     if args.figures:
         load_ahead("cnclik.show.style")
-    with output_folder(args.out, overwrite=args.overwrite) as folder:
+    drawn = [f"{name}.png" for name in CAPTIONS]
+    whole = dict(files=["tuned.json", "summary.md", *drawn * args.figures], replaces=drawn)
+    with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
             loop = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage)
@@ -105,8 +108,6 @@ def run(args: Args) -> None:
     with args.figures_first(), progress.bar("figures") as report:
         written += draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
     print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
-    from cnclik.tuning.page import CAPTIONS, page_rows
-
     facts = page_rows(found, seconds)
     values = "; ".join(f"{name} = {text}" for name, text in facts[: len(found.parameters)])
     args.write_report(

@@ -26,7 +26,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     Raises: ArgumentError for an unknown reading or an unusable folder; FigureError where figures could not be drawn,
       with data and claims in place.
     """
-    from cnclik.paper.data import everything
+    from cnclik.paper.data import Results, everything
 
     shown = str(choices.reading(reading))
     if out is None:
@@ -34,7 +34,8 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     from cnclik.show.output import draw
     from cnclik.writing import output_folder
 
-    with output_folder(out, overwrite=overwrite) as folder:
+    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md"]
+    with output_folder(out, overwrite=overwrite, files=files) as folder:
         found = everything(progress)
         judged = _write(folder, found)
     from cnclik.paper import figures, story  # by now the data are safe

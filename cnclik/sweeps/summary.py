@@ -9,6 +9,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.files import save_csv, save_netcdf
 
+FILES = ("summary.csv", "config.json")
+
 
 def table(data):
     """Statistics of every scalar metric over the numeric axes, for each combination of the others.
@@ -46,9 +48,10 @@ def write(data, folder) -> list:
     cells = [[f"{v:.6g}" if isinstance(v, float) else v for v in (row.get(n, "") for n in names)] for row in rows]
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
-    folder.write("summary.csv", functools.partial(save_csv, [names, *cells]))
-    folder.write_text("config.json", json.dumps(config, indent=1, ensure_ascii=False) + "\n")
-    return ["summary.csv", "config.json"]
+    numbers, settings = FILES
+    folder.write(numbers, functools.partial(save_csv, [names, *cells]))
+    folder.write_text(settings, json.dumps(config, indent=1, ensure_ascii=False) + "\n")
+    return list(FILES)
 
 
 def export(data, folder, kind: str) -> pathlib.Path:

@@ -36,6 +36,22 @@ def test_files_hold_the_run(solved):
         assert rows[-1]["status"] == "" and rows[0]["status"] == "0"
 
 
+def test_a_run_without_csv_and_figures_leaves_none_of_an_earlier_one(tmp_path, capsys, monkeypatch):
+    """They would be of another result; a file of others in the way is named before the loop is run."""
+    again = ["solve", "planar:1,1", "--method", "EE", "--N", "5", "--no-figures", "--out", str(tmp_path)]
+    main([*again, "--csv"])
+    (tmp_path / "notes.txt").write_text("theirs")
+    main(again)
+    assert {p.name for p in tmp_path.iterdir()} == {writing.LIST, "trajectory.nc", "notes.txt"}
+    (tmp_path / "trajectory.csv").write_text("theirs, too")
+    main(again)
+    assert (tmp_path / "trajectory.csv").read_text() == "theirs, too"
+    monkeypatch.setattr("cnclik.cli.solve._march", None)
+    with pytest.raises(SystemExit) as stopped:
+        main([*again, "--csv"])
+    assert stopped.value.code == 2 and "trajectory.csv there is not cnclik's own" in capsys.readouterr().err
+
+
 def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
     main(["solve", "planar:1,1", "--method", "EE", "--N", "2", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
     shown = " ".join(capsys.readouterr().out.split())

@@ -131,7 +131,7 @@ def test_a_drive_for_each_joint_as_a_fit_prints_it(tmp_path):
         ("--alpha-bounds 5 1", "must increase"),
         ("--over gian", "must be one of alpha"),
         ("--over damping", "damped"),
-        ("--over", "name something to tune"),
+        ("--over", "must be given values, but has no value"),
         ("--shape square", "shape"),
         ("--steps 0", "steps"),
         ("--delay -1", "`delay` must be at least 0"),
