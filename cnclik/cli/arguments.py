@@ -219,7 +219,7 @@ def _fits(hint, values) -> bool:
     if origin:  # a union, such as `float | None`
         return values == ["None"] or any(_fits(kind, values) for kind in inner)
     if hint is int:
-        return re.fullmatch("[+-]?[0-9]+", values[0]) is not None
+        return re.fullmatch("[+-]?[0-9]{1,999}", values[0]) is not None
     return hint is not float or quantities.number(values[0]) is not None
 
 

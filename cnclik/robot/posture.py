@@ -38,7 +38,8 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
         return xp.full(points.shape[:-1], -math.inf)
     origin = chain.joints[0].origin.position
     away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
-    return xp.sqrt(xp.sum(away * away, axis=-1)) - arm_length(chain)
+    size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # squares stay finite
+    return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - arm_length(chain)
 
 
 def is_planar(chain: Chain) -> bool:

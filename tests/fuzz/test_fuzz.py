@@ -16,6 +16,8 @@ FOUND = [  # what did harm: room, seed, number
     ("arguments", 81, 2498),
     ("toml", 81, 7087),
     ("toml", 82, 13920),
+    ("arguments", 200, 1281),  # an integer of 5,000 digits
+    ("tables", 200, 3485),  # a place of 1e308 m
 ]
 
 
