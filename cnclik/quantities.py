@@ -107,6 +107,14 @@ def _in_own(value, mark, known, Ts):
 # --- said aloud ---------------------------------------------------------------------------------------
 
 
+def aloud(value: float, unit: str) -> str:
+    """A length or an angle as "0.5 mm" or "12 µrad"; what is below a nanometre in the unit itself."""
+    for prefix, scale in (("", 1.0), ("m", 1e3), ("µ", 1e6)):
+        if abs(value) * scale >= 1 or (prefix == "µ" and abs(value) >= 1e-9):
+            return f"{value * scale:.3g} {prefix}{unit}"
+    return f"{value:.3g} {unit}" if value else "zero"
+
+
 def in_samples(samples: float, Ts: float) -> str:
     """A time in samples as "8 samples (80 ms)"."""
     count = f"{samples:.4g}"

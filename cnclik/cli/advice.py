@@ -122,7 +122,7 @@ def _sentence(words) -> str:
 
 def _costs(said, found) -> list:
     """What the recommended gain does."""
-    from cnclik.quantities import in_samples
+    from cnclik.quantities import aloud, in_samples
     from cnclik.stability.settings import OWN_COMMANDS
 
     gain, Ts, drive, chain = said.recommended, found.Ts, found.drive, found.law.chain
@@ -143,8 +143,8 @@ def _costs(said, found) -> list:
     if found.law.task.position:
         v, fed = said.speed, gain.lag_fed_forward * said.speed
         lines.append(
-            f"At {v:g} m/s the tip lags by {_length(gain.lag * v)} without feed-forward. With feed-forward the lag "
-            f"is {_length(fed)}, after a transient of at most {_length(gain.start_error * v)}."
+            f"At {v:g} m/s the tip lags by {aloud(gain.lag * v, 'm')} without feed-forward. With feed-forward the lag "
+            f"is {aloud(fed, 'm')}, after a transient of at most {aloud(gain.start_error * v, 'm')}."
         )
         if said.joint_speed == said.joint_speed:
             lines.append(
@@ -161,14 +161,6 @@ def _costs(said, found) -> list:
             "steady errors are not corrected."
         )
     return lines
-
-
-def _length(metres) -> str:
-    if not metres:
-        return "zero"
-    for unit, scale in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
-        if abs(metres) * scale >= 1 or unit == "µm":
-            return f"{metres * scale:.3g} {unit}"
 
 
 def name_of(found) -> str:

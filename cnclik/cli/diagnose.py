@@ -3,12 +3,14 @@ drive."""
 
 import dataclasses
 import pathlib
+import re
 from typing import Literal
 
 from cnclik import errors
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.remarks import print_json
+from cnclik.problem.columns import words_of
 from cnclik.quantities import in_samples
 
 
@@ -25,7 +27,7 @@ class Args(ComputeOptions):
     longest_period: float | None = option(None, unit="s")
     """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
     step: bool = False
-    """Fit a drive to recorded commands and motion: columns named command..., position..., or the two there are."""
+    """Fit a drive to recorded commands and motion: joint_1_cmd with joint_1_pos, or the two columns."""
     command: Literal["position", "velocity"] = "position"
     """With --step: what was commanded."""
     kind: Literal["delay", "lag", "second-order"] | None = None
@@ -188,17 +190,24 @@ def _chosen(columns, names):
     return [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
 
 
+_SENT = {"command", "commands", "commanded", "cmd", "target", "desired", "reference", "ref", "setpoint", "sent"}
+_MOVED = {"position", "positions", "pos", "motion", "actual", "measured", "feedback"}
+
+
 def _pairs(columns, names, left_out):
-    """Places of the commands and of the motions."""
+    """Places of the commands and of the motions: joint_1_cmd belongs to joint_1_pos, or to joint_1."""
+    usual = [i for i in range(len(names)) if i not in left_out]
+    words = {i: [w for word in words_of(names[i]) for w in re.findall(r"[^0-9]+|[0-9]+", word)] for i in usual}
+    of = {i: tuple(w for w in some if w not in _SENT | _MOVED) for i, some in words.items()}
+    sent = {of[i]: i for i in usual if _SENT & {*words[i]}}
+    marked = {of[i]: i for i in usual if _MOVED & {*words[i]} and not _SENT & {*words[i]}}
+    moved = {of[i]: i for i in usual if not _SENT & {*words[i]}} | marked
     if columns:
         places = _chosen(columns, names)
+    elif sent and sent.keys() <= moved.keys():
+        places = [*sent.values(), *(moved[joint] for joint in sent)]
     else:
-        lower = [name.lower() for name in names]
-        sent = [i for i, name in enumerate(lower) if name.startswith(("command", "cmd"))]
-        moved = [i for i, name in enumerate(lower) if name.startswith(("position", "motion"))]
-        places = (
-            sent + moved if sent and len(sent) == len(moved) else [i for i in range(len(names)) if i not in left_out]
-        )
+        places = [*sent.values(), *marked.values()] if sent and len(sent) == len(marked) else usual
         if not sent and len(places) != 2:
             raise errors.fail("columns", "name commands, then motions", f"is left out, and LOG has {', '.join(names)}")
     if len(places) % 2 or not places:

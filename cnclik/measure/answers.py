@@ -66,8 +66,8 @@ def _rows(data):
     for b, k in np.ndindex(shape):
         name = ReachStatus(int(status[b, k, 0])).name
         limits = " ".join(joint for joint, is_there in zip(joints, held[b, k], strict=True) if is_there)
-        found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits]
-        yield [b, *[k] * several, name, *found, *poses[b]]
+        found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits, *poses[b]]
+        yield [b, *[k] * several, name, *(v + 0.0 if isinstance(v, float) else v for v in found)]  # no −0.0
 
 
 def transforms(pose) -> np.ndarray:

@@ -11,6 +11,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.integrate.status import Status
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
+from cnclik.quantities import aloud
 from cnclik.record import replace
 from cnclik.robot.posture import beyond_arm
 from cnclik.stability.driven import each_drive, modes_of, overshoot
@@ -190,7 +191,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         path=whole(reference),
         period=float(getattr(reference.curve, "period", getattr(reference.curve, "duration", 0.0))),
         e=weighted,
-        size=" and ".join(f"{np.linalg.norm(v, axis=1).max():.3g} {unit}" for v, unit in parts if v.size),
+        size=" and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size),
         more=more,
         **rest | {"fold": rest["fold"] / _advance(t, len(seen.late), Ts)},
     )

@@ -44,7 +44,9 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
             f"each solve takes the whole error: give tasks a target {z} of the way from the measured state "
             f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {own}"
         )
-    if drive is None or (drive.order == 0 and not drive.prompt):
+    if drive is not None and drive.order and drive.command == "velocity":
+        made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and what is given is of velocity servos. {KNOWN}"
+    elif drive is None or (drive.order == 0 and not drive.prompt):
         made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {REBASED}. {KNOWN}"
     elif drive.order and runs_away(_rebased(safe), Ts):
         made["Isaac Lab"] = f"no k_val is safe: {BEGINS}, and with this servo that may swing or run away. {WHERE}"

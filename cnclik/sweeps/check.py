@@ -137,6 +137,9 @@ def _metrics(names):
 def _check_names(fixed, axes, bundles):
     """Every name is an option or used by an expression; every name used is defined, once, and not by itself."""
     tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
+    for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
+        for name in set(table) & {*KEYS, *TABLES}:  # TOML takes what stands below a table's head for a part of it
+            raise errors.fail(name, f"stand above all tables, before [{where}]", f"stands in [{where}]")
     for where, table in {"fixed": fixed, **tables}.items():
         for name, value in table.items():
             if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):

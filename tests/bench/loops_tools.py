@@ -237,6 +237,8 @@ def measure(tools=("pink", "mink", "Isaac Lab", "MoveIt Servo", "UR servoj"), ca
 
 def _measured(tool, case):
     Ts, drive = CASES[case]
+    if tool == "Isaac Lab" and drive is not None and drive.order:
+        drive = ck.replace(drive, command="position")  # its servos are of position: of a velocity's no gain is named
     advised = said(Ts, drive)
     real = Drive(delay=advised.assumed_dead_time / Ts, lag=advised.assumed_lag) if drive is None else drive
     settles, line = advised.recommended.settling_time, advised.settings[tool]

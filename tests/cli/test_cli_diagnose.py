@@ -131,3 +131,26 @@ def test_what_solve_writes_can_be_read(tmp_path, capsys):
         found = json.loads(capsys.readouterr().out)
         assert found["delay"] == 17 and abs(found["z"] - 0.06) < 0.003, columns
         assert 9 < found["recommended_alpha"] < 11
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("joint_2_pos", "joint_1_cmd", "joint_2_cmd", "joint_1_pos"),
+        ("q2", "q1_cmd", "q2_cmd", "q1"),
+        ("/arm/position2", "/arm/command1", "/arm/command2", "/arm/position1"),
+        ("position_b", "command_a", "command_b", "position_a"),
+        ("elbow.actual", "base.desired", "elbow.desired", "base.actual"),
+    ],
+)
+def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, capsys, names):
+    """Whatever their order, and beside columns of other kinds."""
+    a = np.where(np.arange(200) < 5, 0.0, 0.1)
+    b = np.where(np.arange(200) < 60, 0.0, -0.2)
+    moved = [servo(command, 0.004, 2.0, lag=0.02) for command in (a, b)]
+    numbers = [0.004 * np.arange(200), moved[1], a, b, moved[0], np.gradient(moved[0])]
+    log = write(tmp_path / "step.csv", ["t", *names, "joint_1_vel"], *numbers)
+    main(["diagnose", log, "--step", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["lag"] == pytest.approx(0.02, rel=0.05) and found["explained"] > 0.999
+    np.testing.assert_allclose(found["gain"], [1, 1], atol=0.01)

@@ -10,6 +10,7 @@ import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.measure.answers import answers, save
 
 ARM = "planar:1,0.8"
 CHAIN = ck.planar_arm([1.0, 0.8])
@@ -43,6 +44,15 @@ def test_answers_in_every_kind_of_file(targets, tmp_path, capsys):
         assert abs(arrays["position_error"][2] - 2.2) < 1e-4
     main(["reach", ARM, str(tmp_path / "out.npz"), "--task", "xy"])  # what it wrote it also reads
     assert "2  within the tolerance" in capsys.readouterr().out
+
+
+def test_a_zero_of_a_table_has_no_sign(tmp_path):
+    """−0.0 is what an arm at its zero often has."""
+    made = ck.reach(ck.planar_arm([1.0, 1.0]), np.array([[2.0, -0.0, 0.0]]), task="position", near=[0.0, 0.0])
+    made = ck.replace(made, q=-0.0 * np.asarray(made.q))
+    save(answers(made, -np.zeros((1, 4, 4))), tmp_path / "answers.csv")
+    text = (tmp_path / "answers.csv").read_text()
+    assert "-0.0," not in text and ",0.0,0.0," in text
 
 
 def test_random_targets_as_json(capsys):

@@ -128,6 +128,17 @@ def test_isaac_lab_has_no_gain_where_the_servo_is_unknown_or_runs_away(drive):
         assert "ik_params" in practice(LAW, None, Q, Ts=0.01, method="EE", drive=known).settings["Isaac Lab"]
 
 
+def test_numbers_of_velocity_servos_are_none_of_isaac_labs_position_servo():
+    """A lag of m/k_v says nothing of k_p: the same numbers as a position servo's had a k_val."""
+    for numbers in (dict(lag=0.02), dict(natural_frequency=60.0, damping_ratio=1.2)):
+        lines = [
+            practice(LAW, None, Q, Ts=0.01, method="EE", drive=Drive(delay=2, command=command, **numbers)).settings
+            for command in ("velocity", "position")
+        ]
+        assert "of velocity servos" in lines[0]["Isaac Lab"] and "ik_params" not in lines[0]["Isaac Lab"]
+        assert "ik_params" in lines[1]["Isaac Lab"] and "MoveIt Servo" in lines[0]
+
+
 @pytest.mark.parametrize("alpha", [3.0, 10.0])
 def test_the_remedy_of_a_run_that_grew_is_no_gain_and_no_damping(alpha):
     """Damping and a clamp were named, which leave less of the gain. What is named ends the growth."""

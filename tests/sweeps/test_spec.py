@@ -228,6 +228,11 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"fixed__dampin": 0.1}, "holds 'dampin' (did you mean 'damping'?)"),
         ({"axes__alpah": [1.0]}, "holds 'alpah' (did you mean 'alpha'?)"),
         ({"fixed__alpha": "zz/Ts"}, "uses 'zz' (did you mean 'z'?)"),
+        (
+            {"fixed__metrics": ["mean_error"]},
+            "`metrics` must stand above all tables, before [fixed], but stands in [fixed]",
+        ),
+        ({"axes__tolerance": [1e-3, 1e-4]}, "`tolerance` must stand above all tables, before [axes]"),
         ({"fixed__alpha": "z/"}, "`alpha` must be a number or a short expression"),
         ({"fixed__alpha": "__import__('os')"}, "`alpha` must be a number or a short expression"),
         ({"fixed__Ts": "alpha*1"}, "not depend on itself"),
