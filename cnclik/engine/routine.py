@@ -1,5 +1,6 @@
 """Routine: a traced function whose arguments and results have names, for C that is called by other C."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -43,11 +44,16 @@ class Routine(NamedTuple):
         """What `Writer` reads and writes, from the place in C that `place(group, field)` gives."""
         reads = [_entry(place(g, f), f) for g, some in self.inputs.items() for f in some]
         there = [_entry(place(g, f), f) for g, some in self.outputs.items() for f in some]
-        return reads, [lambda at, words, entry=entry: f"{entry(at)} = {words};" for entry in there]
+        return reads, [functools.partial(_stored, entry) for entry in there]
 
 
 def _entry(place, field):
     return lambda at: f"{place}[{at}]" if field.shape else place
+
+
+def _stored(entry, at, *several):
+    """Statements that store entries from `at` on, as `Writer.store` asks for."""
+    return " ".join(f"{entry(f'{at} + {i}' if i else at)} = {words};" for i, words in enumerate(several))
 
 
 def read(fn, groups, told, *, dtype, fixed=()) -> Routine:
