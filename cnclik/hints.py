@@ -135,25 +135,19 @@ def few_lanes(count: int):
     return _lanes(count)
 
 
-_NATIVE_NAMES = """
-    abs acos acosh add add_any and asin asinh atan atan2 atanh broadcast_in_dim cbrt ceil checkpoint
-    clamp closed_call concatenate cond convert_element_type copy copy_p core_call cos cosh
-    custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr div dynamic_slice dynamic_update_slice eq
-    erf exp exp2 expand_dims expm1 floor gather ge gt integer_pow iota is_finite jit le log log1p
-    logistic lt lt_to max min mul ne neg nextafter not or pad pjit pow real reduce_or rem remat
-    remat2 reshape rev round rsqrt scan select_n shift_left shift_right_arithmetic
-    shift_right_logical sign sin sinh slice split sqrt square squeeze stack stop_gradient sub tan
-    tanh transpose unstack while xor zeros_like
-"""
-_NATIVE = frozenset(_NATIVE_NAMES.split())
-
 # What may be compiled with 512-bit vectors: what is tested to give the same numbers. With them XLA (jax 0.10.2) gives
 # 0 for most arctangents, and might do so with others that nobody has looked at.
 _WIDE_NAMES = """
-    argmax argmin copysign cumsum dot_general optimization_barrier population_count reduce_and reduce_max reduce_min
-    reduce_prod reduce_sum scatter scatter-add
+    abs acos acosh add add_any and argmax argmin asin asinh atan2 atanh broadcast_in_dim cbrt ceil checkpoint
+    clamp closed_call concatenate cond convert_element_type copy copy_p copysign core_call cos cosh cumsum
+    custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr div dot_general dynamic_slice dynamic_update_slice eq
+    erf exp exp2 expand_dims expm1 floor gather ge gt integer_pow iota is_finite jit le log log1p
+    logistic lt lt_to max min mul ne neg nextafter not optimization_barrier or pad pjit population_count pow real
+    reduce_and reduce_max reduce_min reduce_or reduce_prod reduce_sum rem remat remat2 reshape rev round rsqrt scan
+    scatter scatter-add select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh slice split sqrt
+    square squeeze stack stop_gradient sub tan tanh transpose unstack while xor zeros_like
 """
-_WIDE = (_NATIVE | frozenset(_WIDE_NAMES.split())) - {"atan"}
+_WIDE = frozenset(_WIDE_NAMES.split())
 
 
 def equations(jaxpr):
@@ -186,27 +180,15 @@ def after(value, other):
     return value + nothing.astype(value.dtype)
 
 
-# What may be part of one, too, where the arrays are known to be small: XLA writes it out.
-SMALL_ARRAYS = frozenset(["argmin", "dot_general", "reduce_and", "reduce_max", "reduce_sum", "scatter"])
-
-
-def _is_native(jaxpr, also) -> bool:
-    return all(equation.primitive.name in _NATIVE or equation.primitive.name in also for equation in equations(jaxpr))
-
-
 def is_wide(jaxpr) -> bool:
     """Whether a traced program may be compiled with 512-bit vectors."""
     return all(equation.primitive.name in _WIDE for equation in equations(jaxpr))
 
 
-def one_function(loop, also=frozenset()):
-    """Compile a call of `loop` into one native function where only few lanes are around it.
+def one_function(loop):
+    """Compile a call of `loop`, elementwise operations and loops of them, into one function where few lanes are around.
 
-    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher. Where a user's own path or
-    null-space function does what can't be part of such a function, nothing is changed.
-
-    Args:
-      also: primitives that may be part of it besides those that always may, such as SMALL_ARRAYS.
+    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher: a quarter of the speed.
     """
 
     def plain(*args):  # the hint is for this call, not for those inside it
@@ -217,7 +199,7 @@ def one_function(loop, also=frozenset()):
 
     @functools.wraps(loop)
     def call(*args):
-        if not (hints_on() and _lanes.value and _is_native(jitted.trace(*args).jaxpr, also)):
+        if not (hints_on() and _lanes.value):
             return loop(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jitted(*args)

@@ -21,7 +21,7 @@ from cnclik.engine.sines import sincos
 from cnclik.engine.stacks import Rows
 from cnclik.engine.to_c import HEAVY, REGION_WEIGHT, cells_of
 from cnclik.engine.tracing import to_be_read
-from cnclik.hints import SMALL_ARRAYS, hints_on, one_function
+from cnclik.hints import hints_on, one_function
 
 LONGEST, BACK, WORTH = 40, 8, 4  # as measured; each is flat around
 FEWEST = 3  # operations that are worth a stage
@@ -49,7 +49,7 @@ class Derived:
             types = [s.dtype for s in self.shapes]
             writer = functools.partial(_Writer, graph, given, outs, fenced=hints_on())
             closed = jax.make_jaxpr(lambda *x: writer(x).results(types))(*self.avals)
-            made = self.written[hints_on()] = one_function(jaxpr_as_fun(closed), SMALL_ARRAYS)
+            made = self.written[hints_on()] = one_function(jaxpr_as_fun(closed))
         return made(*leaves)
 
 
