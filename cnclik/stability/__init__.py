@@ -8,6 +8,7 @@ sentence (`verdict`). What advises computes in float64 by itself, whatever JAX's
 from cnclik.measure.outcome import Ending, Outcome, outcome
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound, sampled_attraction
 from cnclik.stability.driven import DrivenLimits, driven_factors, driven_limits
+from cnclik.stability.judged import Behaviour
 from cnclik.stability.linear import (
     RealAxisLimits,
     amplification,
@@ -37,7 +38,7 @@ from cnclik.stability.spectrum import (
     task_map,
     task_radius,
 )
-from cnclik.stability.verdict import Behaviour, Verdict, verdict
+from cnclik.stability.verdict import Verdict, verdict
 
 __all__ = ["Advice", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "Practice", "RealAxisLimits"]
 __all__ += ["Recommendation", "Remedy", "Spectrum", "Verdict"]

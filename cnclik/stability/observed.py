@@ -11,6 +11,7 @@ from cnclik.robot.posture import arm_length
 ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
 GROWN = 1.2  # ratio of the middle errors of two quarters from which on an error grows
 VISIBLE = 1e-4  # RMS joint step, in rad or m, below which nobody sees it
+FALLEN = 0.5  # ratio of the largest, and of the middle, errors of two quarters below which one that swings shrinks
 FADING = 0.3  # ratio of the joint speeds of two quarters below which motion fades
 OFTEN = 0.5  # share of the last quarter's steps with a status bit that counts
 
@@ -61,6 +62,12 @@ class Observed(NamedTuple):
     def shrinks(self):
         least = min(self.before.min(), self.size.max())
         return bool(self.largest < STALL_RATIO * self.before.max() and self.largest <= least)
+
+    @property
+    def swings_less(self):
+        """Whether it shrinks though it passes near zero on its way down."""
+        fallen = np.median(self.late) < FALLEN * np.median(self.before)
+        return bool(fallen and self.largest < FALLEN * self.before.max())
 
     @property
     def over_velocity(self):

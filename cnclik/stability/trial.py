@@ -125,7 +125,7 @@ class Trials:
 
     def longer(self, N):
         """The loop as it is, for N steps."""
-        return truncate(self.unchanged(_power(N)), N)
+        return truncate(self.unchanged(whole_trial(N)), N)
 
     def _run(self, made, steps):
         """The run of so many steps: by the program that the given run used, where that is one of single steps."""
@@ -151,13 +151,13 @@ class Trials:
         change, N, given = remedy.change, self.case.steps, self.case.seen
         after = change.get("N", N)
         if "dtype" in change:  # trials are in float64
-            return self._late(self.unchanged(_power(N))) < given.largest
+            return self._late(self.unchanged(whole_trial(N))) < given.largest
         made = changed(self.given, change)
         if remedy.mends in ("velocity", "limits"):
             seen = self._seen(self._run(made, after))
             slower = not seen.too_fast or max(seen.excess, 1.0) < SLOWER * max(given.excess, 1.0)
             return slower if remedy.mends == "velocity" else float(seen.outside.max()) <= INSIDE
-        steps = _power(max(N, after))
+        steps = whole_trial(max(N, after))
         was, now = self.unchanged(steps), self._run(made, steps)
         was_here, now_here = truncate(was, N), truncate(now, after)
         gone = max(ARRIVED * given.size[0], given.floor)
@@ -169,7 +169,7 @@ class Trials:
         if remedy.mends == "motion":
             turns = _reversed(now_here) < CALMER * _reversed(was_here)
             calmer = turns or min(in_the_end, ratio(truncate(was, 5 * N), truncate(now, 5 * N))) < CALMER
-            return in_the_end <= 1 and (calmer or self._late(now) <= gone)
+            return in_the_end <= 1 and calmer
         if self._late(now_here) <= gone:
             return True
         here = ratio(was_here, now_here)
@@ -191,7 +191,7 @@ def only_longer(change, period):
     return set(change) <= {"N", "period"} and change.get("period", period) == period
 
 
-def _power(N):
+def whole_trial(N):
     """Steps of a trial of N."""
     return max(LEAST_TRIED, 1 << (N - 1).bit_length()) if N <= MOST_TRIED else N
 

@@ -1,12 +1,8 @@
 """Verdict: what a run of a loop did, in one sentence with its numbers and the remedy.
 
-Two things are asked. What did the run do: did its error shrink, stay, grow; did its joints go back and forth? And
-why: what are the eigenvalues of the loop's own step (law, inverse, damping, limits, gain, method and stage as they are)
-at rest where the run ended? What the run is too short to tell is not told: the answer is the run that decides it. The
-thresholds are constants here, in `reasons`, `remedies` and `observed`; quarters are the run's, as for `outcome`.
+`judged` says what the run did, and what might mend it. Where that is more than "settled", the loop is run on and run
+again, see `trial`: what its later steps contradict is not said, and a remedy that does not help is not named.
 """
-
-import enum
 
 import numpy as np
 
@@ -14,41 +10,24 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
-from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import check_loop
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
-from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import PLENTY, UNSTABLE, case_of
+from cnclik.stability.case import UNSTABLE, case_of
+from cnclik.stability.judged import Behaviour, judged, undecided
 from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, maps, resting
-from cnclik.stability.observed import rms
-from cnclik.stability.reasons import REVERSING
-from cnclik.stability.remedies import ENOUGH, Remedy
-from cnclik.stability.trial import Trials, only_longer
-
-AROUND = 3  # times around a path that tell, however slow a direction of the loop is
-OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
-
-
-class Behaviour(enum.StrEnum):
-    """What a run did."""
-
-    SETTLED = "settled"
-    LAGGING = "settled with lag"
-    CONVERGING = "converging"
-    UNDECIDED = "too short to tell"
-    RINGING = "ringing"
-    SHAKING = "shaking"
-    DIVERGING = "diverging"
-    AT_LIMIT = "stuck at a limit"
-    OUT_OF_REACH = "out of reach"
-    STALLED = "no progress"
-
+from cnclik.stability.observed import FALLEN
+from cnclik.stability.trial import Trials, only_longer, whole_trial
 
 _UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
+# Of a longer run, what contradicts:
+CALM = 0.02  # share of the joint speed that is reversed, below which a loop does not shake
+LESS = 0.3  # ratio of errors below which it does not diverge
+SAME = 0.75, 1.9  # ratios between which an error stays
+_STAY = (Behaviour.STALLED, Behaviour.AT_LIMIT)
 
 
 @record
@@ -86,8 +65,9 @@ def verdict(
 ) -> Verdict:
     """What a run did, why, and what to do about it. In float64.
 
-    What it did is told from the run alone. What to do about it is tried before it is named: the loop is run again with
-    each remedy, for 4096 steps or as many as the run has. A run that needs no remedy is not run again.
+    Where something is wrong with it, the loop is run on, for 4096 steps or the next power of two: what that
+    contradicts is not said. And it is run again with each remedy: one that does not help is not named. A run that
+    settled is not run again.
 
     Args:
       law, reference, Ts, method, stage, drive: what was run, see `solve`.
@@ -114,13 +94,14 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     if run.path_time is not None and more["pace"] is None:
         raise errors.fail("pace", "be the run's", "is left out")
     case = case_of(law, reference, run, dtype, float(Ts), method, stage, check_drive(drive, law.chain.n), **more)
-    kind, what, found = _judged(case)
+    trials = Trials(case)
+    kind, what, found = _confirmed(case, trials)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         what = f"{what}; {case.seen.over_velocity}"
         found = (*remedies.slower_joints(case), *found)
     if (left := reasons.outside(case)) and kind not in _UNSTABLE_KINDS:
         what, found = f"{what}; {left}", (*found, *remedies.inside(case))
-    found, left_out = _tried(case, tuple({one.words: one for one in found}.values()))
+    found, left_out = _tried(case, trials, tuple({one.words: one for one in found}.values()))
     what, words = f"{what}{left_out}", _in_words(found)
     return Verdict(
         kind=kind,
@@ -132,9 +113,43 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     )
 
 
-def _tried(case, found):
+def _confirmed(case, trials):
+    """What is judged of a run where the loop, run on, does as it says; else that the run is too short to tell."""
+    kind, what, found = judged(case)
+    N, plain = whole_trial(case.steps), case.seen.bad is not None or case.seen.still  # nothing later changes that
+    if plain or kind not in (*_UNSTABLE_KINDS, *_STAY, Behaviour.CONVERGING) or case.steps >= N:
+        return kind, what, found
+    later = _longer(case, trials, N)
+    if not _contradicted(kind, case, later):
+        return kind, what, found
+    return undecided(case, f"{what}, but run on, for {N} steps in all, the error is at most {later.size} at the end")
+
+
+def _longer(case, trials, N):
+    """The case of the loop run for N steps."""
+    return case_of(case.law, case.reference, trials.longer(N), case.seen.dtype, *case.loop, **case.more)
+
+
+def _contradicted(kind, case, later) -> bool:
+    """Whether a longer run of the loop does not do what is said of a shorter one."""
+    seen, before = later.seen, case.seen.largest
+    if case.moving and kind not in _UNSTABLE_KINDS:  # the path that is to come is another
+        return False
+    if seen.bad is not None:
+        return kind not in _UNSTABLE_KINDS
+    if kind in _UNSTABLE_KINDS:
+        calm = not seen.visible or seen.reversing < CALM
+        rests = calm if kind == Behaviour.SHAKING else not seen.visible or seen.arrived or seen.largest < LESS * before
+        return later.radius <= UNSTABLE and rests
+    if kind in _STAY:
+        return not SAME[0] * before <= seen.largest <= SAME[1] * before
+    falls = seen.shrinks or seen.arrived or bool(np.all(np.diff(seen.late) < 0))
+    return seen.largest > FALLEN * before and not falls
+
+
+def _tried(case, trials, found):
     """Remedies with which the loop does better, as runs with them show, and what is to be said of the others."""
-    trials, kept, vain, N = Trials(case), [], [], 0
+    kept, vain, N = [], [], 0
     for one in found:
         if only_longer(one.change, case.period):
             made, N = _long_enough(case, trials, one)
@@ -163,9 +178,7 @@ def _long_enough(case, trials, one):
         if one.mends == "error":
             enough = trials.better(one)
         else:
-            run = trials.longer(N)
-            later = case_of(case.law, case.reference, run, case.seen.dtype, *case.loop, **case.more)
-            enough = _judged(later)[0] != Behaviour.UNDECIDED
+            enough = _confirmed(_longer(case, trials, N), trials)[0] != Behaviour.UNDECIDED
         if enough:
             return (one,), 0
         tried = N
@@ -189,207 +202,3 @@ def _in_words(found) -> str:
 def prepare(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> None:
     """Compile what `verdict` will ask of such a run: beside other work, for who is going to ask."""
     maps(*resting(law, Instant(np.asarray(q, float), None)), np.ones(1), float(Ts), *checked(method, stage))
-
-
-# --- what the run did: (kind, what it did, remedies) ---------------------------------------------------
-
-
-def _judged(case):
-    law, seen, error = case.law, case.seen, _error(case)
-    if seen.bad is not None:
-        what = f"not finite from t = {case.t[seen.bad]:.4g} s on (step {seen.bad})"
-        return Behaviour.DIVERGING, what, remedies.lower(case)
-    if not np.any(np.asarray(law.alpha)):
-        Ts, drive = case.loop[0], case.loop[-1]
-        gain = 0.2 / (Ts + float(np.max(drive.late_by(Ts))))
-        raised = Remedy(change={"alpha": gain}, words=f"raise alpha, to {gain:.3g} 1/s for example")
-        return Behaviour.STALLED, f"the gain is 0, so errors stay; {error}", (raised,)
-    if case.steps - 1 <= case.dead and case.dead:
-        what = f"the run is over before its dead time of {case.dead} steps is; {error}"
-        return Behaviour.UNDECIDED, what, remedies.longer(case)
-    return (_moving if case.moving else _held)(case, error)
-
-
-def _error(case):
-    return f"over the last quarter of the run the error is at most {case.size}"
-
-
-def _radius(case):
-    digits = 3 if abs(case.radius - 1) > 0.005 else 6  # 1.0003 is not 1
-    return f"the loop's spectral radius at rest is {case.radius:.{digits}g}"
-
-
-def _pulled(case, error):
-    if case.steps < PLENTY * case.null_fold:
-        return _undecided(case, error)
-    return Behaviour.STALLED, f"{error} and stays: {reasons.PULLED}", remedies.less_pull(case)
-
-
-def _held(case, error):
-    seen = case.seen
-    # A loop that carries what it rounds away would have moved by now.
-    if seen.still and 4 * case.rounding / len(seen.late) < seen.largest <= 2 * case.rounding:
-        return _rounded(case, error)
-    if seen.arrived:
-        return _arrived(case, error)
-    if case.radius > UNSTABLE or case.null_unstable:
-        return _unstable(case, error)
-    if reasons.beyond(case) > 0 or reasons.too_many(case):
-        return _out_of_reach(case, error)
-    if _rings(case):
-        restless = _shakes(case) and case.radius_at(case.start) > UNSTABLE
-        return (_shaking if restless else _ringing)(case, error)
-    if seen.shrinks:
-        return _shrinking(case, error)
-    if case.spans >= ENOUGH and (at := reasons.at_limits(case)):
-        found = remedies.elsewhere(case) or remedies.nearer(case)
-        return Behaviour.AT_LIMIT, f"{at}, and {error}", found
-    if not (case.stays or reasons.open_ended(case)) and _fallen(case) and np.all(np.diff(seen.late) < 0):
-        found = (*remedies.raised(case), *remedies.to_the_end(case))
-        return Behaviour.CONVERGING, f"slowly; {error}; {_radius(case)}", found
-    if not case.stays:
-        return _undecided(case, error)
-    if reasons.leaks(case):
-        return _pulled(case, error)
-    if reasons.unreachable(case):
-        return _out_of_reach(case, error)
-    if _shakes(case):
-        return _shaking(case, error)
-    if seen.often(Status.NEAR_SINGULAR) or reasons.hopeless(case):
-        return Behaviour.STALLED, f"{error} and stays, next to a singularity", remedies.elsewhere(case)
-    return Behaviour.STALLED, f"{error} and stays; {_radius(case)}", remedies.elsewhere(case)
-
-
-def _arrived(case, error):
-    seen = case.seen
-    if seen.visible and not seen.fades and seen.reversing > REVERSING:
-        return _shaking(case, error)
-    unstable = max(case.radius, case.null_radius * case.null_unstable)
-    if unstable > UNSTABLE:
-        what = f"at rest, but any disturbance grows: the loop's spectral radius is {unstable:.3g}"
-        return Behaviour.DIVERGING, what, remedies.lower(case)
-    if _rings(case):
-        return _ringing(case, error)
-    return Behaviour.SETTLED, f"{error}; {_radius(case)}", ()
-
-
-def _moving(case, error):
-    seen = case.seen
-    lag = rms(seen.late)
-    follows = lag <= max(case.behind, seen.floor)
-    if case.radius > UNSTABLE and not (follows and case.radius_at(case.start) <= UNSTABLE):
-        return _unstable(case, error)
-    if seen.often(Status.AT_LIMIT) and case.law.limits is not None and not follows and not seen.shrinks:
-        what = f"{reasons.at_limits(case) or 'joints are at their velocity limits'}, and {error}"
-        slower = remedies.slower_path(case, 0.8 * seen.share)
-        if case.covered >= 1:
-            return Behaviour.AT_LIMIT, what, slower
-        kind, what, found = _undecided(case, what)
-        return kind, what, found if case.crawls else (*slower, *found)
-    if _rings(case):
-        return _ringing(case, error)
-    if not follows and (reasons.beyond(case) > 0 or reasons.too_many(case)):
-        return _out_of_reach(case, error)
-    if case.covered < 1 or (case.spans < ENOUGH and case.covered < AROUND):
-        return _undecided(case, f"{'it follows so far; ' if follows else ''}{error}")
-    if follows:
-        return Behaviour.SETTLED, f"it follows; {error}; {_radius(case)}", ()
-    if seen.shrinks:
-        return _shrinking(case, error)
-    if reasons.unreachable(case):
-        return _out_of_reach(case, error)
-    if _shakes(case):
-        return _shaking(case, error)
-    what = f"{error}, {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on; {_radius(case)}"
-    limited = case.law.limits is not None and bool(np.any(seen.status & Status.AT_LIMIT))
-    if limited:  # more velocity may be more than they let through
-        return Behaviour.LAGGING, what, remedies.slower_path(case, 0.5)
-    if float(case.law.feedforward) != 1.0:
-        words = "feed the velocity forward (feedforward=1)"
-        return Behaviour.LAGGING, what, (Remedy(change={"feedforward": 1.0}, words=words),)
-    return Behaviour.LAGGING, what, remedies.raised(case) or remedies.slower_path(case, 0.5)
-
-
-def _rounded(case, error):
-    lost = f"it stops short there: below {case.rounding:.2g}, a step is lost in the rounding of q in {case.seen.dtype}"
-    kind = Behaviour.SETTLED if case.seen.arrived else Behaviour.STALLED
-    wide = Remedy(change={"dtype": "float64"}, words="work in float64 (JAX_ENABLE_X64=1)")
-    return kind, f"{error}; {lost}", (wide,) if case.seen.dtype == np.float32 else remedies.raised(case)
-
-
-# --- one kind each ------------------------------------------------------------------------------------
-
-
-def _rings(case):
-    seen = case.seen
-    by_path = case.moving and case.path and 4 * seen.swing * case.loop[0] >= case.path  # as slowly as its path turns
-    return case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE and not by_path
-
-
-def _ringing(case, error):
-    swings = f"the error oscillates about the target, each swing {case.overshoot:.2g} times the one before"
-    return Behaviour.RINGING, f"{swings}; {error}", remedies.faster(case)
-
-
-def _shakes(case):
-    return case.seen.visible and case.seen.reversing > REVERSING
-
-
-def _shaking(case, error):
-    joints, seen = case.law.chain.joints, case.seen
-    kinds = {j.kind for j in joints}
-    unit = "rad" if kinds == {REVOLUTE} else "m" if REVOLUTE not in kinds else "rad or m"
-    fast = f"joint velocities up to {seen.joint_speed:.3g} {unit}/s go back and forth"
-    if case.null_unstable and seen.arrived:
-        inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
-        return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case, case.null_radius)
-    if not seen.arrived and case.radius <= UNSTABLE and reasons.unreachable(case):
-        return _out_of_reach(case, f"{error}, and {fast}")
-    if case.crawls and case.radius <= UNSTABLE:
-        kind, what, found = _undecided(case, f"{fast}; {error}")
-        return kind, what, found if hasattr(case.law.inverse, "damping") else (*found, *remedies.gentle(case, "motion"))
-    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", remedies.lower(case)
-
-
-def _unstable(case, error):
-    """What is unstable at rest where it ended, and did not arrive."""
-    seen = case.seen
-    if seen.shrinks and not _shakes(case):
-        return _undecided(case, error)
-    if seen.grows or seen.soars:
-        return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
-    if _shakes(case) or (seen.visible and case.spans > PLENTY):
-        return _shaking(case, error)
-    falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
-    if not falls and case.radius_at(case.start) > UNSTABLE:
-        return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {_radius(case)}", remedies.lower(case)
-    return _undecided(case, error)
-
-
-def _shrinking(case, error):
-    if case.crawls or (case.spans < ENOUGH and not _fallen(case)):
-        return _undecided(case, error)
-    if _shakes(case) and case.seen.largest > 0.8 * case.seen.before.max():
-        return _shaking(case, error)
-    if reasons.leaks(case):  # down to where gain and pull are even, wherever that is
-        return _undecided(case, error)
-    if case.seen.largest > 0.1 * case.seen.size[0] and reasons.unreachable(case):
-        return _out_of_reach(case, error)
-    return Behaviour.CONVERGING, f"{error} and shrinking; {_radius(case)}", remedies.to_the_end(case)
-
-
-def _fallen(case):
-    """Whether the error is as small as it is after enough time constants."""
-    return case.seen.size[0] > np.exp(ENOUGH) * case.seen.largest
-
-
-def _out_of_reach(case, error):
-    return Behaviour.OUT_OF_REACH, f"{error}; {reasons.unreachable(case)}", remedies.nearer(case)
-
-
-def _undecided(case, error):
-    if why := reasons.open_ended(case):
-        return Behaviour.UNDECIDED, f"{error}; {why}", remedies.longer(case)
-    holds = f"the run holds {case.spans:.2g} of the loop's own time constants"
-    path = f" and {100 * case.covered:.2g} % of the path" if case.covered < 1 else ""
-    return Behaviour.UNDECIDED, f"{error}; {holds}{path}", remedies.longer(case)

@@ -399,8 +399,8 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
         spans = (5 * loop.N, len(whole.e))  # in the end the target may be out of reach
         least = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
         better = chatter(after) < 0.5 * chatter(run) or min(least) < 0.5
-        calmer = better or calm(whole_after) or arrived(whole_after)
-        return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]))
+        calmer = better or (calm(whole_after) > calm(whole)) or (arrived(whole_after) > arrived(whole))
+        return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]), 1e-9)
     if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
         return True
     curve = loop.reference.curve

@@ -64,6 +64,21 @@ def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
     assert all(told["good"] for told in one["remedies"]), one["remedies"]
 
 
+def test_what_later_steps_contradict_is_not_said():
+    """A null-space velocity pulls the arm away: "diverging", "converging", "shaking", and it came to rest there."""
+    found = loops.judge(loops.family(14, seed=1), [1, 6, 34, 37], seed=1)
+    assert not any(one["false"] for one in found)
+    assert {one["kind"] for one in found} == {"too short to tell"}
+    assert all("run on, for 4096 steps in all, the error is at most" in one["said"] for one in found[:3])
+
+
+def test_an_error_that_swings_shrinks_all_the_same():
+    """It passes near zero on its way down: no quarter is below the least of the one before."""
+    (one,) = loops.judge(loops.family(9, seed=1), [8], seed=1)
+    assert one["kind"] == "converging" and not one["false"], one["said"]
+    assert all(told["good"] for told in one["remedies"]) and one["remedies"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(50))
 def test_no_verdict_of_many_is_false(number):

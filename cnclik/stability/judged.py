@@ -1,0 +1,240 @@
+"""Judged: what a run did, from the evidence of its case: a kind, the numbers in words, and remedies to be tried.
+
+Two things are asked. What did the run do: did its error shrink, stay, grow; did its joints go back and forth? And
+why: what are the eigenvalues of the loop's own step (law, inverse, damping, limits, gain, method and stage as they are)
+at rest where the run ended? What the run is too short to tell is not told: the answer is the run that decides it. The
+thresholds are constants here, in `reasons`, `remedies` and `observed`; quarters are the run's, as for `outcome`.
+"""
+
+import enum
+
+import numpy as np
+
+from cnclik.integrate.status import Status
+from cnclik.robot.chain import REVOLUTE
+from cnclik.stability import reasons, remedies
+from cnclik.stability.case import PLENTY, UNSTABLE
+from cnclik.stability.observed import rms
+from cnclik.stability.reasons import REVERSING
+from cnclik.stability.remedies import ENOUGH, Remedy
+
+AROUND = 3  # times around a path that tell, however slow a direction of the loop is
+OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
+
+
+class Behaviour(enum.StrEnum):
+    """What a run did."""
+
+    SETTLED = "settled"
+    LAGGING = "settled with lag"
+    CONVERGING = "converging"
+    UNDECIDED = "too short to tell"
+    RINGING = "ringing"
+    SHAKING = "shaking"
+    DIVERGING = "diverging"
+    AT_LIMIT = "stuck at a limit"
+    OUT_OF_REACH = "out of reach"
+    STALLED = "no progress"
+
+
+def judged(case):
+    """(kind, what it did, remedies) of a case."""
+    law, seen, error = case.law, case.seen, _error(case)
+    if seen.bad is not None:
+        what = f"not finite from t = {case.t[seen.bad]:.4g} s on (step {seen.bad})"
+        return Behaviour.DIVERGING, what, remedies.lower(case)
+    if not np.any(np.asarray(law.alpha)):
+        Ts, drive = case.loop[0], case.loop[-1]
+        gain = 0.2 / (Ts + float(np.max(drive.late_by(Ts))))
+        raised = Remedy(change={"alpha": gain}, words=f"raise alpha, to {gain:.3g} 1/s for example")
+        return Behaviour.STALLED, f"the gain is 0, so errors stay; {error}", (raised,)
+    if case.steps - 1 <= case.dead and case.dead:
+        what = f"the run is over before its dead time of {case.dead} steps is; {error}"
+        return Behaviour.UNDECIDED, what, remedies.longer(case)
+    return (_moving if case.moving else _held)(case, error)
+
+
+def _error(case):
+    return f"over the last quarter of the run the error is at most {case.size}"
+
+
+def _radius(case):
+    digits = 3 if abs(case.radius - 1) > 0.005 else 6  # 1.0003 is not 1
+    return f"the loop's spectral radius at rest is {case.radius:.{digits}g}"
+
+
+def _pulled(case, error):
+    if case.steps < PLENTY * case.null_fold:
+        return undecided(case, error)
+    return Behaviour.STALLED, f"{error} and stays: {reasons.PULLED}", remedies.less_pull(case)
+
+
+def _held(case, error):
+    seen = case.seen
+    # A loop that carries what it rounds away would have moved by now.
+    if seen.still and 4 * case.rounding / len(seen.late) < seen.largest <= 2 * case.rounding:
+        return _rounded(case, error)
+    if seen.arrived:
+        return _arrived(case, error)
+    if case.radius > UNSTABLE or case.null_unstable:
+        return _unstable(case, error)
+    if reasons.beyond(case) > 0 or reasons.too_many(case):
+        return _out_of_reach(case, error)
+    if _rings(case):
+        restless = _shakes(case) and case.radius_at(case.start) > UNSTABLE
+        return (_shaking if restless else _ringing)(case, error)
+    if seen.shrinks or seen.swings_less:
+        return _shrinking(case, error)
+    if case.spans >= ENOUGH and (at := reasons.at_limits(case)):
+        found = remedies.elsewhere(case) or remedies.nearer(case)
+        return Behaviour.AT_LIMIT, f"{at}, and {error}", found
+    slowly = not (case.stays or reasons.open_ended(case) or reasons.leaks(case))
+    if slowly and _fallen(case) and np.all(np.diff(seen.late) < 0):
+        found = (*remedies.raised(case), *remedies.to_the_end(case))
+        return Behaviour.CONVERGING, f"slowly; {error}; {_radius(case)}", found
+    if not case.stays:
+        return undecided(case, error)
+    if reasons.leaks(case):
+        return _pulled(case, error)
+    if reasons.unreachable(case):
+        return _out_of_reach(case, error)
+    if _shakes(case):
+        return _shaking(case, error)
+    if seen.often(Status.NEAR_SINGULAR) or reasons.hopeless(case):
+        return Behaviour.STALLED, f"{error} and stays, next to a singularity", remedies.elsewhere(case)
+    return Behaviour.STALLED, f"{error} and stays; {_radius(case)}", remedies.elsewhere(case)
+
+
+def _arrived(case, error):
+    seen = case.seen
+    if seen.visible and not seen.fades and seen.reversing > REVERSING:
+        return _shaking(case, error)
+    unstable = max(case.radius, case.null_radius * case.null_unstable)
+    if unstable > UNSTABLE:
+        what = f"at rest, but any disturbance grows: the loop's spectral radius is {unstable:.3g}"
+        return Behaviour.DIVERGING, what, remedies.lower(case)
+    if _rings(case):
+        return _ringing(case, error)
+    return Behaviour.SETTLED, f"{error}; {_radius(case)}", ()
+
+
+def _moving(case, error):
+    seen = case.seen
+    lag = rms(seen.late)
+    follows = lag <= max(case.behind, seen.floor)
+    if case.radius > UNSTABLE and not (follows and case.radius_at(case.start) <= UNSTABLE):
+        return _unstable(case, error)
+    if seen.often(Status.AT_LIMIT) and case.law.limits is not None and not follows and not seen.shrinks:
+        what = f"{reasons.at_limits(case) or 'joints are at their velocity limits'}, and {error}"
+        slower = remedies.slower_path(case, 0.8 * seen.share)
+        if case.covered >= 1:
+            return Behaviour.AT_LIMIT, what, slower
+        kind, what, found = undecided(case, what)
+        return kind, what, found if case.crawls else (*slower, *found)
+    if _rings(case):
+        return _ringing(case, error)
+    if not follows and (reasons.beyond(case) > 0 or reasons.too_many(case)):
+        return _out_of_reach(case, error)
+    if case.covered < 1 or (case.spans < ENOUGH and case.covered < AROUND):
+        return undecided(case, f"{'it follows so far; ' if follows else ''}{error}")
+    if follows:
+        return Behaviour.SETTLED, f"it follows; {error}; {_radius(case)}", ()
+    if seen.shrinks:
+        return _shrinking(case, error)
+    if reasons.unreachable(case):
+        return _out_of_reach(case, error)
+    if _shakes(case):
+        return _shaking(case, error)
+    what = f"{error}, {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on; {_radius(case)}"
+    limited = case.law.limits is not None and bool(np.any(seen.status & Status.AT_LIMIT))
+    if limited:  # more velocity may be more than they let through
+        return Behaviour.LAGGING, what, remedies.slower_path(case, 0.5)
+    if float(case.law.feedforward) != 1.0:
+        words = "feed the velocity forward (feedforward=1)"
+        return Behaviour.LAGGING, what, (Remedy(change={"feedforward": 1.0}, words=words),)
+    return Behaviour.LAGGING, what, remedies.raised(case) or remedies.slower_path(case, 0.5)
+
+
+def _rounded(case, error):
+    lost = f"it stops short there: below {case.rounding:.2g}, a step is lost in the rounding of q in {case.seen.dtype}"
+    kind = Behaviour.SETTLED if case.seen.arrived else Behaviour.STALLED
+    wide = Remedy(change={"dtype": "float64"}, words="work in float64 (JAX_ENABLE_X64=1)")
+    return kind, f"{error}; {lost}", (wide,) if case.seen.dtype == np.float32 else remedies.raised(case)
+
+
+# --- one kind each ------------------------------------------------------------------------------------
+
+
+def _rings(case):
+    seen = case.seen
+    by_path = case.moving and case.path and 4 * seen.swing * case.loop[0] >= case.path  # as slowly as its path turns
+    return case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE and not by_path
+
+
+def _ringing(case, error):
+    swings = f"the error oscillates about the target, each swing {case.overshoot:.2g} times the one before"
+    return Behaviour.RINGING, f"{swings}; {error}", remedies.faster(case)
+
+
+def _shakes(case):
+    return case.seen.visible and case.seen.reversing > REVERSING
+
+
+def _shaking(case, error):
+    joints, seen = case.law.chain.joints, case.seen
+    kinds = {j.kind for j in joints}
+    unit = "rad" if kinds == {REVOLUTE} else "m" if REVOLUTE not in kinds else "rad or m"
+    fast = f"joint velocities up to {seen.joint_speed:.3g} {unit}/s go back and forth"
+    if case.null_unstable and seen.arrived:
+        inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
+        return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case, case.null_radius)
+    if not seen.arrived and case.radius <= UNSTABLE and reasons.unreachable(case):
+        return _out_of_reach(case, f"{error}, and {fast}")
+    if case.crawls and case.radius <= UNSTABLE:
+        kind, what, found = undecided(case, f"{fast}; {error}")
+        return kind, what, found if hasattr(case.law.inverse, "damping") else (*found, *remedies.gentle(case, "motion"))
+    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", remedies.lower(case)
+
+
+def _unstable(case, error):
+    """What is unstable at rest where it ended, and did not arrive."""
+    seen = case.seen
+    if seen.shrinks and not _shakes(case):
+        return undecided(case, error)
+    if seen.grows or seen.soars:
+        return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
+    if _shakes(case) or (seen.visible and case.spans > PLENTY):
+        return _shaking(case, error)
+    falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
+    if not falls and case.radius_at(case.start) > UNSTABLE:
+        return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {_radius(case)}", remedies.lower(case)
+    return undecided(case, error)
+
+
+def _shrinking(case, error):
+    if case.crawls or (case.spans < ENOUGH and not _fallen(case)):
+        return undecided(case, error)
+    if _shakes(case) and case.seen.largest > 0.8 * case.seen.before.max():
+        return _shaking(case, error)
+    if reasons.leaks(case):  # down to where gain and pull are even, wherever that is
+        return undecided(case, error)
+    if case.seen.largest > 0.1 * case.seen.size[0] and reasons.unreachable(case):
+        return _out_of_reach(case, error)
+    return Behaviour.CONVERGING, f"{error} and shrinking; {_radius(case)}", remedies.to_the_end(case)
+
+
+def _fallen(case):
+    """Whether the error is as small as it is after enough time constants."""
+    return case.seen.size[0] > np.exp(ENOUGH) * case.seen.largest
+
+
+def _out_of_reach(case, error):
+    return Behaviour.OUT_OF_REACH, f"{error}; {reasons.unreachable(case)}", remedies.nearer(case)
+
+
+def undecided(case, error):
+    if why := reasons.open_ended(case):
+        return Behaviour.UNDECIDED, f"{error}; {why}", remedies.longer(case)
+    holds = f"the run holds {case.spans:.2g} of the loop's own time constants"
+    path = f" and {100 * case.covered:.2g} % of the path" if case.covered < 1 else ""
+    return Behaviour.UNDECIDED, f"{error}; {holds}{path}", remedies.longer(case)
