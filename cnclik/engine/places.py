@@ -62,6 +62,14 @@ def _held(g, index, most):
     return g.op("min", g.op("max", index, low), high)
 
 
+def _wide(g, places):
+    """Places in at least 32 bits: what counts cells may be more than a small type holds."""
+    if places.size == 0 or places.flat[0].dtype.itemsize >= 4:
+        return places
+    wide = [g.apply("convert_element_type", [c], np.dtype(np.int32), None) for c in places.flat]
+    return array_of(wide, places.shape)
+
+
 def _plus(g, start, offset):
     if not hasattr(start, "op"):
         return start + offset
@@ -73,7 +81,7 @@ def _known(node):
 
 
 def _dynamic_slice(g, eqn, x, *starts):
-    sizes = eqn.params["slice_sizes"]
+    sizes, starts = eqn.params["slice_sizes"], [_wide(g, s) for s in starts]
     at = [_known(_held(g, s.item(), m - n)) for s, m, n in zip(starts, x.shape, sizes, strict=True)]
     dtype = starts[0].item().dtype if starts else np.dtype(np.int32)
     made = [_taken(g, x, list(map(_plus, itertools.repeat(g), at, where)), dtype) for where in np.ndindex(*sizes)]
@@ -81,6 +89,7 @@ def _dynamic_slice(g, eqn, x, *starts):
 
 
 def _dynamic_update_slice(g, eqn, x, update, *starts):
+    starts = [_wide(g, s) for s in starts]
     at = [_known(_held(g, s.item(), m - n)) for s, m, n in zip(starts, x.shape, update.shape, strict=True)]
     out, dtype = x.reshape(-1).copy(), starts[0].item().dtype
     for where in np.ndindex(*update.shape):
@@ -121,7 +130,7 @@ def _starts(g, vector, dims, sizes, shape, mode):
 
 
 def _gather(g, eqn, x, places):
-    p, out = eqn.params, eqn.outvars[0].aval
+    p, out, places = eqn.params, eqn.outvars[0].aval, _wide(g, places)
     numbers, sizes, mode = p["dimension_numbers"], p["slice_sizes"], p["mode"]
     hidden = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     kept = [d for d in range(len(x.shape)) if d not in hidden]
@@ -151,7 +160,7 @@ def _fill(g, value, dtype):
 
 def _scatter(combine):
     def rule(g, eqn, x, places, updates):
-        p = eqn.params
+        p, places = eqn.params, _wide(g, places)
         numbers, mode, out = p["dimension_numbers"], p["mode"], x.reshape(-1).copy()
         hidden = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
         kept = [d for d in range(x.ndim) if d not in hidden]
