@@ -30,8 +30,8 @@ def native(fn):
 
     Args:
       fn: a pure function of arrays, or trees of them, to such; of one lane: `jax.vmap` it for many. It is fit for
-        arithmetic, loops, branches, and matrices of up to 48 rows. What is no array, such as a number of steps, is
-        bound before: `native(functools.partial(fn, steps=20))`.
+        arithmetic, loops, branches and small matrices (docs: "How it gets fast"). What is no array, such as a number of
+        steps, is bound before: `native(functools.partial(fn, steps=20))`.
 
     Returns: a function of the same arguments. The first call with arguments of new shapes compiles, for about a second.
       Elsewhere than on a CPU, without a C compiler, or where `fn` does what has no C form, it is `fn` itself.

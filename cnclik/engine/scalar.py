@@ -56,8 +56,7 @@ class ScalarWriter(Writer):
     def pick(self, n):
         """The cell of a number."""
         index, *cells = n.args
-        table, kind = self.new("l"), "static const" if all(c.known for c in cells) else "const"
-        self.line(f"{kind} {self.type(n)} {table}[{len(cells)}] = {{{', '.join(map(self.of, cells))}}};")
+        table = self.listed(cells, "static const" if all(c.known for c in cells) else "const")
         self.declare(n, f"{table}[{self.of(index)}]")
 
     def take(self, n):
