@@ -14,6 +14,7 @@ from cnclik.engine.cells import MOVES, array_of
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.operations import TYPES
 
+MOST = 64  # numbers drawn at once: each is a hundred operations, written out
 _TURNS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _DRAWN = {
     "random_seed": lambda p, seed: of_keys.seed(seed),
@@ -43,6 +44,8 @@ def drawn(reader, eqn, inputs) -> list:
     keys = [a for a in (*avals, out) if is_key(a)]
     if name not in _DRAWN or any((a.ndim and a is not out) or str(a.dtype) != "key<fry>" for a in keys):
         raise UnsupportedError(f"the operation `{name}` has no C form")
+    if out.size > MOST:
+        raise UnsupportedError(f"{out.size} random numbers at once have no C form")
     inputs = [array_of([*x.item()], (2,)) if is_key(a) else x for x, a in zip(inputs, avals, strict=True)]
     avals = [jax.ShapeDtypeStruct((2,), np.uint32) if is_key(a) else a for a in avals]
     (made,) = traced(lambda *x: _DRAWN[name](eqn.params, *x))(reader, avals, *inputs)
