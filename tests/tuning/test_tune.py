@@ -288,7 +288,7 @@ def test_each_draw_has_joint_noise_of_its_own():
     assert not set(drawn.seed.tolist()) & set(scenarios(LAW, LINE, np.array([0.3, 1.2]), 5, other).seed.tolist())
 
 
-@pytest.mark.parametrize("name", ["manipulability", "posture"])
+@pytest.mark.parametrize("name", [pytest.param("manipulability", marks=pytest.mark.slow), "posture"])
 def test_a_null_space_velocity_that_leaves_the_posture_is_no_fault_of_the_gain(name):
     """Along this run a motion of the null space grows by 2 % a step, whatever the gain: all others are kept to."""
     arm = ck.planar_arm([1.0, 0.8, 0.6, 0.5])
