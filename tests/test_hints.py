@@ -131,7 +131,7 @@ def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
 def test_what_jax_traced_does_not_pile_up_and_what_is_compiled_stays(monkeypatch):
     from jax._src import util
 
-    monkeypatch.setattr(cache, "KEPT_PROGRAMS", 3)
+    monkeypatch.setattr(cache, "KEPT_TRACES", 3)
     again = []
 
     @jax.jit

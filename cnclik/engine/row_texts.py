@@ -66,6 +66,16 @@ def places_needed(graph, needed) -> set:
 class RowTexts:
     """The part of a writer that knows rows."""
 
+    def listed(self, cells, kind="const") -> str:
+        """The name of an array of cells, written once for all that pick from it."""
+        words = ", ".join(map(self.of, cells))
+        key = "listed", self.type(cells[0]), words
+        if key not in self.names:
+            self.names[key] = self.new("l")
+            self.scopes[-1].append(key)
+            self.line(f"{kind} {key[1]} {self.names[key]}[{len(cells)}] = {{{words}}};")
+        return self.names[key]
+
     def materialise(self, n):
         """A row, computed into memory."""
         k, array = self.new("k"), self.room(n.dtype, n.shape[0])

@@ -190,16 +190,6 @@ class Writer(RowTexts):
         self.line(f"{self.type(n)} {name};")
         self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {table}[{self.of(index)}[i]][i];")
 
-    def listed(self, cells, kind="const") -> str:
-        """The name of an array of cells, written once for all that pick from it."""
-        words = ", ".join(map(self.of, cells))
-        key = "listed", self.type(cells[0]), words
-        if key not in self.names:
-            self.names[key] = self.new("l")
-            self.scopes[-1].append(key)
-            self.line(f"{kind} {key[1]} {self.names[key]}[{len(cells)}] = {{{words}}};")
-        return self.names[key]
-
     def take(self, n):
         """The entry of a row at a round that each lane has for itself."""
         row, index = n.args

@@ -17,7 +17,7 @@ def wrong(number, numbers):
     return told, vain, kinds, sum(kind["kind"] == "too short to tell" for kind in found)
 
 
-@pytest.mark.parametrize("number", [2, 19, 22])
+@pytest.mark.parametrize("number", [2, pytest.param(19, marks=pytest.mark.slow), 22])
 def test_no_verdict_is_false_and_no_remedy_vain(number):
     told, vain, kinds, short = wrong(number, range(14))
     assert not told and not vain
