@@ -143,7 +143,14 @@ def on_the_way(null, **changes):
     return ck.Law(FOUR, XY, **({"alpha": 6.0, "null_velocity": null} | changes))
 
 
-@pytest.mark.parametrize("limits", [None, ck.velocity_scaling(), ck.saturation()], ids=["free", "scaled", "saturated"])
+@pytest.mark.parametrize(
+    "limits",
+    [
+        pytest.param(None, id="free"),
+        pytest.param(ck.velocity_scaling(), id="scaled", marks=pytest.mark.slow),
+        pytest.param(ck.saturation(), id="saturated"),
+    ],
+)
 @pytest.mark.parametrize("null", NULL)
 def test_gains_are_safe_on_the_way_to_another_posture_as_at_its_end(null, limits):
     """Moving through the null space changes nothing of the error, which an exact J# multiplies by 1 − z."""
