@@ -73,17 +73,11 @@ def test_steps_are_scaled_to_limits_by_options(tmp_path, capsys):
 
 def test_a_loop_that_shakes_is_not_called_stable(tmp_path, capsys):
     """It ends half a metre off, with its steps marked OK; the exit code is that of a command that did its work."""
-    arm, options = "planar-clockwise:1,1,1,1,1", ["--task", "xy", "--inverse", "transpose"]
+    arm, options = "planar-clockwise:1,1,1,1,1", ["--task", "xy", "--inverse", "transpose", "--alpha", "90"]
     loop = ["--Ts", "0.05", "--N", "60", "--method", "EE", "--no-figures", "--out", str(tmp_path)]
-
-    def told(alpha):
-        main(["solve", arm, *options, "--alpha", str(alpha), *loop])
-        return " ".join(capsys.readouterr().out.split())
-
-    shown = told(40)
+    main(["solve", arm, *options, *loop])
+    shown = " ".join(capsys.readouterr().out.split())
     assert "Shaking: joint velocities up to" in shown and "Reduce alpha below" in shown
-    shown = told(30)  # by chance it comes to rest some hundred steps later
-    assert "Too short to tell: joint velocities up to" in shown and "run on, for 4096 steps" in shown
 
 
 def test_remedies_are_options(tmp_path, capsys):
