@@ -49,10 +49,14 @@ class SlowCompilerError(CompilerError):
 
 
 def _command() -> list | None:
-    for words in (shlex.split(os.environ.get("CC", "")), ["cc"], ["gcc"], ["clang"]):
-        if words and shutil.which(words[0]):
-            return words
-    return _of_a_package()
+    return _on_path(os.environ.get("CC", ""), os.environ.get("PATH")) or _of_a_package()
+
+
+@functools.lru_cache(maxsize=16)
+def _on_path(cc, path) -> list | None:
+    """The compiler of an environment's CC and PATH, remembered: each call of a program asks whether there is one."""
+    several = (shlex.split(cc), ["cc"], ["gcc"], ["clang"])
+    return next((words for words in several if words and shutil.which(words[0], path=path)), None)
 
 
 @functools.cache

@@ -114,7 +114,7 @@ class Programs:
 
 
 def key_of(avals) -> tuple:
-    """By what programs of a function are told apart."""
+    """What tells the programs of a function apart: the types of its arguments, and whether JAX is in 64 bits."""
     return jax.config.jax_enable_x64, *((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
 
 

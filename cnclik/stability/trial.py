@@ -31,8 +31,7 @@ PLACES = ("center", "start", "end")  # what a shift moves of a path
 
 @record
 class Run:
-    """What is run: law, reference, start, what `solve` is told besides; turn: rotation wanted at the end; noise: that
-    of the measured error, or None."""
+    """A loop as `solve` is told of it, the rotation that is wanted at its end, and the noise of its measured error."""
 
     law: object
     reference: object
@@ -76,8 +75,8 @@ def changed(run: Run, change: dict) -> Run:
         law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
     if "null_gain" in change:
         law = replace(law, null_velocity=_slower(law.null_velocity, change.pop("null_gain")))
-    arrays = {name: np.asarray(change.pop(name), float) for name in ("alpha", "error_clamp") if name in change}
-    law = replace(law, **arrays | {name: change.pop(name) for name in ("feedforward",) if name in change})
+    numbers = ("alpha", "error_clamp", "feedforward")
+    law = replace(law, **{name: np.asarray(change.pop(name), float) for name in numbers if name in change})
     assert not change, change
     return replace(run, law=law, **made)
 
@@ -130,13 +129,16 @@ class Trials:
     def _run(self, made, steps):
         """The run of so many steps: by the program that the given run used, where that is one of single steps."""
         how = made.law, made.reference, made.q0, self.Ts, steps, made.method, made.stage
+        whole = None
         if made.noise is not None:
             noise = white_noise(made.noise, steps, made.law.task.m)
-            return jax.tree.map(np.asarray, solve_driven(*how, drive=made.drive, noise=noise))
-        if made.pace is not None:
-            return jax.tree.map(np.asarray, solve(*how, t0=self.case.t[0], pace=made.pace))
-        if not (made.drive.prompt and made.drive.exact):
-            return jax.tree.map(np.asarray, solve(*how, drive=made.drive))
+            whole = solve_driven(*how, drive=made.drive, noise=noise)
+        elif made.pace is not None:
+            whole = solve(*how, t0=self.case.t[0], pace=made.pace)
+        elif not (made.drive.prompt and made.drive.exact):
+            whole = solve(*how, drive=made.drive)
+        if whole is not None:
+            return jax.tree.map(np.asarray, whole)
         own = self.case.steps
         size = piece_of(made.method, own if own >= SHORTEST and made.method.steps == 1 else steps)
         return joined(in_pieces(*how, size=size, t0=self.case.t[0]), steps)
