@@ -22,7 +22,7 @@ FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-
 # to some 3,000 operations (it loses beyond). Contraction gains 7 % and is as accurate as none.
 LANES = (
     *("-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
-    *("-fno-strict-aliasing", "-fPIC", "-shared"),
+    *("-ftree-slp-vectorize", "-fno-strict-aliasing", "-fPIC", "-shared"),  # of GCC before 12; sqrt needs it
 )
 SCHEDULED = "-fschedule-insns"
 MOST_SCHEDULED = 3_000

@@ -25,7 +25,7 @@ static inline void K(store_four)(N *p, int64_t stride, T a, T b, T c, T d, int64
 {
 #if defined(FOUR) && SIZE == MAIN
   if (n == W) {
-    store_four((char *)p, stride * SIZE, (REGISTER)a, (REGISTER)b, (REGISTER)c, (REGISTER)d);
+    store_four((char *)p, stride * SIZE, (S32)a, (S32)b, (S32)c, (S32)d);
     return;
   }
 #endif

@@ -22,27 +22,9 @@ static inline T K(sign)(T x) { return K(select)(MASK(x > 0), K(splat)(1), K(sele
 
 static inline T K(sqrt)(T x)
 {
-#if W * SIZE == 64 && defined(__AVX512F__) && SIZE == 4
-  return (T)_mm512_sqrt_ps((__m512)x);
-#elif W * SIZE == 64 && defined(__AVX512F__)
-  return (T)_mm512_sqrt_pd((__m512d)x);
-#elif W * SIZE == 32 && defined(__AVX__) && SIZE == 4
-  return (T)_mm256_sqrt_ps((__m256)x);
-#elif W * SIZE == 32 && defined(__AVX__)
-  return (T)_mm256_sqrt_pd((__m256d)x);
-#elif W * SIZE == 16 && defined(__SSE2__) && SIZE == 4
-  return (T)_mm_sqrt_ps((__m128)x);
-#elif W * SIZE == 16 && defined(__SSE2__)
-  return (T)_mm_sqrt_pd((__m128d)x);
-#elif W * SIZE == 16 && defined(__aarch64__) && SIZE == 4
-  return (T)vsqrtq_f32((float32x4_t)x);
-#elif W * SIZE == 16 && defined(__aarch64__)
-  return (T)vsqrtq_f64((float64x2_t)x);
-#else
   T r = x;
-  for (int i = 0; i < W; ++i) r[i] = LIBM(sqrt)(x[i]);
+  for (int i = 0; i < W; ++i) r[i] = LIBM(sqrt)(x[i]); /* one instruction for all */
   return r;
-#endif
 }
 
 /* To the nearest whole number, halves to the even one. */

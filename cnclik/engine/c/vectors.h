@@ -4,13 +4,6 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
-#if defined(__AVX__)
-#include <immintrin.h>
-#elif defined(__SSE2__)
-#include <emmintrin.h>
-#elif defined(__aarch64__)
-#include <arm_neon.h>
-#endif
 #if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC diagnostic ignored "-Wpsabi"
 #endif
@@ -58,20 +51,28 @@ static inline M splat_M(int x)
 
 static inline M select_M(M m, M a, M b) { return (m & a) | (~m & b); }
 
+/* Of GCC and Clang themselves: the headers of intrinsics take as long to read as a small program takes to compile. */
+#ifdef __clang__
+#define SHUFFLED __builtin_shufflevector
+#else
+#define SHUFFLED(a, b, ...) __builtin_shuffle(a, b, (S32){__VA_ARGS__})
+#endif
+#if defined(__clang__) && __clang_major__ >= 15
+#define BITS_OF_ANY(m) __builtin_reduce_or(m)
+#elif defined(__clang__)
+#elif BYTES == 64 && defined(__AVX512F__)
+#define BITS_OF_ANY(m) __builtin_ia32_ptestmd512((WORDS)m, (WORDS)m, -1)
+typedef int WORDS __attribute__((vector_size(BYTES)));
+#elif BYTES == 32 && defined(__AVX__)
+#define BITS_OF_ANY(m) __builtin_ia32_movmskps256((float __attribute__((vector_size(BYTES))))m)
+#elif BYTES == 16 && defined(__SSE2__)
+#define BITS_OF_ANY(m) __builtin_ia32_movmskps((float __attribute__((vector_size(BYTES))))m)
+#endif
+
 static inline int any_lane(M m)
 {
-#if BYTES == 64 && defined(__AVX512F__) && MAIN == 4
-  return _mm512_test_epi32_mask((__m512i)m, (__m512i)m) != 0;
-#elif BYTES == 64 && defined(__AVX512F__)
-  return _mm512_test_epi64_mask((__m512i)m, (__m512i)m) != 0;
-#elif BYTES == 32 && defined(__AVX__) && MAIN == 4
-  return _mm256_movemask_ps((__m256)m) != 0;
-#elif BYTES == 32 && defined(__AVX__)
-  return _mm256_movemask_pd((__m256d)m) != 0;
-#elif BYTES == 16 && defined(__SSE2__) && MAIN == 4
-  return _mm_movemask_ps((__m128)m) != 0;
-#elif BYTES == 16 && defined(__SSE2__)
-  return _mm_movemask_pd((__m128d)m) != 0;
+#ifdef BITS_OF_ANY
+  return BITS_OF_ANY(m) != 0;
 #else
   int some = 0;
   for (int i = 0; i < W; ++i) some |= m[i] != 0;
@@ -92,34 +93,28 @@ static inline void store_M(uint8_t *p, int64_t stride, M v, int64_t n)
 }
 
 /* Four vectors of numbers of 4 bytes turned into W places of four; the lines of memory that follow are asked for. */
-#if MAIN == 4 && BYTES == 64 && defined(__AVX512F__)
+#if MAIN == 4 && BYTES >= 16
 #define FOUR
-typedef __m512 REGISTER;
-#define OF_REGISTER(name) _mm512_##name
-#define QUARTER(r, j) _mm512_extractf32x4_ps(r, j)
-#elif MAIN == 4 && BYTES == 32 && defined(__AVX__)
-#define FOUR
-typedef __m256 REGISTER;
-#define OF_REGISTER(name) _mm256_##name
-#define QUARTER(r, j) _mm256_extractf128_ps(r, (j) & 1)
+#define BOTH(i) i, W + (i), (i) + 1, W + (i) + 1
+#if W == 16
+#define INTERLEAVED(a, b, i) SHUFFLED(a, b, BOTH(i), BOTH(i + 4), BOTH(i + 8), BOTH(i + 12))
+#elif W == 8
+#define INTERLEAVED(a, b, i) SHUFFLED(a, b, BOTH(i), BOTH(i + 4))
+#else
+#define INTERLEAVED(a, b, i) SHUFFLED(a, b, BOTH(i))
 #endif
-#ifdef FOUR
-static inline void store_four(char *p, int64_t stride, REGISTER a, REGISTER b, REGISTER c, REGISTER d)
+typedef int32_t QUARTER __attribute__((vector_size(16), aligned(4), may_alias));
+
+static inline void store_four(char *p, int64_t stride, S32 a, S32 b, S32 c, S32 d)
 {
-  const REGISTER ab = OF_REGISTER(unpacklo_ps)(a, b), cd = OF_REGISTER(unpacklo_ps)(c, d);
-  const REGISTER AB = OF_REGISTER(unpackhi_ps)(a, b), CD = OF_REGISTER(unpackhi_ps)(c, d);
-  const REGISTER turned[] = {
-    OF_REGISTER(shuffle_ps)(ab, cd, 0x44), OF_REGISTER(shuffle_ps)(ab, cd, 0xee),
-    OF_REGISTER(shuffle_ps)(AB, CD, 0x44), OF_REGISTER(shuffle_ps)(AB, CD, 0xee)};
+  const S32 ac = INTERLEAVED(a, c, 0), bd = INTERLEAVED(b, d, 0), AC = INTERLEAVED(a, c, 2), BD = INTERLEAVED(b, d, 2);
+  const union { S32 whole; QUARTER quarters[W / 4]; } turned[] = {
+    {INTERLEAVED(ac, bd, 0)}, {INTERLEAVED(ac, bd, 2)}, {INTERLEAVED(AC, BD, 0)}, {INTERLEAVED(AC, BD, 2)}};
   for (int i = 0; i < W; ++i) __builtin_prefetch(p + i * stride + 128, 1);
-  for (int i = 0; i < 4; ++i) {
-    _mm_storeu_ps((float *)(p + i * stride), QUARTER(turned[i], 0));
-    _mm_storeu_ps((float *)(p + (i + 4) * stride), QUARTER(turned[i], 1));
-#if BYTES == 64
-    _mm_storeu_ps((float *)(p + (i + 8) * stride), QUARTER(turned[i], 2));
-    _mm_storeu_ps((float *)(p + (i + 12) * stride), QUARTER(turned[i], 3));
-#endif
-  }
+#pragma GCC unroll 4
+  for (int j = 0; j < W / 4; ++j)
+#pragma GCC unroll 4
+    for (int i = 0; i < 4; ++i) *(QUARTER *)(p + (i + 4 * j) * stride) = turned[i].quarters[j];
 }
 #endif
 
