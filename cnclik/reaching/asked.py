@@ -99,6 +99,18 @@ class Asked:
         """Whether what is missed (..., 2) is so little that there may be an answer which is hard to find."""
         return (squares.sum(axis=-1) < CLOSE**2) & (self.seeds >= SURE)
 
+    def within(self, squares, times, xp=np):
+        """Whether errors, as squares (..., 2), are within so many tolerances, or are small next to a singularity."""
+        return (squares <= xp.maximum(times * self.tolerance, FOLD) ** 2).all(axis=-1)
+
+    def meaning(self, status, found, squares, xp=np):
+        """What a search of `beyond` says: its status where an answer was found, 0 where there is none.
+
+        OUT_OF_BUDGET where it came so near that nobody knows.
+        """
+        unsure = xp.where(self.within(squares, CLEAR, xp), int(ReachStatus.OUT_OF_BUDGET), 0)
+        return xp.where(found, status, unsure)
+
     def too_far(self, pose, xp=np):
         """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""
         axes = self.task.linear
@@ -109,15 +121,12 @@ class Asked:
     def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:
         """The record of answers: of one target, or of (B,) with that axis first.
 
-        Args: why: the status that an answer of `beyond` means; SOLVED where there is none.
+        Args: why: what the searches of `beyond` say, see `meaning`.
         """
         position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
         turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
         # Next to a singularity an error this small is stationary, too.
-        clear, missed = (
-            (position > least[0]) | (turn > least[1])
-            for least in (xp.maximum(times * self.tolerance, FOLD) for times in (CLEAR, MISSED))
-        )
+        clear, missed = (~self.within(squares, times, xp) for times in (CLEAR, MISSED))
         lower, upper = self.limited()
         around = xp.zeros_like(q) if near is None else near
         q = xp.clip(turned(q, around, self.turns(), lower, upper, xp), lower, upper)

@@ -59,10 +59,12 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         made.put(ids, search.downhill(setup, targets.part(ids), made.part(ids)))
 
     def free(status, bounds, tries, ids):
-        mine = setup._replace(tries=int(tries), budget=ENDLESS)
+        mine = setup._replace(tries=int(tries), budget=ENDLESS, roots=None)
         wider = targets.part(ids)._replace(bounds=bounds)
-        found = search.later_tries(mine, wider, search.first_tries(mine, wider)).found
-        why[ids[found]] = status
+        there = search.later_tries(mine, wider, search.first_tries(mine, wider))
+        close = asked.close(there.costs.min(axis=1, keepdims=True))
+        there.put(close, search.downhill(mine, wider.part(close), there.part(close)))
+        why[ids] = asked.meaning(status, there.found, there.squares)
 
     with jax.enable_x64(True):
 

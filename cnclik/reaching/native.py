@@ -167,31 +167,35 @@ class Native:
         asked, far = self.asked, self.asked.too_far(pose)
         known = asked.finite(pose, near)
 
-        def more(which, report, **numbers):
-            """Search on for some, of which what is found is returned."""
+        def more(made, which, report, **numbers):
+            """Search on for some of the targets."""
             ids = np.flatnonzero(which)
             part = made[ids]
             self._run(part, pose[ids], None if near is None else near[ids], report, **numbers)
-            return ids, part
+            made[ids] = part
 
-        ids, part = more(known & ~far, report, done=FIRST, tries=self.tries)
-        made[ids] = part
+        def nearest(made, which, **numbers):
+            """Search on for the nearest poses to some that have no answer."""
+            made["cost"][which] = np.inf
+            more(made, which, still, downhill=1, tries=PLACES, **numbers)
+
+        more(made, known & ~far, report, done=FIRST, tries=self.tries)
         sure, why = asked.sure(made["looks"]) & ~far, np.zeros(len(made), int)
         count = np.count_nonzero(made["found"])
         still = report and (lambda _: report(count))  # of what follows hardly any is an answer
         if asked.downhill:
-            made["cost"][made["found"] == 0] = np.inf
-            ids, part = more(known & (made["found"] == 0), still, downhill=1, tries=PLACES)
-            made[ids] = part
+            nearest(made, known & (made["found"] == 0))
         if asked.explain:
             hard = sure & (made["found"] == 0) & asked.close(made["squares"])
-            ids, part = more(hard, still, done=self.tries, tries=LONGER * self.tries, budget=ENDLESS)
-            made[ids] = part
+            more(made, hard, still, done=self.tries, tries=LONGER * self.tries, budget=ENDLESS)
         for status, bounds, tries in asked.beyond():
             wide = dict(zip(("low", "high", "jump"), (*bounds, np.full(asked.chain.n, np.inf)), strict=True))
             which = known & sure & (made["found"] == 0) & (why == 0)
-            ids, part = more(which, still, tries=int(tries), budget=ENDLESS, **wide)
-            why[ids[part["found"] != 0]] = status
+            there = made.copy()
+            more(there, which, still, tries=int(tries), budget=ENDLESS, **wide)
+            close = which & (there["found"] == 0) & asked.close(there["costs"].min(axis=1, keepdims=True))
+            nearest(there, close, roots=np.ones(asked.task.m), **wide)
+            why[which] = asked.meaning(status, there["found"] != 0, there["squares"])[which]
         return asked.reached(pose, near, *self._answers(made), sure, why)
 
     def _answers(self, made):

@@ -100,6 +100,8 @@ def _answer(asked, pose, near, postures, to, derivative=False):
     """Fields of the record of one target (12,)."""
     dtype = pose.dtype
     held = lax.stop_gradient((asked.chain, pose, near))
+    tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), 64 * float(jnp.finfo(dtype).eps))
+    asked = replace(asked, tolerance=tolerance)
     made, bounds, sure = _search(replace(asked, chain=held[0]), *held[1:], jnp.asarray(postures, dtype), to)
     q = made.q
     if derivative:
@@ -152,8 +154,6 @@ _program, _block, _path = map(quick_jit, (_target, _targets, _waypoints))
 def _search(asked, pose, near, postures, to):
     """The outcome, the bounds that it kept, and whether what was tried is enough to say that there is no answer."""
     dtype = pose.dtype
-    least = 64 * float(jnp.finfo(dtype).eps)
-    tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), least)
     bounds = tuple(jnp.asarray(b, dtype) for b in asked.bounds(near, jnp))
     ends, far = spans(asked.chain), asked.too_far(pose, jnp)
     beyond = [(status, own, jnp.where(far, 0, _rounds(tries))) for status, own, tries in asked.beyond()]
@@ -176,7 +176,9 @@ def _search(asked, pose, near, postures, to):
     def hard(squares, tried):
         return asked.close(squares) & asked.sure(tried) & ~far
 
-    made = outcome(asked.chain, task, pose, bounds, beyond, tolerance, postures, placed, first, most, hard, roots)
+    meaning = functools.partial(asked.meaning, xp=jnp)
+    given = asked.tolerance, postures, placed, first, most, hard, roots
+    made = outcome(asked.chain, task, pose, bounds, beyond, meaning, *given)
     return made, bounds, asked.sure(made.tried)
 
 
@@ -193,15 +195,17 @@ class Outcome(NamedTuple):
     looks: object
     tried: object  # looks of the rounds of seeds
     found: object  # within the bounds
-    why: object  # the status of the bounds that an answer was found in when there was none within the first; else 0
+    why: object  # what the searches of `Asked.beyond` say, see `Asked.meaning`
 
 
-def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, first, most, hard, roots) -> Outcome:
+def outcome(
+    chain, task, target, bounds, beyond, meaning, tolerance, postures, placed, first, most, hard, roots
+) -> Outcome:
     """Search for a target (12,).
 
     Args:
       bounds: lower and upper (n,) to keep. beyond: (status, bounds, rounds) of the searches that tell why there is no
-        answer.
+        answer. meaning: `Asked.meaning`.
       postures: (K, n) to start later rounds from, by placed(posture, low, high). first: (TOGETHER, n) to start from.
       roots: of the weights by which the nearest pose is the nearest, or None.
       most: rounds of seeds, and of others where hard(squared errors, looks) is true; looks; number of the first seeds.
@@ -222,15 +226,18 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
             found = jnp.where(r >= begins, value, found)
         return found
 
+    def begins(r):
+        """Whether a search of `beyond` begins with round r."""
+        return functools.reduce(jnp.logical_or, [r == at for *_, at, _ in phases[1:]], r < 0)
+
     def again(carry):
-        r, kept, _, _ = carry
+        r, kept, _, why = carry
         wide = r >= last
         down = (r >= rounds) & (r < bottom)
         low, high = (phase(r, [jnp.asarray(own[side], dtype) for _, own, _, _ in phases]) for side in (0, 1))
         number = (r * 37 + seed * 41) * TOGETHER % (len(postures) - TOGETHER)
         others = lax.dynamic_slice_in_dim(postures, number, TOGETHER)
-        begins = functools.reduce(jnp.logical_or, [r == at for *_, at, _ in phases[1:]], r == 0)
-        begin_at = jnp.where(begins, first, placed(others, low, high))
+        begin_at = jnp.where((r == 0) | begins(r), first, placed(others, low, high))
         begin_at = jnp.where(down, kept[0] + CLOSE * (begin_at - kept[0]).at[0].set(0.0), begin_at)
         begin_at = jnp.clip(begin_at, low, high)
         own = None if roots is None else jnp.where(down, roots, 1.0)
@@ -243,7 +250,8 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
         tried = jnp.where(r < rounds, looks, kept[5])
         kept = (*(jnp.where(better, a, b) for a, b in zip(new, kept[:4], strict=True)), looks, tried)
         spent = (r < rounds) & (looks >= budget)
-        why = jnp.where(at.arrived[k], phase(r, [jnp.int32(status) for status, *_ in phases]), 0)
+        said = meaning(phase(r, [jnp.int32(status) for status, *_ in phases]), at.arrived[k], at.squares[k])
+        why = jnp.where(wide & (at.arrived[k] | (why == 0)), said, why)
         easy = (r == bottom - 1) & ~hard(kept[1], kept[-1])
         return jnp.where(spent, rounds, jnp.where(easy, last, r + 1)), kept, at.arrived[k] & ~wide, why
 
@@ -252,7 +260,8 @@ def outcome(chain, task, target, bounds, beyond, tolerance, postures, placed, fi
 
     def goes_on(carry):
         r, _, found, why = carry
-        return ~found & (why == 0) & (r < phases[-1][-1])
+        unsure = (why == int(ReachStatus.OUT_OF_BUDGET)) & ~begins(r)  # another try may find the answer
+        return ~found & ((why == 0) | unsure) & (r < phases[-1][-1])
 
     ended = lax.while_loop(goes_on, again, (jnp.zeros_like(rounds), start, jnp.zeros((), bool), jnp.int32(0)))
     _, (q, squares, _, steep, looks, tried), found, why = ended

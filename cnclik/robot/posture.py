@@ -29,7 +29,7 @@ def arm_length(chain: Chain, least=1e-3):
 
 
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
-    """By how much points are farther from the first joint than the stretched arm is long [m].
+    """By how much points are farther from the first joint than the stretched arm is long [m], for sure.
 
     Args: points: (..., len(axes)), their coordinates along those axes.
     Returns: (...,), negative within reach; −∞ where a joint slides, as the arm has then no length of its own.
@@ -39,7 +39,8 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
     origin = chain.joints[0].origin.position
     away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
     size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # squares stay finite
-    return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - arm_length(chain)
+    rounding = 64 * float(np.finfo(points.dtype).eps)
+    return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - (1 + rounding) * arm_length(chain)
 
 
 def is_planar(chain: Chain) -> bool:

@@ -136,6 +136,58 @@ def test_with_a_tolerance_of_1e_11_of_the_arm_nothing_is_called_out_of_reach(siz
         assert np.isin(made.status, list(right)).sum() >= 9_995, name
 
 
+ELBOW = 2.0  # [rad] its limit
+
+
+def bordering(size, count):
+    """A planar arm, and targets that its tip takes where it is stretched or at the elbow's limit, or that lie by.
+
+    Returns: the arm, positions (count, 3), by how much each is farther than the arm is long, and which are nearer to
+    the base than the elbow's limit lets the tip be [m].
+    """
+    lengths = np.array([1.0, 0.8]) * size
+    arm = ck.replace(ck.planar_arm(lengths.tolist()), lower=(-3.0, -ELBOW), upper=(3.0, ELBOW))
+    rng, outer = np.random.default_rng(11), lengths.sum()
+    inner = np.sqrt((lengths**2).sum() + 2 * lengths.prod() * np.cos(ELBOW))
+    shift = outer * 10.0 ** rng.uniform(-13, -9, count) * rng.choice([-1.0, 0.0, 1.0], count)
+    radius = np.where(np.arange(count) % 2, outer, inner) + shift
+    angle = rng.uniform(0.0, 1.5, count)  # whichever way the elbow bends, the shoulder keeps its limits
+    where = np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle], axis=1) * radius[:, None]
+    away = np.hypot(*where[:, :2].T)
+    return arm, where, away - outer, inner - away
+
+
+@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("size", [1e-4, 1.0, 30.0, 1e6])
+def test_on_the_border_only_what_is_known_is_said(size):
+    """By the law of cosines. Searches end there at errors of a billionth of the arm's length: those are near misses."""
+    arm, where, beyond, inside = bordering(size, 40)
+    options = {"task": ck.position("xy")}
+    for tolerance in (1e-6, 1e-11 * size, 1e-13 * size):
+        for jump in ({}, {"near": [-2.5, -1.0], "jump": 0.05}):
+            given = options | jump | {"tolerance": (tolerance, 1e-6)}
+            some, alone = ck.reach(arm, where, **given), ck.reach(arm, where[:3], **given)
+            status = np.append(some.status, alone.status)
+            far, held = (np.append(v, v[:3]) > tolerance for v in (beyond, inside))
+            ok = ReachStatus.JUMP if jump else ReachStatus.SOLVED
+            for which, right in ((~far & ~held, ok), (far, ReachStatus.OUT_OF_REACH), (held, ReachStatus.AT_LIMIT)):
+                assert np.isin(status[which], [right, ReachStatus.OUT_OF_BUDGET]).all(), (tolerance, jump)
+            assert (status[~far & ~held] == ok).all() or tolerance < 1e-12 * size
+            assert (status[far] == ReachStatus.OUT_OF_REACH).all()
+
+
+@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach(way):
+    """Postures with joints at 0, whose poses are reached: what `jump` forbids is never called out of reach."""
+    arm = ck.from_dh([1.0] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
+    rng = np.random.default_rng(3)
+    q = np.where(rng.random((24, 6)) < 0.4, 0.0, rng.uniform(-3, 3, (24, 6)))
+    given = {"near": rng.uniform(-3, 3, q.shape), "jump": 0.05}
+    for tolerance in (1e-11, 1e-13):
+        made = ck.reach(arm, tips(arm, q), **given, tolerance=(tolerance, 1e-6))
+        assert np.isin(made.status, [ReachStatus.JUMP, ReachStatus.OUT_OF_BUDGET]).all()
+
+
 @both_ways
 @pytest.mark.parametrize("size", [16.0**-3, 16.0**4])
 def test_an_arm_that_is_another_in_other_units_has_its_answers(size):
