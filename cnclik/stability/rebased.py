@@ -45,3 +45,13 @@ def bearable_delay(drive: Drive, Ts: float) -> float:
 def runs_away(drive: Drive, Ts: float) -> bool:
     """Whether such a loop may swing and grow however small its gain is."""
     return drive.lumped.delay >= bearable_delay(drive, Ts)
+
+
+def astray(drive: Drive, Ts: float) -> str:
+    """That a loop runs away, in words; "" where it does not."""
+    if not runs_away(drive, Ts):
+        return ""
+    return (
+        "each position command begins at the measured joints, and with this servo and dead time the loop may swing and "
+        f"grow however small alpha is, if not in this posture then in one of another inertia. {WHERE}"
+    )

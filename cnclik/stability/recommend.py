@@ -15,6 +15,7 @@ from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.stability import rebased
 from cnclik.stability.driven import (
     SLACK,
     each_drive,
@@ -26,7 +27,6 @@ from cnclik.stability.driven import (
     radius,
 )
 from cnclik.stability.linear import checked, delay_limit, first_above, least_on
-from cnclik.stability.rebased import WHERE, runs_away
 from cnclik.stability.spectrum import (
     MEETING,
     Spectrum,
@@ -266,7 +266,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
     if z_fastest >= reach:
         z_fastest = np.inf
     z_monotone = z_recommended = None
-    astray = Ts is not None and runs_away(drive, Ts)
+    astray = "" if Ts is None else rebased.astray(drive, Ts)
     if Ts is not None:
         some = z_largest and not astray
         z_monotone, z_recommended = (
@@ -355,10 +355,7 @@ def _how(loop):
 def _what_limits(loop, beyond, z_largest, astray) -> str:
     """The first thing to give way just beyond the largest stable value, in words."""
     if astray:
-        return (
-            "each position command begins at the measured joints, and with this servo and dead time the loop may swing "
-            f"and grow however small alpha is. {WHERE}"
-        )
+        return astray
     if not np.isfinite(z_largest):
         return f"no limit from stability: {_how(loop)} {_why(loop)}"
     if z_largest == 0 and loop.law.null_velocity is not None:

@@ -44,8 +44,11 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
             f"each solve takes the whole error: give tasks a target {z} of the way from the measured state "
             f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {own}"
         )
+    of_velocities = ""
     if drive is not None and drive.order and drive.command == "velocity":
-        made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and what is given is of velocity servos. {KNOWN}"
+        of_velocities = f"what is given is of velocity servos. {KNOWN}"
+    if of_velocities:
+        made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {of_velocities}"
     elif drive is None or (drive.order == 0 and not drive.prompt):
         made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {REBASED}. {KNOWN}"
     elif drive.order and runs_away(_rebased(safe), Ts):
@@ -61,7 +64,9 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
             "begin at the measured joints: another loop); pose tracking: x, y, z and angular_proportional_gain: "
             f"{measured / Ts:.4g}"
         )
-    if servoj:
+    if of_velocities:
+        made["UR servoj"] = f"no alpha is named: servoj takes positions, and {of_velocities}"
+    elif servoj:
         made["UR servoj"] = (
             f"alpha = {servoj / Ts:.4g} 1/s, error and J of the measured joints; q_cmd += qdot*{Ts:g}, from the last "
             f"q_cmd and not from the measured joints; servoj(q_cmd, t={Ts:g}, lookahead_time={LOOKAHEAD:g}), whose lag "

@@ -6,6 +6,7 @@ import numpy as np
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.measure.files import plain
 from cnclik.record import in_words, record
+from cnclik.stability import rebased
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions
 from cnclik.tuning.controller import controller_lines
@@ -132,7 +133,13 @@ class Tuned:
 
     @property
     def why(self) -> str:
-        """The status in a sentence, and a second one where what was found is hardly a loop."""
+        """The status in a sentence, and others where what was found is hardly a loop, or may run away."""
+        if astray := rebased.astray(self.conditions.drive, self.Ts):
+            return f"{self._how_it_ended} But {astray}."
+        return self._how_it_ended
+
+    @property
+    def _how_it_ended(self) -> str:
         if self.status != "infeasible":
             tuned, held = {"alpha", "schedule"} & set(self.values), self.after.speed > 1 - HELD
             little = _LITTLE_GAIN if not tuned else _HELD_BACK if held else _NEARLY_NO_GAIN

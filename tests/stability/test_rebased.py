@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 import cnclik as ck
-from cnclik import stability
+from cnclik import stability, tuning
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
@@ -128,8 +128,8 @@ def test_isaac_lab_has_no_gain_where_the_servo_is_unknown_or_runs_away(drive):
         assert "ik_params" in practice(LAW, None, Q, Ts=0.01, method="EE", drive=known).settings["Isaac Lab"]
 
 
-def test_numbers_of_velocity_servos_are_none_of_isaac_labs_position_servo():
-    """A lag of m/k_v says nothing of k_p: the same numbers as a position servo's had a k_val."""
+def test_numbers_of_velocity_servos_are_none_of_a_position_servo():
+    """A lag of m/k_v says nothing of k_p: the same numbers of a position servo have a k_val and an alpha."""
     for numbers in (dict(lag=0.02), dict(natural_frequency=60.0, damping_ratio=1.2)):
         lines = [
             practice(LAW, None, Q, Ts=0.01, method="EE", drive=Drive(delay=2, command=command, **numbers)).settings
@@ -137,6 +137,25 @@ def test_numbers_of_velocity_servos_are_none_of_isaac_labs_position_servo():
         ]
         assert "of velocity servos" in lines[0]["Isaac Lab"] and "ik_params" not in lines[0]["Isaac Lab"]
         assert "ik_params" in lines[1]["Isaac Lab"] and "MoveIt Servo" in lines[0]
+        assert "of velocity servos" in lines[0]["UR servoj"] and "no alpha is named" in lines[0]["UR servoj"]
+        assert lines[1]["UR servoj"].startswith("alpha = ")
+
+
+def test_tune_says_where_only_another_inertia_makes_the_loop_run_away():
+    """With ζ = 0.75 no small gain swings; with twice the inertia it is 0.53, and from 136 ms on each does."""
+    heavy, Ts = np.sqrt(INERTIA), 0.02
+    edge = critical_delay(65.0 / heavy, 0.75 / heavy)
+    late = int(1.1 * edge / TS)
+    assert grows(65.0 / heavy, 0.75 / heavy, late) and not grows(65.0, 0.75, late)
+    risky, safe = servo(TS * late / Ts, 0.75), servo(1.0, 0.75)
+    loop = dict(Ts=Ts, N=25, method="EE", velocity_limit=None, conditions=tuning.Conditions(drive=risky))
+    path = ck.line([1.0, 1.0], [1.01, 1.0], duration=0.5)
+    found = tuning.tune(LAW, path, Q, descent=tuning.Descent(steps=2, starts=1), **loop)
+    assert found.satisfied and found.after.radius < 1 and "feedback commanded" in found.why
+    assert "feedback commanded" not in ck.replace(found, conditions=tuning.Conditions(drive=safe)).why
+    for drive in (risky, safe):
+        gain = stability.recommend(LAW, None, Q, Ts=Ts, method="EE", drive=drive).z_recommended
+        assert (gain == 0) == (drive is risky)
 
 
 @pytest.mark.parametrize("alpha", [3.0, 10.0])
