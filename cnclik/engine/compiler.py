@@ -8,6 +8,7 @@ import importlib.util
 import os
 import pathlib
 import platform
+import re
 import shlex
 import shutil
 import signal
@@ -19,13 +20,14 @@ from cnclik import errors
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 # Of the engine's programs, as measured: -O3 gains nothing, and scheduling before registers are allocated 6 to 16 %, up
-# to some 3,000 operations (it loses beyond). Contraction gains 7 % and is as accurate as none.
+# to some 2,000 operations without a branch (beyond it loses up to 30 % where there are 16 registers). Contraction gains
+# 7 % and is as accurate as none.
 LANES = (
     *("-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-ftree-slp-vectorize", "-fno-strict-aliasing", "-fPIC", "-shared"),  # of GCC before 12; sqrt needs it
 )
 SCHEDULED = "-fschedule-insns"
-MOST_SCHEDULED = 3_000
+MOST_SCHEDULED = 2_000
 UNSAFE = (
     "-Ofast",
     "-ffast-math",
@@ -108,12 +110,13 @@ def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
         raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {error}") from None
 
 
-def build_text(text, operations, folder, *, include=()) -> pathlib.Path:
+def build_text(text, folder, *, include=()) -> pathlib.Path:
     """A shared library of the engine's C text, named by its content; the one that is there already if there is one.
 
     Raises: CompilerError.
     """
-    flags = [*LANES, *[SCHEDULED] * (operations <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
+    straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
+    flags = [*LANES, *[SCHEDULED] * (straight <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
     line, folder = [*command(), *flags], pathlib.Path(folder)
     name = f"lanes-{_key(line, [text.encode()])}"
     if (found := _kept(folder, name)) is not None:

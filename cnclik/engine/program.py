@@ -31,7 +31,7 @@ class Program:
             graph, given, outs, (self.shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
         self.avals = avals
         text, self.operations = write(graph, given, outs, self.shapes)
-        self.library, self.path = _built(text, self.operations)
+        self.library, self.path = _built(text)
         self.lanes, self.work = self.library.width(), self.library.work_bytes()
         if self.work > MOST_WORK:
             raise UnsupportedError(f"a tile needs {self.work >> 20} MiB of memory")
@@ -69,7 +69,7 @@ def _empty(shape, dtype):
     return whole[-whole.ctypes.data % 64 :][:size].view(dtype).reshape(shape)
 
 
-def _built(text, operations):
+def _built(text):
     """(the opened library, where it is kept or None)"""
     folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
     include = [jax.ffi.include_dir()]
@@ -77,11 +77,11 @@ def _built(text, operations):
     try:
         if folder:
             pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
-            path = build_text(text, operations, folder, include=include)
+            path = build_text(text, folder, include=include)
             library = opened(path)
         else:
             with tempfile.TemporaryDirectory(prefix="cnclik-") as own:  # not needed once it is open
-                path = build_text(text, operations, own, include=include)
+                path = build_text(text, own, include=include)
                 library = opened(path)
     except (CompilerError, OSError) as error:
         raise UnsupportedError(f"the C compiler failed: {error}") from None
