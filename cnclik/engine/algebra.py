@@ -125,8 +125,12 @@ def _mul(g, args, params, dtype):
         if not x.known:
             if x.op == "neg" and not y.known:
                 return g.op("neg", g.op("mul", x.args[0], y))
-            if y.number in g.squares and x.op == "mul" and y in x.args:  # of 1/√d its square is known
-                return g.op("mul", x.args[x.args[0] is y], g.squares[y.number])
+            if y.number in g.squares and x.op == "mul" and not y.known:
+                for root, rest in (x.args, x.args[::-1]):
+                    if root is y:  # of 1/√d its square is known
+                        return g.op("mul", rest, g.squares[y.number])
+                    if root is y.args[1]:
+                        return rest
         elif x.value == 1:
             return y
         elif x.value == 0 and (x.exact or dtype.kind != "f"):

@@ -28,13 +28,17 @@ def cholesky_solve(lower, b):
 
 
 def packed(lower):
-    """A lower triangular matrix as a vector (m(m+1)/2,), row by row."""
-    return lower[np.tril_indices(len(lower))]
+    """Of a Cholesky factor L √D: L below its diagonal of ones and 1/D on it, row by row, as a vector (m(m+1)/2,)."""
+    inverse = 1.0 / jnp.diagonal(lower)
+    unit = lower * inverse
+    return jnp.where(np.eye(len(lower), dtype=bool), inverse * inverse, unit)[np.tril_indices(len(lower))]
 
 
-def unpacked(vector, m):
-    """The (m, m) matrix of `packed`."""
-    return jnp.zeros((m, m), vector.dtype).at[np.tril_indices(m)].set(vector)
+def packed_solve(vector, b):
+    """`cholesky_solve` with a factor that is `packed`, for a vector: without a root or a division."""
+    both = jnp.zeros((len(b), len(b)), vector.dtype).at[np.tril_indices(len(b))].set(vector)
+    half = jnp.diagonal(both) * solve_triangular(both, b, lower=True, unit_diagonal=True)
+    return solve_triangular(both, half, lower=True, trans=1, unit_diagonal=True)
 
 
 def inverse_trace(lower):

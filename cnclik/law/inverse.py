@@ -34,7 +34,7 @@ _OF_NONE = 1e-6  # [m², 1] trace that a J J^T of zeros counts as: of a joint wi
 
 def remembered(rows, factor, t):
     """J# t from what an inverse wants remembered: its columns (m, n) alone, or those of Jᵀ, and the factors between."""
-    return (t if factor is None else dense.cholesky_solve(dense.unpacked(factor, len(t)), t)) @ rows
+    return (t if factor is None else dense.packed_solve(factor, t)) @ rows
 
 
 def through(apply, rows, velocity, wanted):
