@@ -49,21 +49,26 @@ def _scan(reader, eqn, *inputs):
     _small([*carried, *stacked, *scanned], "a round of a scan", [*stacked, *scanned])
     if not length:
         return [*first, *(array_of([], (0, *a.shape)) for a in stacked)]
-    r = Scan(g.block, length, params["reverse"])
-    r.first = _flat(reader, first)
-    r.carries = g.nodes(r, "carry", _shapes(carried), r.block)
-    rows = _rows_of(reader, r, xs, scanned)
-    outside, g.block = g.block, r.block
-    made = reader.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *_unflat(r.carries, carried), *rows])
-    r.then = _flat(reader, made[:nk])
+    outside, first, still = g.block, _flat(reader, first), {}
+    while True:
+        r = Scan(outside, length, params["reverse"])
+        r.first, r.carries = first, g.nodes(r, "carry", _shapes(carried), r.block)
+        rows = _rows_of(reader, r, xs, scanned)
+        here = _unflat([still.get(i, c) for i, c in enumerate(r.carries)], carried)
+        g.block = r.block
+        made = reader.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *here, *rows])
+        g.block, r.then = outside, _flat(reader, made[:nk])
+        stays = {i: a for i, (a, *those) in enumerate(zip(first, r.carries, r.then, strict=True)) if _stays(a, *those)}
+        if stays.keys() <= still.keys():
+            break
+        still |= stays  # read it anew: more of it is known, or may be done before the loop
     deep = [type(v) is Rows and all(not c.shape or (c.op == "stacked" and c.block is r.block) for c in v.cells.flat)
             for v in made[nk:]]  # fmt: skip
     for v, is_deep in zip(made[nk:], deep, strict=True):
         r.ys += list(v.cells.flat) if is_deep else list(reader.cells(v).flat)
-    g.block = outside
     outside.items.append(r)
-    ends = r.outs = g.nodes(r, "end", _shapes(carried), outside)
-    r.outs = list(ends)
+    r.outs = g.nodes(r, "end", _shapes(carried), outside)
+    ends = [t if t.block.depth <= outside.depth else end for t, end in zip(r.then, r.outs, strict=True)]
     ys = iter([stacked_node(g, r, i) for i in range(len(r.ys))])
     out = []
     for a, is_deep in zip(stacked, deep, strict=True):
@@ -71,6 +76,12 @@ def _scan(reader, eqn, *inputs):
         cells = array_of([next(ys) for _ in range(int(np.prod(shape)))], shape)
         out.append(Deep(cells, length, a.shape[0]) if is_deep else Rows(cells, length))
     return [*_unflat(ends, carried), *out]
+
+
+def _stays(first, carry, then) -> bool:
+    """Whether what is carried through a loop is the same in each round."""
+    known = first.known and then.known
+    return then is first or then is carry or (known and first.value.tobytes() == then.value.tobytes())
 
 
 def _rows_of(reader, r, xs, scanned):

@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
+from cnclik.engine.constants import of_the_model
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
@@ -63,8 +64,10 @@ def _moving(reference, task, t):
         position, rotation = reference.curve(t)
         return controlled(task, position, t.dtype), rotation
 
-    (position, rotation), (velocity, drotation) = jax.jvp(curve, (t,), (jnp.ones_like(t),))
-    return position, rotation, velocity, drotation
+    target, motion = jax.jvp(curve, (t,), (jnp.ones_like(t),))
+    if isinstance(reference.curve, Hold):
+        motion = of_the_model(motion)  # zeros, and zero times anything is zero
+    return *target, *motion
 
 
 def _spin(rotation, drotation):

@@ -332,3 +332,24 @@ def test_cells_that_many_pick_from_are_listed_once():
     with to_be_read():
         text = write(*read(lambda x, i: x[i] + x[i // 2], *avals)[:3], [jax.ShapeDtypeStruct((40,), "float64")])[0]
     assert text.count("[60] = {") == 1
+
+
+@NEEDS_C
+def test_what_a_loop_leaves_as_it_was_is_no_part_of_it():
+    """What is carried as the number it was at first, or comes from outside: known before the loop, or after it."""
+
+    def fn(x, y):
+        def body(carry, k):
+            x, turned, still, late = carry
+            return (x + jnp.sin(still + turned) * k + late, turned, jnp.zeros(()), y), x
+
+        (end, turned, still, late), stack = lax.scan(body, (x, y, jnp.zeros(()), x), jnp.arange(6.0))
+        return end, turned + still, late, stack
+
+    given = batch(), batch(seed=2)
+    check(fn, *given)
+    check(jax.grad(lambda x, y: sum(map(jnp.sum, fn(x, y))), (0, 1)), *given)
+    with to_be_read():
+        text = write(*read(fn, *lane_avals(given))[:3], [jax.ShapeDtypeStruct((), "float64")] * 3
+                     + [jax.ShapeDtypeStruct((6,), "float64")])[0]  # fmt: skip
+    assert 0 < text.index("sincos_F64(t") < text.rindex("< 6; ++j")
