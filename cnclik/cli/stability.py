@@ -84,6 +84,8 @@ def run(args: Args) -> None:
     figures, advised = {}, None
     loop = _loop(args) if args.map else ()
     files = ["plane.nc", "plane.md", "plane.png"] * args.plane + ["map.nc", "map.png"] * args.map
+    if args.map and _has_passes(loop[0]):
+        files += ["passes.nc", "passes.png"]
     with output_folder(args.out, overwrite=args.overwrite, files=files) as out:
         if args.plane:
             figures |= _plane(args, out)
@@ -127,6 +129,11 @@ def _loop(args):
     require_free(found.law.chain, found.law.task)
     with progress.bar("rest"):
         return found, settle(found.law, found.reference, found.q0)
+
+
+def _has_passes(found):
+    """Whether a map has a strip of passes beside it."""
+    return found.method.implicit and found.drive is None
 
 
 def _advice(args, found, rest):
@@ -241,7 +248,7 @@ def _map(args, out, found, rest):
     point = (rate, found.Ts, now.margin)
     drawn = functools.partial(drawn_by("stability", "stability_map"), data, title=title, operating=point)
     figures = {"map.png": (drawn, about)}
-    if found.method.implicit and not driven:
+    if _has_passes(found):
         z, some = np.linspace(0.02, 3.0, 2 * args.cells), range(max(args.passes) + 1)
         with progress.bar("loops") as report:
             strip = passes_map(

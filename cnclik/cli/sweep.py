@@ -57,10 +57,19 @@ def run(args: Args) -> None:
     grid = spec.grid()
     print(f"{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
     begun = time.perf_counter()
+
+    def ready(data):
+        """Figures in the way are named before the loops run."""
+        if args.figures and not args.overwrite:
+            from cnclik.show import sweeps
+
+            check_free("out", out, [f"{name}.png" for name in sweeps.names(data, spec.figures)])
+
     if not args.overwrite:
         check_free("out", out, [*summary.FILES, *([f"data.{args.export}"] if args.export else [])])
+    own = dict(fresh=args.fresh, overwrite=args.overwrite, ready=ready)
     with progress.bar("loops", quiet=place["process"] != 0) as report:
-        whole = store.run(spec, out, fresh=args.fresh, overwrite=args.overwrite, progress=report, **place)
+        whole = store.run(spec, out, progress=report, **own, **place)
     if not whole:
         print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
         return

@@ -34,7 +34,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     from cnclik.show.output import draw
     from cnclik.writing import output_folder
 
-    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md"]
+    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *choices.FIGURES]
     with output_folder(out, overwrite=overwrite, files=files) as folder:
         found = everything(progress)
         judged = _write(folder, found)

@@ -23,6 +23,7 @@ class Reading(NamedTuple):
 _CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
 READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
 DEFAULT = READINGS["on-path/once/consistent"]
+FIGURES = (*(f"fig{k:02d}.png" for k in range(1, 16)), "overview.png")  # what `figures.figures` draws
 
 
 def reading(name) -> Reading:

@@ -15,6 +15,7 @@ import os
 import pathlib
 import re
 import tempfile
+import warnings
 import zlib
 
 import numpy as np
@@ -49,6 +50,15 @@ class Store:
             self._checksums = self.group["progress/checksum"]
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
+
+    def opened(self):
+        """The data as an `xarray.Dataset`, in the spec's order, loaded on use; nothing is checked."""
+        import xarray
+
+        with _quiet():
+            data = xarray.open_zarr(self.path, chunks=None)
+        # A selection would lose the vectors beside the numbers of an axis of samples.
+        return data[list(self.names)].assign_coords(data.coords)
 
     def blocks(self) -> list:
         """All blocks, numbered as when they were made."""
@@ -183,16 +193,14 @@ def _build(path, spec, of, outputs):
     import zarr
 
     coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
-    attrs = environment() | attributes(spec, of, outputs)
     with _quiet():
-        xarray.Dataset(coords=coords, attrs=attrs).to_zarr(
+        xarray.Dataset(coords=coords, attrs=environment() | attributes(spec, of, outputs)).to_zarr(
             path,
             zarr_format=3,
             consolidated=False,
             encoding={name: {"compressors": _codecs()} for name in coords},
         )
         group = zarr.open_group(path, mode="r+")
-        dims = tuple(a.name for a in of.axes)
         for o in outputs:
             group.create_array(
                 o.name,
@@ -200,7 +208,7 @@ def _build(path, spec, of, outputs):
                 chunks=(*of.block, *(max(n, 1) for n in o.shape)),
                 dtype=o.dtype,
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
-                dimension_names=dims + o.dims,
+                dimension_names=(*(a.name for a in of.axes), *o.dims),
                 attributes=o.about,
                 compressors=_codecs(),
             )
@@ -220,8 +228,7 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
     path = folder / DATA
     with _disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass  # it can be written
+        tempfile.TemporaryFile(dir=folder).close()  # it can be written
     if not os.path.exists(path):
         if not overwrite:
             check_own("out", folder, "a sweep")
@@ -266,7 +273,9 @@ def _short(value):
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None) -> bool:
+def run(
+    spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None, ready=None
+) -> bool:
     """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
 
     Args:
@@ -275,7 +284,7 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
       process, processes: this process's number among all that run this together.
       meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
         they need each other no more.
-      progress: called with (points done, points this process has to do).
+      progress: called with (points done, points this process has to do). ready: with the store's data, before that.
 
     Returns: whether the whole sweep is now done (other processes may still be at it).
     Raises: ArgumentError for a store of another spec, a folder that can't be written, a full disk, or another
@@ -292,6 +301,8 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
                     create(folder, spec, of, first.outputs)
                 store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of another process that was quicker
                 first = first if store.lanes == of.lanes else None
+            if ready is not None:
+                ready(store.opened())
     with _together(meet, last=True):
         store = store or prepare(spec, folder)
         if store is None:
@@ -349,8 +360,6 @@ def read(folder):
 
 def read_and_missing(folder):
     """What `read` gives, and how many blocks are not done, or damaged."""
-    import xarray
-
     folder = errors.path("folder", folder)
     if not os.path.exists(folder / DATA):  # which no name is too long for
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
@@ -359,10 +368,7 @@ def read_and_missing(folder):
     if damaged:
         words = "hold whole coordinates (the command that made the sweep repairs them)"
         raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
-    with _quiet():
-        data = xarray.open_zarr(folder / DATA, chunks=None)
-    # In the spec's order. A selection would lose the vectors beside the numbers of an axis of samples.
-    data = data[list(store.names)].assign_coords(data.coords)
+    data = store.opened()
     missing = store.missing()
     damaged = store.damaged(missing)
     if damaged:
@@ -389,8 +395,6 @@ def _disk(folder, when=""):
 @contextlib.contextmanager
 def _quiet():
     """Without zarr's remark that consolidated metadata is an extension: data open the same without it."""
-    import warnings
-
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         yield

@@ -108,7 +108,7 @@ def test_user_errors_are_one_line(arguments, line, capsys):
     assert line in said and "\n" not in said
 
 
-def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
+def test_map_writes_labelled_data_and_figures(tmp_path, capsys, monkeypatch):
     import xarray as xr
 
     small = ["--cells", "8", "--passes", "2", "--Ts", "0.1"]
@@ -119,6 +119,12 @@ def test_map_writes_labelled_data_and_figures(tmp_path, capsys):
         np.testing.assert_allclose(data.limit, 1 / data.Ts, rtol=1e-6)  # picard(5)
         assert '"robot": "planar:1,1"' in data.attrs["config"]
     assert "64 loops" in capsys.readouterr().out
+    monkeypatch.setattr("cnclik.stability.maps.stability_map", None)
+    for name in ("passes.png", "passes.nc"):  # in the way: said before the work
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(SystemExit):
+            main(["stability", "planar:1,1", "--method", "IE", "--map", *small, "--out", str(tmp_path)])
+        assert f"{name} there is not cnclik's own" in capsys.readouterr().err
 
 
 def test_map_through_a_drive_agrees_with_its_boundary(tmp_path, capsys):

@@ -17,7 +17,7 @@ from cnclik.errors import ArgumentError
 from cnclik.paper import claims, readings, story
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
-from cnclik.writing import LIST
+from cnclik.writing import LIST, output_folder
 from tests.paper.conftest import COMMITTED, load
 
 FIGURES = [*(f"fig{i:02d}.png" for i in range(1, 16)), "overview.png"]
@@ -55,6 +55,16 @@ def test_a_run_by_itself_is_the_committed_one(arm, case, method, results):
     for name in ("e", "status"):
         np.testing.assert_allclose(getattr(run, name), committed[name], rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(run.q, committed.q[:, : run.q.shape[1]], rtol=1e-7, atol=1e-9)
+
+
+def test_a_figure_of_others_in_the_way_is_named_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(paper_data, "everything", None)
+    with output_folder(tmp_path) as folder:
+        folder.write_text("claims.md", "of an earlier run")
+    for name in ("overview.png", "fig03.png"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(ArgumentError, match=f"{name} there is not cnclik's own"):
+            paper.reproduce(tmp_path)
 
 
 @pytest.mark.slow

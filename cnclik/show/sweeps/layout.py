@@ -60,11 +60,15 @@ def _main_value(data):
     return next((n for n in names if n.endswith("error")), names[0] if names else None)
 
 
-def defaults(data) -> list:
-    """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
+def defaults(data, done=True) -> list:
+    """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec.
+
+    Args: done: whether the data have numbers already; else all figures that there may be.
+    """
     axes, starts, value = numeric(data), samples(data), _main_value(data)
-    methods = data.sizes.get("method", 1)
-    costs = data["evaluations"].values if "evaluations" in scalars(data) else np.zeros(1)
+    methods, costs = data.sizes.get("method", 1), np.zeros(1)
+    if "Ts" in data.dims and "evaluations" in scalars(data):
+        costs = data["evaluations"].values if done else np.arange(methods + 1)
     out = []
     if len(axes) >= 2:
         kinds = ("heat", "best") if methods > 1 else ("heat",)
@@ -73,7 +77,7 @@ def defaults(data) -> list:
         out.append({"kind": "slices", "value": value, "x": axes[0]})
     if starts:
         out.append({"kind": "distribution", "value": value, "over": starts[0]})
-    if "Ts" in data.dims and len(np.unique(costs)) > methods:
+    if len(np.unique(costs)) > methods:
         out.append({"kind": "work", "value": value})
     if value is None:  # nothing but histories
         out = []
@@ -159,11 +163,16 @@ def views(data, layout: Layout) -> list:
         if layout.reduce == "mean" and words.startswith("1 if "):  # a verdict
             view[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
     view = view.isel({d: view.sizes[d] // 2 for d in layout.middle})
+    return [(suffix, view.isel(place)) for suffix, place in places(data, layout)]
+
+
+def places(data, layout: Layout) -> list:
+    """Which place along the dimensions that get figures of their own has which suffix in the file's name."""
     out = []
-    for place in itertools.product(*(range(view.sizes[d]) for d in layout.apart)):
-        part = view.isel(dict(zip(layout.apart, place, strict=True)))
-        labels = (re.sub(r"[^\w.+,-]+", "-", text(part[d].values.item())) for d in layout.apart)
-        out.append(("".join(f"_{label}" for label in labels), part))
+    for place in itertools.product(*(range(data.sizes[d]) for d in layout.apart)):
+        labels = (text(data[d].values[i].item()) for d, i in zip(layout.apart, place, strict=True))
+        suffix = "".join("_" + re.sub(r"[^\w.+,-]+", "-", label) for label in labels)
+        out.append((suffix, dict(zip(layout.apart, place, strict=True))))
     return out
 
 
