@@ -6,7 +6,19 @@ from cnclik import errors
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.blocks import orthogonal
 from cnclik.diagnosis.excited import excited
-from cnclik.diagnosis.judge import BEGUN, LEAST, MOST, OSCILLATING, TURNS, Kind, explained, judged, looked_at, spans
+from cnclik.diagnosis.judge import (
+    BEGUN,
+    LEAST,
+    MOST,
+    OSCILLATING,
+    TURNS,
+    Kind,
+    explained,
+    judged,
+    likelier,
+    looked_at,
+    spans,
+)
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
 from cnclik.quantities import in_samples
@@ -146,7 +158,8 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
         periods = _wandering(scaled[:last, moving], first, longest)
         alone = made.get("pure") or alpha is not None  # with a lag as well few rows fit many loops
         sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
-        if kind is Kind.GROWING and len(seen) < TURNS * made["period"] and not (sure or periods):
+        begins = len(seen) < TURNS * made["period"] and not (sure or periods)
+        if kind is Kind.GROWING and (begins or not likelier(seen, found)):
             kind, made, whole = Kind.UNDECIDED, given | {"kind": Kind.UNDECIDED, "first": first}, True
     report(3, 4, "noise")
     noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY

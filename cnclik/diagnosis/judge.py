@@ -118,7 +118,12 @@ def _grows(y, found, i, swinging) -> bool:
     step = np.abs(np.diff(tenths, axis=0))
     if np.all(step[-1] < step[:-1].max(0)):  # a growth is fastest at its end
         return False
-    return bool(most > max(other, WAVES) and explained(y, found) and found.score < polynomials(y) - BETTER)
+    return bool(most > max(other, WAVES) and explained(y, found) and likelier(y, found))
+
+
+def likelier(y, found: Modes) -> bool:
+    """Whether modes that grow explain y (N, k) better than a path, or than the beginning of a motion that ends."""
+    return found.score < polynomials(y) - BETTER
 
 
 def explained(y, found: Modes) -> bool:

@@ -18,6 +18,7 @@ DEGREE = 9  # of the polynomials that a path is compared with
 WINDOWS = 8192  # columns of the Hankel matrices, at most: of a long recording with many columns every few
 CLEAN = 0.1  # share of what it varies by which a clean column is measured: the others tell less
 EXACT = 1e-8  # share of a column that is rounding
+SHORT, LEFT = 64, 4  # rows of a recording that may be the beginning of a motion; and after that
 PENALTY = 2.0  # on the logarithm of the number of samples, for each number that is fitted: modes are searched for
 
 
@@ -181,10 +182,24 @@ def misfit(power, y) -> float:
 
 
 def polynomials(y) -> float:
-    """The information criterion of the polynomial that explains y (N, k) best, as `Modes.score` counts."""
-    N, k = y.shape
-    r = triangle(np.hstack([np.linspace(-1, 1, N)[:, None] ** np.arange(DEGREE + 1), y]))[:, DEGREE + 1 :]
-    return min(misfit(np.sum(r[n:] ** 2, axis=0) / N, y) + PENALTY * np.log(N) * n * k for n in range(3, DEGREE + 2))
+    """The information criterion of the polynomial that explains y (N, k) best, as `Modes.score` counts.
+
+    Of a short recording also of those that begin after some rows at rest, as what a loop does after its dead time.
+    """
+    N = len(y)
+    t = np.linspace(-1, 1, N)[:, None]
+    scores = [_polynomials(t ** np.arange(DEGREE + 1), y, range(3, DEGREE + 2), 0)]
+    for begins in range(1, N - LEFT if N <= SHORT else 0):
+        after = np.maximum(t - t[begins], 0.0) ** np.arange(1, DEGREE - 2)
+        scores.append(_polynomials(np.hstack([np.ones_like(t), after]), y, range(2, DEGREE - 1), 1))
+    return min(scores)
+
+
+def _polynomials(basis, y, counts, others) -> float:
+    """The least criterion of the first columns of a basis (N, c), so many of them. others: numbers fitted beside."""
+    (N, k), c = y.shape, basis.shape[1]
+    r = triangle(np.hstack([basis, y]))[:, c:]
+    return min(misfit(np.sum(r[n:] ** 2, axis=0) / N, y) + PENALTY * np.log(N) * (n * k + others) for n in counts)
 
 
 def shape_of(y, found: Modes, i: int):

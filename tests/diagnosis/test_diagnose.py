@@ -12,6 +12,7 @@ from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.measured import solve_driven
 from cnclik.stability.driven import driven_limits, respond
+from tests.diagnosis.logs import late_loop
 from tests.diagnosis.recordings import loop, monotone, servo, stable
 
 TS = 0.002
@@ -271,3 +272,31 @@ def test_pieces_of_a_tall_matrix_have_its_triangle():
             q, r = orthogonal(a)
             np.testing.assert_allclose(q.T @ q, np.eye(shape[1]), atol=1e-13)
             np.testing.assert_allclose(q @ r, a, rtol=1e-12, atol=1e-14)
+
+
+def test_16_to_24_rows_of_a_stable_loop_are_not_called_growing():
+    """Loops that have hardly begun to move: too short to tell. Seven of these 400 were called so."""
+    rng, seen = np.random.default_rng(0), []
+    for i in range(400):
+        N, d, share = int(rng.integers(16, 25)), int(rng.integers(0, 9)), rng.uniform(0.1, 0.98)
+        k, noise = rng.integers(1, 4), rng.choice([0, 1e-4, 3e-4, 1e-3, 3e-3])
+        lag = rng.choice([0, 0, rng.uniform(1, 10)])
+        offset, rest = rng.choice([0, 1]) * rng.uniform(-1, 1, k), rng.integers(0, 4)
+        z = share * 0.3 / (d + lag) if lag else share * stable(d)
+        weights, noise = rng.uniform(-0.1, 0.1, k), 0.1 * noise * rng.standard_normal((N, k))
+        alpha = z / TS if rng.choice([0, 1]) else None
+        if i % 40 == 0 or i in (68, 166, 185, 254, 284, 289, 399):
+            e = np.r_[np.ones(rest), late_loop(z, d, lag, N) if lag else loop(z, d, N)][:N]
+            seen.append(diagnose(np.outer(e, weights) + offset + noise, TS, alpha=alpha).kind)
+    assert not {Kind.GROWING, Kind.DIVERGING} & set(seen) and Kind.RINGING in seen
+
+
+@pytest.mark.parametrize("growth", [1.2, 1.6, 2.5])
+def test_growth_in_few_rows_is_still_seen(growth):
+    """A wrong sign and a gain beyond the limit, with noise."""
+    rng = np.random.default_rng(2)
+    e = growth ** np.arange(24.0)
+    found = diagnose(np.outer(e / e[-1], [0.1, -0.04]) + 1e-6 * rng.standard_normal((24, 2)), TS)
+    assert found.kind is Kind.DIVERGING and found.growth == pytest.approx(growth, rel=1e-3)
+    e = loop(1.3 * stable(1), 1, 24)
+    assert diagnose(np.outer(e, [0.1, -0.04]) + 1e-4 * rng.standard_normal((24, 2)), TS).kind is Kind.GROWING
