@@ -322,13 +322,14 @@ class Writer(RowTexts):
 
     def choice(self, r):
         """A branch."""
-        alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
-        which, names = self.new(), {}
+        alive, which, names = [i for i, o in enumerate(r.outs) if o.number in self.needed], self.new(), {}
         self.line(f"const {self.type(r.which)} {which} = {self.of(r.which)};")
+        given = next((k for k, b in enumerate(r.blocks) if not any(map(self.is_needed, b.items))), None)
         for i in alive:
-            names[i] = self.variable(r.outs[i], f"splat_{self.type(r.outs[i])}(0)", "t")
-        for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
-            mask = self.new()
+            at_first = self.splat(r.outs[i].dtype, "0") if given is None else self.of(r.results[given][i])
+            names[i] = self.variable(r.outs[i], at_first, "t")
+        for k in sorted({*range(len(r.blocks))} - {given}):  # of what is given nothing is computed
+            block, results, mask = r.blocks[k], r.results[k], self.new()
             truth = (f"~{which}", which)[k] if r.which.dtype.kind == "b" else f"MASK({which} == {k})"
             among = f" & {self.active[-1]}" if self.active else ""
             self.line(f"const M {mask} = {truth}{among};")

@@ -136,6 +136,7 @@ class _Pass(NamedTuple):
     qdot: object  # (n,) the velocities that met it
     kept: object  # (n,) and the joints locked then
     held: object
+    reached: object  # what is out of reach of all joints, see `_beyond_reach`; infinite before the first pass
 
 
 @record
@@ -161,16 +162,16 @@ class Saturated:
 
         # A joint with a single value is no joint: out from the first pass on.
         fixed = jnp.where(low < high, zero, zero + 1.0)
-        reached = _beyond_reach(free(fixed), velocity)
 
-        def one(at: _Pass, _):
+        def one(at: _Pass) -> _Pass:
             left = free(at.locked)
             apply = inverse(left).apply
             along = apply(velocity)
             rest = at.fixed - apply(rows @ at.fixed)
             # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
             # inverse holds back next to a singularity is no reason to stand still.
-            lost = _beyond_reach(left, velocity) > (1 + NOISE) * reached + 0.01 * asked
+            beyond = _beyond_reach(left, velocity)
+            lost = beyond > (1 + NOISE) * at.reached + 0.01 * asked
             along, rest = (v + zero for v in (along, rest))
             s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
             s = jnp.where(lost, -1.0, s)
@@ -190,7 +191,8 @@ class Saturated:
                 qdot=choose(made, at.qdot),
                 kept=choose(at.locked, at.kept),
                 held=at.held | over,
-            ), None
+                reached=jnp.where(jnp.isinf(at.reached), beyond, at.reached),
+            )
 
         never = jnp.zeros_like(zero, bool)
         nothing = jnp.zeros_like(q) + zero
@@ -203,8 +205,10 @@ class Saturated:
             qdot=nothing,
             kept=nothing,
             held=never,
+            reached=zero + jnp.inf,
         )
-        found, _ = lax.scan(one, start, None, length=max(chain.n - len(rows), 0) + 2)
+        passes = max(chain.n - len(rows), 0) + 2  # most loops are done with the first
+        found, _ = lax.scan(lambda at, _: (lax.cond(at.done, lambda at: at, one, at), None), start, None, length=passes)
         factored = inverse(free(found.kept))
         # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
         qdot = jnp.clip(found.qdot + zero, low, high)
