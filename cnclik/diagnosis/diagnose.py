@@ -8,6 +8,7 @@ from cnclik.diagnosis.blocks import orthogonal
 from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import (
     BEGUN,
+    HELD,
     LEAST,
     MOST,
     OSCILLATING,
@@ -149,6 +150,8 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
         if later is Kind.SUSTAINED and np.any(spans(late.parts[of_late]) > 0.1 * spans(found.parts)):
             first, seen, found, kind, chosen, own = first + half, seen[half:], late, later, of_late, own_late
     report(2, 4, "the loop behind it")
+    stays = kind is Kind.GROWING and _moved_before(scaled[:last, moving], first)
+    kind = Kind.SUSTAINED if stays else kind
     made, whole, periods = given | {"kind": kind, "first": first}, True, None
     shape = shape_of(seen, found, chosen[0]) * size[moving] if len(chosen) else None
     if kind in OSCILLATING:
@@ -163,7 +166,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
             kind, made, whole = Kind.UNDECIDED, given | {"kind": Kind.UNDECIDED, "first": first}, True
     report(3, 4, "noise")
     noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
-    if kind is Kind.NOISE or not whole or periods or noisy:
+    if kind is Kind.NOISE or not whole or periods or noisy or stays:
         driven = _noise_driven(scaled[max(last - MOST, 0) : last, moving], longest, alpha, Ts)
         if periods and not driven:
             made = {name: made[name] for name in ("Ts", "alpha", "kind", "first", "period", "growth")}
@@ -171,7 +174,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
                 f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
                 "not of a loop: no gain is named."
             )
-        if noisy or periods or driven.get("confidence", 0) > made.get("confidence", 0):
+        if noisy or stays or periods or driven.get("confidence", 0) > made.get("confidence", 0):
             made |= driven
     if kind is Kind.DIVERGING:
         factor = found.factors[chosen[0]]
@@ -230,6 +233,13 @@ def _explained(seen, first, longest):
             return whole
         found = find_modes(seen, longest)
     return at, found
+
+
+def _moved_before(y, first) -> bool:
+    """Whether a recording went up and down before row `first` as it does from there on: what grows did not."""
+    before, seen = y[max(2 * first - len(y), 0) : first], y[first:]
+    least = np.std(np.diff(seen, axis=0), axis=0) / HELD
+    return len(before) >= LEAST and bool(np.any(np.std(np.diff(before, axis=0), axis=0) > least))
 
 
 def _wandering(y, first, longest):

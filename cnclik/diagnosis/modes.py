@@ -133,10 +133,14 @@ def _signal_space(windows):
     """(first left singular vectors, their values) of windows (rows, M).
 
     Eigenvectors of the square tell no value below 1e-8 of the largest. What the windows make of as many again, once
-    more, are those of all values (subspace iteration: Golub & Van Loan 2013, Section 8.2.4).
+    more, are those of all values (subspace iteration: Golub & Van Loan 2013, Section 8.2.4). Of the square they are
+    found one by one: for all at once threads of BLAS wait for each other, a hundred times as long where cores are busy.
     """
-    _, space = np.linalg.eigh(windows @ windows.T)
-    over, _ = orthogonal(windows.T @ space[:, : -2 * ORDER - 1 : -1])
+    from scipy.linalg import eigh
+
+    rows = len(windows)
+    _, space = eigh(windows @ windows.T, driver="evx", subset_by_index=[max(rows - 2 * ORDER, 0), rows - 1])
+    over, _ = orthogonal(windows.T @ space[:, ::-1])
     space, values, _ = np.linalg.svd(windows @ over, full_matrices=False)
     return space, values
 
