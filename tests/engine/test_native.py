@@ -8,6 +8,7 @@ from jax import lax
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
+from cnclik.threads import side_by_side
 from engine.compare import NEEDS_C, same
 
 
@@ -83,6 +84,18 @@ def test_arguments_by_name():
 def test_it_is_c():
     text = jax.jit(jax.vmap(lambda x: NATIVE({"x": x, "y": Y}, K))).lower(MANY).as_text()
     assert "lanes-" in text and "sine" not in text
+
+
+@NEEDS_C
+def test_a_large_batch_is_done_by_several_threads():
+    """Also where several calls share them, and one of another size waits."""
+    fn = jax.jit(jax.vmap(lambda x: NATIVE({"x": x, "y": Y}, K)))
+    several = [np.random.default_rng(n).normal(size=(n, 3)) for n in (5003, 4096, 70, 1001)]
+    with side_by_side(4) as pool:
+        found = list(pool.map(lambda x: jax.block_until_ready(fn(x)), 8 * several))
+    wanted = [jax.tree.map(np.asarray, jax.vmap(lambda x: own({"x": x, "y": Y}, K))(x)) for x in several]
+    for one, right in zip(found, 8 * wanted, strict=True):
+        same(jax.tree.map(np.asarray, one), right, ulps=400)
 
 
 def test_without_a_c_form_it_is_the_function():

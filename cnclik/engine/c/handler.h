@@ -1,7 +1,85 @@
 /* The entry for XLA: a handler of its foreign function interface. An argument of one axis more than a lane's is a batch,
-   one of as many is what all lanes share. */
+   one of as many is what all lanes share. A large batch is done in parts, by XLA's threads beside the one that calls. */
 #ifdef XLA_HANDLER
+#include <pthread.h>
 #include "xla/ffi/api/c_api.h"
+#define FEW_TILES 4 /* that one thread runs alone */
+#define PARTS 4 /* of each thread */
+
+typedef struct {
+  int64_t all, step, begun, ended, holders; /* in lanes, but for the threads that hold this */
+  const void *const *in;
+  const int64_t *stride;
+  void *const *out;
+  pthread_mutex_t lock; /* of what changes */
+  pthread_cond_t done;
+} Batch;
+
+static void leave(Batch *batch) /* locked */
+{
+  const int last = --batch->holders == 0;
+  pthread_mutex_unlock(&batch->lock);
+  if (last) free(batch);
+}
+
+static void run_parts(Batch *batch, void *memory) /* locked before and after */
+{
+  while (batch->begun < batch->all) {
+    const int64_t first = batch->begun, last = first + batch->step < batch->all ? first + batch->step : batch->all;
+    batch->begun = last;
+    pthread_mutex_unlock(&batch->lock);
+    run(first, last, batch->in, batch->stride, batch->out, memory);
+    pthread_mutex_lock(&batch->lock);
+    batch->ended += last - first;
+  }
+  if (batch->ended == batch->all) pthread_cond_signal(&batch->done);
+}
+
+/* Who comes when all is begun finds nothing to do, and looks at nothing of the caller's. */
+static void help(void *data)
+{
+  Batch *batch = data;
+  void *memory = malloc(work_bytes());
+  pthread_mutex_lock(&batch->lock);
+  if (memory) run_parts(batch, memory);
+  leave(batch);
+  free(memory);
+}
+
+static int is_done(const XLA_FFI_Api *api, XLA_FFI_Error *error)
+{
+  XLA_FFI_Error_Destroy_Args args = {XLA_FFI_Error_Destroy_Args_STRUCT_SIZE, NULL, error};
+  if (error) api->XLA_FFI_Error_Destroy(&args);
+  return !error;
+}
+
+/* Lanes 0 … all, side by side where there are threads for it. */
+static void run_all(XLA_FFI_CallFrame *frame, Batch now, void *memory)
+{
+  int64_t threads = 1;
+  XLA_FFI_ThreadPool_NumThreads_Args asked = {XLA_FFI_ThreadPool_NumThreads_Args_STRUCT_SIZE, NULL, frame->ctx, &threads};
+  Batch *batch = now.all > FEW_TILES * W ? malloc(sizeof(Batch)) : NULL;
+  if (!batch || !is_done(frame->api, frame->api->XLA_FFI_ThreadPool_NumThreads(&asked)) || threads < 2) {
+    free(batch);
+    run(0, now.all, now.in, now.stride, now.out, memory);
+    return;
+  }
+  now.step = (now.all + PARTS * threads * W - 1) / (PARTS * threads * W) * W;
+  now.holders = threads;
+  *batch = now;
+  pthread_mutex_init(&batch->lock, NULL);
+  pthread_cond_init(&batch->done, NULL);
+  for (int64_t i = 1; i < threads; ++i) {
+    XLA_FFI_ThreadPool_Schedule_Args args = {XLA_FFI_ThreadPool_Schedule_Args_STRUCT_SIZE, NULL, frame->ctx, help, batch};
+    if (is_done(frame->api, frame->api->XLA_FFI_ThreadPool_Schedule(&args))) continue;
+    pthread_mutex_lock(&batch->lock);
+    leave(batch);
+  }
+  pthread_mutex_lock(&batch->lock);
+  run_parts(batch, memory);
+  while (batch->ended < batch->all) pthread_cond_wait(&batch->done, &batch->lock);
+  leave(batch);
+}
 
 XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
 {
@@ -33,7 +111,7 @@ XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
                                         XLA_FFI_Error_Code_RESOURCE_EXHAUSTED};
     return frame->api->XLA_FFI_Error_Create(&failed);
   }
-  run(0, all, in, stride, out, memory);
+  run_all(frame, (Batch){.all = all, .in = in, .stride = stride, .out = out}, memory);
   free(memory);
   return NULL;
 }
