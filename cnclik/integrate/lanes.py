@@ -46,8 +46,8 @@ def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int |
       quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
         slower.
 
-    Under jit, vmap or grad it is part of that program: as C on JAX's own threads, by XLA on one core. Called with arrays
-    it uses all cores, or devices.
+    Under jit, vmap or grad it is part of that program: as C on JAX's own threads, by XLA on one core. Called with
+    arrays it uses all cores, or devices.
     """
     on_cpu = jax.default_backend() == "cpu"
     tile = errors.integer("tile", TILE if tile is None else tile, at_least=1)
