@@ -17,6 +17,7 @@ from cnclik.threads import side_by_side
 
 MOST_WORK = 64 << 20  # bytes of a tile's memory
 FEW_TILES = 4  # that one thread runs alone
+HUGE = 2 << 20  # bytes of a huge page: new memory comes page by page, and in small ones it takes half as long again
 CALLS = 4  # of each thread: lanes that need longer than others don't keep one core busy alone
 
 
@@ -63,10 +64,11 @@ class Program:
 
 
 def _empty(shape, dtype):
-    """An array that begins where JAX's do: at 64 bytes."""
+    """An array that begins where JAX's do, at 64 bytes; a large one at a huge page: NumPy asks for such."""
     size = int(np.prod(shape)) * dtype.itemsize
-    whole = np.empty(size + 64, np.uint8)
-    return whole[-whole.ctypes.data % 64 :][:size].view(dtype).reshape(shape)
+    unit = 64 if size < HUGE else HUGE
+    whole = np.empty(-(-size // unit) * unit + unit, np.uint8)
+    return whole[-whole.ctypes.data % unit :][:size].view(dtype).reshape(shape)
 
 
 def _built(text):
