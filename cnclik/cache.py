@@ -19,10 +19,11 @@ class Recent(collections.OrderedDict):
 
     def get(self, key, default=None):
         """The value of a key, which thereby becomes the newest."""
-        value = super().get(key, default)
-        with contextlib.suppress(KeyError):  # another thread may have let it go, and there may be none
+        try:
             self.move_to_end(key)
-        return value
+            return self[key]
+        except KeyError:  # there is none, or another thread has let it go
+            return default
 
     def made(self, key, make):
         """The value of a key; where there is none, make(key)."""

@@ -32,7 +32,8 @@ _NUMBERS = (bool, int, float, complex)
 _ARRAYS = (np.ndarray, np.generic, jax.Array)
 # Packages whose names say what they mean.
 _KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax")
-_SWITCHES = ("CNCLIK_", "JAX_", "XLA_")  # beginnings of variables of the environment that programs depend on
+# Beginnings of variables of the environment that programs depend on.
+_SWITCHES = ("CC", "CFLAGS", "CNCLIK_", "JAX_", "XLA_")
 _MOST = 128  # programs held by this process
 ENDING = "-cache"  # of files' names, as JAX's own
 _place = None  # where programs are kept; None: nowhere
@@ -119,16 +120,8 @@ def _asked(fn, context, options, static, args, named):
     leaves, tree = jax.tree.flatten((args, others))
     if any(isinstance(leaf, jax.core.Tracer) or not isinstance(leaf, (*_NUMBERS, *_ARRAYS)) for leaf in leaves):
         return None
-    shape = jax.tree.unflatten(tree, map(_Place, leaves))
-    settings = sorted((name, repr(value)) for name, value in jax.config.values.items())
-    text = io.BytesIO()
-    try:
-        known = fn, context, options, compiled_in, shape, settings
-        pickler = _Pickler(text, protocol=5)
-        pickler.fast = True  # by what things are, and not by which of them are the same
-        pickler.dump(known)
-        key = hashlib.sha256(text.getvalue() + surroundings()).hexdigest()
-    except (_UnknownError, pickle.PicklingError, TypeError, ValueError, AttributeError, RecursionError):
+    key = name_of((fn, context, options, compiled_in), (args, others))
+    if key is None:
         return None
 
     def make(*leaves):
@@ -136,6 +129,24 @@ def _asked(fn, context, options, static, args, named):
         return fn(*args, **others, **compiled_in)
 
     return key, leaves, make
+
+
+def name_of(about, arguments):
+    """What a program is kept by: all it depends on, JAX's settings and what processes share; None: it is not kept.
+
+    Args: about: functions and values that are compiled in. arguments: a tree of arrays, whose shapes and types count.
+    """
+    if not keeping():
+        return None
+    settings = sorted((name, repr(value)) for name, value in jax.config.values.items())
+    text = io.BytesIO()
+    try:
+        pickler = _Pickler(text, protocol=5)
+        pickler.fast = True  # by what things are, and not by which of them are the same
+        pickler.dump((about, jax.tree.map(_Place, arguments), settings))
+        return hashlib.sha256(text.getvalue() + surroundings()).hexdigest()
+    except (_UnknownError, pickle.PicklingError, TypeError, ValueError, AttributeError, RecursionError):
+        return None
 
 
 @functools.cache
@@ -147,7 +158,7 @@ def surroundings() -> bytes:
     switches = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SWITCHES))
     versions = sys.version, *(version(name) for name in ("jax", "jaxlib", "numpy", "optax"))
     digest.update(repr((versions, switches, len(jax.devices()))).encode())
-    for file in sorted(here.rglob("*.py")):
+    for file in sorted((*here.rglob("*.py"), *here.rglob("c/*.[ch]"))):
         if file.stat().st_mtime >= _BEGUN:
             raise _UnknownError
         digest.update(file.relative_to(here).as_posix().encode() + b"\0" + file.read_bytes())
@@ -170,17 +181,29 @@ def _made(key, leaves, make, options):
     with kept_by_jax_from(float("inf")):
         program = lowered.compile()
     results = outcome["results"]
-    with contextlib.suppress(Exception):  # callbacks, a full disk: what isn't kept is made again
-        from jax.experimental import serialize_executable
+    from jax.experimental import serialize_executable
 
-        whole = pickle.dumps((serialize_executable.serialize(program), results), protocol=5)
+    remember(key, lambda: (serialize_executable.serialize(program), results))
+    return program, results
+
+
+def remember(key, value):
+    """Keep what a program can be had from again by a name of `name_of`. Args: value: makes it, where it can be made."""
+    with contextlib.suppress(Exception):  # callbacks, a full disk: what isn't kept is made again
+        whole = pickle.dumps(value(), protocol=5)
         beside = _place / f".{key}-{os.getpid()}{ENDING}"
         try:
             beside.write_bytes(_seal(key, whole) + whole)
             beside.replace(_place / f"{key}{ENDING}")
         finally:
             beside.unlink(missing_ok=True)
-    return program, results
+
+
+def recalled(key):
+    """What was kept by a name; None where there is nothing that is whole."""
+    with contextlib.suppress(Exception):  # whatever is wrong with it, there is another way
+        whole = memoryview(read_bytes("cache", _place / f"{key}{ENDING}", "a program"))
+        return pickle.loads(whole[32:]) if _seal(key, whole[32:]) == whole[:32] else None
 
 
 def _seal(key, whole) -> bytes:
@@ -198,13 +221,10 @@ def _read(key):
     """(program, results) as `_made`, or None where there is none that is whole."""
     begun = time.time()
     try:
-        whole = memoryview(read_bytes("cache", _place / f"{key}{ENDING}", "a program"))
-        if _seal(key, whole[32:]) != whole[:32]:
-            return None
         from jax.experimental import serialize_executable
 
         _know_lapack()
-        serialized, results = pickle.loads(whole[32:])
+        serialized, results = recalled(key)
         program = serialize_executable.deserialize_and_load(*serialized)
     except Exception:  # whatever is wrong with it, there is another way
         return None

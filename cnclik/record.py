@@ -78,9 +78,7 @@ def record(cls=None, *, kw_only=True):
         checked(self)
         for name, value in self.__dict__.items():
             if type(value) is np.ndarray and value.flags.writeable:
-                own = value.copy()  # the caller may write to theirs
-                own.flags.writeable = False
-                object.__setattr__(self, name, own)
+                object.__setattr__(self, name, _own(value))  # the caller may write to theirs
 
     cls.__post_init__ = frozen
     if cls.__repr__ is object.__repr__:
@@ -95,7 +93,7 @@ def record(cls=None, *, kw_only=True):
         if found is None:
             found = partition(tuple(getattr(self, n) for n in names))
             if key == "_flat32":  # arrays of its own: JAX remembers by identity what it made of a constant, as float32
-                found = [v.copy() if type(v) is np.ndarray else v for v in found[0]], found[1]
+                found = [_own(v) if type(v) is np.ndarray else v for v in found[0]], found[1]
             object.__setattr__(self, key, found)
         return found
 
@@ -117,6 +115,13 @@ def record(cls=None, *, kw_only=True):
     cls.__getstate__ = fields_alone
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
+
+
+def _own(array):
+    """A copy that nobody writes to."""
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
 
 
 def in_words(value, digits=5) -> str:

@@ -208,5 +208,6 @@ def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
     from cnclik.integrate import solve as solving
 
     for N in range(1, 8):
-        assert len(ck.solve(law, ck.hold([0.1]), [0.3], 0.1, N, "EE").status) == N
+        with ck.use_engine("plain"):
+            assert len(ck.solve(law, ck.hold([0.1]), [0.3], 0.1, N, "EE").status) == N
         assert solving._solve_soon._cache_size() <= 8

@@ -110,21 +110,30 @@ def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
         raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {error}") from None
 
 
-def build_text(text, folder, *, include=()) -> pathlib.Path:
-    """A shared library of the engine's C text, named by its content; the one that is there already if there is one.
+def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
+    """(shared library of the engine's C text, named by its content; whether it was there already)
 
+    Args: scheduled: whether the compiler may take the time to order the operations of a small program.
     Raises: CompilerError.
     """
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
-    flags = [*LANES, *[SCHEDULED] * (straight <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
+    flags = [*LANES, *[SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
     line, folder = [*command(), *flags], pathlib.Path(folder)
     name = f"lanes-{_key(line, [text.encode()])}"
+    folder.mkdir(parents=True, exist_ok=True)
     if (found := _kept(folder, name)) is not None:
-        return found
+        return found, True
     with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
         source = pathlib.Path(own, "lanes.c")
         source.write_text(text, encoding="utf-8")
-        return _compiled(line, [source], folder, name, MOST_SECONDS)
+        return _compiled(line, [source], folder, name, MOST_SECONDS), False
+
+
+def built(folder, name) -> pathlib.Path:
+    """The library of this name that `build_text` has built. Raises CompilerError where it is there no more."""
+    if not _whole(library := folder / name):
+        raise CompilerError(f"{name} is not there")
+    return library
 
 
 def _own_flags():

@@ -13,7 +13,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir, partial_eval
 
 from cnclik import errors
-from cnclik.cache import Recent
+from cnclik.cache import Recent, bounded_jit
 from cnclik.engine.plan import in_c, in_scalars
 from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
@@ -49,11 +49,6 @@ def native(fn):
     @functools.wraps(fn)
     def call(*args, **named):
         function, leaves = of(*args, **named)
-        if in_c() and all(map(errors.concrete, leaves)):
-            program = function.programs.of(lane_avals(leaves, batched=False))
-            if isinstance(program, Program):  # at once, without a program of JAX's around it
-                results = jax.device_put([x[0] for x in program(leaves, 1)])
-                return jax.tree.unflatten(function.trees[key_of(program.avals)], results)
         leaves = [jnp.asarray(x) for x in leaves]
         tree = function.tree(leaves)
         if function.itself:  # it has effects, or closes over numbers that only the trace around it knows
@@ -84,6 +79,7 @@ class Function:
     def __init__(self, fn, linear=0, of=None):
         self.fn, self.linear, self.of = fn, linear, of
         self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived)
+        self.single = Programs(self._flat, functools.partial(Program, single=True))  # of one lane alone
         self.derivatives, self.shapes, self.trees, self.itself = {}, {}, {}, False
 
     def _flat(self, *leaves):
@@ -92,9 +88,10 @@ class Function:
 
     def out(self, avals) -> tuple:
         """(avals of the results, leaf by leaf, their tree)"""
-        program, key = self.programs.known(avals), key_of(avals)
-        if isinstance(program, Program):  # traced before
-            return program.shapes, self.trees[key]
+        key = key_of(avals)
+        for program in (self.programs.known(avals), self.single.known(avals)):
+            if isinstance(program, Program):  # traced before
+                return program.shapes, self.trees[key]
         if key not in self.shapes:
             given = [_aval(a.shape, a) for a in avals]
             closed, shapes = jax.make_jaxpr(self.fn, return_shape=True)(*given)
@@ -196,7 +193,7 @@ def _plain(*args, function, batched):
 def _called(*args, function, batched):
     """The function by the C library, or by JAX where there is none."""
     lane, size = _lanes([jax.typeof(x) for x in args], batched)
-    program = function.programs.of(lane) if in_c() else None
+    program = (function.single if size is None else function.programs).of(lane) if in_c() else None
     if not isinstance(program, Program) or size == 0:
         return _plain(*args, function=function, batched=batched)
     if program.path not in _registered:
@@ -215,11 +212,12 @@ mlir.register_lowering(native_p, mlir.lower_fun(_called, multiple_results=True),
 def _now(*args, function, batched):
     if jax.config.jax_disable_jit:
         return _plain(*args, function=function, batched=batched)
-    return _jitted(*args, function=function, batched=batched)
+    return called(*args, function=function, batched=batched)
 
 
-@functools.partial(jax.jit, static_argnames=("function", "batched"))
-def _jitted(*args, function, batched):
+@functools.partial(bounded_jit, static_argnames=("function", "batched"))
+def called(*args, function, batched):
+    """The function at once."""
     return native_p.bind(*args, function=function, batched=batched)
 
 

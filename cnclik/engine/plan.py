@@ -22,7 +22,12 @@ def use_engine(name):
 
 def in_c() -> bool:
     """Whether functions run as C where they can."""
-    return _engine.value in (None, "native") and switched_on() and jax.default_backend() == "cpu" and can_build()
+    return wants_c() and can_build()
+
+
+def wants_c() -> bool:
+    """The same where there is a compiler."""
+    return _engine.value in (None, "native") and switched_on() and jax.default_backend() == "cpu"
 
 
 def in_scalars() -> bool:

@@ -134,6 +134,17 @@ class RowTexts:
             made = piece if made is None else f"(({k}) < {end} ? {piece} : {made})"
         return made
 
+    def argument_at(self, cells, which):
+        """The cell of a number, where they lie one behind the other in an argument; else None."""
+        whole = cells[0].args[0] if cells[0].op == "index" else None
+        if getattr(whole, "op", None) != "input" or any(c.op != "index" or c.args[0] is not whole for c in cells):
+            return None
+        first, *others = (int(np.ravel_multi_index(c.params, whole.shape)) for c in cells)
+        step = others[0] - first if others else 0
+        if others != [first + step * (1 + i) for i in range(len(others))]:
+            return None
+        return self.load(whole, f"{first} + {step} * {which}")
+
     def table(self, values, k) -> str:
         """An entry of a known row."""
         N = scalar(values.dtype)

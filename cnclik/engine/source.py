@@ -27,9 +27,10 @@ def write(graph, given, outs, shapes) -> tuple:
     writer = _written(graph, given, outs, shapes, main, 0)
     if writer.operations > LONG:
         writer = _written(graph, given, outs, shapes, main, PIECE)
-    text = [vectors(writer, main), f"#define WORK ((int64_t){writer.work})", *writer.tables]
+    text = [vectors(writer, main), f"#define WORK ((int64_t){writer.work} / 64 * BYTES)", *writer.tables]
     text += [*(body for _, body in writer.parts), f"static void tile({_TILE})"]
-    text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes), header("handler.h")]
+    text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes)]
+    text += [header("numbers_call.h"), header("handler.h")]
     return "\n".join(text) + "\n", writer.operations
 
 
@@ -46,7 +47,7 @@ def _written(graph, given, outs, shapes, main, piece):
 
 def lane(dtype, data, stride):
     """What loads entries of lanes from `first` on, each lane's numbers `stride` after those of the one before."""
-    return lambda at: f"load_{vector(dtype)}({data} + first * {stride} + {at}, {stride}, n)"
+    return lambda at: f"load_{vector(dtype)}({data} + first * {stride} + ({at}), {stride}, n)"
 
 
 def entry(dtype, data, size):
@@ -100,7 +101,7 @@ def _library(writer, T):
 
 
 def _call(given, shapes):
-    """Tables that the entry for XLA reads."""
+    """Tables that the entries for numbers and for XLA read."""
     ins = [(len(n.shape), int(np.prod(n.shape))) for n in given]
     outs = [(s.ndim, int(np.prod(s.shape))) for s in shapes]
 
@@ -111,3 +112,5 @@ def _call(given, shapes):
     yield table("argument_rank", [r for r, _ in ins])
     yield table("argument_size", [s for _, s in ins])
     yield table("result_rank", [r for r, _ in outs])
+    yield table("argument_bytes", [n.dtype.itemsize * size for n, (_, size) in zip(given, ins, strict=True)])
+    yield table("result_bytes", [s.dtype.itemsize * size for s, (_, size) in zip(shapes, outs, strict=True)])

@@ -128,7 +128,7 @@ def as_rows(g, x, N) -> Rows | None:
         return Rows(x, N)
     if len(x) == 1 and N != 1:
         return Rows(x.reshape(x.shape[1:]), N)
-    if len(x) != N:
+    if len(x) != N or not N:
         return None
     return Rows(array_of([_row(g, column, N) for column in x.reshape(N, -1).T], x.shape[1:]), N)
 

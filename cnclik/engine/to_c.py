@@ -185,10 +185,11 @@ class Writer(RowTexts):
     def pick(self, n):
         """The cell of a number that each lane has for itself."""
         index, *cells = n.args
-        table, name = self.listed(cells), self.new()
+        which, name = f"{self.of(index)}[i]", self.new()
         self.names[n.number] = name
+        at = self.argument_at(cells, which) or f"{self.listed(cells)}[{which}]"
         self.line(f"{self.type(n)} {name};")
-        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {table}[{self.of(index)}[i]][i];")
+        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at}[i];")
 
     def take(self, n):
         """The entry of a row at a round that each lane has for itself."""

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import Recent
-from cnclik.engine.native import native
+from cnclik.engine.numbers import Numbers
 from cnclik.engine.tracing import checkpointed, is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
@@ -28,7 +28,6 @@ from cnclik.integrate.trajectory import Trajectory, assemble, instants
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, Reference, check
 from cnclik.record import cast, placed, replace
-from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import modelled
 
 SOON = 1 << 14  # evaluations of f, for each joint and each task coordinate, up to which XLA's answer comes sooner
@@ -115,13 +114,11 @@ def solve(
             raise errors.fail("t0", "be 0 where there is a drive", f"is {t0!r}")
         return solve_driven(law, reference, q0, Ts, N, method, stage, drive=drive)
     check_time("t0", t0, Ts, q0.dtype, N)
-    known = placed(modelled(law)), placed(reference), placed(stage)
-    concrete = None not in known and all(map(errors.concrete, (q0, Ts, t0)))
-    if concrete and np.all(answers_soon(N * evaluations_per_step(method, stage, law.chain.n), law)):
-        law, reference, stage = known
-        return _solve_soon(law, reference, q0, _scalar(Ts, q0.dtype), _scalar(t0, q0.dtype), stage, N=N, method=method)
-    run = _programs(_run, N=N, method=method)
-    return run(law, reference, q0, _number(Ts, q0.dtype), _number(t0, q0.dtype), stage)
+    known, given = (law, reference, stage, method), (q0, _number(Ts, q0), _number(t0, q0))
+    loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
+    count = N * evaluations_per_step(method, stage, law.chain.n)
+    soon = errors.concrete(count) and np.all(answers_soon(count, law))
+    return _computed(loop, known, given, _solve_soon if soon else None)
 
 
 def step(
@@ -147,35 +144,37 @@ def step(
     history = memory.checked(history, method, law)
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
-    t, Ts = _number(t, q.dtype), _number(Ts, q.dtype)
-    if all(map(errors.concrete, jax.tree.leaves((law, reference, stage, q, t, Ts, history)))):
-        return _step_soon(modelled(law), reference, q, t, Ts, stage, history, method=method)
-    return _programs(_one_step, method=method)(law, reference, q, t, Ts, stage, history)
+    known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q), history)
+    return _computed(_a_step, known, given, _step_soon)
 
 
-_made = Recent()
+def _computed(fn, known, given, soon):
+    """fn(*known, *given): of numbers as C; else by JAX, in the arrays that the joint values are.
+
+    Args:
+      fn: `Numbers`.
+      soon: how XLA compiles it with few passes, for numbers; None: by the engine's scalars.
+    """
+    if is_read():  # by the engine: the source as it is
+        return fn.source(known, given)
+    if (found := fn(known, given)) is not None:
+        return found
+    *records, method = known
+    there = [placed(modelled(r)) for r in records]
+    if soon and None not in there and all(map(errors.concrete, jax.tree.leaves(given))):
+        found = soon(*there, method, *given, **fn.static)
+    else:
+        found = fn.native(known, given)
+    return jax.tree.map(_as_numpy, found) if isinstance(given[0], np.ndarray) else found
 
 
-def _programs(fn, **static):
-    """fn with what is static told: as the engine runs it, or where it is the engine that traces, as it is."""
-    told = functools.partial(fn, **static)
-    return told if is_read() else _made.made((fn, *static.values()), lambda _: native(told))
+def _as_numpy(x):
+    return np.asarray(x) if errors.concrete(x) else x
 
 
-def _number(value, dtype):
-    """A known number in the run's dtype, whatever type it came in: one type, one compiled program."""
-    return dtype.type(value) if errors.concrete(value) else value
-
-
-def _scalar(value, dtype):
-    """The same as an array on JAX's device that is made once."""
-    return _scalar_in(float(value), dtype, jax.config.jax_enable_x64, jax.config.jax_default_device)
-
-
-@functools.lru_cache(maxsize=64)
-def _scalar_in(value, dtype, *_):
-    with jax.ensure_compile_time_eval():
-        return jax.device_put(dtype.type(value))
+def _number(value, q):
+    """A known number in the type of the joint values, whatever type it came in: one type, one compiled program."""
+    return q.dtype.type(value) if errors.concrete(value) else value
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
@@ -186,7 +185,10 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)
-    return as_joint_values(law.chain, q, name, finite=True), method
+    q = errors.array(name, q, (law.chain.n,))
+    if isinstance(q, np.ndarray) and q.dtype == np.float64 and not jax.config.jax_enable_x64:
+        q = q.astype(np.float32)
+    return q, method
 
 
 def check_time(name, t, Ts, dtype, N: int = 1) -> None:
@@ -215,7 +217,7 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def _run(law, reference, q0, Ts, t0, stage, *, N, method, end=False):
+def _run(law, reference, stage, method, q0, Ts, t0, *, N, end=False):
     check(reference, law.task)  # shapes only: once, while tracing
     dtype = q0.dtype
     law, reference = cast((modelled(law), reference), dtype)
@@ -246,14 +248,14 @@ def end(law, reference, q0, Ts, N, method, stage):
     Where `lanes` hands out `solve(...).e[-1]`, each step's e is stored on the way: a tenth of an explicit step.
     """
     zero = np.zeros((), q0.dtype)
-    q, _, e = _run(law, reference, q0, Ts, zero, stage, N=N, method=method, end=True)
+    q, _, e = _run(law, reference, stage, method, q0, Ts, zero, N=N, end=True)
     return q, e
 
 
-_solve_soon = quick_jit(_run, static_argnames=("N", "method"))
+_solve_soon, _loops = quick_jit(_run, static_argnames=("N", "method")), Recent()
 
 
-def _one_step(law, reference, q, t, Ts, stage, history, *, method):
+def _one_step(law, reference, stage, method, q, t, Ts, history):
     return step_and_least(law, reference, q, t, Ts, stage, history, method=method)[0]
 
 
@@ -274,4 +276,4 @@ def step_and_least(law, reference, q, t, Ts, stage, history, *, method):
     return jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), history)
 
 
-_step_soon = quick_jit(_one_step, static_argnames=("method",))
+_step_soon, _a_step = quick_jit(_one_step, static_argnames=("method",)), Numbers(_one_step, lets_go=False)

@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.constants import of_the_model
+from cnclik.engine.tracing import is_read
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
@@ -108,8 +109,9 @@ def motion(reference: Reference, task: Task, t):
         turned = 1.111 * rotation.ravel() if task.orientation else jnp.zeros(0, t.dtype)
         return jnp.concatenate([controlled(task, position, t.dtype), turned]).astype(t.dtype)
 
-    # A user's own function may do what can't be done to many instants at once.
-    found = jax.lax.map(coordinates, t) if isinstance(reference.curve, Path) else jax.vmap(coordinates)(t)
+    # A user's own function may do what can't be done to many instants at once; the engine keeps a loop as one.
+    in_turn = is_read() or isinstance(reference.curve, Path)
+    found = jax.lax.map(coordinates, t) if in_turn else jax.vmap(coordinates)(t)
     moved = safe_sqrt(jnp.sum((found[1:] - found[:-1]) ** 2, axis=1))
     if reference.feedforward is None:
         return moved

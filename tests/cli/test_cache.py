@@ -42,8 +42,8 @@ def test_the_second_process_compiles_nothing(tmp_path):
     (first, hits), traced = programs(begun), tracing(begun)
     (place,) = (tmp_path / "cnclik").iterdir()
     kept = {path: path.stat().st_mtime_ns for path in place.iterdir()}
-    # Most are kept whole, and small ones by JAX itself.
-    assert first >= len(kept) > 3 and hits < first / 2
+    # Most are kept whole, or as a library that they name, and small ones by JAX itself.
+    assert first >= sum(path.suffix != ".so" for path in kept) > 3 and hits < first / 2
     assert sum(re.fullmatch(r"[0-9a-f]{64}-cache", path.name) is not None for path in kept) >= 3
     assert stat.S_IMODE((tmp_path / "cnclik").stat().st_mode) == stat.S_IMODE(place.stat().st_mode) == 0o700
     said = run(tmp_path, *SOLVE)

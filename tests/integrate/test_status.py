@@ -90,7 +90,8 @@ def test_non_finite():
     assert grown.status[0] == S.GROWING | S.DIVERGED
     # A target that stops being a number.
     lost = ck.path(lambda t: (jnp.where(t > 0.15, jnp.nan, 0.5),))
-    made = ck.solve(ck.replace(law, alpha=1.0), lost, [0.0], 0.1, 4, "EE")
+    turned = ck.Law(ck.planar_arm([1.0]), ck.position("x"), alpha=1.0)
+    made = ck.solve(turned, lost, [1.2], 0.1, 4, "EE")
     np.testing.assert_array_equal(made.status, [0, 0, S.NON_FINITE, S.NON_FINITE | S.NEAR_SINGULAR])
 
 

@@ -51,7 +51,7 @@ def test_a_start_inside_the_tolerance():
 
 def test_a_loop_that_never_arrives_or_is_not_finite_is_infinite_never_small():
     law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0)
-    run = ck.solve(law, ck.hold([0.0, 5.0]), [0.2, 0.9], 0.1, 3)
+    run = ck.solve(law, ck.hold([0.0, 5.0]), jnp.array([0.2, 0.9]), 0.1, 3)
     broken = ck.replace(run, e=run.e.at[2].set(jnp.nan), q=run.q.at[2].set(jnp.nan), qdot=run.qdot.at[1].set(jnp.inf))
     names = ["mean_error", "rms_error", "max_error", "steps_to_tolerance", "settling_time", "max_qdot", "path_length"]
     m = measure_run(broken, law, ck.hold([0.0, 5.0]), [*names, "converged", "limit_distance"])

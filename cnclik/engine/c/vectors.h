@@ -118,5 +118,5 @@ static inline void store_four(char *p, int64_t stride, S32 a, S32 b, S32 c, S32 
 }
 #endif
 
-/* What is kept between the rounds of loops: T's at a place of the work memory. */
-#define AT(T, place) ((T *)(work + (place)))
+/* What is kept between the rounds of loops: T's at a place of the work memory, which is told for vectors of 64 bytes. */
+#define AT(T, place) ((T *)(work + (place) / 64 * BYTES))

@@ -1,0 +1,139 @@
+"""Numbers: a function called with numbers, as C without JAX around it: NumPy arrays in and out, in microseconds."""
+
+import contextlib
+import ctypes
+import functools
+
+import jax
+import numpy as np
+
+from cnclik.cache import KEPT_PROGRAMS, Recent
+from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.native import called, native
+from cnclik.engine.plan import in_c, wants_c
+from cnclik.engine.program import Program, key_of, lane_avals
+from cnclik.programs import name_of, recalled, remember
+
+MOST_BYTES = 1 << 20  # of results that lie in one block of memory
+Tracer = jax.core.Tracer
+
+
+class Numbers:
+    """A function of two tuples of trees, known and given, that is called with numbers.
+
+    What is known stays as it is from call to call, such as a law and a reference: it is told by identity, and taken
+    apart once. What is given is an array, then numbers of the array's type and trees of arrays.
+    """
+
+    def __init__(self, fn, *, lets_go, **static):
+        """fn(*known, *given, **static). lets_go: of Python's lock while it runs, if it takes longer than a step."""
+        self.fn, self.static, self.lets_go = fn, static, lets_go
+        self.native, self.ready, self.entries = native(self.source), {}, Recent()
+
+    def source(self, known, given):
+        """The function as it is."""
+        return self.fn(*known, *given, **self.static)
+
+    def __call__(self, known, given):
+        """Its results as a tree of NumPy arrays, which can't be written to, or of JAX's where those are given first.
+
+        None where it does not run as C.
+        """
+        if not wants_c():
+            return None
+        leaves, treedef = jax.tree.flatten(given)
+        about = [type(leaves[0])]
+        for x in leaves:
+            if isinstance(x, Tracer):
+                return None
+            about += x.shape, x.dtype
+        key = (*map(id, known), treedef, jax.config.jax_enable_x64, *about)
+        call = self.ready.get(key) or self._prepared(key, known, given)
+        return call and call(leaves)
+
+    def _prepared(self, key, known, given):
+        function, every = self.native.of(known, given)
+        if not in_c() or any(isinstance(x, Tracer) for x in every):
+            return None
+        avals, others = lane_avals(every, batched=False), len(jax.tree.leaves(given))
+        program, tree = self._program(function, avals, known, given)
+        if not isinstance(program, Program):
+            return None
+        first, given = every[: len(every) - others], every[len(every) - others :]
+        lasting = not any(isinstance(x, np.ndarray) and x.flags.writeable for x in first)
+        if isinstance(given[0], jax.Array):
+            first, none = jax.device_put(first), (False,) * len(every)
+
+            def call(leaves, known=known):  # what is known lives as long as its identity is told
+                return tree.unflatten(called(*first, *leaves, function=function, batched=none))
+
+        elif sum(s.size * s.dtype.itemsize for s in program.shapes) > MOST_BYTES:
+            return lambda leaves: tree.unflatten(map(_only, program([*first, *leaves], 1)))
+        else:
+            entry = self.entries.made(program, lambda _: _Entry(program, len(first), tree, self.lets_go))
+            call = functools.partial(entry, entry.filled(first), known)
+        if lasting:
+            if len(self.ready) >= KEPT_PROGRAMS:
+                self.ready.clear()
+            self.ready[key] = call
+        return call
+
+    def _program(self, function, avals, known, given):
+        """(the program, tree of its results): where programs are kept, the one that an earlier process made."""
+        made, trees, key = function.single, function.trees, key_of(avals)
+        name = name_of((self.fn, self.static), (known, given)) if made.known(avals) is None else None
+        if name and (found := recalled(name)):
+            with contextlib.suppress(UnsupportedError):  # its library is there no more
+                program = made.found[key] = Program.kept(avals, *found)
+                trees[key] = jax.tree.structure(found[1])
+                return program, trees[key]
+        program = made.of(avals)
+        if name and isinstance(program, Program):
+            remember(name, lambda: (program.path, trees[key].unflatten(program.shapes)))
+        return program, trees.get(key)
+
+
+def _only(several):
+    """The only one of a batch."""
+    several.setflags(write=False)
+    return several[0, ...]
+
+
+class _Entry:
+    """A program's entry for numbers, the first `count` arguments in a block of their own."""
+
+    def __init__(self, program, count, tree, lets_go):
+        self.program, self.count, self.unflatten = program, count, tree.unflatten
+        library = (ctypes.CDLL if lets_go else ctypes.PyDLL)(None, handle=program.library._handle)
+        self.run, self.run.argtypes = library.of_numbers, (ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
+        given = program.avals[count:]
+        self.first, self.block = _layout(program.avals[:count]), _layout([*given, *program.shapes])
+        self.takes, self.gives = self.block.names[: len(given)], self.block.names[len(given) :]
+        self.memory = ctypes.c_char * self.block.itemsize
+
+    def filled(self, leaves):
+        """(block of the first arguments, its address)"""
+        block = np.zeros((), self.first)
+        for name, x in zip(self.first.names or (), leaves, strict=True):
+            block[name] = x
+        return block, block.ctypes.data
+
+    def __call__(self, filled, known, leaves):
+        """The results for the other arguments. Args: known: what has to live as long as its identity is told."""
+        memory = self.memory()
+        block = np.ndarray((), self.block, memory)
+        for name, x in zip(self.takes, leaves, strict=True):
+            block[name] = x
+        if self.run(self.count, filled[1], memory):
+            raise MemoryError
+        block.setflags(write=False)
+        return self.unflatten([block[name] for name in self.gives])
+
+
+def _layout(avals):
+    """Arrays one after the other, each at a multiple of 8 bytes."""
+    formats = [(a.dtype, a.shape) for a in avals]
+    sizes = [-(-a.size * a.dtype.itemsize // 8) * 8 for a in avals]
+    offsets = [sum(sizes[:i]) for i in range(len(sizes))]
+    names = [str(i) for i in range(len(avals))]
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": sum(sizes)})
