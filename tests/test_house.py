@@ -1,6 +1,7 @@
 """The house: imports run one way, no room uses another's private names, modules stay short, each helper stands once."""
 
 import ast
+import functools
 import importlib
 import pathlib
 import re
@@ -64,6 +65,31 @@ def test_imports_run_one_way_and_touch_no_private_name():
             elif other != own and name.startswith("_") and name != "__version__":
                 wrong.append(f"{path}:{line} imports {other}.{name}")
     assert not wrong
+
+
+def test_names_are_imported_from_where_they_are_defined():
+    """Or from the front door of a room."""
+    wrong = []
+    for path in (*files(), *sorted(pathlib.Path(__file__).parent.rglob("*.py"))):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("cnclik."):
+                continue
+            source = PACKAGE.joinpath(*node.module.split(".")[1:]).with_suffix(".py")
+            known = defined(source) if source.exists() else {alias.name for alias in node.names}
+            wrong += [f"{path}:{node.lineno} {alias.name}" for alias in node.names if alias.name not in known]
+    assert not wrong
+
+
+@functools.cache
+def defined(path):
+    """Names that a file defines, or passes on in so many words (`import x as x`)."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) or (isinstance(node, ast.alias) and node.asname):
+            found.add(getattr(node, "asname", None) or node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+    return found
 
 
 def test_no_attribute_of_another_room_is_private():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import cnclik as ck
 from cnclik.integrate.status import Status
-from cnclik.problem.build import task_from
+from cnclik.problem.names import task_from
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)

@@ -22,8 +22,7 @@ import numpy as np
 from cnclik.bench.lines import Line
 from cnclik.bench.loops import ALPHA, ROBOTS, inputs, loop, tracking_loss
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import METHODS
-from cnclik.integrate.solve import evaluations_per_step
+from cnclik.integrate.method import METHODS, evaluations_per_step
 from cnclik.problem.names import STAGES
 from cnclik.threads import cores
 

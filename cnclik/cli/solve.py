@@ -122,7 +122,7 @@ def _march(made, report):
 
     from cnclik.integrate.pieces import in_pieces, joined, piece_of
 
-    if made.measured or made.pace is not None:
+    if not made.alone:
         return _whole(made, report)
     size = piece_of(made.method, made.N)
     report(0, made.N)

@@ -17,8 +17,7 @@ from cnclik.export.reach_trace import SEEDS, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import WHAT, Asked, trace
-from cnclik.integrate.method import DEFAULT, named
-from cnclik.integrate.solve import evaluations_of
+from cnclik.integrate.method import DEFAULT, evaluations_of, named
 from cnclik.integrate.stage import picard
 from cnclik.law.law import Law, check_loop
 from cnclik.record import brief

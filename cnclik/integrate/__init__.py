@@ -3,10 +3,11 @@
 The functions `solve` and `lanes` are offered by `cnclik` itself: here these names are the modules they live in.
 """
 
+from cnclik.integrate.advance import Step
 from cnclik.integrate.history import History
 from cnclik.integrate.method import CN, EE, HEUN, IE, METHODS, MIDPOINT, RK4, TRAPEZOID, Method, exponential
 from cnclik.integrate.multistep import Multistep
-from cnclik.integrate.solve import Step, step
+from cnclik.integrate.solve import step
 from cnclik.integrate.stage import chord, newton, picard
 from cnclik.integrate.status import Status, StepError, require_ok
 from cnclik.integrate.trajectory import Trajectory

@@ -324,3 +324,18 @@ def measured_joints(drive: Drive, q, k):
         steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)
         q = jnp.where(drive.resolution > 0, steps * jnp.round(q / steps), q)
     return q
+
+
+def white_noise(sigma, N: int, m: int, seed=0):
+    """(N, m) independent normal errors of a measurement, the same for the same seed.
+
+    Args:
+      sigma: standard deviation, a number or one per task coordinate (m,) [m, rad]; it may be traced, as may the seed.
+    """
+    sigma = errors.array("noise", sigma, (), (1,), (m,))
+    if errors.concrete(sigma) and (sigma < 0).any():
+        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
+    errors.seed(seed)
+    sigma = jnp.asarray(sigma)
+    key = jax.random.key(jnp.asarray(seed).astype(jnp.uint32))
+    return sigma * jax.random.normal(key, (N, m), sigma.dtype)

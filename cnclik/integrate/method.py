@@ -224,3 +224,29 @@ DEFAULT = METHODS["EXP-MIDPOINT"]  # no memory, no limit of z, and second order:
 def starter(method) -> Method:
     """The one-step method that the first steps of a multistep one are made with: RK4, or EXP-RK4."""
     return METHODS["EXP-RK4"] if method.exponential else RK4
+
+
+# --- what a step costs -------------------------------------------------------------------------------------
+
+
+def evaluations_per_step(method, stage, n: int) -> object:
+    """Evaluations of f(q, t) that one step of n joints costs; an array where the stage's M is one."""
+    if method.steps > 1:
+        return 1
+    explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
+    implicit = len(method.A) - explicit
+    start = 0 if method.A[0][0] == 0 else 1  # implicit stages start from the explicit Euler slope
+    return explicit + start + (implicit * stage.evaluations(n) if implicit else 0)
+
+
+def evaluations_of(method, stage, n: int, N: int) -> object:
+    """Evaluations of f(q, t) in N steps of n joints, those of the starting method among them."""
+    several = N * evaluations_per_step(method, stage, n)
+    if method.steps == 1:
+        return several
+    return several + early_steps(method, N) * (evaluations_per_step(starter(method), stage, n) - 1)
+
+
+def early_steps(method, N: int) -> int:
+    """How many of N steps the starting method makes."""
+    return min(method.steps - 1, N)

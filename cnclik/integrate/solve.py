@@ -1,7 +1,7 @@
-"""step and solve: the loop in time.
+"""step and solve: the loop in time, checked and compiled.
 
-`advance` is one step of the loop; `solve` scans it over N steps. Everything is pure with static shapes: jit, vmap, jvp
-and grad go through for alpha, Ts, targets, q0, geometry and damping.
+`advance` is one step of the loop, `loop.run` scans it over N steps. Everything is pure with static shapes: jit, vmap,
+jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
 """
 
 import functools
@@ -14,46 +14,24 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.engine.numbers import Numbers
-from cnclik.engine.tracing import checkpointed, is_read
+from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
-from cnclik.integrate.advance import Step, advance, advanced, summed
-from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.advance import Step, advanced
+from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.history import History
-from cnclik.integrate.method import DEFAULT, Method, Multistep, named, starter
-from cnclik.integrate.pace import Pace
+from cnclik.integrate.loop import loop_of, run
+from cnclik.integrate.method import DEFAULT, Method, evaluations_per_step, named
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.stage import picard
-from cnclik.integrate.status import growing
-from cnclik.integrate.trajectory import Trajectory, assemble, instants
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, Reference, check
-from cnclik.record import cast, placed, replace
-from cnclik.robot.model import modelled
+from cnclik.record import cast, placed
+from cnclik.robot.model import modelled, one_off
 
 SOON = 1 << 14  # evaluations of f, for each joint and each task coordinate, up to which XLA's answer comes sooner
-
-
-def evaluations_per_step(method, stage, n: int) -> object:
-    """Evaluations of f(q, t) that one step of n joints costs; an array where the stage's M is one."""
-    if method.steps > 1:
-        return 1
-    explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
-    implicit = len(method.A) - explicit
-    start = 0 if method.A[0][0] == 0 else 1  # implicit stages start from the explicit Euler slope
-    return explicit + start + (implicit * stage.evaluations(n) if implicit else 0)
-
-
-def evaluations_of(method, stage, n: int, N: int) -> object:
-    """Evaluations of f(q, t) in N steps of n joints, those of the starting method among them."""
-    several = N * evaluations_per_step(method, stage, n)
-    if method.steps == 1:
-        return several
-    return several + early_steps(method, N) * (evaluations_per_step(starter(method), stage, n) - 1)
-
-
-def early_steps(method, N: int) -> int:
-    """How many of N steps the starting method makes."""
-    return min(method.steps - 1, N)
 
 
 def answers_soon(evaluations, law) -> bool:
@@ -92,33 +70,50 @@ def solve(
         method begins with RK4 (EXP-RK4) steps.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
-      drive: what lies between command and motion, see `Drive`; None: nothing. The loop then begins at t = 0.
+      drive: what lies between command and motion, see `Drive`; None: nothing.
       pace: limits of velocity, acceleration and jerk that the loop keeps by going slower, see `Pace`; None: none.
 
     Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
+    return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, pace=pace)
+
+
+def simulate(
+    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, pace=None, noise=None, plant=None, gained=None
+) -> Trajectory:
+    """`solve` on a robot that is not as the law says: `q`, `e` and `qdot` are what truly happens.
+
+    The controller steps from the joint values that it looks at; what `Drive` says of them, and of the way from its
+    step to the motion, holds from rest at q0 on. No step is marked GROWING then: with noise an error grows and shrinks
+    by chance.
+
+    Args:
+      noise: (N, m) added to the measured error at each step [m, rad], or None.
+      plant: the chain as it really is, the law's being a model of it; None: the same.
+      gained: the law at time t, gained(law, t), where it changes; None: the same.
+    """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
-    N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
+    N, n = errors.integer("N", N, at_least=0, at_most=errors.MOST), law.chain.n
     errors.number("t0", t0)
-    if pace is not None:
-        from cnclik.integrate.paced import solve_paced  # which rests on this module
-
-        if drive is not None:
-            raise errors.fail("pace", "be left out where there is a drive", "is given")
-        return solve_paced(law, reference, q0, Ts, N, method, stage, t0=t0, pace=pace)
-    if drive is not None and not (check_drive(drive, law.chain.n).prompt and drive.exact):
-        from cnclik.integrate.measured import solve_driven  # which rests on this module
-
-        if not (errors.concrete(t0) and t0 == 0):
-            raise errors.fail("t0", "be 0 where there is a drive", f"is {t0!r}")
-        return solve_driven(law, reference, q0, Ts, N, method, stage, drive=drive)
     check_time("t0", t0, Ts, q0.dtype, N)
+    drive = None if drive is None or (check_drive(drive, n).prompt and drive.exact) else drive
+    pace = None if pace is None else check_pace(pace, n, law.chain)
+    if noise is not None:
+        noise = errors.array("noise", noise, (N, law.task.m))
     known, given = (law, reference, stage, method), (q0, _number(Ts, q0), _number(t0, q0))
-    loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
-    count = N * evaluations_per_step(method, stage, law.chain.n)
-    soon = errors.concrete(count) and np.all(answers_soon(count, law))
-    return _computed(loop, known, given, _solve_soon if soon else None)
+    if drive is pace is noise is plant is gained is None:
+        loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
+        count = N * evaluations_per_step(method, stage, n)
+        soon = errors.concrete(count) and np.all(answers_soon(count, law))
+        return _computed(loop, known, given, _solve_soon if soon else None)
+    check(reference, law.task)
+    model = None if drive is None else moving(drive, Ts)  # exactly, where Ts is known
+    more = {"drive": drive, "model": model, "noise": noise, "plant": plant, "pace": pace}
+    if gained is not None or is_read():
+        return _run(*known, *given, N=N, gained=gained, **more)
+    found = _once(*known, *given, N=N, **more)
+    return jax.tree.map(_as_numpy, found) if isinstance(q0, np.ndarray) else found
 
 
 def step(
@@ -217,29 +212,8 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def _run(law, reference, stage, method, q0, Ts, t0, *, N, end=False):
-    check(reference, law.task)  # shapes only: once, while tracing
-    dtype = q0.dtype
-    law, reference = cast((modelled(law), reference), dtype)
-    Ts, t0 = jnp.asarray(Ts, dtype), jnp.asarray(t0, dtype)
-
-    def one(starting, state, k):
-        q, past, lost = state
-        length = jnp.where(k < N, Ts, 0.0)
-        made = advance(law, reference, q, t0 + k * Ts, length, method, stage, past, starting=starting)
-        after = made.q
-        if lost is not None:
-            after, lost = summed(law, q, length * made.qdot, lost)
-        return (after, made.history, lost), replace(made, q=q, history=None)
-
-    k = jnp.arange(N + 1).astype(dtype)
-    lost = jnp.zeros_like(q0) if dtype == jnp.float32 else None
-    state = q0, memory.blank(law, q0, method), lost
-    found = instants(checkpointed(one), state, k, q0, law.task.m, early=early_steps(method, N))
-    if end:
-        return found[1]
-    run = assemble(t0 + k * Ts, found, evaluations_of(method, stage, law.chain.n, N))
-    return replace(run, status=run.status | growing(law.task, reference, run.t, run.e))
+def _run(law, reference, stage, method, q0, Ts, t0, *, N, end=False, **more):
+    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0, end=end)
 
 
 def end(law, reference, q0, Ts, N, method, stage):
@@ -252,7 +226,11 @@ def end(law, reference, q0, Ts, N, method, stage):
     return q, e
 
 
-_solve_soon, _loops = quick_jit(_run, static_argnames=("N", "method")), Recent()
+_solve_soon, _once, _loops = (
+    quick_jit(_run, static_argnames=("N", "method")),
+    one_off(_run, static_argnames=("N", "method")),
+    Recent(),
+)
 
 
 def _one_step(law, reference, stage, method, q, t, Ts, history):

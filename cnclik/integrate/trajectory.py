@@ -1,11 +1,8 @@
 """Trajectory: what a loop did, instant by instant; put together, cut short, joined."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors, markup
 from cnclik.integrate.status import count
@@ -95,37 +92,13 @@ def one_lane(run) -> None:
         raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
 
 
-def instants(one, start, k, q, m: int, *, early: int = 0):
-    """What a loop does at its N + 1 instants, k = 0 … N. Pure.
-
-    The step after the last is made for what the last instant is like: with a length of 0, for `one` to see to, it
-    changes nothing, and costs far less than a second way to look at an instant would cost to compile.
+def assemble(t, steps, path, last, evaluations) -> Trajectory:
+    """A trajectory at t (N + 1,) [s]. Pure.
 
     Args:
-      one: (starting, state, k) to the next state and a `Step` with q at its start; `starting` is
-        True for the first `early` steps, which a multistep method is begun with.
-      start: the state at first.
-      k: (N + 1,).
-      q, m: joint values (n,), for their type, and the number of task coordinates.
-    Returns: steps of N + 1, and (q, x, e) of the last alone: who asks for the end needs no history.
+      steps, path: `Step`s at all instants, and the time on a path that waits, or None.
+      last: (q, x, e) at the last instant.
     """
-
-    def both(carry, k):
-        state, made = one(False, carry[0], k)
-        return (state, (made.q, made.x, made.e)), made
-
-    none, empty = jnp.zeros_like(q), jnp.zeros(m, q.dtype)
-    if early:
-        start, begun = lax.scan(functools.partial(one, True), start, k[:early])
-    (_, last), steps = lax.scan(both, (start, (none, empty, empty)), k[early:])
-    if early:
-        steps = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, steps)
-    return steps, last
-
-
-def assemble(t, found, evaluations) -> Trajectory:
-    """A trajectory from what `instants` found at t (N + 1,) [s]. Pure."""
-    steps, last = found
     N = len(t) - 1
 
     def whole(name, end):
@@ -136,6 +109,7 @@ def assemble(t, found, evaluations) -> Trajectory:
         **{name: whole(name, end) for name, end in zip(("q", "x", "e"), last, strict=True)},
         **{name: getattr(steps, name)[:N] for name in STEPS},
         evaluations=jnp.asarray(evaluations),
+        path_time=path,
     )
 
 

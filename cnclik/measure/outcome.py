@@ -11,14 +11,12 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.integrate.drive import Drive, moving
-from cnclik.integrate.measured import state_at_rest, through
+from cnclik.integrate.drive import Drive
+from cnclik.integrate.loop import loop_of, one, start
 from cnclik.integrate.method import DEFAULT, Method, named
-from cnclik.integrate.solve import cast
 from cnclik.integrate.stage import picard
 from cnclik.integrate.status import Status
-from cnclik.record import record
-from cnclik.robot.model import modelled
+from cnclik.record import cast, record
 from cnclik.robot.rotations import safe_norm
 
 
@@ -108,19 +106,13 @@ def outcome(
       tolerance: fraction of `scale` that counts as arrived.
       scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
     """
-    method = named(method)
-    model = moving(drive, Ts) if model is None else model
-    law, reference, Ts, tolerance, drive, model = cast(
-        (modelled(law), reference, Ts, tolerance, drive, model), q0.dtype
-    )
-    Ts = jnp.asarray(Ts, q0.dtype)
+    loop = loop_of(law, reference, q0, Ts, N, named(method), stage, drive=drive, model=model)
+    tolerance = cast(tolerance, q0.dtype)
     tail, before = N - N // 4, N - 2 * (N // 4)
     given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
-    step = through(law, reference, Ts, stage, drive, model, method=method, N=N)
-
-    def one(seen, k):
-        state, made = step(False, seen.state, k)
+    def folded(seen, k):
+        state, made = one(loop, False, seen.state, k)
         size = safe_norm(made.e)
         first = jnp.where(jnp.isfinite(size), size, jnp.nan)  # what begins nowhere arrives nowhere
         scale = jnp.where(k == 0, first, seen.scale) if given is None else seen.scale
@@ -145,8 +137,8 @@ def outcome(
     # compile than it costs to run.
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
-    start = _Seen(
-        state=state_at_rest(law, reference, q0, drive, model, method=method),
+    first = _Seen(
+        state=start(loop, q0),
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,
@@ -156,7 +148,7 @@ def outcome(
         grown=never,
         singular_first=never,
     )
-    seen, _ = lax.scan(one, start, k)
+    seen, _ = lax.scan(folded, first, k)
     scale, largest = seen.scale, seen.largest
     # Through a drive an error swings, and a loop is on its way where its swings become smaller.
     least = seen.least_before if drive.prompt else seen.largest_before

@@ -13,8 +13,8 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import quick_jit
-from cnclik.integrate.method import CN, METHODS, Method, named
-from cnclik.integrate.solve import evaluations_of, solve
+from cnclik.integrate.method import CN, METHODS, Method, evaluations_of, named
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate

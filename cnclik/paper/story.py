@@ -11,7 +11,8 @@ import numpy as np
 from cnclik.measure.files import markdown
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
-from cnclik.paper.readings import ARMS, BESIDE, DEFAULT, EXPONENTIAL, NUDGE, PAPER, PASSES, TS, M, N
+from cnclik.paper.choices import DEFAULT
+from cnclik.paper.readings import ARMS, BESIDE, EXPONENTIAL, NUDGE, PAPER, PASSES, TS, M, N
 from cnclik.paper.tables import claim_table, method_table, own, picard_table, short
 from cnclik.paper.words import by_reading, joined, listed, paragraph, ranked, under
 

@@ -5,11 +5,10 @@ import dataclasses
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import solve_driven, white_noise
+from cnclik.integrate.drive import Drive, white_noise
 from cnclik.integrate.method import Method, named
 from cnclik.integrate.pace import Pace
-from cnclik.integrate.solve import solve
+from cnclik.integrate.solve import simulate
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
@@ -63,16 +62,13 @@ class Problem:
 
     def run(self) -> Trajectory:
         """The loop's run, as its robot has it: through its drives, or at its pace."""
-        measured = self.measured
-        return solve_driven(*self.loop, **measured) if measured else solve(*self.loop, pace=self.pace)
+        noise = None if self.noise is None else white_noise(self.noise, self.N, self.law.task.m, self.seed)
+        return simulate(*self.loop, drive=self.drive, pace=self.pace, noise=noise)
 
     @property
-    def measured(self) -> dict:
-        """`drive` and `noise` as `solve_measured` takes them; {} where the loop is `solve`'s own, paced or not."""
-        drive = self.drive or Drive()
-        if self.noise is None:
-            return {} if drive.prompt and drive.exact else {"drive": drive}
-        return {"drive": drive, "noise": white_noise(self.noise, self.N, self.law.task.m, self.seed)}
+    def alone(self) -> bool:
+        """Whether motion and measurement are what the law asks for: no drives, no noise, no pace."""
+        return self.noise is self.pace is None and (self.drive is None or (self.drive.prompt and self.drive.exact))
 
 
 def problem_from(robot, **options) -> Problem:

@@ -9,8 +9,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.solve import answers_soon, evaluations_per_step
+from cnclik.integrate.method import DEFAULT, evaluations_per_step
+from cnclik.integrate.solve import answers_soon
 from cnclik.integrate.stage import picard
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable

@@ -7,8 +7,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import DEFAULT, Method
-from cnclik.integrate.solve import evaluations_per_step
+from cnclik.integrate.method import DEFAULT, Method, evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.law.null import MaximizeManipulability
 from cnclik.precision import in_float64

@@ -6,8 +6,8 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.measured import solve_measured
 from cnclik.integrate.method import DEFAULT
+from cnclik.integrate.solve import simulate
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
 from cnclik.law.law import check_loop
@@ -42,7 +42,7 @@ def _responses(law, curve, q, Ts, stage, units, omega, drive, *, N, method):
     def one(unit, omega):
         probe = _Probe(unit=unit, omega=omega)
         target = shifted(ref.Reference(curve=curve), law.task, probe)
-        run = solve_measured(law, target, q, Ts, N, method, stage, drive=drive)
+        run = simulate(law, target, q, Ts, N, method, stage, drive=drive)
         wanted = probe.wanted(run.t)
         return wanted, wanted - (run.e / SIZE) @ unit
 

@@ -10,17 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.integrate.advance import advance
 from cnclik.integrate.history import blank
 from cnclik.integrate.method import DEFAULT, IE, Method
 from cnclik.integrate.remember import primed
-from cnclik.integrate.solve import advance, cast, solve
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import chord, picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import check_loop, evaluate
 from cnclik.law.null import without
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import cast, record, replace
 from cnclik.robot.kinematics import as_joint_values, pose
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.posture import arm_length

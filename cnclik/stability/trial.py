@@ -6,11 +6,10 @@ import jax
 import numpy as np
 
 from cnclik.integrate import stage as stages
-from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import solve_driven, white_noise
+from cnclik.integrate.drive import Drive, white_noise
 from cnclik.integrate.method import named
 from cnclik.integrate.pieces import in_pieces, joined, piece_of
-from cnclik.integrate.solve import solve
+from cnclik.integrate.solve import simulate
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
 from cnclik.law.reference import hold
@@ -129,15 +128,10 @@ class Trials:
     def _run(self, made, steps):
         """The run of so many steps: by the program that the given run used, where that is one of single steps."""
         how = made.law, made.reference, made.q0, self.Ts, steps, made.method, made.stage
-        whole = None
-        if made.noise is not None:
-            noise = white_noise(made.noise, steps, made.law.task.m)
-            whole = solve_driven(*how, drive=made.drive, noise=noise)
-        elif made.pace is not None:
-            whole = solve(*how, t0=self.case.t[0], pace=made.pace)
-        elif not (made.drive.prompt and made.drive.exact):
-            whole = solve(*how, drive=made.drive)
-        if whole is not None:
+        drive = None if made.drive.prompt and made.drive.exact else made.drive
+        if not (drive is made.pace is made.noise is None):
+            noise = None if made.noise is None else white_noise(made.noise, steps, made.law.task.m)
+            whole = simulate(*how, t0=self.case.t[0], drive=drive, pace=made.pace, noise=noise)
             return jax.tree.map(np.asarray, whole)
         own = self.case.steps
         size = piece_of(made.method, own if own >= SHORTEST and made.method.steps == 1 else steps)

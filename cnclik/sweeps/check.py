@@ -10,7 +10,7 @@ import pathlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.measured import white_noise
+from cnclik.integrate.drive import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
 from cnclik.sweeps import axes as axis_forms

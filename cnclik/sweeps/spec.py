@@ -24,9 +24,8 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import solve_measured
-from cnclik.integrate.method import named
-from cnclik.integrate.solve import answers_soon, evaluations_per_step, solve
+from cnclik.integrate.method import evaluations_per_step, named
+from cnclik.integrate.solve import answers_soon
 from cnclik.measure import metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
@@ -143,7 +142,7 @@ class Spec:
     def study(self, /, **values) -> metrics.Metrics:
         """One loop: its metrics. What the sweep batches."""
         made = self.build(**values)
-        return metrics.measure_run(_run(made), made.law, made.reference, self.metrics, tolerance=self.tolerance)
+        return metrics.measure_run(made.run(), made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
     def quick(self, program: dict) -> bool:
         """Whether a program is compiled with few passes, see `cnclik.lanes`."""
@@ -182,12 +181,6 @@ class Spec:
 def _evaluations(p) -> float:
     stage = dataclasses.replace(p.stage, M=getattr(p.stage, "maximum", p.stage.M))
     return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
-
-
-def _run(p):
-    """`Problem.run`, pure: part of the program of many lanes."""
-    measured = p.measured
-    return solve_measured(*p.loop, **measured) if measured else solve(*p.loop, pace=p.pace)
 
 
 def joints_of(known, look) -> int:

@@ -9,9 +9,9 @@ from cnclik.tuning.losses import LOSSES, View
 from cnclik.tuning.objective import Goal, judge, loop_objective
 from cnclik.tuning.page import page
 from cnclik.tuning.parameters import Parameter, parameter, scaled_links
-from cnclik.tuning.result import Performance, Tuned, gradient_in_words, plain, to_json
+from cnclik.tuning.result import Performance, Tuned, gradient_in_words, to_json
 from cnclik.tuning.tune import tune
 
 __all__ = ["LOSSES", "Calibrated", "Conditions", "Descent", "Goal", "Parameter", "Performance", "Tuned", "View"]
 __all__ += ["calibrate", "controller_lines", "end_responses", "gradient_in_words", "judge", "loop_objective", "page"]
-__all__ += ["parameter", "plain", "radius_field", "scaled_links", "to_json", "tune"]
+__all__ += ["parameter", "radius_field", "scaled_links", "to_json", "tune"]

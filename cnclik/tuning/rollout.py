@@ -1,10 +1,9 @@
 """Rollout: one run that a tuning looks at, with what is measured and the gain as a schedule has it."""
 
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.measured import solve_measured
-from cnclik.integrate.solve import cast, solve
+from cnclik.integrate.solve import simulate
 from cnclik.integrate.trajectory import Trajectory
-from cnclik.record import record, replace
+from cnclik.record import cast, record, replace
 from cnclik.tuning.parameters import Adjustable, scheduled
 
 
@@ -14,7 +13,7 @@ class Scenario:
 
     Attributes:
       reference, q0: as for `solve`.
-      noise, plant: as for `solve_measured`. seed: of the drive's joint noise.
+      noise, plant: as for `simulate`. seed: of the drive's joint noise.
     """
 
     reference: object
@@ -29,13 +28,9 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, driv
 
     Args:
       loop, scenario: what runs, and under which conditions.
-      N, method, stage: as for `solve`. drive: as for `solve_measured`.
+      N, method, stage: as for `solve`. drive: as for `simulate`.
       horizon: [s] over which a gain schedule is spread, N·Ts by default.
     """
-    asked = loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage
-    alone = drive.prompt and drive.exact and loop.schedule is None and scenario.noise is None and scenario.plant is None
-    if alone:
-        return solve(*asked)
     drive = drive if drive.exact else replace(drive, seed=scenario.seed)
     horizon = N * loop.Ts if horizon is None else horizon
     schedule = cast(loop.schedule, scenario.q0.dtype)
@@ -43,5 +38,6 @@ def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, driv
     def gained(law, t):
         return scheduled(replace(loop, law=law, schedule=schedule), t / horizon)
 
-    gained = None if loop.schedule is None else gained
-    return solve_measured(*asked, drive=drive, noise=scenario.noise, plant=scenario.plant, gained=gained)
+    asked = loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage
+    changes = {} if loop.schedule is None else {"gained": gained}
+    return simulate(*asked, drive=drive, noise=scenario.noise, plant=scenario.plant, **changes)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 import cnclik as ck
 from cnclik.bench import loops
-from cnclik.integrate.solve import evaluations_per_step
+from cnclik.integrate.method import evaluations_per_step
 
 LANES, STEPS, FEW = 16384, 50, 4096
 OF_GRADIENT = 20  # steps

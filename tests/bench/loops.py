@@ -20,7 +20,6 @@ import jax
 import numpy as np
 
 import cnclik as ck
-from cnclik.integrate.measured import solve_driven
 from cnclik.record import replace
 from tests.bench import document, loops_advice, loops_models, loops_mujoco, loops_page, loops_peers, loops_tools
 from tests.bench.loops_arms import POSTURES, SERVOS, Arm
@@ -142,7 +141,7 @@ def around(setup, drive, alpha) -> float:
     at = ck.pose(arm.chain, arm.q)
     law = replace(arm.law, alpha=alpha)
     path = ck.hold(np.asarray(at.position) + SHIFT[:3], loops_mujoco.rotation_of(SHIFT[3:]) @ np.asarray(at.rotation))
-    made = solve_driven(law, path, arm.q, setup.Ts, 8000, "EE", ck.picard(5), drive=drive)
+    made = ck.solve(law, path, arm.q, setup.Ts, 8000, "EE", ck.picard(5), drive=drive)
     return float(loops_mujoco.growth(np.asarray(made.e)[:, None])[0])
 
 

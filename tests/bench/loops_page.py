@@ -185,7 +185,7 @@ def checked(rows) -> str:
     return (
         f"- `recommend` itself in {len(rows)} of these cells: the three gains differ by at most "
         f"{100 * np.expm1(worst):.2g} % from those above, which ask the same functions at fewer gains.\n"
-        f"- cnclik's own nonlinear loop (`solve_driven`) through the same drives: the error falls at 0.95 and grows at "
+        f"- cnclik's own nonlinear loop (`solve`) through the same drives: the error falls at 0.95 and grows at "
         f"1.05 times the largest gain in {right} of {len(sides)} loops.\n"
     )
 

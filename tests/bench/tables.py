@@ -10,8 +10,7 @@ import sys
 import numpy as np
 import xarray
 
-from cnclik.integrate.method import METHODS
-from cnclik.integrate.solve import evaluations_per_step
+from cnclik.integrate.method import METHODS, evaluations_per_step
 from cnclik.integrate.stage import picard
 from cnclik.measure.files import markdown
 

@@ -234,7 +234,8 @@ def test_degrees_of_many_joints_are_said_once():
 
 
 def test_robots_as_they_are_are_not():
-    from cnclik.robot.urdf import chain, read_urdf
+    from cnclik.robot.tree import read_urdf
+    from cnclik.robot.urdf import chain
     from tests.oracles import robots
 
     files = [

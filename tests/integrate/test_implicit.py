@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 
 import cnclik as ck
-from cnclik.integrate.solve import evaluations_per_step
+from cnclik.integrate.method import evaluations_per_step
 from cnclik.law.law import evaluate
 from cnclik.robot.model import modelled
 

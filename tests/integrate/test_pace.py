@@ -332,6 +332,34 @@ def test_a_smooth_stream_shakes_a_fast_loop_least():
     assert shaken["spline"] < 0.5 * shaken["hold"] and shaken["spline"] < 0.5 * shaken["ramp"]
 
 
+# --- through drives -----------------------------------------------------------------------------------
+
+
+def test_a_paced_loop_through_drives_moves_as_it_was_commanded_later():
+    """A controller that looks at its own commands sends what it would send to an ideal robot."""
+    ideal = ck.solve(LAW, CIRCLE, Q0, TS, 80, "EE", pace=PACE)
+    late = ck.solve(LAW, CIRCLE, Q0, TS, 80, "EE", pace=PACE, drive=Drive(delay=3, feedback="commanded"))
+    close(late.q[3:], ideal.q[:-3], atol=1e-12)
+    close(late.path_time, ideal.path_time, atol=1e-12)
+    close(late.q[:4], np.tile(Q0, (4, 1)), atol=1e-15)
+
+
+@pytest.mark.parametrize("wait", [True, False])
+def test_a_paced_loop_that_sees_its_late_motion_commands_within_the_limits(wait):
+    pace, drive = ck.replace(PACE, velocity=1.0, wait=wait), Drive(delay=2, lag=0.02)
+    run = ck.solve(ck.replace(LAW, alpha=2.0), CIRCLE, Q0, TS, 400, "EE", pace=pace, drive=drive)
+    free = ck.solve(ck.replace(LAW, alpha=2.0), CIRCLE, Q0, TS, 400, "EE", drive=drive)
+    assert np.abs(free.qdot).max() > 1.05 * np.max(pace.velocity)  # which the pace is there for
+    assert np.abs(run.qdot).max() <= np.max(pace.velocity) * (1 + 1e-9)
+    assert (np.abs(np.diff(run.qdot, axis=0)) / TS).max() <= np.max(pace.acceleration) * (1 + 1e-6)
+    assert np.linalg.norm(run.e[-1]) < (0.05 if wait else 0.1)  # which cuts what it has no time for
+
+
+def test_an_ideal_drive_changes_nothing():
+    found, wanted = (ck.solve(LAW, CIRCLE, Q0, TS, 40, "AB2", pace=PACE, **d) for d in ({"drive": Drive()}, {}))
+    np.testing.assert_array_equal(found.q, wanted.q)
+
+
 # --- errors -------------------------------------------------------------------------------------------
 
 
@@ -345,10 +373,6 @@ def test_a_smooth_stream_shakes_a_fast_loop_least():
         (lambda: ck.Pace(acceleration=[]), "`acceleration` must be a number or one per joint, but is empty"),
         (lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=2.0), r"`pace` must be Pace\(...\), but is float"),
         (lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=ck.Pace(jerk=[1.0, 2.0])), r"`jerk` must have shape \(3,\)"),
-        (
-            lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=PACE, drive=Drive()),
-            "`pace` must be left out where there is a drive",
-        ),
         (lambda: ck.paced(PACE, None, Q0, TS), "`state` must be what `pace_at_rest`"),
         (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0[:2], TS), "`dq` must have 3 joints, as `state`, but has 2"),
         (lambda: ck.paced(PACE, ck.pace_at_rest(Q0), Q0, 0.0), "`Ts` must be positive"),

@@ -7,7 +7,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.status import count, names
-from cnclik.robot.chain import REVOLUTE, Joint, Offset, assemble
+from cnclik.robot.chain import REVOLUTE, Joint, assemble
+from cnclik.robot.fixed import Offset
 
 S = ck.Status
 Z = (0.0, 0.0, 1.0)

@@ -7,7 +7,8 @@ import numpy as np
 import cnclik as ck
 from cnclik.integrate.method import METHODS
 from cnclik.problem.names import task_from
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, assemble
+from cnclik.robot.fixed import Offset
 
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse,

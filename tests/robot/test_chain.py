@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.record import stack
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, assemble
+from cnclik.robot.fixed import Offset
 from cnclik.robot.posture import start_posture
 from tests.oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 

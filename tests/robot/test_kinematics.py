@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, Offset, assemble
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, assemble
+from cnclik.robot.fixed import Offset
 from tests.oracles import close, pinocchio_pose_and_jacobian, planar_jacobian, transform
 
 KINDS = ["R", "P", "RPRRPRR", "PRRPRRR", "RRRRRRR"]

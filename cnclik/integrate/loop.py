@@ -1,0 +1,224 @@
+"""Loop: a loop in time is a state and a step, which measures, advances, paces, and goes through the robot's drives.
+
+`solve` runs it and keeps what happened, `outcome` folds it, tuning differentiates it, sweeps run many. Without drive,
+noise and pace a step is the law's own, `advance`.
+
+What is measured of the task acts through one number per step: the error that is fed back is the measured one, w[k]
+away from what the law's own chain would say. A step holds w[k], as a controller does that measures once per sample.
+"""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from cnclik.engine.tracing import checkpointed
+from cnclik.integrate.advance import advance, summed
+from cnclik.integrate.drive import Drive, driven, measured_joints, moving, resting
+from cnclik.integrate.history import blank
+from cnclik.integrate.method import early_steps, evaluations_of
+from cnclik.integrate.pace import pace_at_rest, share
+from cnclik.integrate.status import Status, growing, too_fast
+from cnclik.integrate.trajectory import assemble
+from cnclik.law.corners import corners
+from cnclik.law.law import look
+from cnclik.law.reference import check
+from cnclik.law.shifted import shifted
+from cnclik.record import cast, replace
+from cnclik.robot.model import modelled
+from cnclik.robot.rotations import turn_from
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Loop:
+    """What is the same in all steps of a loop, of one dtype: made by `loop_of`."""
+
+    law: object
+    reference: object
+    method: object
+    stage: object
+    Ts: object
+    t0: object
+    N: int
+    drive: Drive  # what lies between command and motion
+    model: object  # it, as `moving` samples it
+    noise: object  # (N, m) added to the measured error, or None
+    plant: object  # the chain as it really is, or None
+    gained: object  # (law, t) to the law at time t, or None
+    pace: object  # limits that are kept by going slower, or None
+    waits: bool  # whether the path then waits for the robot
+    ahead: object  # the path's corners, where they are known, or None
+
+    @property
+    def measured(self) -> bool:
+        """Whether something lies between what the law asks for and what happens, or is seen."""
+        exact = self.noise is None and self.plant is None and self.drive.exact
+        return not (exact and self.drive.prompt)
+
+    @property
+    def late(self) -> int:
+        """Samples by which a measurement is late."""
+        return 0 if self.drive.feedback == "commanded" else self.drive.measurement_delay
+
+    @property
+    def truth(self):
+        """The law of what truly moves."""
+        return self.law if self.plant is None else replace(self.law, chain=self.plant)
+
+
+class State(NamedTuple):
+    """Where a loop is."""
+
+    q: object  # (n,) the robot's joint values
+    history: object  # of a multistep method
+    lost: object = None  # (n,) of q, by rounding, in float32
+    drives: object = None  # `Driven`
+    late: tuple = ()  # errors that were measured and have not arrived
+    path: object = None  # time on a path that waits
+    pacing: object = None
+
+
+def loop_of(
+    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None, plant=None, gained=None,
+    pace=None,
+) -> Loop:  # fmt: skip
+    """A loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
+
+    Args: as for `solve`, and as the attributes say; `model` where the drive was sampled before.
+    """
+    check(reference, law.task)
+    drive = drive or Drive()
+    model = moving(drive, Ts) if model is None else model
+    given = modelled(law), modelled(plant), reference, noise, drive, model, pace
+    law, plant, reference, noise, drive, model, pace = cast(given, q0.dtype)
+    Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
+    waits = pace is not None and (reference.known if pace.wait is None else pace.wait)
+    looks = waits and reference.known and N > 1 and not (pace.acceleration is None and pace.jerk is None)
+    ahead = corners(reference, law.task, t0 + jnp.arange(N + 1).astype(q0.dtype) * Ts) if looks else None
+    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained, pace, waits, ahead)
+
+
+def start(loop: Loop, q0, *, compensated=False) -> State:
+    """The state at rest at q0 (n,). Args: compensated: whether q adds up what a rounding takes, see `summed`."""
+    first = look(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
+    return State(
+        q0,
+        blank(loop.law, q0, loop.method),
+        lost=jnp.zeros_like(q0) if compensated else None,
+        drives=None if loop.model is None else resting(loop.drive, loop.model, q0),
+        late=(first,) * loop.late,
+        path=loop.t0 if loop.waits else None,
+        pacing=None if loop.pace is None else pace_at_rest(q0),
+    )
+
+
+def one(loop: Loop, starting, state: State, k):
+    """(state after step k, `Step` with q, x and e before it). Pure.
+
+    The step after the last, k = N, has a length of 0: it changes nothing, and says what the last instant is like.
+
+    Args: starting: whether a step of the starting method is made, which multistep methods are begun with.
+    """
+    law, Ts, q = loop.law, loop.Ts, state.q
+    t = state.path if loop.waits else loop.t0 + k * Ts
+    part = jnp.clip(state.pacing.share, jnp.finfo(q.dtype).eps ** (1 / 3), 1.0) if loop.waits else 1
+    length = jnp.where(k < loop.N, part * Ts, 0.0)
+    now = law if loop.gained is None else loop.gained(law, t)
+    seen, told, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
+    made = advance(now, told, seen, t, length, loop.method, loop.stage, state.history, starting=starting)
+    lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
+    moved = made.q if seen is q else q + (made.q - seen)
+    if loop.pace is not None:
+        made, pacing, path = _paced(loop, made, pacing, t)
+        length, moved = Ts, q + Ts * made.qdot
+    if drives is not None:
+        asked = made.q - seen if loop.pace is None else Ts * made.qdot
+        drives = driven(loop.drive, loop.model, drives, seen, asked, Ts)
+        moved = drives.x[:, 0]
+    elif lost is not None:
+        moved, lost = summed(law, q, length * made.qdot, lost)
+    after = State(moved, made.history, lost, drives, late, path, pacing)
+    if drives is not None or seen is not q:
+        made = replace(made, qdot=1 / Ts * (moved - q))
+    if at is not None:
+        made = replace(made, x=at.x(), e=at.e)
+    return after, replace(made, q=q, history=None)
+
+
+def _measured(loop, state, t, k):
+    """(joint values that the controller sees, its reference as it is then, what is true, errors still on their way)"""
+    law, reference, q = loop.law, loop.reference, state.q
+    at, commanded = look(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
+    seen = state.drives.sent if commanded else q if loop.drive.exact else measured_joints(loop.drive, q, k)
+    # A camera sees the tip where it is; of its own commands a controller knows what its model says.
+    found = at.e if seen is q else look(law if commanded else loop.truth, reference, t, seen).e
+    measured = (found, *state.late)[loop.late]
+    if loop.noise is not None:
+        measured = measured + loop.noise[k.astype(int)]
+    exact = loop.noise is None and loop.plant is None and not loop.late
+    if not exact:
+        believed = look(law, reference, t, seen).e
+        reference = shifted(reference, law.task, _between(law.task, measured, believed))
+    return seen, reference, at, (found, *state.late)[: loop.late]
+
+
+def _between(task, measured, model):
+    """What a target is to be moved by so that its error is the measured one, and not the model's (m,)."""
+    p = len(task.position)
+    if len(task.orientation) < 3:
+        return measured - model
+    return jnp.concatenate([measured[:p] - model[:p], turn_from(-measured[p:], -model[p:])])
+
+
+def _paced(loop, made, pacing, t):
+    """(the step within the limits, where the pace is, time on the path)
+
+    Where the path waits, a step of the method is made over the time that the last one took of it, share·Ts: methods
+    keep their order, and multistep methods a memory of even steps. Where it does not, steps are made over Ts and then
+    scaled, and a scaled step is the first of a new memory.
+    """
+    stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
+    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness)
+    status = made.status & ~int(Status.OVER_VELOCITY)
+    status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
+    status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
+    history = made.history
+    if history is not None:  # the past says nothing of what is beyond a corner
+        new = s < 1 if not loop.waits else loop.ahead is not None and stop <= s * loop.Ts
+        count = history.count if new is False else jnp.where(new, 0, history.count)
+        history = replace(history, count=count, Ts=s * loop.Ts if loop.waits else history.Ts)
+    made = replace(made, qdot=pacing.velocity, status=status, history=history)
+    return made, pacing, t + s * loop.Ts if loop.waits else None
+
+
+def run(loop: Loop, q0, *, end=False):
+    """The `Trajectory` of a loop from rest at q0 (n,). Pure. Args: end: (q, x, e) of the last instant alone."""
+    k, m = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task.m
+    single = q0.dtype == jnp.float32 and not loop.measured
+    state, early = start(loop, q0, compensated=single), early_steps(loop.method, loop.N)
+
+    def step(starting, state, k):
+        after, made = one(loop, starting, state, k)
+        return after, (made, state.path)
+
+    step = step if loop.measured else checkpointed(step)
+
+    def with_last(carry, k):
+        after, found = step(False, carry[0], k)
+        return (after, (found[0].q, found[0].x, found[0].e)), found
+
+    if early:
+        state, begun = jax.lax.scan(functools.partial(step, True), state, k[:early])
+    none, empty = jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
+    (_, last), found = jax.lax.scan(with_last, (state, (none, empty, empty)), k[early:])
+    if end:
+        return last
+    if early:
+        found = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, found)
+    cost = evaluations_of(loop.method, loop.stage, loop.law.chain.n, loop.N)
+    made = assemble(loop.t0 + k * loop.Ts, *found, last, cost)
+    if loop.measured:  # with noise an error grows and shrinks by chance
+        return made
+    return replace(made, status=made.status | growing(loop.law.task, loop.reference, made.target_time, made.e))
