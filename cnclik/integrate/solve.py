@@ -57,8 +57,8 @@ def solve(
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
-    It runs in the dtype of q0. The first call of a kind compiles its program, for seconds; other numbers, of any
-    Python or NumPy type, use the same one.
+    It runs in the dtype of q0, and its arrays are of q0's kind: NumPy's, which can't be written to, or JAX's. The first
+    call of a kind compiles its program, for a second; other numbers, of any Python or NumPy type, use the same one.
 
     Args:
       law: the right-hand side f(q, t), see `Law`.
@@ -128,7 +128,7 @@ def step(
 ) -> Step:
     """One step, for use inside a control loop of one's own: from q(t) to q(t + Ts).
 
-    Call it once before the loop begins: the first call compiles, for seconds. A multistep method compiles once more
+    Call it once before the loop begins: the first call compiles, for a second. A multistep method compiles once more
     with its second step, the first that has a history; it is `step(..., history=made.history)` from then on, and
     None starts it anew, with a step of RK4 (EXP-RK4).
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.law.curves import Path, interval
+from cnclik.law.curves import Hold, Path, interval
 from cnclik.law.reference import Reference, sample
 from cnclik.law.task import Task
 from cnclik.record import record
@@ -38,8 +38,13 @@ class Corners:
         return jnp.where(self.time[at] < t, jnp.inf, self.time[at] - t), self.sharpness[at]
 
 
-def corners(reference: Reference, task: Task, t) -> Corners:
-    """Corners of a path between the instants t (N + 1,), N > 1: jumps of the velocity that a controller is told."""
+def corners(reference: Reference, task: Task, t) -> Corners | None:
+    """Corners of a path between the instants t (N + 1,), N > 1: jumps of the velocity that a controller is told.
+
+    None of a target that stands still.
+    """
+    if isinstance(reference.curve, Hold):
+        return None
     reference, t = lax.stop_gradient((reference, t))
 
     def velocity(t):

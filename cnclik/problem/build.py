@@ -114,8 +114,6 @@ def problem_from(robot, **options) -> Problem:
         raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
     kept = {name: v[name] for name in PACE if v[name] is not None}
     drive = drive_from(chain, seed=seed, **said) if said else None
-    if kept and (v["noise"] is not None or (drive is not None and not (drive.prompt and drive.exact))):
-        raise errors.fail(next(iter(kept)), "be left out where there are drives or noise", "is given")
     reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
     if errors.one_of("begin", v["begin"], BEGINS) == "on-path":
         q0 = on_path(chain, task, reference, q0)

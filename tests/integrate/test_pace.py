@@ -246,6 +246,12 @@ def test_the_chains_own_velocities_are_the_default():
     assert ck.check_limits(run, ck.Pace(), chain=arm).ok
 
 
+def test_float32_does_not_stop_short():
+    law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0)
+    run = ck.solve(law, ck.hold([1.2, 0.9]), np.array([0.3, 1.2], np.float32), 0.001, 20_000, "EE", pace=PACE)
+    assert run.e.dtype == np.float32 and np.linalg.norm(run.e[-1]) < 1e-6  # where 41 µm would round to nothing
+
+
 def test_float32_and_lanes():
     run = ck.solve(LAW, CIRCLE, Q0.astype(np.float32), TS, 300, "EE", pace=PACE)
     assert run.q.dtype == run.path_time.dtype == np.float32 and marked(run, Status.OVER_ACCELERATION) == 0

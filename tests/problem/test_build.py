@@ -64,7 +64,6 @@ def test_a_pace_is_options_like_the_others():
     for options, told in (
         ({"max_jerk": -1.0}, "`max_jerk` must hold values that are positive, but holds -1"),
         ({"max_jerk": [1.0, 2.0]}, r"`max_jerk` must have shape \(7,\)"),
-        ({"max_jerk": 1.0, "delay": 2}, "`max_jerk` must be left out where there are drives"),
     ):
         with pytest.raises(ck.ArgumentError, match=told):
             p.problem_from("panda", **options)
