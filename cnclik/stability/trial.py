@@ -24,6 +24,7 @@ GONE = 0.25  # and below which a longer run has shrunk it
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
 INSIDE = 1e-6  # [rad, m] beyond a limit that is a rounding
+NUDGE = 1e-10  # [rad, m] of the start, to see whether a loop amplifies roundings
 HUGE = 1e300  # stands for what is not finite
 PLACES = ("center", "start", "end")  # what a shift moves of a path
 
@@ -136,6 +137,12 @@ class Trials:
         own = self.case.steps
         size = piece_of(made.method, own if own >= SHORTEST and made.method.steps == 1 else steps)
         return joined(in_pieces(*how, size=size, t0=self.case.t[0]), steps)
+
+    def repeats(self, N) -> bool:
+        """Whether a run of N steps is the loop's own: that of a chaotic one depends on roundings."""
+        beside = replace(self.given, q0=self.given.q0 + NUDGE)
+        ends = [truncate(run, N).q[-1] for run in (self.unchanged(whole_trial(N)), self._run(beside, whole_trial(N)))]
+        return bool(np.allclose(*ends, rtol=1e-3, atol=1e-3, equal_nan=True))
 
     def possible(self, remedy) -> bool:
         """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""

@@ -176,9 +176,10 @@ def _long_enough(case, trials, one):
             break
         N = one.change["N"]
         if one.mends == "error":
-            enough = trials.better(one)
+            enough = trials.better(one) and trials.repeats(N)
         else:
-            enough = _confirmed(_longer(case, trials, N), trials)[0] != Behaviour.UNDECIDED
+            kind = _confirmed(_longer(case, trials, N), trials)[0]
+            enough = kind in _UNSTABLE_KINDS or (kind != Behaviour.UNDECIDED and trials.repeats(N))
         if enough:
             return (one,), 0
         tried = N

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate.drive import Drive
 from cnclik.law.reference import sample
 from cnclik.problem.build import problem_from
 from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, trial, verdict
+from cnclik.stability.case import case_of
 from cnclik.stability.practice import practice
+from cnclik.stability.trial import Trials
 
 FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
 TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -470,6 +473,14 @@ def test_only_what_needs_a_remedy_is_run_again(monkeypatch):
     found = judge(slow, NEAR, 60)
     assert found.kind == Behaviour.CONVERGING and "N" in found.remedies[0].change
     assert set(asked) == {60} and (solving._solve_soon._cache_size(), len(solving._loops[60].entries)) == before
+
+
+@pytest.mark.parametrize(("target", "z", "own"), [([1.0, 0.9], 0.5, True), ([3.0, 0.0], 1.0, False)])
+def test_runs_of_a_chaotic_loop_depend_on_roundings(target, z, own):
+    law, path = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=z / Ts), ck.hold(target)
+    run = ck.solve(law, path, np.array([0.3, 0.9]), Ts, 20, "EE")
+    case = case_of(law, path, run, np.float64, Ts, ck.EE, ck.picard(5), Drive(), pace=None, noise=None)
+    assert Trials(case).repeats(200) is own
 
 
 def test_a_run_at_a_pace_is_judged_and_tried_at_its_pace():
