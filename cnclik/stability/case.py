@@ -135,7 +135,7 @@ class Case:
 
     @property
     def covered(self):
-        """How much of the path the run holds, in whole paths; 1 where there is no path, or all but a hundredth of it."""
+        """How much of the path the run holds, in whole paths; 1 where there is no path, or nearly all of it."""
         held = float(self.t[-1] - self.t[0]) / self.path if self.path else 1.0
         return 1.0 if 0.99 <= held < 1 else held
 
