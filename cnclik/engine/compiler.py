@@ -117,7 +117,8 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     Raises: CompilerError.
     """
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
-    flags = [*LANES, *[SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED), *(f"-I{path}" for path in include), *_own_flags()]
+    order = [SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED)
+    flags = [*LANES, *order, *(f"-I{path}" for path in include), *_own_flags()]
     line, folder = [*command(), *flags], pathlib.Path(folder)
     name = f"lanes-{_key(line, [text.encode()])}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -62,7 +62,8 @@ class Numbers:
         first, given = every[: len(every) - others], every[len(every) - others :]
         lasting = not any(isinstance(x, np.ndarray) and x.flags.writeable for x in first)
         if isinstance(given[0], jax.Array):
-            first, none = jax.device_put(first), (False,) * len(every)
+            with jax.ensure_compile_time_eval():  # what is kept is no part of a user's own program that is being traced
+                first, none = jax.device_put(first), (False,) * len(every)
 
             def call(leaves, known=known):  # what is known lives as long as its identity is told
                 return tree.unflatten(called(*first, *leaves, function=function, batched=none))

@@ -35,8 +35,8 @@ class Program:
         if not can_build():
             raise UnsupportedError("there is no C compiler")
         with to_be_read():
-            graph, given, outs, (shapes, _) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
-        text, _ = write(graph, given, outs, shapes)
+            graph, given, outs, (shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
+        text, self.operations = write(graph, given, outs, shapes)
         head = "#define XLA_HANDLER\n" + "#define BYTES MAIN\n" * single
         include = [jax.ffi.include_dir()]
 
