@@ -328,7 +328,7 @@ def test_a_program_tells_how_long_it_is():
 
 @pytest.mark.parametrize(("fn", "lists"), [(lambda x, i: x[i] + x[i // 2], 0), (lambda x, i: (2 * x)[i], 1)])
 def test_cells_that_many_pick_from_are_listed_once(fn, lists):
-    """A path through 30 points, looked up at a time of each lane's own, was 38,000 lines of C; an argument needs none."""
+    """A path through 30 points, looked up at a time of each lane's own, was 38,000 lines of C; arguments need none."""
     avals = [jax.ShapeDtypeStruct((60,), "float64"), jax.ShapeDtypeStruct((40,), "int64")]
     with to_be_read():
         text = write(*read(fn, *avals)[:3], [jax.ShapeDtypeStruct((40,), "float64")])[0]
