@@ -35,7 +35,7 @@ class Reaching(NamedTuple):
     scale: float  # of a target's position, in `tips`
     turns: tuple  # joints that may go round, without a limit
     center: tuple  # what a target can be too far from: the first joint's place, in the task's coordinates; or none
-    length: float  # of the stretched arm [m]
+    length: float  # of the stretched arm [m], and what rounding may add
 
 
 def trace_reach(asked: Asked, count: int) -> Reaching:
@@ -72,7 +72,7 @@ def trace_reach(asked: Asked, count: int) -> Reaching:
         tips=found.tips[:count, columns],
         scale=found.scale,
         center=tuple(float(chain.joints[0].origin.position[i]) for i in task.linear if all(rounds)),
-        length=float(arm_length(chain)),
+        length=(1 + least) * float(arm_length(chain)),
         turns=tuple(np.flatnonzero(np.array(chain.periodic) & np.isinf(chain.lower) & np.isinf(chain.upper)).tolist()),
     )
 

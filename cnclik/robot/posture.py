@@ -39,7 +39,7 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
     origin = chain.joints[0].origin.position
     away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
     size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # squares stay finite
-    rounding = 64 * float(np.finfo(points.dtype).eps)
+    rounding = 64 * float(np.finfo(away.dtype).eps)
     return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - (1 + rounding) * arm_length(chain)
 
 

@@ -174,6 +174,10 @@ def test_on_the_border_only_what_is_known_is_said(size):
                 assert np.isin(status[which], [right, ReachStatus.OUT_OF_BUDGET]).all(), (tolerance, jump)
             assert (status[~far & ~held] == ok).all() or tolerance < 1e-12 * size
             assert (status[far] == ReachStatus.OUT_OF_REACH).all()
+    made = ck.reach(
+        arm, where, tolerance=(1e-17 * size, 1e-6), **options
+    )  # what only a rounding may put beyond the arm
+    assert (beyond[made.status == ReachStatus.OUT_OF_REACH] > 1e-14 * size).all()
 
 
 @pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
