@@ -1,7 +1,7 @@
 """What `cnclik` offers and where it is, for editors, type checkers and the loader."""
 
 from . import (
-    bench as bench, diagnosis as diagnosis, export as export, measure as measure, paper as paper,
+    diagnosis as diagnosis, export as export, measure as measure, paper as paper,
     problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )

@@ -148,7 +148,7 @@ def read_aloud(page, folder, less):
             argv += ["--html", "view.html"]
         if argv[0] in ELSEWHERE or any(word.isupper() and word.isalpha() for word in argv[:2]) or argv in done:
             continue
-        if less and (set(argv) & set(HEAVY) or argv[0] == "bench"):  # tests/cli/test_cli_bench.py has its forms
+        if less and set(argv) & set(HEAVY):
             continue
         done.append(argv)
         try:

@@ -20,7 +20,6 @@ GROUND = (
 BASE = ("engine", "robot", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (
     *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),
-    "bench",
 )
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
 MOST_LINES = 400

@@ -27,7 +27,6 @@ VERBS = {
     "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
     "view": "a robot and its loop in a browser, with sliders; or a finished run, played; or one page that moves",
     "export": "the step as C for a controller: header, source, test vectors, README",
-    "bench": "evaluations per second, compile time, memory and cost of gradients on this machine",
 }
 
 

@@ -16,9 +16,9 @@ import sys
 import tempfile
 import time
 
-from cnclik.bench import timing as bench
-from cnclik.bench.lines import Line
 from tests.bench import document, peers
+from tests.bench import timing as bench
+from tests.bench.lines import Line
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "speed"
 

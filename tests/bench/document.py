@@ -1,7 +1,7 @@
 """Tables of docs/speed.md and how-measured.md from the files that were measured: `python -m tests.bench.document`.
 
 The pages' text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
-results/speed/peers.json (`python -m tests.bench`), table.json (`cnclik bench --json`) and first.json
+results/speed/peers.json (`python -m tests.bench`), table.json (`python -m tests.bench.speed --json`) and first.json
 (`python -m tests.bench.first --json`).
 """
 
@@ -28,8 +28,8 @@ def machine() -> dict:
     import jax
     import jaxlib
 
-    from cnclik.bench import timing as bench
     from cnclik.threads import cores
+    from tests.bench import timing as bench
 
     return {
         "processor": bench.processor(),

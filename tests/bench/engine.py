@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 
 import cnclik as ck
-from cnclik.bench import loops
 from cnclik.integrate.method import evaluations_per_step
+from tests.bench import cases
 
 LANES, STEPS, FEW = 16384, 50, 4096
 OF_GRADIENT = 20  # steps
@@ -32,14 +32,14 @@ def seconds() -> float:
 
 def case(**changes):
     """The Panda's pose loop, damped least squares, with some of its law changed."""
-    made = loops.ROBOTS["panda"]()
+    made = cases.ROBOTS["panda"]()
     return made._replace(law=dataclasses.replace(made.law, **changes))
 
 
 @functools.cache
 def given(dtype="float32", lanes=LANES):
     """Starts and targets."""
-    return tuple(loops.inputs(case(), lanes, dtype).values())
+    return tuple(cases.inputs(case(), lanes, dtype).values())
 
 
 def end(name, method="EE", stage=None, dtype="float32", of=case):
@@ -47,7 +47,7 @@ def end(name, method="EE", stage=None, dtype="float32", of=case):
     stage = stage or ck.picard(5)
 
     def make():
-        return functools.partial(ck.lanes(loops.loop(of(), STEPS, ck.METHODS[method], stage), cores=1), *given(dtype))
+        return functools.partial(ck.lanes(cases.loop(of(), STEPS, ck.METHODS[method], stage), cores=1), *given(dtype))
 
     return name, make, LANES * STEPS * evaluations_per_step(ck.METHODS[method], stage, 7), dtype
 
@@ -60,21 +60,21 @@ def solved(what, **options):
     """What of a run, as a function of one lane."""
 
     def one(q0, position, rotation):
-        return what(ck.solve(case().law, ck.hold(position, rotation), q0, loops.TS, STEPS, "EE", **options))
+        return what(ck.solve(case().law, ck.hold(position, rotation), q0, cases.TS, STEPS, "EE", **options))
 
     return one
 
 
 def loss(alpha, *lane):
-    return loops.tracking_loss(case(), OF_GRADIENT, ck.EE, ck.picard(5))(alpha, *lane)
+    return cases.tracking_loss(case(), OF_GRADIENT, ck.EE, ck.picard(5))(alpha, *lane)
 
 
 def value(*lane):
-    return loss(jnp.float32(loops.ALPHA), *lane)
+    return loss(jnp.float32(cases.ALPHA), *lane)
 
 
 def forward(*lane):
-    return jax.jvp(lambda a: loss(a, *lane), (jnp.float32(loops.ALPHA),), (jnp.float32(1),))
+    return jax.jvp(lambda a: loss(a, *lane), (jnp.float32(cases.ALPHA),), (jnp.float32(1),))
 
 
 def by_lanes(fn):
@@ -98,7 +98,7 @@ def pinocchio(dtype="float64"):
         from tests.bench.pinocchio_cpp import PinocchioCpp
 
         solver, some = PinocchioCpp(*panda(), dtype), given(dtype, 1024)
-        return lambda: solver.run(*some, alpha=loops.ALPHA, damping=loops.DAMPING, Ts=loops.TS, N=STEPS, M=None)
+        return lambda: solver.run(*some, alpha=cases.ALPHA, damping=cases.DAMPING, Ts=cases.TS, N=STEPS, M=None)
 
     return f"Pinocchio C++, {dtype}", make, 1024 * STEPS, dtype
 

@@ -19,11 +19,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.bench import export, loops
 from cnclik.measure.files import markdown
 from cnclik.show import style
 from cnclik.show.output import draw
-from tests.bench import document, peers
+from tests.bench import cases, document, peers
+from tests.bench import export_lines as export
 from tests.bench.pinocchio_cpp import PinocchioCpp
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "export"
@@ -35,7 +35,7 @@ def pinocchio(dtype):
     """(seconds of a step in a row, seconds of a whole batch of BATCH) by Pinocchio C++."""
     solver = PinocchioCpp(*peers.panda(), dtype)
     given = peers.given(dtype)
-    settings = dict(alpha=loops.ALPHA, Ts=loops.TS, damping=loops.DAMPING, M=None)
+    settings = dict(alpha=cases.ALPHA, Ts=cases.TS, damping=cases.DAMPING, M=None)
 
     def step(count=4000):
         return export.seconds(lambda: solver.run(*(v[:1] for v in given), N=count, **settings)) / count
@@ -70,7 +70,7 @@ def histogram(calls):
 
 def on_arm(folder) -> dict:
     """Bytes of code, constants and stack on a Cortex-M7, and whether ARM gives the same numbers (under qemu)."""
-    law, found = loops.ROBOTS["panda"]().law, {}
+    law, found = cases.ROBOTS["panda"]().law, {}
     for runtime, name in ((None, "all parameters at run time"), ((), "all compiled in")):
         at = ck.export.c(
             law, out=folder / f"arm{runtime is None}", method="EE", dtype="float", runtime=runtime, batch=True

@@ -15,8 +15,8 @@ import sys
 import tempfile
 import time
 
-from cnclik.bench.cold import arm, environment
 from cnclik.measure.files import markdown
+from tests.bench.cold import arm, environment
 
 _PINK = """
 import sys, numpy as np, pinocchio as pin, pink

@@ -20,9 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
-from cnclik.bench import loops
-from cnclik.bench import timing as bench
-from tests.bench import textbook
+from tests.bench import cases, textbook
+from tests.bench import timing as bench
 from tests.bench.pinocchio_cpp import PinocchioCpp
 
 FLAGS = {
@@ -33,7 +32,7 @@ BATCH, STEPS = 65536, 50
 CHECKED = 256  # lanes that are compared after all steps
 TOLERANCE = {"float64": 1e-12, "float32": 1e-6}
 ROUNDS = 7
-SETTINGS = dict(alpha=loops.ALPHA, Ts=loops.TS)
+SETTINGS = dict(alpha=cases.ALPHA, Ts=cases.TS)
 
 
 class Contender(NamedTuple):
@@ -75,7 +74,7 @@ def panda():
 @functools.cache
 def given(dtype):
     """Starts and targets; those of float32 are rounded."""
-    return tuple(loops.inputs(loops.ROBOTS["panda"](), BATCH, dtype).values())
+    return tuple(cases.inputs(cases.ROBOTS["panda"](), BATCH, dtype).values())
 
 
 def passes(task):
@@ -87,13 +86,13 @@ def passes(task):
 
 def ours(task, dtype, inverse="damped"):
     """cnclik through `lanes`, reduced to final q and error."""
-    case = loops.ROBOTS["panda"]()
+    case = cases.ROBOTS["panda"]()
     if inverse == "pseudoinverse":
         case = case._replace(law=ck.replace(case.law, inverse=ck.pseudoinverse()))
 
     @functools.cache
     def batched(N):
-        return ck.lanes(loops.loop(case, N, ck.METHODS[task], ck.picard(5)), cores=1)
+        return ck.lanes(cases.loop(case, N, ck.METHODS[task], ck.picard(5)), cores=1)
 
     def run(lanes, N):
         return jax.block_until_ready(batched(N)(*(a[:lanes] for a in given(dtype))))
@@ -106,7 +105,7 @@ def pinocchio_cpp(task, dtype):
 
     def run(lanes, N):
         arrays = (a[:lanes] for a in given(dtype))
-        return solver.run(*arrays, damping=loops.DAMPING, N=N, M=passes(task), **SETTINGS)
+        return solver.run(*arrays, damping=cases.DAMPING, N=N, M=passes(task), **SETTINGS)
 
     return Contender("Pinocchio C++", task, run, lanes=8192)
 
@@ -120,7 +119,7 @@ def pinocchio_python(task):
     for i, origin in enumerate(origins):
         model.addJoint(i, pin.JointModelRZ(), pin.SE3(origin), f"q{i + 1}")
     model.addFrame(pin.Frame("tip", len(origins), 0, pin.SE3(tip), pin.FrameType.OP_FRAME))
-    data, frame, shift = model.createData(), model.getFrameId("tip"), loops.DAMPING**2 * np.eye(6)
+    data, frame, shift = model.createData(), model.getFrameId("tip"), cases.DAMPING**2 * np.eye(6)
 
     def error(position, rotation):
         at = data.oMf[frame]
@@ -130,14 +129,14 @@ def pinocchio_python(task):
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacement(model, data, frame)
         j = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        return j.T @ np.linalg.solve(j @ j.T + shift, loops.ALPHA * error(position, rotation))
+        return j.T @ np.linalg.solve(j @ j.T + shift, cases.ALPHA * error(position, rotation))
 
     def one(q, position, rotation, N):
         for _ in range(N):
             first = slope = field(q, position, rotation)
             for _ in range(passes(task) or 0):
-                slope = field(q + loops.TS * slope, position, rotation)
-            q = q + loops.TS * 0.5 * (first + slope)
+                slope = field(q + cases.TS * slope, position, rotation)
+            q = q + cases.TS * 0.5 * (first + slope)
         pin.forwardKinematics(model, data, q)
         pin.updateFramePlacement(model, data, frame)
         return q, np.linalg.norm(error(position, rotation))
@@ -152,7 +151,7 @@ def pinocchio_python(task):
 def textbook_jax(task, dtype, inverse="damped"):
     """4×4 matrices under vmap."""
     law = {"damped": textbook.damped, "pseudoinverse": textbook.pseudoinverse}[inverse]
-    made = textbook.loop(textbook.panda(*panda()), law, damping=loops.DAMPING, M=passes(task), **SETTINGS)
+    made = textbook.loop(textbook.panda(*panda()), law, damping=cases.DAMPING, M=passes(task), **SETTINGS)
     name = "textbook JAX, " + {"damped": "cho_solve", "pseudoinverse": "pinv"}[inverse]
     return Contender(name, task, _over(made, dtype), N=2, inverse=inverse)
 
@@ -168,7 +167,7 @@ def frax(task, dtype):
         j, pose = robot.velocity_control_matrices(q)
         return pose, j
 
-    made = textbook.loop(at, textbook.damped, damping=loops.DAMPING, M=passes(task), **SETTINGS)
+    made = textbook.loop(at, textbook.damped, damping=cases.DAMPING, M=passes(task), **SETTINGS)
     return Contender("frax 0.1.0", task, _over(made, dtype), N=2)
 
 
@@ -206,7 +205,7 @@ def difference(contender, dtype) -> float:
     lanes = np.unique(np.r_[: CHECKED // 2, size - CHECKED // 2 : size] % size)
     arrays = tuple(np.asarray(a[:size][lanes], float) for a in given(dtype))
     if contender.inverse == "damped":
-        settings = dict(damping=loops.DAMPING, N=STEPS, M=passes(contender.task), **SETTINGS)
+        settings = dict(damping=cases.DAMPING, N=STEPS, M=passes(contender.task), **SETTINGS)
         wanted = PinocchioCpp(*panda(), "float64").run(*arrays, **settings)
     else:
         wanted = with_pinv(*arrays)
@@ -236,7 +235,7 @@ def with_pinv(q, position, rotation):
 
     for _ in range(STEPS):
         e, j = at(q)
-        q = q + loops.TS * loops.ALPHA * np.einsum("bij,bj->bi", np.linalg.pinv(j), e)
+        q = q + cases.TS * cases.ALPHA * np.einsum("bij,bj->bi", np.linalg.pinv(j), e)
     return q, np.linalg.norm(at(q)[0], axis=1)
 
 
@@ -247,16 +246,16 @@ def single(dtype, seconds=0.2) -> dict:
 
 @functools.cache
 def _single(dtype):
-    case = loops.ROBOTS["panda"]()
+    case = cases.ROBOTS["panda"]()
     few = tuple(a[:1] for a in given(dtype))
     q0, position, rotation = (jnp.asarray(a[0]) for a in few)
     reference, solver = ck.hold(position, rotation), PinocchioCpp(*panda(), dtype)
 
     def solve(N=STEPS):
-        return jax.block_until_ready(ck.solve(case.law, reference, q0, loops.TS, N))
+        return jax.block_until_ready(ck.solve(case.law, reference, q0, cases.TS, N))
 
     def cpp():
-        return solver.run(*few, damping=loops.DAMPING, N=STEPS, M=None, **SETTINGS)
+        return solver.run(*few, damping=cases.DAMPING, N=STEPS, M=None, **SETTINGS)
 
     found = float(np.abs(np.asarray(solve().q[-1]) - cpp()[0][0]).max())
     if not found <= TOLERANCE[dtype]:

@@ -27,11 +27,10 @@ import numpy as np
 import pinocchio
 
 import cnclik as ck
-from cnclik.bench.cold import environment
-from cnclik.bench.timing import processor
 from cnclik.reaching.result import count as counts
 from cnclik.robot.posture import start_posture
 from tests.bench import reach_more, reach_page
+from tests.bench.cold import environment
 from tests.bench.reach_peers import (
     CNCLIK,
     ROBOTS,
@@ -44,6 +43,7 @@ from tests.bench.reach_peers import (
     toolbox,
     warm,
 )
+from tests.bench.timing import processor
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "reach"
 TARGETS, PEERS, ROUNDS = 10_000, 2000, 7

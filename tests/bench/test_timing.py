@@ -1,13 +1,13 @@
-"""cnclik.bench.timing: the loops it times are `solve`'s, and its numbers are counted right."""
+"""tests.bench.timing: the loops it times are `solve`'s, and its numbers are counted right."""
 
 import jax
 import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.bench import loops
-from cnclik.bench import timing as bench
-from cnclik.bench.lines import Line
+from tests.bench import cases
+from tests.bench import timing as bench
+from tests.bench.lines import Line
 
 
 @pytest.mark.parametrize(
@@ -15,21 +15,21 @@ from cnclik.bench.lines import Line
     [("planar2", ck.TRAPEZOID, ck.chord(2)), pytest.param("ur5", ck.EE, ck.picard(5), marks=pytest.mark.slow)],
 )
 def test_final_is_the_end_of_solve(robot, method, stage):
-    case = loops.ROBOTS[robot]()
-    q0, *target = (values[1] for values in loops.inputs(case, 2, "float64").values())
+    case = cases.ROBOTS[robot]()
+    q0, *target = (values[1] for values in cases.inputs(case, 2, "float64").values())
     reference = ck.hold(*target)
-    whole = ck.solve(case.law, reference, q0, loops.TS, 3, method, stage)
-    q, error = jax.jit(loops.loop(case, 3, method, stage))(q0, *target)
+    whole = ck.solve(case.law, reference, q0, cases.TS, 3, method, stage)
+    q, error = jax.jit(cases.loop(case, 3, method, stage))(q0, *target)
     np.testing.assert_allclose(q, whole.q[-1], rtol=0, atol=1e-13)
     np.testing.assert_allclose(error, np.linalg.norm(whole.e[-1]), rtol=0, atol=1e-13)
-    loss = loops.tracking_loss(case, 3, method, stage)(np.asarray(loops.ALPHA), q0, *target)
+    loss = cases.tracking_loss(case, 3, method, stage)(np.asarray(cases.ALPHA), q0, *target)
     np.testing.assert_allclose(loss, np.mean(np.linalg.norm(whole.e, axis=1) ** 2), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("robot", ["planar5", "ur5", pytest.param("chain30", marks=pytest.mark.slow)])
 def test_targets_can_be_reached_and_starts_differ(robot):
-    case = loops.ROBOTS[robot]()
-    given = loops.inputs(case, 5000, "float32")
+    case = cases.ROBOTS[robot]()
+    given = cases.inputs(case, 5000, "float32")
     assert {a.dtype for a in given.values()} == {np.dtype("float32")}
     assert len(np.unique(given["q0"], axis=0)) == 5000
     assert len(np.unique(given["position"], axis=0)) == 4096

@@ -188,14 +188,12 @@ print([name for name in ("jax", "numpy", "yourdfpy") if name in sys.modules], "T
 
 def test_words_are_those_that_are_built():
     """The command line's names are read without the functions behind them."""
-    from cnclik.bench import lines, loops
     from cnclik.integrate.method import METHODS
     from cnclik.problem import names, reference, words
 
     for table in ("ROBOTS", "TASKS", "INVERSES", "LIMITS", "STAGES"):
         assert tuple(getattr(names, table)) == tuple(getattr(words, table))
     assert tuple(METHODS) == words.METHODS and tuple(reference.REFERENCES) == tuple(words.REFERENCES)
-    assert tuple(loops.ROBOTS) == lines.ROBOTS
 
 
 def test_names_may_be_asked_for_first_inside_a_program():

@@ -31,8 +31,8 @@ def run(args):
         time.sleep(SLEEP)
         folder.write_text("one.txt", "1")
 
-sys.modules["cnclik.cli.bench"] = types.SimpleNamespace(Args=Args, run=run)
-cli.main(["bench", "--out", sys.argv[1]])
+sys.modules["cnclik.cli.plot"] = types.SimpleNamespace(Args=Args, run=run)
+cli.main(["plot", "--out", sys.argv[1]])
 """
 
 

@@ -209,8 +209,6 @@ def _until_traced():
             mock.patch("cnclik.show.output.draw", reached),
             mock.patch("cnclik.show.viewer.need.server", reached),
             mock.patch("cnclik.sweeps.program.fit", reached),
-            mock.patch("cnclik.bench.timing.measure_apart", reached),
-            mock.patch("cnclik.bench.cold.measure", reached),
         ):
             yield
     finally:

@@ -15,7 +15,6 @@ import time
 import jax
 import numpy as np
 
-from cnclik.bench import loops
 from cnclik.engine.compiler import build, opened
 from cnclik.export.library import load
 from cnclik.export.write import c
@@ -25,6 +24,7 @@ from cnclik.integrate.solve import step as jax_step
 from cnclik.integrate.stage import picard
 from cnclik.law.reference import hold
 from cnclik.record import placed
+from tests.bench import cases
 
 CALLS = 1_000_000
 ROUNDS = 7
@@ -83,17 +83,17 @@ class Native:
 
     def __init__(self, folder, dtype, *, fixed=False):
         """fixed: the target is held still, and nothing else but it may be set."""
-        case = loops.ROBOTS["panda"]()
+        case = cases.ROBOTS["panda"]()
         self.dtype, self.law = np.dtype(dtype), case.law
-        self.given = [np.asarray(v[0]) for v in loops.inputs(case, 1, self.dtype).values()]
+        self.given = [np.asarray(v[0]) for v in cases.inputs(case, 1, self.dtype).values()]
         begun = time.perf_counter()
         options = dict(reference=hold(*self.given[1:]), runtime=("position", "rotation")) if fixed else {}
         c(case.law, out=folder, method=EE, dtype=self.dtype, **options)
         self.exported_s = time.perf_counter() - begun
         self.step = load(folder)
         self.built_s = time.perf_counter() - begun - self.exported_s
-        told = (*self.given[1:], np.zeros(6, self.dtype), loops.TS)
-        self.call = functools.partial(self.step, self.given[0], *((0.0, loops.TS) if fixed else told))
+        told = (*self.given[1:], np.zeros(6, self.dtype), cases.TS)
+        self.call = functools.partial(self.step, self.given[0], *((0.0, cases.TS) if fixed else told))
         self.call()
         source = pathlib.Path(folder) / "harness.c"
         source.write_text(_HARNESS, encoding="utf-8")
@@ -126,7 +126,7 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
         law, reference, stage = placed(native.law), placed(hold(position, rotation)), picard(5)
 
         def by_jax():
-            return jax_step(law, reference, q, 0.0, loops.TS, EE, stage).q.block_until_ready()
+            return jax_step(law, reference, q, 0.0, cases.TS, EE, stage).q.block_until_ready()
 
         every = {
             "C from C": native.from_c,
@@ -153,8 +153,8 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
 
 def batches(folder, dtype, rounds=ROUNDS, batch=BATCH, N=STEPS, others=None) -> dict:
     """Seconds of a batch of loops by the exported C and by `lanes`, both on one core, in turn."""
-    case = loops.ROBOTS["panda"]()
-    q, position, rotation = loops.inputs(case, batch, dtype).values()
+    case = cases.ROBOTS["panda"]()
+    q, position, rotation = cases.inputs(case, batch, dtype).values()
     with one_core(), jax.enable_x64(dtype == "float64"):
         begun = time.perf_counter()
         c(case.law, hold(position[0], rotation[0]), out=folder, method=EE, dtype=dtype, batch=("q", "e"))
@@ -163,11 +163,11 @@ def batches(folder, dtype, rounds=ROUNDS, batch=BATCH, N=STEPS, others=None) -> 
         begun = time.perf_counter()
 
         def by_c():
-            return native.batch(q, position=position, rotation=rotation, Ts=loops.TS, N=N, cores=1)
+            return native.batch(q, position=position, rotation=rotation, Ts=cases.TS, N=N, cores=1)
 
-        native.batch(q[:1], position=position[:1], rotation=rotation[:1], Ts=loops.TS, N=0)
+        native.batch(q[:1], position=position[:1], rotation=rotation[:1], Ts=cases.TS, N=0)
         built = time.perf_counter() - begun
-        fn = lanes(loops.loop(case, N, EE, picard(5)), cores=1)
+        fn = lanes(cases.loop(case, N, EE, picard(5)), cores=1)
 
         def by_lanes():
             return jax.block_until_ready(fn(q, position, rotation))

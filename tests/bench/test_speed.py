@@ -1,4 +1,4 @@
-"""`cnclik bench`: which lines it runs, and what it prints where."""
+"""`python -m tests.bench.speed`: which lines it runs, and what it prints where."""
 
 import json
 import os
@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.bench import loops
-from cnclik.bench import timing as bench
-from cnclik.cli import bench as cli
+from tests.bench import cases
+from tests.bench import speed as cli
+from tests.bench import timing as bench
 
 ROOT = pathlib.Path(__file__).parents[2]
 
 
 def run(*args):
-    command = [sys.executable, "-m", "cnclik", "bench", *args]
+    command = [sys.executable, "-m", "tests.bench.speed", *args]
     environment = dict(os.environ) | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
     return subprocess.run(command, env=environment, capture_output=True, text=True)
 
@@ -38,10 +38,10 @@ def test_json_is_all_there_is_on_stdout():
     assert 0.1 < record["gradient_over_forward"] < 100
     assert "planar2" in done.stderr
     # The loops were those of solve.
-    case = loops.ROBOTS["planar2"]()
+    case = cases.ROBOTS["planar2"]()
     ends = [
-        np.linalg.norm(ck.solve(case.law, ck.hold(goal), q0, loops.TS, 4, ck.CN, ck.picard(2)).e[-1])
-        for q0, goal in zip(*loops.inputs(case, 3, "float64").values(), strict=True)
+        np.linalg.norm(ck.solve(case.law, ck.hold(goal), q0, cases.TS, 4, ck.CN, ck.picard(2)).e[-1])
+        for q0, goal in zip(*cases.inputs(case, 3, "float64").values(), strict=True)
     ]
     assert record["error"] == pytest.approx(np.mean(ends), rel=1e-12)
 
@@ -78,6 +78,10 @@ def test_the_table_goes_through_every_value():
     assert len(cli.asked(cli.Args(all=True))) == 5 * 4 * 2 * 4
 
 
+def test_the_table_has_the_robots_that_there_are():
+    assert tuple(cases.ROBOTS) == cli.lines.ROBOTS
+
+
 def test_filters():
     one = cli.Args(
         robot=("panda",), method=("EE",), stage=("picard",), M=(5,), dtype=("float32",), batch=(65536,), cores=(1,)
@@ -93,7 +97,7 @@ def test_filters():
 def test_bad_values_are_one_line_and_exit_2():
     done = run("--robot", "panda", "--batch", "0")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "cnclik: Argument `batch` must be at least 1, but is 0.\n"
+    assert done.stderr == "Argument `batch` must be at least 1, but is 0.\n"
 
 
 def test_cold_starts_are_one_table():
@@ -107,7 +111,7 @@ def test_cold_starts_are_one_table():
 
 @pytest.mark.slow
 def test_first_calls_in_python_are_timed_by_themselves():
-    from cnclik.bench import cold
+    from tests.bench import cold
 
     (line,) = (line for line in cold.table() if line.name == "ck.step")
     found = cold.measure(line)
@@ -115,7 +119,7 @@ def test_first_calls_in_python_are_timed_by_themselves():
 
 
 def test_a_cold_start_that_fails_is_told(monkeypatch, capsys):
-    from cnclik.bench import cold
+    from tests.bench import cold
 
     monkeypatch.setattr(
         cold, "table", lambda spec: [cold.Line("solv", ("solv",), 1, 1), cold.Line("x", ("--version",))]
@@ -139,4 +143,4 @@ def test_bad_options_of_cold_starts(option):
 def test_options_of_cold_starts_alone_are_refused():
     done = run("--urdf", "no.urdf")  # it began the whole table
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "cnclik: Argument `urdf` must be left out without --cold, but is 'no.urdf'.\n"
+    assert done.stderr == "Argument `urdf` must be left out without --cold, but is 'no.urdf'.\n"

@@ -1,4 +1,4 @@
-"""`cnclik bench`: what this machine does in a second, line by line, each in a process of its own."""
+"""What this machine does in a second, line by line, each in a process of its own: `python -m tests.bench.speed`."""
 
 import dataclasses
 import json
@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Literal
 
 from cnclik import errors
-from cnclik.bench import lines
-from cnclik.cli import progress
-from cnclik.cli.common import CacheOption
+from cnclik.cli import arguments, progress
+from tests.bench import lines
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(CacheOption):
+class Args:
     """Without a filter: the lines through Panda, EE, float32, batch 4096 along each axis of the table, and a few more.
     A filter takes one value or several, and runs all lines with them; axes without a filter then take all their
     values, except M (5), stage (chord for TRAPEZOID, else picard) and cores (all)."""
@@ -57,6 +56,14 @@ class Args(CacheOption):
     """Print a list of records on stdout, and nothing else there."""
 
 
+def main() -> None:
+    try:
+        run(arguments.parse(Args, sys.argv[1:], prog="python -m tests.bench.speed", description=__doc__))
+    except errors.ArgumentError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+
+
 def run(args: Args) -> None:
     """Measure the chosen lines one after another; exit code 1 if one of them could not be measured."""
     if args.cold:
@@ -68,7 +75,7 @@ def run(args: Args) -> None:
     if args.export:
         _export(args)
         return
-    from cnclik.bench import timing
+    from tests.bench import timing
 
     errors.number("seconds", args.seconds, at_least=0)
     chosen, records = asked(args), []
@@ -88,7 +95,7 @@ def run(args: Args) -> None:
 
 
 def _export(args: Args) -> None:
-    from cnclik.bench import export
+    from tests.bench import export_lines as export
 
     with progress.bar("rounds"):
         found = export.measure(batch=args.batch[0] if args.batch else export.BATCH)
@@ -101,7 +108,7 @@ def _export(args: Args) -> None:
 
 
 def _cold(args: Args) -> None:
-    from cnclik.bench import cold
+    from tests.bench import cold
 
     for name in ("urdf", "spec"):
         file = getattr(args, name)
@@ -152,3 +159,7 @@ def _show(records, *, to_stderr) -> None:
         "∂q0, ∂alpha ×: time of value and gradient over that of the value.",
         highlight=False,
     )
+
+
+if __name__ == "__main__":
+    main()

@@ -19,12 +19,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.bench.lines import Line
-from cnclik.bench.loops import ALPHA, ROBOTS, inputs, loop, tracking_loss
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS, evaluations_per_step
 from cnclik.problem.names import STAGES
 from cnclik.threads import cores
+from tests.bench.cases import ALPHA, ROBOTS, inputs, loop, tracking_loss
+from tests.bench.lines import Line
 
 STEPS, LEAST_STEPS, STEPS_OF_GRADIENT = 50, 25, 20  # the end is looked at too: of few steps a large share
 EVALUATIONS = 10_000_000  # per run, about: a large batch takes fewer steps
@@ -203,7 +203,7 @@ def measure_apart(line: Line, seconds: float = 1.0, *, cache: str | None = None)
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
     task = json.dumps({"line": dataclasses.asdict(line), "seconds": seconds})
-    command = [sys.executable, "-c", "from cnclik.bench.timing import child; child()", task]
+    command = [sys.executable, "-c", "from tests.bench.timing import child; child()", task]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if done.returncode != 0:
         said = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]

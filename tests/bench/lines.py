@@ -6,7 +6,7 @@ import itertools
 from cnclik import errors
 from cnclik.problem.words import METHODS, STAGES
 
-ROBOTS = ("planar2", "planar5", "panda", "ur5", "chain30")  # `loops` says what they are
+ROBOTS = ("planar2", "planar5", "panda", "ur5", "chain30")  # `cases` says what they are; it needs JAX
 AXES = {  # None: the usual one
     "robot": ROBOTS,
     "method": ("EE", "IE", "CN", "TRAPEZOID"),
