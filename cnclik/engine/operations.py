@@ -27,7 +27,7 @@ _TRUTH = {  # operations on masks
     **{"eq": "~({0} ^ {1})", "ne": "{0} ^ {1}", "lt": "~{0} & {1}", "le": "~{0} | {1}", "gt": "{0} & ~{1}"},
     **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
 }
-_LIBRARY = "tan exp log expm1 log1p tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
+_LIBRARY = "tan exp expm1 tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
 # Functions of C's library, called lane by lane: how many arguments they have.
 LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextafter": 2}
 
@@ -94,6 +94,9 @@ def text(node, of) -> str:
         return f"{a[0]} {BINARY[name]} {a[1]}"
     if name in _SIMPLE:
         return _SIMPLE[name].format(*a, T=T)
+    if name.startswith("shift_") and args[1].known and 0 <= args[1].value < (bits := 8 * node.dtype.itemsize):
+        S = {"shift_left": T, "shift_right_logical": f"U{bits}", "shift_right_arithmetic": f"S{bits}"}[name]
+        return f"({T})(({S}){a[0]} {'<<' if name == 'shift_left' else '>>'} {args[1].value})"
     if name == "round":
         return f"round_even_{T}({a[0]})" if node.params == 1 else f"round_{T}({a[0]})"
     if name == "pow" and args[0].dtype != args[1].dtype:
@@ -145,7 +148,7 @@ _SIMPLE = {
     "logistic": "1 / (1 + exp_{T}(-{0}))",
 }
 _NAMES = frozenset([
-    *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min", "sign", "rem",
-    "bitcast_convert_type", "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic",
+    *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "log", "log1p", "max", "min",
+    "sign", "rem", "bitcast_convert_type", "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic",
     "shift_right_logical",
 ])  # fmt: skip

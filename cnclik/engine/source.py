@@ -1,5 +1,7 @@
 """Source: the whole C file of a graph: types, functions of lanes, the tile, and the entries that run it."""
 
+import re
+
 import numpy as np
 
 from cnclik.engine.graph import Node
@@ -87,8 +89,7 @@ def _types(writer, main):
             yield from _library(writer, T)
         yield from (f"#undef {key.split('(')[0]}" for key in defined)
         if real:
-            yield from (f"#undef {key}" for key in ("SIGN", "SMALL", "MAGIC", "FAR", "TWO_OVER_PI", "PI_LOW"))
-            yield from ("#undef LANE_BY_LANE", "#undef LANE_BY_LANE_OF_TWO")
+            yield from (f"#undef {key}" for key in sorted(set(re.findall(r"#define (\w+)", header("real.h")))))
 
 
 def _library(writer, T):

@@ -56,9 +56,12 @@ def test_sines_and_angles_are_exact_to_a_few_ulp(dtype, by):
     y, x = (np.concatenate([random.normal(size=400) * 10.0 ** random.uniform(-3, 5, 400)]) for _ in range(2))
     y = np.concatenate([y, np.arange(-8, 9) * np.pi / 2, np.repeat(special, len(special))]).astype(dtype)
     x = np.concatenate([x, random.normal(size=17), np.tile(special, len(special))]).astype(dtype)
-    found = by(lambda y, x: (jnp.sin(y), jnp.cos(y), jnp.arctan2(y, x)), y, x)
+    found = by(lambda y, x: (jnp.sin(y), jnp.cos(y), jnp.arctan2(y, x), jnp.log(y), jnp.log1p(y)), y, x)
     mpmath.mp.dps = 60
-    for a, b, sine, cosine, angle in zip(y.tolist(), x.tolist(), *(v.tolist() for v in found), strict=True):
+    for a, b, sine, cosine, angle, *logs in zip(y.tolist(), x.tolist(), *(v.tolist() for v in found), strict=True):
+        for made, low, of in zip(logs, (0, -1), (mpmath.log, mpmath.log1p), strict=True):
+            wanted = float(of(a)) if low < a < np.inf else {low: -np.inf, np.inf: np.inf}.get(a, np.nan)
+            np.testing.assert_allclose(made, wanted, rtol=eps, atol=np.finfo(dtype).tiny, err_msg=str(a))
         if np.isfinite(a):
             assert abs(sine - float(mpmath.sin(a))) <= 1.5 * eps and abs(cosine - float(mpmath.cos(a))) <= 1.5 * eps
         else:
@@ -83,6 +86,7 @@ def test_functions_of_whole_numbers(dtype):
 
     def fn(x, y):
         found = {n: getattr(lax, n)(x, y) for n in two}
+        found |= {f"{n} {by}": getattr(lax, n)(x, np.array(by, dtype)) for n in two[-3:] for by in (1, 5, 64)}
         found |= {n: getattr(lax, n)(x) for n in ("abs", "sign", "bitwise_not") if n != "abs" or x.dtype.kind == "i"}
         return found | {"neg": -x, "power": lax.integer_pow(x, 3), "large": lax.integer_pow(x, 7)}
 
