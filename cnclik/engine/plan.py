@@ -20,6 +20,11 @@ def use_engine(name):
     return _engine(name if name is None else errors.one_of("name", name, ENGINES))
 
 
+def unless_chosen(name):
+    """Context manager: the engine of what is called inside, where the user has asked for none."""
+    return _engine(name if _engine.value is None else _engine.value)
+
+
 def in_c() -> bool:
     """Whether functions run as C where they can."""
     return wants_c() and can_build()

@@ -5,7 +5,8 @@ import functools
 import jax
 import numpy as np
 
-from cnclik.hints import as_here
+from cnclik.engine.plan import unless_chosen
+from cnclik.hints import as_here, on_cpu
 from cnclik.reaching import search
 from cnclik.reaching.asked import LONGER, Asked
 from cnclik.reaching.native import native_for
@@ -19,6 +20,7 @@ from cnclik.threads import cores, side_by_side
 POOL = 1 << 18  # targets whose leftovers are searched for together
 EARLY = search.PLAIN + 4  # tries of all targets, before it is asked which are out of reach
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which C is worth its compiling
+SCALARS = 10_000  # targets beyond which XLA's programs of scalars are worth theirs, 5 s; the source takes 1 s
 ONE_BY_ONE = 512  # targets, at most, that are sooner searched for one by one
 ENDLESS = 1 << 40  # looks
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
@@ -66,7 +68,8 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         there.put(close, search.downhill(mine, wider.part(close), there.part(close)))
         why[ids] = asked.meaning(status, there.found, there.squares)
 
-    with jax.enable_x64(True):
+    soon = on_cpu() and not often(asked.chain, 0, SCALARS)
+    with jax.enable_x64(True), unless_chosen("plain" if soon else None):
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
@@ -102,12 +105,12 @@ def path(asked: Asked, pose, progress=None) -> Reached:
     return along(asked, pose, progress)
 
 
-def often(chain, targets) -> bool:
-    """Whether a chain has been asked of, with so many targets more, so often that compiling C for it pays."""
+def often(chain, targets, many=MANY) -> bool:
+    """Whether a chain has been asked of, with so many targets more, so often that compiling for it pays: C by default."""
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
     asked_of[0 if alone else 1] += targets
-    return asked_of[0] > ALONE if alone else asked_of[1] > MANY
+    return asked_of[0] > ALONE if alone else asked_of[1] > many
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:

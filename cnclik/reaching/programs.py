@@ -17,7 +17,7 @@ from cnclik.reaching.step import begin, in_parts, iterate
 from cnclik.record import cast
 from cnclik.robot.model import modelled
 
-CAPACITY, TILE = 2048, 128  # lanes
+CAPACITY, TILE = 2048, 32  # lanes
 
 
 class Found(NamedTuple):
