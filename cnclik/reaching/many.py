@@ -106,7 +106,7 @@ def path(asked: Asked, pose, progress=None) -> Reached:
 
 
 def often(chain, targets, many=MANY) -> bool:
-    """Whether a chain has been asked of, with so many targets more, so often that compiling for it pays: C by default."""
+    """Whether a chain has been asked, with so many targets more, so often that compiling for it pays; by default C."""
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
     asked_of[0 if alone else 1] += targets
