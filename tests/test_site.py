@@ -41,7 +41,6 @@ ROOMS = (
     "export",
     "show",
     "paper",
-    "bench",
 )
 
 
