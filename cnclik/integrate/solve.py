@@ -99,6 +99,8 @@ def simulate(
     check_time("t0", t0, Ts, q0.dtype, N)
     drive = None if drive is None or (check_drive(drive, n).prompt and drive.exact) else drive
     pace = None if pace is None else check_pace(pace, n, law.chain)
+    if pace is not None and drive is not None and drive.feedback == "rebased":
+        raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
     known, given = (law, reference, stage, method), (q0, _number(Ts, q0), _number(t0, q0))
@@ -181,8 +183,9 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)
     q = errors.array(name, q, (law.chain.n,))
-    if isinstance(q, np.ndarray) and q.dtype == np.float64 and not jax.config.jax_enable_x64:
-        q = q.astype(np.float32)
+    if isinstance(q, np.ndarray):
+        wide = q.dtype.itemsize >= 8 and jax.config.jax_enable_x64
+        q = q.astype(np.float64 if wide else np.float32, copy=False)  # of any precision and order of bytes
     return q, method
 
 

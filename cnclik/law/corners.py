@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from cnclik.engine.tracing import is_read
 from cnclik.law.curves import Hold, Path, interval
 from cnclik.law.reference import Reference, sample
 from cnclik.law.task import Task
@@ -47,35 +48,42 @@ def corners(reference: Reference, task: Task, t) -> Corners | None:
         return None
     reference, t = lax.stop_gradient((reference, t))
 
+    # A user's own function may do what can't be done to many instants at once; and loops that are read stay loops.
+    each = lax.map if is_read() or isinstance(reference.curve, Path) else lambda fn, x: jax.vmap(fn)(x)
+    N = t.shape[0] - 1
+
     def velocity(t):
         return sample(reference, task, t)[2]
-
-    def velocities(t):  # a user's own function may do what can't be done to many instants at once
-        return lax.map(velocity, t) if isinstance(reference.curve, Path) else jax.vmap(velocity)(t)
 
     def size(w):
         return jnp.sqrt(jnp.sum(w * w, axis=-1))
 
-    w = velocities(t)
-    change, larger = size(w[1:] - w[:-1]), jnp.maximum(size(w[1:]), size(w[:-1]))
-    padded = jnp.concatenate([change[:1], change[:1], change, change[-1:], change[-1:]])
-    # Of five, as a corner at an instant may show on both sides of it.
-    beside = jnp.median(jnp.stack([padded[i : i + change.shape[0]] for i in range(5)]), axis=0)
-    jumps = (change > ABRUPT * beside) & (change > SHARP * larger)
+    w = each(velocity, t)
+    change = each(lambda k: size(w[k + 1] - w[k]), jnp.arange(N))
 
-    def halve(_, ends):
-        low, high = ends
-        middle = 0.5 * (low + high)
-        at = velocities(middle)
-        before = size(at - w[:-1]) <= size(at - w[1:])
-        return jnp.where(before, middle, low), jnp.where(before, high, middle)
+    def corner(k):
+        """Of the step from instant k on: (time of its jump or inf, how sharp it is, k or N)."""
+        before, after = w[k], w[k + 1]
+        larger = jnp.maximum(size(before), size(after))
+        # Of five, as a corner at an instant may show on both sides of it.
+        beside = jnp.median(jnp.stack([change[jnp.clip(k + i, 0, N - 1)] for i in range(-2, 3)]))
+        jumps = (change[k] > ABRUPT * beside) & (change[k] > SHARP * larger)
 
-    found, _ = lax.fori_loop(0, _HALVINGS, halve, (t[:-1], t[1:]))
-    count = t.shape[0] - 1
-    index = jnp.append(jnp.where(jumps, jnp.arange(count), count), count)
+        def halve(_, ends):
+            low, high = ends
+            middle = 0.5 * (low + high)
+            at = velocity(middle)
+            first = size(at - before) <= size(at - after)
+            return jnp.where(first, middle, low), jnp.where(first, high, middle)
+
+        found, _ = lax.fori_loop(0, _HALVINGS, halve, (t[k], t[k + 1]))
+        sharpness = change[k] / jnp.where(larger > 0, larger, 1.0)
+        return jnp.where(jumps, found, jnp.inf), sharpness, jnp.where(jumps, k, N)
+
+    time, sharpness, index = each(corner, jnp.arange(N))
     return Corners(
         t=t,
-        time=jnp.append(jnp.where(jumps, found, jnp.inf), jnp.inf),
-        sharpness=jnp.append(change / jnp.where(larger > 0, larger, 1.0), 1.0),
-        next=lax.cummin(index, reverse=True),
+        time=jnp.append(time, jnp.inf),
+        sharpness=jnp.append(sharpness, 1.0),
+        next=lax.cummin(jnp.append(index, N), reverse=True),
     )

@@ -320,7 +320,10 @@ def waypoints(
 
 
 def path(fn: Callable) -> Reference:
-    """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference."""
+    """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference.
+
+    It is a part of the programs that run it, as under `jax.jit`: what it closes over is read when they are made.
+    """
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")
     return Reference(curve=Path(fn=fn))

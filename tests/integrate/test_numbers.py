@@ -101,6 +101,13 @@ def test_large_finite_joint_values_are_finite():
     assert np.isfinite(ck.step(ck.Law(slider, ck.position("x"), alpha=1.0), ck.hold([0.0]), q, 0.0, 0.1, "EE").q)
 
 
+@pytest.mark.parametrize("dtype", [">f8", ">f4", np.longdouble, np.float16, int])
+def test_numbers_of_any_precision_and_order_of_bytes(dtype):
+    q = np.array([1, 0, 1]).astype(dtype)
+    wanted = ck.step(LAW, WAVE, np.array([1.0, 0.0, 1.0], np.float64 if q.itemsize >= 8 else np.float32), 0.0, 0.1).q
+    np.testing.assert_array_equal(ck.step(LAW, WAVE, q, 0.0, 0.1).q, wanted)
+
+
 @needs_compiler
 def test_new_numbers_need_no_new_program():
     ck.step(LAW, WAVE, Q, 0.0, 0.1)

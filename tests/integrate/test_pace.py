@@ -20,6 +20,7 @@ X0 = np.asarray(ck.pose(ARM, Q0).position[:2])
 TS = 0.002
 LIMITS = dict(velocity=2.0, acceleration=10.0, jerk=300.0)
 PACE = ck.Pace(**LIMITS)
+REBASED = Drive(lag=0.1, command="position", feedback="rebased")
 WAY = np.array([-0.5, -0.4])
 CENTER, RADIUS = X0 - [0.2, 0.0], 0.2
 CIRCLE = ck.circle(CENTER, RADIUS, period=0.8)
@@ -377,6 +378,12 @@ def test_an_ideal_drive_changes_nothing():
         (lambda: ck.Pace(wait="no"), "`wait` must be True or False, but is 'no'"),
         (lambda: ck.Pace(wait=np.zeros(2)), "`wait` must be True or False"),
         (lambda: ck.Pace(acceleration=[]), "`acceleration` must be a number or one per joint, but is empty"),
+        (
+            lambda: ck.solve(
+                LAW, FAR, Q0, TS, 3, pace=PACE, drive=Drive(lag=0.1, command="position", feedback="rebased")
+            ),
+            "`pace` must be left out where commands begin at the measured joints",
+        ),
         (lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=2.0), r"`pace` must be Pace\(...\), but is float"),
         (lambda: ck.solve(LAW, FAR, Q0, TS, 3, pace=ck.Pace(jerk=[1.0, 2.0])), r"`jerk` must have shape \(3,\)"),
         (lambda: ck.paced(PACE, None, Q0, TS), "`state` must be what `pace_at_rest`"),
