@@ -5,6 +5,7 @@ second-order servo does. Each joint has its own. What is sampled here is exact f
 the same matrices.
 """
 
+import contextlib
 import math
 from typing import NamedTuple, Self
 
@@ -336,6 +337,12 @@ def white_noise(sigma, N: int, m: int, seed=0):
     if errors.concrete(sigma) and (sigma < 0).any():
         raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
     errors.seed(seed)
-    sigma = jnp.asarray(sigma)
-    key = jax.random.key(jnp.asarray(seed).astype(jnp.uint32))
-    return sigma * jax.random.normal(key, (N, m), sigma.dtype)
+    dtype = jnp.asarray(sigma).dtype
+    # Numbers of a known seed are no part of the program that they are drawn in.
+    with jax.ensure_compile_time_eval() if errors.concrete(seed) else contextlib.nullcontext():
+        drawn = jax.random.normal(jax.random.key(jnp.asarray(seed).astype(jnp.uint32)), (N, m), dtype)
+    return (
+        np.asarray(sigma, dtype) * np.asarray(drawn)
+        if errors.concrete(sigma) and errors.concrete(drawn)
+        else sigma * drawn
+    )

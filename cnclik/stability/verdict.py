@@ -93,7 +93,9 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
     if run.path_time is not None and more["pace"] is None:
         raise errors.fail("pace", "be the run's", "is left out")
-    case = case_of(law, reference, run, dtype, float(Ts), method, stage, check_drive(drive, law.chain.n), **more)
+    case = case_of(
+        law, reference, run, dtype, float(Ts), method, stage, check_drive(drive or Drive(), law.chain.n), **more
+    )
     trials = Trials(case)
     kind, what, found = _confirmed(case, trials)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
