@@ -86,6 +86,13 @@ def test_every_dimension_gets_a_place():
     assert layout.among == "method" and "method" not in (layout.panels, layout.rows, *layout.apart)
 
 
+def test_figures_told_apart_by_words_are_named_by_them_whatever_holds_them():
+    found = data(case=["reach", "track"], stage=["picard", "chord"], **PLANE)
+    for kind in (str, object):  # as they are made, and as a store gives them back
+        held = found.assign_coords(case=found.case.astype(kind))
+        assert [suffix for suffix, _ in views(held, arrange(held, {"kind": "heat"}))] == ["_reach", "_track"]
+
+
 def test_samples_are_summed_up_or_make_a_distribution():
     found = data(method=METHODS, q0=np.arange(20), alpha=np.linspace(1, 9, 5), Ts=np.linspace(0.1, 0.3, 4))
     layout = arrange(found, {"kind": "heat", "reduce": "max"})

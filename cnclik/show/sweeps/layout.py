@@ -170,7 +170,7 @@ def places(data, layout: Layout) -> list:
     """Which place along the dimensions that get figures of their own has which suffix in the file's name."""
     out = []
     for place in itertools.product(*(range(data.sizes[d]) for d in layout.apart)):
-        labels = (text(data[d].values[i].item()) for d, i in zip(layout.apart, place, strict=True))
+        labels = (text(data[d].values.tolist()[i]) for d, i in zip(layout.apart, place, strict=True))
         suffix = "".join("_" + re.sub(r"[^\w.+,-]+", "-", label) for label in labels)
         out.append((suffix, dict(zip(layout.apart, place, strict=True))))
     return out
