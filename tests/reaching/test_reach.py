@@ -96,6 +96,7 @@ def test_another_number_of_targets_compiles_nothing():
     assert programs._search._cache_size() == before
 
 
+@pytest.mark.slow
 @jax_alone
 def test_one_by_one_or_in_batches(monkeypatch):
     """The same statuses, and answers; with `near`, the nearest; of several blocks, one of them not full."""
