@@ -89,7 +89,7 @@ def drive_words(made) -> str:
             name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name) is not None
         )
     drive = made.drive
-    if drive is None or (drive.prompt and drive.exact):
+    if drive is None or drive.absent:
         return ""
     said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
     measured = drive.measurement_delay

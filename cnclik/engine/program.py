@@ -37,7 +37,8 @@ class Program:
         with to_be_read():
             graph, given, outs, (shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
         text, self.operations = write(graph, given, outs, shapes)
-        head = "#define XLA_HANDLER\n" + "#define BYTES MAIN\n" * single
+        head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
+        head += "#define BYTES MAIN\n" * single
         include = [jax.ffi.include_dir()]
 
         def build(folder):

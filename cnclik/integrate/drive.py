@@ -124,6 +124,11 @@ class Drive:
         return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded"
 
     @property
+    def absent(self) -> bool:
+        """Whether the loop is the one without drives, and sees the motion itself."""
+        return self.prompt and self.exact
+
+    @property
     def lumped(self) -> Self:
         """With all that is late in one place, the dead time: the same to stability."""
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)

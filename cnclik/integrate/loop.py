@@ -54,8 +54,7 @@ class Loop:
     @property
     def measured(self) -> bool:
         """Whether something lies between what the law asks for and what happens, or is seen."""
-        exact = self.noise is None and self.plant is None and self.drive.exact
-        return not (exact and self.drive.prompt)
+        return not (self.noise is None and self.plant is None and self.drive.absent)
 
     @property
     def late(self) -> int:

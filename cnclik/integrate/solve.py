@@ -97,7 +97,7 @@ def simulate(
     N, n = errors.integer("N", N, at_least=0, at_most=errors.MOST), law.chain.n
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
-    drive = None if drive is None or (check_drive(drive, n).prompt and drive.exact) else drive
+    drive = None if drive is None or check_drive(drive, n).absent else drive
     pace = None if pace is None else check_pace(pace, n, law.chain)
     if pace is not None and drive is not None and drive.feedback == "rebased":
         raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
@@ -106,9 +106,7 @@ def simulate(
     known, given = (law, reference, stage, method), (q0, _number(Ts, q0), _number(t0, q0))
     if drive is pace is noise is plant is gained is None:
         loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
-        count = N * evaluations_per_step(method, stage, n)
-        soon = errors.concrete(count) and np.all(answers_soon(count, law))
-        return _computed(loop, known, given, _solve_soon if soon else None)
+        return _computed(loop, known, given, _solve_soon, lambda: _is_soon(law, method, stage, N))
     check(reference, law.task)
     model = None if drive is None else moving(drive, Ts)  # exactly, where Ts is known
     more = {"drive": drive, "model": model, "noise": noise, "plant": plant, "pace": pace}
@@ -145,12 +143,17 @@ def step(
     return _computed(_a_step, known, given, _step_soon)
 
 
-def _computed(fn, known, given, soon):
+def _is_soon(law, method, stage, N) -> bool:
+    count = N * evaluations_per_step(method, stage, law.chain.n)
+    return errors.concrete(count) and np.all(answers_soon(count, law))
+
+
+def _computed(fn, known, given, soon, is_soon=lambda: True):
     """fn(*known, *given): of numbers as C; else by JAX, in the arrays that the joint values are.
 
     Args:
       fn: `Numbers`.
-      soon: how XLA compiles it with few passes, for numbers; None: by the engine's scalars.
+      soon: how XLA compiles it with few passes, for numbers; used where is_soon(), else the engine's scalars are.
     """
     if is_read():  # by the engine: the source as it is
         return fn.source(known, given)
@@ -158,7 +161,7 @@ def _computed(fn, known, given, soon):
         return found
     *records, method = known
     there = [placed(modelled(r)) for r in records]
-    if soon and None not in there and all(map(errors.concrete, jax.tree.leaves(given))):
+    if None not in there and all(map(errors.concrete, jax.tree.leaves(given))) and is_soon():
         found = soon(*there, method, *given, **fn.static)
     else:
         found = fn.native(known, given)

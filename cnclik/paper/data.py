@@ -11,7 +11,8 @@ from cnclik.hints import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.paper import readings as paper
-from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, READINGS, Found, Lane
+from cnclik.paper.choices import READINGS
+from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, Found, Lane
 from cnclik.precision import in_float64
 from cnclik.threads import side_by_side
 

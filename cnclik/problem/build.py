@@ -68,7 +68,7 @@ class Problem:
     @property
     def alone(self) -> bool:
         """Whether motion and measurement are what the law asks for: no drives, no noise, no pace."""
-        return self.noise is self.pace is None and (self.drive is None or (self.drive.prompt and self.drive.exact))
+        return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
 
 
 def problem_from(robot, **options) -> Problem:

@@ -129,10 +129,9 @@ class Trials:
     def _run(self, made, steps):
         """The run of so many steps: by the program that the given run used, where that is one of single steps."""
         how = made.law, made.reference, made.q0, self.Ts, steps, made.method, made.stage
-        drive = None if made.drive.prompt and made.drive.exact else made.drive
-        if not (drive is made.pace is made.noise is None):
+        if not (made.drive.absent and made.pace is made.noise is None):
             noise = None if made.noise is None else white_noise(made.noise, steps, made.law.task.m)
-            whole = simulate(*how, t0=self.case.t[0], drive=drive, pace=made.pace, noise=noise)
+            whole = simulate(*how, t0=self.case.t[0], drive=made.drive, pace=made.pace, noise=noise)
             return jax.tree.map(np.asarray, whole)
         own = self.case.steps
         size = piece_of(made.method, own if own >= SHORTEST and made.method.steps == 1 else steps)

@@ -3,8 +3,6 @@
 #ifdef XLA_HANDLER
 #include <pthread.h>
 #include "xla/ffi/api/c_api.h"
-#define FEW_TILES 4 /* that one thread runs alone */
-#define PARTS 4 /* of each thread */
 
 typedef struct {
   int64_t all, step, begun, ended, holders; /* in lanes, but for the threads that hold this */
@@ -64,7 +62,7 @@ static void run_all(XLA_FFI_CallFrame *frame, Batch now, void *memory)
     run(0, now.all, now.in, now.stride, now.out, memory);
     return;
   }
-  now.step = (now.all + PARTS * threads * W - 1) / (PARTS * threads * W) * W;
+  now.step = (now.all + CALLS * threads * W - 1) / (CALLS * threads * W) * W;
   now.holders = threads;
   *batch = now;
   pthread_mutex_init(&batch->lock, NULL);
