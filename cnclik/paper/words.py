@@ -1,16 +1,24 @@
-"""Sentences from data: paragraphs, lists of names, names in the order of their numbers, readings that hold."""
+"""Sentences from data: a template that is filled, lists of names, names in the order of their numbers, readings that hold."""
 
+import re
 import textwrap
 
 from cnclik.paper.readings import ARMS
 from cnclik.paper.tables import number, own, short
 
 
-def paragraph(*sentences, bullet=False) -> str:
-    """A paragraph, or an item of a list."""
-    lead, rest = ("- ", "  ") if bullet else ("", "")
-    fill = textwrap.TextWrapper(120, lead, rest, break_long_words=False, break_on_hyphens=False).fill
-    return fill(" ".join(" ".join(sentences).split()))
+def filled(template, fields) -> str:
+    """The template with its {fields}; its lines, each a paragraph or an item of a list, in lines of 120 characters."""
+    lines = template.format(**fields).splitlines()
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(map(_wrapped, lines))) + "\n"
+
+
+def _wrapped(line) -> str:
+    if line.startswith(("|", "#")):
+        return line
+    item = re.match(r"(- |\d\. )?", line).group()
+    words = textwrap.TextWrapper(120, "", " " * len(item), break_long_words=False, break_on_hyphens=False)
+    return words.fill(" ".join(line.split()))
 
 
 def joined(words) -> str:
