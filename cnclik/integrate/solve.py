@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.engine.numbers import Numbers
+from cnclik.engine.plan import unless_chosen
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
@@ -29,7 +30,7 @@ from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, Reference, check
 from cnclik.record import cast, placed
-from cnclik.robot.model import modelled, one_off
+from cnclik.robot.model import modelled
 
 SOON = 1 << 14  # evaluations of f, for each joint and each task coordinate, up to which XLA's answer comes sooner
 
@@ -103,17 +104,16 @@ def simulate(
         raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    known, given = (law, reference, stage, method), (q0, _number(Ts, q0), _number(t0, q0))
-    if drive is pace is noise is plant is gained is None:
-        loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
-        return _computed(loop, known, given, _solve_soon, lambda: _is_soon(law, method, stage, N))
-    check(reference, law.task)
     model = None if drive is None else moving(drive, Ts)  # exactly, where Ts is known
-    more = {"drive": drive, "model": model, "noise": noise, "plant": plant, "pace": pace}
-    if gained is not None or is_read():
-        return _run(*known, *given, N=N, gained=gained, **more)
-    found = _once(*known, *given, N=N, **more)
-    return jax.tree.map(_as_numpy, found) if isinstance(q0, np.ndarray) else found
+    known, given = (law, reference, stage, drive, plant, pace, method), (q0, _number(Ts, q0), _number(t0, q0))
+    if gained is not None:
+        return _run(*known, *given, model, noise, N=N, gained=gained)
+    loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
+    how = loop, known, (*given, model, noise), _solve_soon, lambda: _is_soon(law, method, stage, N)
+    if pace is None:
+        return _computed(*how)
+    with unless_chosen("plain"):  # XLA compiles a pace in a tenth of C's time
+        return _computed(*how)
 
 
 def step(
@@ -160,9 +160,8 @@ def _computed(fn, known, given, soon, is_soon=lambda: True):
     if (found := fn(known, given)) is not None:
         return found
     *records, method = known
-    there = [placed(modelled(r)) for r in records]
-    if None not in there and all(map(errors.concrete, jax.tree.leaves(given))) and is_soon():
-        found = soon(*there, method, *given, **fn.static)
+    if all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
+        found = soon(*(r and placed(modelled(r)) for r in records), method, *given, **fn.static)
     else:
         found = fn.native(known, given)
     return jax.tree.map(_as_numpy, found) if isinstance(given[0], np.ndarray) else found
@@ -218,8 +217,9 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def _run(law, reference, stage, method, q0, Ts, t0, *, N, end=False, **more):
-    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0, end=end)
+def _run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, model, noise, *, N, gained=None):
+    more = dict(drive=drive, plant=plant, pace=pace, model=model, noise=noise, gained=gained)
+    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)
 
 
 def end(law, reference, q0, Ts, N, method, stage):
@@ -227,16 +227,11 @@ def end(law, reference, q0, Ts, N, method, stage):
 
     Where `lanes` hands out `solve(...).e[-1]`, each step's e is stored on the way: a tenth of an explicit step.
     """
-    zero = np.zeros((), q0.dtype)
-    q, _, e = _run(law, reference, stage, method, q0, Ts, zero, N=N, end=True)
+    q, _, e = run(loop_of(law, reference, q0, Ts, N, method, stage, t0=np.zeros((), q0.dtype)), q0, end=True)
     return q, e
 
 
-_solve_soon, _once, _loops = (
-    quick_jit(_run, static_argnames=("N", "method")),
-    one_off(_run, static_argnames=("N", "method")),
-    Recent(),
-)
+_solve_soon, _loops = quick_jit(_run, static_argnames=("N", "method")), Recent()
 
 
 def _one_step(law, reference, stage, method, q, t, Ts, history):

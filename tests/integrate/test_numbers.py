@@ -53,6 +53,21 @@ def test_a_step_is_that_of_a_program_of_ones_own_to_the_bit(method):
 
 
 @needs_compiler
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_through_drives_with_noise_on_another_robot(dtype):
+    """C, and the same numbers as the plain source gives."""
+    drive = ck.Drive(delay=2, lag=0.05, feedback="measured", measurement_delay=1)
+    more = {"drive": drive, "noise": 1e-3 * np.sin(np.arange(18.0)).reshape(9, 2), "plant": ck.planar_arm([1, 0.81, 0.5])}
+    found = {}
+    for engine in (None, "plain"):
+        with ck.use_engine(engine):
+            run = solving.simulate(LAW, WAVE, Q.astype(dtype), 0.1, 9, ck.METHODS["EE"], ck.picard(5), **more)
+            found[engine] = [], run
+    same(*found.values(), 300 * np.finfo(dtype).eps)
+    assert not found[None][1].q.flags.writeable
+
+
+@needs_compiler
 def test_a_long_run_has_the_numbers_of_a_short_one():
     """Its results are arrays of their own, beyond what lies in one block."""
     short, long = (ck.solve(LAW, WAVE, Q, 1e-3, N, "EE") for N in (200, 20_000))
