@@ -15,6 +15,7 @@ Each round starts one command in a process of its own, as a user would, and dist
 """
 
 import argparse
+import collections
 import contextlib
 import os
 import pathlib
@@ -42,6 +43,7 @@ COMMANDS = {  # every verb that writes results, on small cases
     "reach": ["reach", "planar:1,1", "--random", "20", "--out", "{out}/answers.csv"],
     "sweep": ["sweep", str(SPEC), *(word for axis in AXES for word in ("--set", f"axes.{axis}"))],
 }
+started = []  # processes
 DATA = {"trajectory.nc", "trajectory.csv", "tuned.json", "summary.md", "map.nc", "passes.nc", "answers.csv"}
 
 
@@ -53,7 +55,17 @@ def line(name, out):
 def start(name, out, **options):
     if name == "reach":
         out.mkdir(exist_ok=True)
-    return subprocess.Popen(line(name, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options)
+    made = subprocess.Popen(line(name, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options)
+    started.append(made)
+    return made
+
+
+def end_all():
+    """End what an interrupt has left running."""
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
 
 
 def ended(process):
@@ -144,6 +156,7 @@ def full(name, folder, rng, seconds, wanted):
         broken = [n for n in found if n not in wanted or not whole(n, found[n], wanted[n])]
         return f"half a file: {broken}" if broken else None
     finally:
+        end_all()  # what an interrupt has left in it keeps it busy
         subprocess.run(["umount", str(room)], check=True)
 
 
@@ -174,6 +187,56 @@ def _runs_for_others() -> bool:
         return False
 
 
+def undisturbed(name, folder):
+    """(seconds that a command takes, files that it makes)."""
+    folder.mkdir(parents=True)
+    for _ in range(2):  # the first fills the cache of compiled programs
+        shutil.rmtree(folder / "out", ignore_errors=True)
+        begun = time.perf_counter()
+        code, said = ended(start(name, folder / "out"))
+        seconds = time.perf_counter() - begun
+        if code:
+            sys.exit(f"{name}: {said}")
+    return seconds, files(folder / "out")
+
+
+def rounds(args, plan, place, report):
+    """Yields (command, fault, what is wrong or None) of each round."""
+    total, done = len(args.only) * sum(n for _, n in plan.values()), 0
+    for name in args.only:
+        seconds, wanted = undisturbed(name, place / "undisturbed" / name.replace(" ", ""))
+        for kind, (act, count) in plan.items():
+            for k in range(count):
+                folder = pathlib.Path(tempfile.mkdtemp(dir=place))
+                rng = np.random.default_rng([args.seed, k])
+                found = act(name, folder, rng, seconds, wanted)
+                with contextlib.suppress(OSError):
+                    shutil.rmtree(folder)
+                done += 1
+                report(done, total, f"{name}, {kind}")
+                yield name, kind, found and f"{name}, {kind} {k}: {found}"
+
+
+def told(found, plan) -> tuple:
+    """(rounds, what is wrong) of all until an interrupt; each command and fault is printed as soon as it is done."""
+    tried, well, wrong = collections.Counter(), collections.Counter(), []
+    print(markdown(["command", "fault", "rounds", "well"], [], left=2), end="", flush=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        for *of, why in found:
+            row = name, kind = tuple(of)
+            tried[row] += 1
+            well[row] += not why
+            if why:
+                wrong.append(why)
+                print(why, file=sys.stderr, flush=True)
+            if tried[row] == plan[kind][1]:
+                print(f"| {name} | {kind} | {tried[row]} | {well[row]} |", flush=True)
+    for (name, kind), count in tried.items():
+        if count < plan[kind][1]:
+            print(f"| {name} | {kind} | {count} | {well[name, kind]} |")
+    return tried.total(), wrong
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=100)
@@ -181,44 +244,23 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=list(COMMANDS), default=list(COMMANDS))
     args = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # behind `&` it is ignored, by the commands too
+    for ends in (signal.SIGINT, signal.SIGTERM):  # behind `&` the first is ignored, by the commands too
+        signal.signal(ends, signal.default_int_handler)
     root = hasattr(os, "geteuid") and os.geteuid() == 0
     plan = {"kill": (kill, args.kills), "stop": (stop, args.others), "writers": (writers, -(-args.others // 10))}
     if root:
         plan["full"] = full, args.others
         if _runs_for_others():
             plan["reader"] = reader, 1
-    rows, failed, total, done = [], [], len(args.only) * sum(n for _, n in plan.values()), 0
-    with tempfile.TemporaryDirectory() as place, bar("rounds", total) as report:
+    plan = {kind: (act, count) for kind, (act, count) in plan.items() if count}
+    total, begun = len(args.only) * sum(n for _, n in plan.values()), time.perf_counter()
+    with tempfile.TemporaryDirectory() as place, bar("rounds", total) as report, contextlib.ExitStack() as left:
         os.chmod(place, 0o755)
-        for name in args.only:
-            first = pathlib.Path(place) / "undisturbed" / name.replace(" ", "")
-            first.mkdir(parents=True)
-            for _ in range(2):  # the first fills the cache of compiled programs
-                shutil.rmtree(first / "out", ignore_errors=True)
-                begun = time.perf_counter()
-                code, said = ended(start(name, first / "out"))
-                seconds = time.perf_counter() - begun
-                if code:
-                    sys.exit(f"{name}: {said}")
-            wanted = files(first / "out")
-            for kind, (act, rounds) in plan.items():
-                wrong = []
-                for k in range(rounds):
-                    folder = pathlib.Path(tempfile.mkdtemp(dir=place))
-                    rng = np.random.default_rng([args.seed, k])
-                    found = act(name, folder, rng, seconds, wanted)
-                    if found:
-                        wrong.append(f"{name}, {kind} {k}: {found}")
-                    with contextlib.suppress(OSError):
-                        shutil.rmtree(folder)
-                    done += 1
-                    report(done, total, f"{name}, {kind}")
-                rows.append([name, kind, rounds, rounds - len(wrong)])
-                failed += wrong
-    print(markdown(["command", "fault", "rounds", "well"], rows, left=2))
-    print("\n".join(failed) or "Nothing lost, nothing half-written.")
-    sys.exit(bool(failed))
+        left.callback(end_all)
+        done, wrong = told(rounds(args, plan, pathlib.Path(place), report), plan)
+    print(f"\n{done} of {total} rounds of seed {args.seed} in {(time.perf_counter() - begun) / 60:.0f} min.")
+    print("\n".join(wrong) or "Nothing lost, nothing half-written.")
+    sys.exit(130 if done < total else bool(wrong))
 
 
 if __name__ == "__main__":

@@ -47,11 +47,13 @@ def verdicts(counts: dict, seed: int, processes: int):
     work.sort(key=lambda one: one[1].start / counts[one[0]])
     context = multiprocessing.get_context("spawn")
     pool = concurrent.futures.ProcessPoolExecutor(processes, context, begin)
-    waiting = {pool.submit(batch, *one): one for one in work}
     try:
+        waiting = {pool.submit(batch, *one): one for one in work}
         for done in concurrent.futures.as_completed(waiting):
             yield done.result()
     except concurrent.futures.process.BrokenProcessPool:
         raise SystemExit(f"A process died of one of the inputs {waiting[done]}, or of those beside them.") from None
     finally:
+        for process in multiprocessing.active_children():  # of an interrupt: at work, and deaf to it
+            process.kill()
         pool.shutdown(cancel_futures=True)

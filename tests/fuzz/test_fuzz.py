@@ -1,5 +1,12 @@
 """A share of the inputs of `python -m tests.fuzz`, the same in every run."""
 
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
 import pytest
 
 from tests.fuzz.judge import judge, repeat
@@ -7,6 +14,35 @@ from tests.fuzz.rooms import ROOMS
 
 COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "logs": 40, "stores": 12}
 COUNTS |= {"poses": 300, "exports": 8}
+
+
+AT_WORK = """
+import os, pathlib, sys, time
+from tests.fuzz import many
+
+def batch(name, numbers, place):
+    pathlib.Path(place).write_text(f"{os.getpid()}\\n")
+    time.sleep(600)
+
+if __name__ == "__main__":
+    many.batch = batch
+    list(many.verdicts({"urdf": 1}, sys.argv[1], 1))
+"""
+
+
+def test_an_interrupt_ends_what_is_at_work(tmp_path):
+    script, place = tmp_path / "at_work.py", tmp_path / "place"
+    script.write_text(AT_WORK)
+    root = pathlib.Path(__file__).parents[2]
+    line = [sys.executable, str(script), str(place)]
+    with subprocess.Popen(line, env=os.environ | {"PYTHONPATH": str(root)}, stderr=subprocess.DEVNULL) as process:
+        while not (place.exists() and place.read_text().endswith("\n")):
+            assert process.poll() is None
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(place.read_text()), 0)
 
 
 FOUND = [  # what did harm: room, seed, number
