@@ -112,7 +112,14 @@ def record(cls=None, *, kw_only=True):
         # Copies and pickles leave these behind: they mark holes by identity, and hashes change between processes.
         return {n: getattr(self, n) for n in names}
 
-    cls.__getstate__ = fields_alone
+    def read_only(self, state):
+        for name, value in state.items():
+            if type(value) is np.ndarray and value.flags.writeable:
+                value = value.view()
+                value.flags.writeable = False
+            self.__dict__[name] = value
+
+    cls.__getstate__, cls.__setstate__ = fields_alone, read_only
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
 

@@ -100,6 +100,16 @@ def test_copies_and_pickles():
         assert twin.numbers == tree.numbers
 
 
+def test_copies_and_pickles_are_as_little_written_to():
+    mine = np.ones(3)
+    tree = replace(outer(), extra=mine)
+    for twin in (copy.copy(tree), copy.deepcopy(tree), pickle.loads(pickle.dumps(tree))):
+        with pytest.raises(ValueError, match="read-only"):
+            twin.extra[0] = 2.0
+    mine[0] = 2.0
+    assert tree.extra[0] == 1
+
+
 def test_stack_keeps_what_agrees_literal():
     """Numbers in which records differ become lanes; the rest is compiled in as before."""
     a, b = outer(), outer(inner=Inner(value=4.0))
