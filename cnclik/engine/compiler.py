@@ -42,6 +42,11 @@ LIMIT = 300.0  # [s] that a compiler may take; the largest exports take half a m
 MOST_SECONDS = 120  # the same where lanes wait for it, and XLA could do it
 
 
+# A command, and a watch that ends it and all that it has started where standard input ends before: with this process.
+_WATCH = 'exec 3<&0 </dev/null; { read _ <&3; kill -9 0; } & "$@" 3<&-; code=$?; kill $!; exit $code'
+WATCHED = ("/bin/sh", "-c", _WATCH, "sh")
+
+
 class CompilerError(Exception):
     """The compiler refused, or took too long."""
 
@@ -57,8 +62,18 @@ def _command() -> list | None:
 @functools.lru_cache(maxsize=16)
 def _on_path(cc, path) -> list | None:
     """The compiler of an environment's CC and PATH, remembered: each call of a program asks whether there is one."""
-    several = (shlex.split(cc), ["cc"], ["gcc"], ["clang"])
-    return next((words for words in several if words and shutil.which(words[0], path=path)), None)
+    try:
+        own = shlex.split(cc)
+    except ValueError:  # a quotation mark that is alone
+        own = [cc]
+    found = next(
+        (words for words in (own, ["cc"], ["gcc"], ["clang"]) if words and shutil.which(words[0], path=path)), None
+    )
+    if own and found is not own:
+        errors.remark(
+            f"CC is {cc!r}, which names no program: {found[0] if found else 'none of cc, gcc and clang'} is used."
+        )
+    return found
 
 
 @functools.cache
@@ -176,14 +191,22 @@ def _whole(library) -> bool:
 def _run(line, limit):
     """What a command returns and what it says; ended, with all that it has started, after so many seconds."""
     group = {"start_new_session": True} if hasattr(os, "killpg") else {}
-    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **group) as process:
-        try:
-            _, said = process.communicate(timeout=limit)
-        except subprocess.TimeoutExpired:
-            raise SlowCompilerError(f"nothing within {limit:g} s") from None
-        finally:  # an interrupt ends it, too
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+    line = [*WATCHED, *line] if group else line
+    watched, alive = os.pipe()
+    try:
+        with subprocess.Popen(
+            line, stdin=watched, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **group
+        ) as process:
+            try:
+                _, said = process.communicate(timeout=limit)
+            except subprocess.TimeoutExpired:
+                raise SlowCompilerError(f"nothing within {limit:g} s") from None
+            finally:  # an interrupt ends it, too
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+    finally:
+        os.close(watched)
+        os.close(alive)
     return process.returncode, said
 
 

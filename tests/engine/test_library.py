@@ -1,6 +1,12 @@
 """What lies around a law as C: drives, paces, paths, derivatives, long runs; lanes with and without a compiler."""
 
 import functools
+import os
+import pathlib
+import subprocess
+import sys
+import time
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +14,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik import errors as ck_errors
 from cnclik.engine import compiler
 from cnclik.engine.plan import in_c as runs_in_c
 from cnclik.engine.plan import use_engine
@@ -152,6 +159,37 @@ def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
     why = Programs(jnp.cos).of(lane_avals([x]))
     assert str(why).startswith("the C compiler failed")
     same(ck.lanes(jnp.cos)(x), jnp.cos(x))
+
+
+@pytest.mark.parametrize("named", ["/nonexistent -O2", "'"])
+def test_a_compiler_that_is_none_is_named(monkeypatch, named):
+    monkeypatch.setenv("CC", named)
+    compiler._on_path.cache_clear()
+    with pytest.warns(ck_errors.Remark, match=f"CC is .*{named}.*, which names no program: (cc|gcc|clang) is used"):
+        assert compiler.command()[0] != named
+    with warnings.catch_warnings(action="error"):  # once
+        compiler.command()
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="processes have no groups here")
+def test_a_compiler_ends_with_the_process_that_calls_it(tmp_path):
+    """However that ends; with what it has started."""
+    started = tmp_path / "started"
+    hanging = ["sh", "-c", f"sleep 600 & echo $! >{started}.part; mv {started}.part {started}; wait"]
+    code = f"from cnclik.engine import compiler; compiler._run({hanging!r}, 600)"
+    caller = subprocess.Popen([sys.executable, "-c", code])
+    _until(started.exists)
+    caller.kill()
+    caller.wait()
+    state = pathlib.Path("/proc", started.read_text().strip(), "stat")
+    _until(lambda: not state.exists() or state.read_text().split()[2] in "ZX")
+
+
+def _until(there, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 @NEEDS_C
