@@ -12,6 +12,8 @@ import pathlib
 import sys
 import warnings
 
+from cnclik import quantities
+
 _MOST = 800  # characters of a message
 _LISTED = 300  # characters of a list of names, beyond which the one that was probably meant stands for it
 
@@ -76,7 +78,7 @@ def number(name: str, value, *, positive=False, at_least=None):
     import numpy as np
 
     if type(value) is not float and (isinstance(value, _NO_NUMBERS) or np.ndim(value) != 0):
-        raise fail(name, "be a number", f"is {value!r}")
+        raise fail(name, "be a number", f"is {value!r}{quantities.in_python(value)}")
     if type(value) is float or concrete(value):
         try:
             known = float(value)
@@ -150,7 +152,7 @@ def array(name: str, value, *shapes, finite=True, most=None):
     except ArgumentError:
         raise
     except (TypeError, ValueError):
-        raise fail(name, "be an array of real numbers", f"is {value!r}") from None
+        raise fail(name, "be an array of real numbers", f"is {value!r}{quantities.in_python(value)}") from None
     if shapes and not any(_fits(found.shape, s) for s in shapes):
         wanted = " or ".join(_show(s) for s in shapes)
         raise fail(name, f"have shape {wanted}", f"has shape {_show(found.shape)}")

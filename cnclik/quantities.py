@@ -95,6 +95,23 @@ def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
                       [known[w][1] if w else None for w in written])  # fmt: skip
 
 
+def in_python(text: str, own: str = "s, q, q/s, q/s², q/s³") -> str:
+    """How a text with a unit is written in Python, to stand behind it, such as ": write 0.02" for 20ms; else nothing.
+
+    Args: own: the unit of what it is for, as for `units`; any where it isn't known.
+    """
+    try:
+        found = read(text, own, Ts=1.0)
+    except (AttributeError, ValueError):  # no text, no numbers, or no unit
+        return ""
+    if not any(found.written):
+        return ""
+    numbers = ", ".join(
+        f"{v:.9g}" + "/Ts" * (own == SAMPLES and w == "s") for v, w in zip(found, found.written, strict=True)
+    )
+    return f": write {numbers}" if len(found) == 1 else f": write [{numbers}]"
+
+
 def _in_own(value, mark, known, Ts):
     factor, unit = known[mark] if mark else (1.0, None)
     if unit == "s" and SAMPLES in known:

@@ -236,7 +236,7 @@ def lag_of(factor, z, Ts):
 
     def drive_of(values):
         return Drive(
-            delay=float(min(abs(values[0]), 2 * phase + 2, MOST)), lag=float(np.exp(np.clip(values[1], -20, 5)))
+            delay=float(min(abs(values[0]), 2 * phase + 2, MOST - 1)), lag=float(np.exp(np.clip(values[1], -20, 5)))
         )
 
     def off(values):

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors
+from cnclik import errors, quantities
 from cnclik.record import is_literal, leaf, record, replace
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
-MOST = 100  # samples of dead time and of a measurement's together: theory's matrices have as many rows
+MOST = 101  # samples of dead time and of a measurement's together: theory's matrices have as many rows
 LARGEST = 1e12  # a quantity of a drive, and its inverse: beyond, products of them are no numbers
 TERMS = 15  # of the exponential's series: 0.5^16/16! is below rounding
 FASTEST = 5e4  # rates of a drive times Ts: what is faster is at rest within a sample, and as fast as this
@@ -70,11 +70,14 @@ class Drive:
     seed: int = 0
 
     def __post_init__(self):
+        if isinstance(self.delay, str):
+            found = f"is {self.delay!r}{quantities.in_python(self.delay, quantities.SAMPLES)}"
+            raise errors.fail("delay", "be a number of samples", found)
         if not errors.concrete(self.delay):
             raise errors.fail("delay", "be a known number of samples", "is traced: there is a program for each")
         errors.number("delay", self.delay, at_least=0)
         errors.integer("measurement_delay", self.measurement_delay, at_least=0)
-        if self.delay + self.measurement_delay > MOST + 1:  # advice looks a sample further
+        if self.delay + self.measurement_delay > MOST:
             late = float(self.delay) + self.measurement_delay
             raise errors.fail("delay", f"be at most {MOST} samples, that of a measurement included", f"is {late:g}")
         object.__setattr__(self, "delay", float(self.delay))

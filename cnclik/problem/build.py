@@ -13,6 +13,7 @@ from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference, causal
+from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import (
     gain_from,
     inverse_from,
@@ -25,7 +26,7 @@ from cnclik.problem.names import (
     start_from,
     task_from,
 )
-from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values
+from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
 
@@ -85,6 +86,7 @@ def problem_from(robot, **options) -> Problem:
     given = as_written({name: value for name, value in options.items() if value is not None})
     for key in given:
         errors.one_of("option", key, SWEPT)
+    given, written = in_own_units(given)
     v = dict.fromkeys(SWEPT) | DEFAULTS | given
     if "M" in given and hasattr(v["stage"], "tolerance"):
         raise errors.fail("M", "be left out where `stage` has it", f"is {given['M']!r}")
@@ -94,6 +96,7 @@ def problem_from(robot, **options) -> Problem:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
     chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"])
     task = task_from(v["task"], chain)
+    check_units(chain, task, written)
     inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])
     if task.m > chain.n and isinstance(inverse, Pseudoinverse):
         require_free(chain, task)

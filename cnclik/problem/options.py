@@ -20,7 +20,7 @@ from cnclik.problem.words import (
     STAGES,
     TASKS,
 )
-from cnclik.quantities import SAMPLES
+from cnclik.quantities import SAMPLES, read
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -146,6 +146,29 @@ def check_values(where: str, name: str, values) -> None:
     must = SWEPT[name].must if name in SWEPT else ""
     if must and (wrong := ~_FITS[must](values)).any():
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
+
+
+def in_own_units(given: dict) -> tuple:
+    """({option: value} with texts such as "34ms" as numbers in the option's own unit, {option: the units of each}).
+
+    Raises: ArgumentError for a text that is no such numbers, or has no unit.
+    """
+    made, written = dict(given), {}
+    texts = [name for name, value in given.items() if isinstance(value, str) and SWEPT[name].kind != NAME]
+    for name in sorted(texts, key=lambda name: SWEPT[name].unit == SAMPLES):  # once the sampling time is known
+        Ts = made.get("Ts", DEFAULTS["Ts"])
+        if SWEPT[name].unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
+            raise errors.fail(name, "be in samples where `Ts` is traced", f"is {given[name]!r}")
+        try:
+            found = read(given[name], SWEPT[name].unit, Ts)
+            if not any(found.written):
+                raise ValueError(f"is {given[name]!r}")
+        except ValueError as error:
+            raise errors.fail(name, "be a number, or a text of numbers with their unit", str(error)) from None
+        written[name] = found.written
+        whole = SWEPT[name].kind == INTEGER and found[0].is_integer()
+        made[name] = list(found) if len(found) > 1 else int(found[0]) if whole else found[0]
+    return made, written
 
 
 def units(law, width=None) -> dict:

@@ -8,7 +8,7 @@ together are one matrix. With one drive for all joints each eigenvector of Dⱼ 
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, sampled
+from cnclik.integrate.drive import MOST, Drive, sampled
 from cnclik.integrate.method import DEFAULT
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
@@ -184,6 +184,8 @@ def longer(drive) -> Drive:
     """The drive with the dead time that a recommended gain is safe for."""
     if drive.feedback == "commanded":  # the loop itself has none
         return Drive(delay=SPARE)
+    if (late := drive.lumped.delay) > MOST - SPARE:
+        raise errors.fail("delay", f"be at most {MOST - SPARE:g} samples where a gain is recommended", f"is {late:g}")
     return replace(drive, delay=drive.delay + SPARE)
 
 

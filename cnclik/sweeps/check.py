@@ -234,7 +234,8 @@ def _compiled_in(spec: Spec) -> dict:
         wanted.add(name)
         needs = {"M", "delay", "measurement_delay"} if name == LIMIT else set()
         if name not in NAMES:
-            needs = needs.union(*(expression.names(name, t[name]) for t in spec.tables() if name in t))
+            tables = (*spec.tables(), spec.written)
+            needs = needs.union(*(expression.names(name, t[name]) for t in tables if name in t))
         queue |= needs - wanted
     out = dict(spec.axes)
     for name in wanted & out.keys():

@@ -1,15 +1,20 @@
-"""Expressions: values of a spec that follow from others, such as duration = "N*Ts" or alpha = "z/Ts"."""
+"""Expressions: values of a spec that follow from others, such as duration = "N*Ts" or alpha = "z/Ts".
+
+What is no expression may be numbers with a unit, as on the command line: delay = "34ms", q0 = "0 -90 90 deg".
+"""
 
 import ast
 import functools
 import math
 import operator
 import warnings
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors
+from cnclik import errors, quantities
+from cnclik.problem.options import SWEPT
 
 DEEPEST = 100  # of brackets and signs inside one another
 MOST = 2.0**1000  # of a number in between: Python's integers would grow until memory is gone
@@ -36,18 +41,48 @@ _FUNCTIONS = _CALLS | set(_PAIRS)
 _CONSTANTS = {"pi": math.pi}
 
 
+class _Written(NamedTuple):
+    """Numbers with a unit, of an option in a unit of its own."""
+
+    text: str
+    own: str
+    units: tuple  # of each number, or None
+
+    @property
+    def needs(self) -> set:
+        """What they follow from: a time in samples from the sampling time."""
+        return {"Ts"} if self.own == quantities.SAMPLES and "s" in self.units else set()
+
+    def value(self, known):
+        """A number or a vector."""
+        found = quantities.read(self.text, self.own, *map(known, self.needs))
+        return np.array(found) if len(found) > 1 else int(found[0]) if found[0].is_integer() else found[0]
+
+
 @functools.cache
 def parse(name: str, text: str):
-    """The expression's tree; ArgumentError for anything but arithmetic on numbers and names."""
+    """The expression's tree, or numbers `_Written` with a unit; ArgumentError for anything else."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of Python about Python, such as 0in
             tree = ast.parse(text, mode="eval").body
         _check(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        words = f"be a number or a short expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
-        raise errors.fail(name, words, f"is {text!r}") from None
+        return _written(name, text)
     return tree
+
+
+def _written(name, text):
+    own = next((SWEPT[part].unit for part in name.split(".") if part in SWEPT), "1")  # of axes.q0.low that of q0
+    try:
+        found = quantities.read(text, own, Ts=1.0)
+        if any(found.written):
+            return _Written(text, own, found.written)
+        why = f"is {text!r}"
+    except ValueError as error:
+        why = str(error)
+    words = f"be a number or a short expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
+    raise errors.fail(name, words, why)
 
 
 def _check(node, deep=0):
@@ -77,8 +112,19 @@ def names(name: str, value) -> set:
         return set().union(*(names(name, v) for v in value))
     if not isinstance(value, str):
         return set()
-    found = {node.id for node in ast.walk(parse(name, value)) if isinstance(node, ast.Name)}
+    tree = parse(name, value)
+    if isinstance(tree, _Written):
+        return tree.needs
+    found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     return found - _FUNCTIONS - set(_CONSTANTS)
+
+
+def units(name: str, value) -> tuple:
+    """The unit that each number of a value is written with, or None."""
+    if isinstance(value, (list, tuple)):
+        return sum((units(name, v) for v in value), ())
+    tree = parse(name, value) if isinstance(value, str) else None
+    return tree.units if isinstance(tree, _Written) else (None,)
 
 
 def evaluate(name: str, value, known):
@@ -114,6 +160,8 @@ def evaluate(name: str, value, known):
 
     tree = parse(name, value)
     try:
+        if isinstance(tree, _Written):
+            return tree.value(known)
         with np.errstate(all="ignore"):  # what is not finite is told where it is used
             found = walk(tree)
         if np.iscomplexobj(found):

@@ -29,6 +29,7 @@ from cnclik.integrate.solve import answers_soon
 from cnclik.measure import metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
+from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import robot_from, stage_from
 from cnclik.reading import read_bytes
 from cnclik.stability.driven import driven_limits
@@ -115,13 +116,17 @@ class Spec:
 
     def build(self, /, **values) -> Problem:
         """One loop."""
+        known, _ = self.lookup(**values)
         v = self.values(**values)
         for name in ("robot", "reference"):
             v[name] = str(self.file(v[name]) or v[name])
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        return problem_from(**v)
+        made = problem_from(**v)
+        written = {name: expression.units(name, known[name]) for name in v if name not in NAMES}
+        check_units(made.law.chain, made.law.task, written)
+        return made
 
     def file(self, text) -> pathlib.Path | None:
         """The file that a name stands for, relative to the spec's folder, or None."""

@@ -2,6 +2,7 @@
 
 import itertools
 
+import jax
 import numpy as np
 import pytest
 
@@ -67,6 +68,22 @@ def test_a_pace_is_options_like_the_others():
     ):
         with pytest.raises(ck.ArgumentError, match=told):
             p.problem_from("panda", **options)
+
+
+def test_numbers_may_be_texts_with_a_unit():
+    made = p.problem_from("planar:1,1", Ts="4ms", delay="34ms", measurement_delay="8ms", q0="0 90 deg", lag="20ms")
+    assert (made.Ts, made.drive.delay, made.drive.measurement_delay, made.drive.lag) == (0.004, 8.5, 2, 0.02)
+    np.testing.assert_allclose(made.q0, [0, np.pi / 2])
+    for options, told in (
+        ({"delay": "34"}, "`delay` must be a number, or a text of numbers with their unit, but is '34'"),
+        ({"delay": "34kg"}, r"but is '34kg' \(units: s, ms"),
+        ({"q0": "1m 2m"}, "joint 'q1' is in rad, and m is given"),
+        ({"delay": "34ms", "Ts": [0.1]}, "`Ts` must be a number"),
+    ):
+        with pytest.raises(ck.ArgumentError, match=told):
+            p.problem_from("planar:1,1", **options)
+    with pytest.raises(ck.ArgumentError, match="`delay` must be in samples where `Ts` is traced, but is '34ms'"):
+        jax.jit(lambda Ts: p.problem_from("planar:1,1", Ts=Ts, delay="34ms").Ts)(0.1)
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def verdict(law=LAW, reference=GOAL, run=None, Ts=0.1):
         (lambda: st.amplification("EE", None, "x"), "`z` must be a finite number, or an array of them, but is 'x'"),
         (lambda: st.amplification("EE", None, [1.0, np.nan]), "`z` must be a finite number"),
         (lambda: st.delayed_radius("EE", None, {}, 1), "`z` must be a finite number"),
-        (lambda: st.delay_limit(100_000), "`delay` must be at most 100, but is 100000"),
+        (lambda: st.delay_limit(100_000), "`delay` must be at most 101, but is 100000"),
         (lambda: st.stability_region("EE", real=3.0), r"`real` must have shape \(2,\)"),
         (lambda: st.stability_map(5, GOAL, Q, alpha=[1.0], Ts=[0.1]), "`law` must be a Law, but is int"),
         (lambda: st.responses(5, None, Q, Ts=0.1), "`law` must be a Law, but is int"),

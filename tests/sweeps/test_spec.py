@@ -420,3 +420,37 @@ def test_the_rounded_end_of_an_axis_can_be_selected():
         axis = {"linspace": [first, last, 3]}
         for end in (np.nextafter(last, 9), np.nextafter(last, -9), first):
             check.parse(written(axes__z=axis, figure=[{"kind": "slices", "x": "lift", "select": {"z": float(end)}}]))
+
+
+def test_numbers_have_units_as_on_the_command_line():
+    w = written(fixed__Ts="4ms", fixed__delay="34ms", fixed__measurement_delay="8 ms", fixed__lag="20ms",
+                fixed__q0="0 -90 deg", fixed__from=["100cm", 1], axes__method=["EE"], axes__M=[1])  # fmt: skip
+    s = check.parse(w)
+    made = s.build(method="EE", M=1, z=0.2, lift=0.0)
+    assert (made.Ts, made.drive.delay, made.drive.measurement_delay, made.drive.lag) == (0.004, 8.5, 2, 0.02)
+    assert float(made.law.alpha) == pytest.approx(50.0)  # of an expression of Ts
+    np.testing.assert_allclose(made.q0, [0, -np.pi / 2])
+    np.testing.assert_allclose(made.reference.curve.start, [1, 1])
+
+
+def test_a_dead_time_follows_from_the_sampling_time_of_its_loop():
+    s = check.parse(written(fixed__Ts=None, axes__Ts=[0.01, 0.02], axes__delay=["20ms", "40ms"], axes__M=[1]))
+    assert [a.name for a in s.grid().outer] == ["method", "Ts", "delay"]
+    delays = [s.values(**p, **s.first())["delay"] for p in s.grid().programs if p["method"] == "EE"]
+    assert delays == [2, 4, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("delay", "34kg", r"but is '34kg' \(units: s, ms, us, sample, samples\)"),
+        ("q0", "0deg 90", "write a unit behind each number, or once at the end, apart"),
+        ("q0", "100mm 200mm", "`q0` must have the units of what it is for, but joint 'q1' is in rad, and m is given"),
+        ("q0", ["100mm", 1], "joint 'q1' is in rad, and m is given"),
+        ("damping", "1mm", "`damping` must be a number or a short expression"),
+        ("mine", "4ms", "`mine` must be a number or a short expression"),
+    ],
+)
+def test_what_has_no_such_unit_is_refused(name, value, told):
+    with pytest.raises(ArgumentError, match=told):
+        check.parse(written(**{f"fixed__{name}": value}))
