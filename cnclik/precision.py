@@ -5,22 +5,41 @@ from an unstable one. What advises (stability, tuning, sweeps) therefore works i
 """
 
 import functools
+import inspect
 
 import jax
 import numpy as np
 
+from cnclik import errors
+
+
+def of_numbers(fn):
+    """Decorator: `fn` decides by numbers. Where an argument is traced (jit, vmap, grad) one line says which."""
+
+    @functools.wraps(fn)
+    def known(*args, **kwargs):
+        if not _known((*args, *kwargs.values())):
+            given = dict(zip(inspect.signature(fn).parameters, args, strict=False)) | kwargs
+            name = next(name for name, value in given.items() if not _known(value))
+            found = f"is traced by JAX: call {fn.__name__} outside of jit, vmap and grad"
+            raise errors.fail(name, "hold numbers", found)
+        return fn(*args, **kwargs)
+
+    return known
+
 
 def in_float64(fn):
-    """Decorator: run `fn` in float64; arrays among its arguments are widened, results stay as they come.
+    """Decorator: run `fn` in float64; arrays among its arguments are widened, results stay as they come."""
+    return of_numbers(in_float64_if_known(fn))
 
-    Under jit, vmap or grad (traced arguments) the caller's own precision is all there is, and is kept.
-    """
+
+def in_float64_if_known(fn):
+    """Decorator: `in_float64` of what takes traced arguments, too: then the caller's own precision is all there is."""
 
     @functools.wraps(fn)
     def wide(*args, **kwargs):
         leaves = jax.tree.leaves((args, kwargs))
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-        if traced or (jax.config.jax_enable_x64 and not any(map(_narrow, leaves))):
+        if not _known(leaves) or (jax.config.jax_enable_x64 and not any(map(_narrow, leaves))):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
             args, kwargs = jax.tree.map(_widened, (args, kwargs))
@@ -38,6 +57,12 @@ def precise(fn):
             return fn(*args, **kwargs)
 
     return exact
+
+
+def _known(tree) -> bool:
+    """Whether nothing in it is traced."""
+    leaves = jax.tree.leaves(tree, is_leaf=lambda v: type(v) is dict)  # of which JAX would sort the keys
+    return all(_known(list(v.values())) if type(v) is dict else errors.concrete(v) for v in leaves)
 
 
 def _narrow(leaf):

@@ -22,6 +22,7 @@ from cnclik.diagnosis.judge import (
 )
 from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
+from cnclik.precision import of_numbers
 from cnclik.quantities import in_samples
 from cnclik.record import record
 
@@ -110,6 +111,7 @@ class Diagnosis:
         return f"{self.kind}: {_sentence(self)}." + (f" {self.note}" if self.note else "")
 
 
+@of_numbers
 def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -> Diagnosis:
     """Whether a recording rings, how late the robot is by that, and which gain would end it.
 

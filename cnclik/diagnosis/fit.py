@@ -15,6 +15,7 @@ from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
 from cnclik.diagnosis.response import Shape, names_of, response
 from cnclik.diagnosis.spread import correlated, stable_range
 from cnclik.integrate.drive import COMMANDS, Drive
+from cnclik.precision import of_numbers
 from cnclik.record import record, replace
 
 KINDS = ("delay", "lag", "second-order")  # by their order
@@ -90,6 +91,7 @@ def _said(value) -> str:
     return " ".join(f"{0.0 if abs(v) < 1e-6 else v:.4g}" for v in np.ravel(value))
 
 
+@of_numbers
 def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position") -> DriveFit:
     """The drive behind recorded commands and motion, as of a step: dead time, and a lag or a second-order servo.
 

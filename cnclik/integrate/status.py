@@ -7,6 +7,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.reference import motion
+from cnclik.precision import of_numbers
 from cnclik.robot.rotations import safe_sqrt
 
 
@@ -56,6 +57,7 @@ def count(status) -> dict:
     return counts | {s.name: int(np.sum((status & s.value) != 0)) for s in Status if s}
 
 
+@of_numbers
 def require_ok(run, *, allow=Status.OK):
     """The run itself if no step has a status beyond `allow` and RESTARTED, which is no defect; else StepError.
 

@@ -13,12 +13,14 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
+from cnclik.precision import of_numbers
 from cnclik.version import __version__
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
+@of_numbers
 def to_dataset(run: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> "xr.Dataset":
     """A trajectory, or a batch of them, as an `xarray.Dataset`.
 

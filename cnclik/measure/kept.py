@@ -5,6 +5,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.trajectory import Trajectory, one_lane
+from cnclik.precision import of_numbers
 from cnclik.record import record
 from cnclik.robot.chain import Chain
 
@@ -42,6 +43,7 @@ class Kept:
         return "\n".join(lines)
 
 
+@of_numbers
 def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
     """A motion against limits, as a robot's controller sees it: differences of sampled joint values, from rest.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.task import position
+from cnclik.precision import of_numbers
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import Reached
 from cnclik.reaching.seeds import seeds
@@ -28,6 +29,7 @@ class Reachability(NamedTuple):
     reached: Reached  # every answer, (cells · orientations,)
 
 
+@of_numbers
 def reachability(
     chain: Chain, where="xz", *, task="pose", cells=40, orientations=24, at=0.0, span=None, **options
 ) -> Reachability:

@@ -12,6 +12,7 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import one_lane
 from cnclik.measure.dataset import to_dataset
+from cnclik.precision import of_numbers
 from cnclik.robot.posture import is_planar
 from cnclik.show import style
 from cnclik.show.viewer.motion import from_arrays
@@ -24,6 +25,7 @@ _PARTS = {
 _BITS = [bit for bit in Status if bit]
 
 
+@of_numbers
 def plot(run, law, kind="overview"):
     """A picture of one run: `ck.plot(run, law)`.
 

@@ -17,7 +17,7 @@ from cnclik.integrate.stage import picard
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
-from cnclik.precision import in_float64
+from cnclik.precision import in_float64, of_numbers
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.robot.model import one_off
@@ -26,6 +26,7 @@ from cnclik.stability.maps import endings_about
 from cnclik.stability.spectrum import hold_at
 
 
+@of_numbers
 def curvature_bound(chain) -> float:
     """L_H: a Lipschitz bound of the position Jacobian over all q, ‖J(q) − J(p)‖ ≤ L_H ‖q − p‖ [m].
 

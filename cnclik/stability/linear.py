@@ -22,7 +22,7 @@ from cnclik.integrate.march import march
 from cnclik.integrate.method import named
 from cnclik.integrate.stage import picard
 from cnclik.law.feedback import per_step
-from cnclik.precision import in_float64
+from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
@@ -215,6 +215,7 @@ class RealAxisLimits:
     rate: float
 
 
+@of_numbers
 def real_axis_limits(method, stage=None) -> RealAxisLimits:
     """Stable, monotone, dead-beat and fastest z of a method with its stage, from `amplification`. In float64.
 
@@ -239,6 +240,7 @@ def _changes_sign(factor):
     return np.maximum(-factor.real, np.abs(factor.imag)) if np.iscomplexobj(factor) else -factor
 
 
+@of_numbers
 def stability_limit(method, stage=None) -> float:
     """Largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none. In float64.
 
@@ -279,6 +281,7 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
 # --- delay --------------------------------------------------------------------------------------------
 
 
+@of_numbers
 def delayed_radius(method, stage, z, delay: int):
     """Spectral radius of the loop whose error is measured `delay` samples late.
 
@@ -314,6 +317,7 @@ def late_monotone(delay: float) -> float:
     return (delay / (delay + 1)) ** delay / (delay + 1)
 
 
+@of_numbers
 def delay_limit(delay: int, method="EE", stage=None) -> float:
     """Largest stable z = alpha·Ts with an error measured `delay` samples late, on the real axis.
 

@@ -14,7 +14,7 @@ from cnclik.integrate.solve import answers_soon
 from cnclik.integrate.stage import picard
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
-from cnclik.precision import in_float64
+from cnclik.precision import in_float64, of_numbers
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
@@ -223,6 +223,7 @@ def _attributes(law, q0, method, stage, N, options):
 # --- agreement with linear theory ----------------------------------------------------------------------
 
 
+@of_numbers
 def agreement(ending, z, limit, *, band=0.03):
     """Fraction of loops whose measured outcome is what z against the linear limit says, outside a band around it.
 

@@ -7,6 +7,7 @@ from cnclik import errors
 from cnclik.integrate.method import named
 from cnclik.integrate.stage import chord, picard
 from cnclik.measure.files import markdown
+from cnclik.precision import of_numbers
 from cnclik.stability.linear import delay_limit, real_axis_limits, stability_region
 
 DELAYS = 5  # 0 … 4 samples
@@ -16,6 +17,7 @@ LIMITS = ("stable", "monotone", "dead_beat", "fastest", "rate")
 _HEADER = ("stable", "monotone", "dead-beat", "fastest", "error × per step")
 
 
+@of_numbers
 def plane(methods=(*EXPLICIT, *IMPLICIT), passes=(0, 1, 2, 3, 4, 5, 10), *, points=201, progress=None):
     """Stability regions and limits of methods, implicit ones for Picard passes M and solved exactly. In float64.
 

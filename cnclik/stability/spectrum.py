@@ -20,7 +20,7 @@ from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import check_loop, evaluate
 from cnclik.law.null import without
-from cnclik.precision import in_float64
+from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import cast, record, replace
 from cnclik.robot.kinematics import as_joint_values, pose
 from cnclik.robot.model import modelled, one_off
@@ -107,7 +107,7 @@ def task_map(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
     return of_error(*one_step(law, reference, q, Ts, method, stage))
 
 
-@in_float64
+@in_float64_if_known
 def spectral_radius(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
     """Largest |λ| of the loop's one-step map at rest over the directions of the task; stable below 1.
 
@@ -367,6 +367,7 @@ def settle(law, reference, q0, *, N=200):
     return np.asarray(run.q)[-1]
 
 
+@of_numbers
 def largest_rate(alpha) -> float:
     """The number behind z = alpha·Ts of any gain: its largest |eigenvalue| [1/s]."""
     alpha = np.asarray(alpha)

@@ -12,7 +12,7 @@ from cnclik.integrate.method import DEFAULT
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import check_loop
-from cnclik.precision import in_float64
+from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record, replace
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import UNSTABLE, case_of
@@ -60,6 +60,7 @@ class Verdict:
         return _in_words(self.remedies)
 
 
+@of_numbers
 def verdict(
     law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), pace=None, noise=None
 ) -> Verdict:

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.precision import of_numbers
 from cnclik.sweeps import store
 from cnclik.sweeps.grid import Grid, grid
 from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of, environment
@@ -14,6 +15,7 @@ from cnclik.sweeps.program import fit, run_blocks
 from cnclik.sweeps.spec import Spec, read
 
 
+@of_numbers
 def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
     """Run a study over the grid of some axes, in float64 whatever JAX's own precision is.
 

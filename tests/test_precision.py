@@ -1,0 +1,67 @@
+"""What decides by numbers says in one line that it was called inside jit, vmap or grad, and computes in float64."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import stability as st
+
+ARM = ck.planar_arm([1.0, 0.8])
+LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
+Q, GOAL, TS = np.array([0.3, 1.1]), ck.hold([1.0, 0.7]), 0.1
+
+
+def run(q):
+    return ck.solve(LAW, GOAL, q, TS, 3)
+
+
+def law(x):
+    return ck.replace(LAW, alpha=x[0])
+
+
+DOORS = {  # what is traced of each, and how it is called
+    ("recommend", "q"): lambda x: st.recommend(LAW, None, x, Ts=TS),
+    ("recommend", "law"): lambda x: st.recommend(law(x), None, Q, Ts=TS),
+    ("recommend", "Ts"): lambda x: st.recommend(LAW, None, Q, Ts=x[0]),
+    ("recommend", "drive"): lambda x: st.recommend(LAW, None, Q, Ts=TS, drive=ck.Drive(lag=x[0])),
+    ("margin", "q"): lambda x: st.margin(LAW, None, x, Ts=TS),
+    ("advise", "q"): lambda x: st.advise(LAW, None, x, Ts=TS),
+    ("practice", "q"): lambda x: st.practice(LAW, None, x, Ts=TS),
+    ("verdict", "run"): lambda x: st.verdict(LAW, GOAL, run(x), Ts=TS),
+    ("verdict", "law"): lambda x: st.verdict(law(x), GOAL, run(Q), Ts=TS),
+    ("settle", "q0"): lambda x: st.settle(LAW, GOAL, x),
+    ("spectrum", "q"): lambda x: st.spectrum(LAW, None, x, TS),
+    ("certified_radius", "q0"): lambda x: st.certified_radius(LAW, x, Ts=TS),
+    ("curvature_bound", "chain"): lambda x: st.curvature_bound(ck.planar_arm([x[0], x[1]])),
+    ("outcomes", "q0"): lambda x: st.outcomes(LAW, GOAL, q0=x, alpha=5.0, Ts=TS, N=3),
+    ("responses", "q"): lambda x: st.responses(LAW, None, x, Ts=TS),
+    ("driven_limits", "Ts"): lambda x: st.driven_limits("EE", Ts=x[0]),
+    ("stability_limit", "stage"): lambda x: st.stability_limit("IE", ck.picard(x[0].astype(int), maximum=5)),
+    ("delay_limit", "delay"): lambda x: st.delay_limit(x[0]),
+    ("largest_rate", "alpha"): lambda x: st.largest_rate(x),
+    ("diagnose", "signal"): lambda x: ck.diagnose(jnp.tile(x, 20), TS),
+    ("fit_drive", "command"): lambda x: ck.fit_drive(None, jnp.tile(x, 20), jnp.tile(x, 20), TS),
+    ("tune", "q0"): lambda x: ck.tune(LAW, GOAL, x, Ts=TS, N=3),
+    ("tune", "bounds"): lambda x: ck.tune(LAW, GOAL, Q, Ts=TS, N=3, bounds={"alpha": (x[0], x[1])}),
+    ("calibrate", "start"): lambda x: ck.calibrate(ck.planar_arm, x, Q[None], np.zeros((1, 3))),
+    ("sweep", "alpha"): lambda x: ck.sweep(lambda alpha: {"a": alpha}, alpha=x),
+    ("to_dataset", "run"): lambda x: ck.to_dataset(run(x), LAW),
+    ("require_ok", "run"): lambda x: ck.require_ok(run(x)),
+    ("plot", "run"): lambda x: ck.plot(run(x), LAW),
+    ("check_limits", "run"): lambda x: ck.check_limits(run(x), ck.Pace(velocity=1.0), chain=ARM),
+    ("reachability", "chain"): lambda x: ck.reachability(ck.planar_arm([x[0], x[1]]), "xy", task="position"),
+}
+
+
+@pytest.mark.parametrize(("door", "name"), DOORS)
+def test_what_decides_by_numbers_names_what_is_traced(door, name):
+    told = f"`{name}` must hold numbers, but is traced by JAX: call {door} outside of jit, vmap and grad"
+    with pytest.raises(ck.ArgumentError, match=told):
+        jax.eval_shape(DOORS[door, name], Q)
+
+
+def test_tables_of_any_keys_are_looked_into():
+    with pytest.raises(ck.ArgumentError, match="`config` must be what JSON can write"):
+        ck.to_dataset(run(Q), LAW, config={1: "one", "two": 2})
