@@ -208,7 +208,8 @@ def _summary(made, trajectory, seconds):
     of = f", {100 * share:.3g} % of a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
     rows.append(("joint velocity", f"up to {_number(found.max_qdot)} {unit}{of}"))
     late = "RMS joint speed taken back in the next step, second half of the run"
-    rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))
+    if made.pace is None or made.pace.acceleration is made.pace.jerk is None:  # else no step can
+        rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))
     rows.append(("time per step", f"{1e6 * seconds:.0f} µs"))
     return rows
 

@@ -19,7 +19,7 @@ from cnclik.integrate.advance import advance, summed
 from cnclik.integrate.drive import Drive, driven, measured_joints, moving, resting
 from cnclik.integrate.history import blank
 from cnclik.integrate.method import early_steps, evaluations_of
-from cnclik.integrate.pace import pace_at_rest, share
+from cnclik.integrate.pace import pace_at_rest, path_waits, share
 from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.corners import corners
@@ -93,7 +93,7 @@ def loop_of(
     given = modelled(law), modelled(plant), reference, noise, drive, model, pace
     law, plant, reference, noise, drive, model, pace = cast(given, q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-    waits = pace is not None and (reference.known if pace.wait is None else pace.wait)
+    waits = path_waits(pace, reference)
     looks = waits and reference.known and N > 1 and not (pace.acceleration is None and pace.jerk is None)
     ahead = corners(reference, law.task, t0 + jnp.arange(N + 1).astype(q0.dtype) * Ts) if looks else None
     return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained, pace, waits, ahead)

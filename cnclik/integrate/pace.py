@@ -156,6 +156,11 @@ def check_pace(pace, n: int, chain=None) -> Pace:
     return replace(pace, velocity=modelled(chain).velocity_limit)
 
 
+def path_waits(pace, reference) -> bool:
+    """Whether a path waits for the robot at a pace, which may be None."""
+    return pace is not None and bool(reference.known if pace.wait is None else pace.wait)
+
+
 # --- the share ----------------------------------------------------------------------------------------
 
 

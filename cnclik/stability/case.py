@@ -8,6 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
+from cnclik.integrate.pace import path_waits
 from cnclik.integrate.status import Status
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
@@ -25,7 +26,9 @@ WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it i
 LOOKED_AT = 9  # instants of the last quarter whose target is looked at
 PLENTY = 5.0  # time constants from which on an error that does not shrink is believed to stay
 LEAST = 50  # and steps
+NEARLY = 0.95  # of a path that is judged as all of it: at a pace the last of it may take for ever
 COUNTS = 0.05  # share of the last error from which on a direction of it counts
+BRIEF = 16  # part of a path, or of half a run to a held target, over which velocities at a pace are averaged
 UNMOVED = 1e-9  # a factor that is 1 to this is that of a direction that no joint moves
 
 
@@ -42,6 +45,7 @@ class Case:
         sense, 0 where it is none.
       rows, radius, null_radius: J (m, n) and spectral radii over the task and its null space, at rest at the end.
       overshoot: how far beyond the target an error lands there, as a share of itself.
+      advance: how far the path's time got in the last quarter's steps, of theirs: at a pace it waits for the robot.
       fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold, at the run's pace.
       e: weighted error at the end. size: of the last quarter's error, in words. more: pace and noise of the run.
     """
@@ -63,6 +67,7 @@ class Case:
     radius: float
     null_radius: float
     overshoot: float
+    advance: float
     fold: float
     e: np.ndarray
     size: str
@@ -134,10 +139,20 @@ class Case:
         return self.behind > self.seen.floor
 
     @property
+    def pace(self):
+        """At which it was run, or None."""
+        return self.more["pace"]
+
+    @property
+    def waits(self):
+        """Whether the path goes on only as far as the robot follows."""
+        return self.moving and path_waits(self.pace, self.reference)
+
+    @property
     def covered(self):
         """How much of the path the run holds, in whole paths; 1 where there is no path, or nearly all of it."""
         held = float(self.t[-1] - self.t[0]) / self.path if self.path else 1.0
-        return 1.0 if 0.99 <= held < 1 else held
+        return 1.0 if NEARLY <= held < 1 else held
 
     @functools.cached_property
     def reached(self):
@@ -157,14 +172,14 @@ class Case:
         kept = self.law.limits is not None
         return reach(chain, (position, rotation), task=task, tolerance=(1e-4, 1e-4), limits=kept)
 
-    def radius_at(self, at: Instant) -> float:
-        """Spectral radius at rest at another posture."""
-        return float(radii(*resting(self.law, at), np.ones(1), *self.loop)[0])
+    def radius_at(self, at: Instant, share=1.0) -> float:
+        """Spectral radius at rest at another posture, of steps of which a pace leaves a share."""
+        return float(radii(*resting(self.law, at), np.full(1, share), *self.loop)[0])
 
 
 def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Case:
     """The evidence of one lane's run that was computed in a dtype."""
-    seen = observe(law, run, Ts, dtype)
+    seen = observe(law, run, Ts, dtype, brief(reference, run, Ts, more["pace"]))
     t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
     last = 0 if wild else len(run.residual)
@@ -177,6 +192,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     late, p = e[: seen.bad][-len(seen.late) :], len(law.task.position)
     parts = ((late[:, :p], "m"), (late[:, p:], "rad"))
     rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
+    advance = _advance(t, len(seen.late), Ts)
     return Case(
         law=law,
         reference=reference,
@@ -194,7 +210,8 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         e=weighted,
         size=" and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size),
         more=more,
-        **rest | {"fold": rest["fold"] / _advance(t, len(seen.late), Ts)},
+        advance=advance,
+        **rest | {"fold": rest["fold"] / advance},
     )
 
 
@@ -202,6 +219,17 @@ def _advance(t, late, Ts) -> float:
     """How far the path's time got in the last quarter's steps, of theirs: paced steps are shorter."""
     steps = min(late, len(t) - 1)
     return min(max(1 / SLOWEST, float(t[-1] - t[-1 - steps]) / (steps * Ts)), 1.0)
+
+
+def brief(reference, run, Ts, pace) -> int:
+    """Steps over which the joint velocities of a run are averaged to see what goes back and forth; 0 where a step may
+    reverse them."""
+    if pace is None or pace.acceleration is pace.jerk is None:
+        return 0
+    steps, path = len(run.residual) // 2, whole(reference)
+    passed = float(run.target_time[-1] - run.target_time[-1 - steps]) / max(steps * Ts, 1e-300)
+    around = path / (Ts * max(passed, 1e-9)) if path else steps
+    return int(min(around, 8 * steps) / BRIEF)
 
 
 def farthest(law, places) -> int:

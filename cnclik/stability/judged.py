@@ -60,7 +60,16 @@ def _error(case):
 
 def _radius(case):
     digits = 3 if abs(case.radius - 1) > 0.005 else 6  # 1.0003 is not 1
-    return f"the loop's spectral radius at rest is {case.radius:.{digits}g}"
+    slow = ""
+    if case.radius > UNSTABLE and case.moving and _slow_enough(case):
+        part = case.advance
+        slow = f", and {case.radius_at(case.end, part):.3g} at the {part:.2g} of a step that the pace makes"
+    return f"the loop's spectral radius at rest is {case.radius:.{digits}g}{slow}"
+
+
+def _slow_enough(case):
+    """Whether a loop that is unstable at rest is stable at its pace: it takes a share of each step."""
+    return case.advance < 1 and not _shakes(case) and case.radius_at(case.end, case.advance) <= UNSTABLE
 
 
 def _pulled(case, error):
@@ -107,9 +116,10 @@ def _held(case, error):
 
 def _arrived(case, error):
     seen = case.seen
-    if seen.visible and not seen.fades and seen.reversing > REVERSING:
-        return _shaking(case, error)
     unstable = max(case.radius, case.null_radius * case.null_unstable)
+    moves = seen.visible or (case.pace is not None and unstable > UNSTABLE)  # within a pace it grows no further
+    if moves and not seen.fades and seen.reversing > REVERSING:
+        return _shaking(case, error)
     if unstable > UNSTABLE:
         what = f"at rest, but any disturbance grows: the loop's spectral radius is {unstable:.3g}"
         return Behaviour.DIVERGING, what, remedies.lower(case)
@@ -122,7 +132,7 @@ def _moving(case, error):
     seen = case.seen
     lag = rms(seen.late)
     follows = lag <= max(case.behind, seen.floor)
-    if case.radius > UNSTABLE and not (follows and case.radius_at(case.start) <= UNSTABLE):
+    if case.radius > UNSTABLE and not (follows and (case.radius_at(case.start) <= UNSTABLE or _slow_enough(case))):
         return _unstable(case, error)
     if seen.often(Status.AT_LIMIT) and case.law.limits is not None and not follows and not seen.shrinks:
         what = f"{reasons.at_limits(case) or 'joints are at their velocity limits'}, and {error}"
@@ -185,6 +195,8 @@ def _shaking(case, error):
     kinds = {j.kind for j in joints}
     unit = "rad" if kinds == {REVOLUTE} else "m" if REVOLUTE not in kinds else "rad or m"
     fast = f"joint velocities up to {seen.joint_speed:.3g} {unit}/s go back and forth"
+    fast += " within the limits of the pace" if case.pace is not None else ""
+    fast += f", with the path at {case.advance:.2g} of its speed" if case.moving and case.advance < 1 else ""
     if case.null_unstable and seen.arrived:
         inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
         return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case, case.null_radius)
@@ -193,7 +205,10 @@ def _shaking(case, error):
     if case.crawls and case.radius <= UNSTABLE:
         kind, what, found = undecided(case, f"{fast}; {error}")
         return kind, what, found if hasattr(case.law.inverse, "damping") else (*found, *remedies.gentle(case, "motion"))
-    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", remedies.lower(case)
+    found = remedies.lower(case)
+    if case.pace is not None and case.radius <= UNSTABLE and bool(np.any(seen.status & Status.NEAR_SINGULAR)):
+        fast, found = f"{fast}, next to a singularity", found or remedies.gentle(case, "motion")
+    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", found
 
 
 def _unstable(case, error):
@@ -201,14 +216,14 @@ def _unstable(case, error):
     seen = case.seen
     if seen.shrinks and not _shakes(case):
         return undecided(case, error)
-    if seen.grows or seen.soars:
+    if (seen.grows or seen.soars) and (case.pace is None or seen.lost):
         return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
-    if _shakes(case) or (seen.visible and case.spans > PLENTY):
+    if _shakes(case) or (seen.visible and case.spans > PLENTY and case.pace is None):
         return _shaking(case, error)
     falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
     if not falls and case.radius_at(case.start) > UNSTABLE:
         return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {_radius(case)}", remedies.lower(case)
-    return undecided(case, error)
+    return restless(case, error, remedies.lower(case))
 
 
 def _shrinking(case, error):
@@ -230,6 +245,12 @@ def _fallen(case):
 
 def _out_of_reach(case, error):
     return Behaviour.OUT_OF_REACH, f"{error}; {reasons.unreachable(case)}", remedies.nearer(case)
+
+
+def restless(case, what, found):
+    """Undecided, but of a loop that was unstable where it began: what mends that is tried all the same."""
+    kind, what, more = undecided(case, what)
+    return kind, what, (*(found if case.radius_at(case.start) > UNSTABLE else ()), *more)
 
 
 def undecided(case, error):

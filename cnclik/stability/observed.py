@@ -10,6 +10,7 @@ from cnclik.robot.posture import arm_length
 
 ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
 GROWN = 1.2  # ratio of the middle errors of two quarters from which on an error grows
+LOST = 4.0  # and of those of the last quarter and of all before
 VISIBLE = 1e-4  # RMS joint step, in rad or m, below which nobody sees it
 FALLEN = 0.5  # ratio of the largest, and of the middle, errors of two quarters below which one that swings shrinks
 FADING = 0.3  # ratio of the joint speeds of two quarters below which motion fades
@@ -23,7 +24,7 @@ class Observed(NamedTuple):
     late: np.ndarray  # those of the last quarter
     before: np.ndarray  # and of the one before
     floor: float  # an error no larger is rounding
-    reversing: float  # share of the late joint speed that the next step takes back
+    reversing: float  # share of the late joint speed that goes back and forth, see `back_and_forth`
     joint_speed: float  # largest late one
     visible: bool  # whether the late joint steps can be seen
     fades: bool  # whether they are much smaller than those of the quarter before
@@ -38,6 +39,7 @@ class Observed(NamedTuple):
     dtype: np.dtype  # in which it ran
     still: bool  # whether late joint values are all the same, and short of the target
     drift: float  # how far the joints get over the last quarter, going back and forth left out
+    way: float  # that the target went over the whole run [m; rad where the task has no position]
     outside: np.ndarray  # (n,) by how much each joint was beyond its limits, at most [rad, m]
     bad: object  # first instant that is not finite, or None
 
@@ -57,6 +59,11 @@ class Observed(NamedTuple):
     @property
     def soars(self):
         return self.grows and bool(np.all(np.diff(self.late) > 0))
+
+    @property
+    def lost(self):
+        """Whether it has grown by more than what shakes about a path does from one part of it to another."""
+        return bool(np.median(self.late) > LOST * np.median(self.size[: len(self.size) - len(self.late)]))
 
     @property
     def shrinks(self):
@@ -83,8 +90,11 @@ class Observed(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of a loop on its way to infinity
-def observe(law, run, Ts, dtype) -> Observed:
-    """What one lane's trajectory shows, up to its first instant that is not finite."""
+def observe(law, run, Ts, dtype, mean=0) -> Observed:
+    """What one lane's trajectory shows, up to its first instant that is not finite.
+
+    Args: mean: steps for `back_and_forth`.
+    """
     e, q, qdot = (np.asarray(v, float) for v in (run.e, run.q, run.qdot))
     finite = np.isfinite(e).all(1) & np.isfinite(q).all(1)
     bad = None if finite.all() else int(np.argmin(finite))
@@ -95,7 +105,7 @@ def observe(law, run, Ts, dtype) -> Observed:
     quarter, status = max(N // 4, min(N, 2)), np.asarray(run.status)[:bad]
     late, before = size[-quarter:], size[:-quarter][-quarter:]
     eps = np.finfo(dtype).eps
-    back, speed = _reversal(qdot[-2 * quarter :])
+    back, speed = back_and_forth(qdot[-2 * quarter :], mean)
     steps = np.linalg.norm(qdot, axis=1) * Ts
     fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
     first = e[np.argmax(size)]  # the first one may be a rounding
@@ -133,6 +143,7 @@ def observe(law, run, Ts, dtype) -> Observed:
         outside=np.maximum(q[:bad] - np.array(law.chain.upper), np.array(law.chain.lower) - q[:bad]).max(
             0, initial=0.0
         ),
+        way=float(np.sum(np.linalg.norm(moved[:, : len(law.task.position) or None], axis=1))),
         bad=bad,
     )
 
@@ -147,8 +158,16 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
 
 
-def _reversal(qdot):
-    """RMS speed that the next step takes back, and RMS speed."""
+def back_and_forth(qdot, mean=0):
+    """(RMS speed that goes back and forth, RMS speed) of joint velocities (N, n).
+
+    That is what the next step takes back; or, where a limit of acceleration lets no step do so, what is off the mean
+    over `mean` steps about it.
+    """
     flips = qdot[1:] * qdot[:-1] < 0
     back = np.where(flips, np.minimum(np.abs(qdot[1:]), np.abs(qdot[:-1])), 0.0)
+    if 0 < mean < len(qdot):
+        total = np.cumsum(np.concatenate([0 * qdot[:1], qdot]), axis=0)
+        means = (total[mean:] - total[:-mean]) / mean
+        back = qdot[mean // 2 :][: len(means)] - means
     return rms(np.linalg.norm(back, axis=1)), rms(np.linalg.norm(qdot, axis=1))

@@ -13,13 +13,14 @@ REVERSING = 0.15  # share of the joint speed that the next step reverses, from w
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
 LONGEST = 1e4  # steps in which an error next to a singularity falls e-fold, that are believed
 SLOWEST = 1e6  # steps in which an error falls e-fold, at most
+INSIDE = 1e-6  # [rad, m] beyond a limit that is a rounding
 LEAK = 0.3  # share of what the gain asks for that the null-space velocity's pull must be
 PULLED = "the null-space velocity pulls at the task, as I − J# J of this inverse is no projector"
 
 
 def at_limits(case) -> str:
     """Which joints' limits stop the arm, in words; empty where the law keeps none, or none is near."""
-    if not (getattr(case.law.limits, "positions", case.law.limits is not None) and case.seen.often(Status.AT_LIMIT)):
+    if not (keeps_positions(case.law) and case.seen.often(Status.AT_LIMIT)):
         return ""
     chain, q = case.law.chain, case.end.q
     near = 1e-3 * (1 + np.abs(q))
@@ -41,16 +42,26 @@ def open_ended(case) -> str:
     return ""
 
 
+def keeps_positions(law) -> bool:
+    """Whether the law's limits are those of joint values, too."""
+    return bool(getattr(law.limits, "positions", law.limits is not None))
+
+
 def outside(case) -> str:
-    """Which joint was farthest beyond its limits, and by how much, in words; empty where the law keeps them inside."""
-    law, most = case.law, int(np.argmax(case.seen.outside))
-    by = float(case.seen.outside[most])
-    if getattr(law.limits, "positions", law.limits is not None) or by <= 1e-9:
+    """Which joint was farthest beyond its limits, and by how much, in words; empty where none went there."""
+    law, beyond = case.law, case.seen.outside
+    if keeps_positions(law):  # one that began outside comes back
+        began = np.maximum(case.start.q - np.array(law.chain.upper), np.array(law.chain.lower) - case.start.q)
+        beyond = np.where(beyond > began + INSIDE, beyond, 0.0)
+    most = int(np.argmax(beyond))
+    if beyond[most] <= INSIDE:
         return ""
     unit = "rad" if law.chain.joints[most].kind == REVOLUTE else "m"
-    others = int(np.sum(case.seen.outside > 1e-9)) - 1
+    others = int(np.sum(beyond > INSIDE)) - 1
     more = f", and {others} more {'is' if others == 1 else 'are'} beyond theirs" if others else ""
-    return f"joint {law.chain.joint_names[most]} is up to {by:.3g} {unit} beyond its limit{more}"
+    by = "its drive" if case.pace is None else "braking at this pace"
+    past = f": {by} takes it past what the law keeps" if keeps_positions(law) else ""
+    return f"joint {law.chain.joint_names[most]} is up to {beyond[most]:.3g} {unit} beyond its limit{more}{past}"
 
 
 def hopeless(case) -> bool:

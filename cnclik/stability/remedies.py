@@ -248,8 +248,8 @@ def slower_joints(case) -> tuple:
 
 def inside(case) -> tuple:
     """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther."""
-    q, chain = case.start.q, case.law.chain
-    if np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
+    q, chain, kept = case.start.q, case.law.chain, reasons.keeps_positions(case.law)
+    if kept or np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
         return ()
     words = "keep the joints inside with limits saturation()"
     return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)

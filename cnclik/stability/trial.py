@@ -14,7 +14,9 @@ from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
 from cnclik.law.reference import hold
 from cnclik.record import record, replace
-from cnclik.stability.observed import ARRIVED, observe
+from cnclik.stability.case import brief
+from cnclik.stability.observed import ARRIVED, back_and_forth, observe
+from cnclik.stability.reasons import INSIDE
 
 LEAST_TRIED = 1 << 12  # steps that a trial takes, at least; another power of two where more are asked for
 MOST_TRIED = 1 << 15  # and at most, or as many as the run that is judged has
@@ -23,8 +25,10 @@ BETTER = 0.9  # ratio of two errors below which a loop does better
 GONE = 0.25  # and below which a longer run has shrunk it
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
-INSIDE = 1e-6  # [rad, m] beyond a limit that is a rounding
 NUDGE = 1e-10  # [rad, m] of the start, to see whether a loop amplifies roundings
+FARTHER = 1.1  # ratio of the ways of two paths that wait, from which on a loop gets farther
+LEAST_WAY = 1e-9  # [m, rad]
+AS_GOOD = 2.0  # and of their errors, up to which they are no worse in kind
 HUGE = 1e300  # stands for what is not finite
 PLACES = ("center", "start", "end")  # what a shift moves of a path
 
@@ -168,19 +172,34 @@ class Trials:
             return max(self._late(later), gone) / max(self._late(before), gone)
 
         in_the_end = ratio(was, now)
+        longer = only_longer(change, self.case.period)
+        if self.case.waits and not longer:  # a loop that shakes crawls along its path, with a small error
+            gained = self._seen(now_here).way / max(self._seen(was_here).way, LEAST_WAY)
+            if gained < 1 / FARTHER:
+                return False
+            if gained > FARTHER and after == N and max(in_the_end, ratio(was_here, now_here)) <= AS_GOOD:
+                return True
         if remedy.mends == "motion":
-            turns = _reversed(now_here) < CALMER * _reversed(was_here)
+            turns = self._restless(made.reference, now_here) < CALMER * self._restless(self.given.reference, was_here)
             calmer = turns or min(in_the_end, ratio(truncate(was, 5 * N), truncate(now, 5 * N))) < CALMER
             return in_the_end <= 1 and calmer
         if self._late(now_here) <= gone:
             return True
         here = ratio(was_here, now_here)
-        if only_longer(change, self.case.period):
+        if longer:
             return here < GONE
         return here < BETTER and (in_the_end <= 1 or bool({"shift", "period", "speed"} & set(change)))  # another path
 
     def _seen(self, run):
         return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
+
+    def _restless(self, reference, run):
+        """Joint speed that goes back and forth in the second half; huge where one is not finite."""
+        v = run.qdot[len(run.qdot) // 2 - 1 :]
+        mean = brief(reference, run, self.Ts, self.case.pace)
+        if mean and np.isfinite(v).all():
+            return back_and_forth(v, mean)[0]
+        return _reversed(v)
 
     def _late(self, run):
         """Largest error of the last quarter; huge where one is not finite."""
@@ -199,8 +218,7 @@ def whole_trial(N):
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def _reversed(run):
-    """Largest joint velocity that the next step reverses, in the second half; huge where one is not finite."""
-    v = run.qdot[len(run.qdot) // 2 - 1 :]
+def _reversed(v):
+    """Largest of joint velocities (N, n) that the next step reverses; huge where one is not finite."""
     back = np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0)
     return min(float(np.max(back, initial=0.0)), HUGE) if np.isfinite(v).all() else HUGE

@@ -16,10 +16,11 @@ from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record, replace
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import UNSTABLE, case_of
-from cnclik.stability.judged import Behaviour, judged, undecided
+from cnclik.stability.judged import Behaviour, judged, restless
 from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, maps, resting
 from cnclik.stability.observed import FALLEN
+from cnclik.stability.replay import check_made, check_path
 from cnclik.stability.trial import Trials, only_longer, whole_trial
 
 _UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
@@ -67,22 +68,16 @@ def verdict(
     """What a run did, why, and what to do about it. In float64.
 
     Where something is wrong with it, the loop is run on, for 4096 steps or the next power of two: what that
-    contradicts is not said. And it is run again with each remedy: one that does not help is not named. A run that
-    settled is not run again.
+    contradicts is not said. And it is run again with each remedy: one that does not help is not named.
 
     Args:
       law, reference, Ts, method, stage, drive: what was run, see `solve`.
       run: its `Trajectory`, one lane.
       pace: what it was run at, see `solve`. noise: standard deviation of its measured error, a number or (m,).
-    Raises: ArgumentError for a run of several lanes or of no step, or one with another Ts, or at a pace that is not
-      given.
+    Raises: ArgumentError for a run of several lanes or of no step, or one whose record, or whose first steps made
+      again, show that it is of another loop: another Ts, a pace, a drive or noise that is not given.
     """
     dtype = np.asarray(errors.kind("run", run, Trajectory).e).dtype
-    return _verdict(law, reference, run, Ts, method, stage, drive, dtype=dtype, pace=pace, noise=noise)
-
-
-@in_float64
-def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     check_loop(law, reference)
     method, stage = checked(method, stage)
     one_lane(run)
@@ -92,17 +87,22 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     step = float(run.t[-1] - run.t[0]) / len(run.residual)
     if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
-    if run.path_time is not None and more["pace"] is None:
-        raise errors.fail("pace", "be the run's", "is left out")
-    case = case_of(
-        law, reference, run, dtype, float(Ts), method, stage, check_drive(drive or Drive(), law.chain.n), **more
-    )
+    loop = law, reference, run, float(Ts), method, stage, check_drive(drive or Drive(), law.chain.n)
+    check_path(pace, reference, run)
+    if noise is None:
+        check_made(*loop, pace)
+    return _verdict(*loop, dtype=dtype, pace=pace, noise=noise)
+
+
+@in_float64
+def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
+    case = case_of(law, reference, run, dtype, Ts, method, stage, drive, **more)
     trials = Trials(case)
     kind, what, found = _confirmed(case, trials)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         what = f"{what}; {case.seen.over_velocity}"
         found = (*remedies.slower_joints(case), *found)
-    if (left := reasons.outside(case)) and kind not in _UNSTABLE_KINDS:
+    if (left := reasons.outside(case)) and (kind not in _UNSTABLE_KINDS or case.pace is not None):
         what, found = f"{what}; {left}", (*found, *remedies.inside(case))
     found, left_out = _tried(case, trials, tuple({one.words: one for one in found}.values()))
     what, words = f"{what}{left_out}", _in_words(found)
@@ -122,10 +122,14 @@ def _confirmed(case, trials):
     N, plain = whole_trial(case.steps), case.seen.bad is not None or case.seen.still  # nothing later changes that
     if plain or kind not in (*_UNSTABLE_KINDS, *_STAY, Behaviour.CONVERGING) or case.steps >= N:
         return kind, what, found
-    later = _longer(case, trials, N)
+    later, on = _longer(case, trials, N), f"run on, for {N} steps in all,"
+    if case.pace is not None and kind == Behaviour.DIVERGING:
+        bounded, shakes, mends = judged(later)
+        if bounded == Behaviour.SHAKING:
+            return bounded, f"{on} {shakes}", mends
     if not _contradicted(kind, case, later):
         return kind, what, found
-    return undecided(case, f"{what}, but run on, for {N} steps in all, the error is at most {later.size} at the end")
+    return restless(case, f"{what}, but {on} the error is at most {later.size} at the end", found)
 
 
 def _longer(case, trials, N):

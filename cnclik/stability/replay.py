@@ -1,0 +1,62 @@
+"""Replay: the first steps of a run again, to see whether the loop that is described made it."""
+
+import contextlib
+
+import jax
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.pace import path_waits
+from cnclik.integrate.pieces import piece_of
+from cnclik.integrate.solve import simulate
+from cnclik.stability import trial
+
+STEPS = 32  # that are compared
+ROUNDINGS = 100.0  # of joint values, grown as two starts a few roundings apart do, that are none of another loop
+
+
+def check_path(pace, reference, run) -> None:
+    """Raise ArgumentError where a run's record says that it had no such pace."""
+    waited = run.path_time is not None
+    if waited and pace is None:
+        raise errors.fail("pace", "be the run's", "is left out")
+    waits = path_waits(pace, reference)
+    if waits and not waited:
+        must = "be left out, or have wait=False, as the path of the run did not wait for the robot"
+        raise errors.fail("pace", must, "is one with which it waits")
+    if waited and not waits:
+        raise errors.fail("pace", "be the run's, in which the path waited for the robot", "has wait=False")
+
+
+def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
+    """Raise ArgumentError where the first steps of a run without noise, one lane, are not the loop's own.
+
+    The steps are made in the run's precision, by the program that has made it where `solve` did. What can't be judged
+    passes: a record that is not of steps Ts long, or of part of a run that went through drives.
+    """
+    q, t, N = np.asarray(run.q), np.asarray(run.t, float), len(run.residual)
+    eps = float(np.finfo(q.dtype).eps)
+    k = min(N, STEPS)
+    floor = ROUNDINGS * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
+    stepped = np.abs(np.diff(q[: k + 1], axis=0) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
+    remembers = not (drive.absent and pace is None and method.steps == 1)
+    if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
+        return
+    size = N if pace is not None or N >= trial.SHORTEST else trial.whole_trial(N)  # a pace looks N steps ahead
+    size = piece_of(method, size) if drive.absent and pace is None else size
+
+    def again(start):
+        with jax.enable_x64(True) if eps < 1e-9 else contextlib.nullcontext():
+            made = simulate(law, reference, start, Ts, size, method, stage, t0=t[0], drive=drive, pace=pace)
+        return np.asarray(made.q)[: k + 1]
+
+    made = again(q[0])
+    off = np.abs(q[: k + 1] - made).max(axis=1)
+    if (off <= floor).all():
+        return
+    beside = again(q[0] + 4 * eps * (1 + np.abs(q[0])).astype(q.dtype))
+    spread = np.maximum.accumulate(np.abs(beside - made).max(axis=1))
+    if (other := np.isfinite(spread + off) & (off > floor + ROUNDINGS * spread)).any():
+        first = int(np.argmax(other))
+        must = "be made by the loop that is described, with its drive, pace, noise, method and stage"
+        raise errors.fail("run", must, f"after step {first - 1} its joints are {off[first]:.2g} from where that is")

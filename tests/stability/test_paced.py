@@ -1,0 +1,86 @@
+"""Verdicts of runs at a pace: the path waits for the robot, whose joints can't reverse in a step."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.problem.build import problem_from
+from cnclik.stability import Behaviour, Remedy, verdict
+from cnclik.stability.case import case_of
+from cnclik.stability.trial import Trials
+
+CIRCLE = dict(reference="circle", method="EE", max_acceleration=5.0, max_jerk=300.0)
+SHAKES = CIRCLE | dict(alpha=60.0, delay=3.0)
+
+
+def asked(made):
+    how = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or ck.Drive())
+    return how | dict(pace=made.pace, noise=made.noise)
+
+
+def judge(made):
+    return verdict(made.law, made.reference, made.run(), **asked(made))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        dict(N=4000),  # "diverging: the error has grown to 1.52 mm"
+        dict(N=4000, period=4.0),  # "no better", 13 s of the path behind
+        dict(N=400, radius=0.2),  # "no better", 1.3 s behind
+    ],
+)
+def test_a_loop_that_shakes_at_a_pace_crawls_and_its_gain_is_named(table):
+    made = problem_from("panda", **SHAKES | table)
+    told = judge(made)
+    assert told.kind == Behaviour.SHAKING and "with the path at 0." in told.sentence, told.sentence
+    (one,) = told.remedies
+    mended = problem_from("panda", **SHAKES | table | one.change)
+    assert mended.run().path_time[-1] > 1.1 * made.run().path_time[-1]
+    assert judge(mended).kind == Behaviour.SETTLED  # with N = 400, of 98 % of the path, which was too little to tell
+
+
+@pytest.mark.parametrize("mends", ["error", "motion"])
+def test_what_gets_farther_along_a_path_that_waits_is_better(mends):
+    """The error of a loop that crawls is small, whatever it does."""
+
+    def better(gain, other):
+        made = problem_from("panda", **SHAKES | dict(N=400, radius=0.2, alpha=gain))
+        case = case_of(made.law, made.reference, made.run(), np.float64, **asked(made))
+        return Trials(case).better(Remedy(change={"alpha": other}, words="", mends=mends))
+
+    assert better(60.0, 10.5) and not better(10.5, 60.0)
+
+
+def test_a_loop_that_is_unstable_only_at_rest_is_calm_at_its_pace():
+    """It makes 0.35 of each step, was said to shake, and its remedies to be no better."""
+    made = problem_from("panda", **CIRCLE | dict(alpha=300.0, N=800, period=1.0))
+    told = judge(made)
+    assert told.kind == Behaviour.SETTLED and told.radius > 1.9, told.sentence
+    assert "at rest is 2, and 0." in told.sentence and not told.remedies
+
+
+def test_what_shakes_at_a_target_within_a_pace_does_not_diverge():
+    """Joints that go back and forth by less than is seen: "at rest, but any disturbance grows"."""
+    made = problem_from("ur5", reference="hold", method="EE", alpha=300.0, N=800, max_acceleration=3.0, max_jerk=100.0)
+    told = judge(made)
+    assert told.kind == Behaviour.SHAKING, told.sentence
+    assert told.remedies[0].change["alpha"] == pytest.approx(100.0, rel=0.02)
+
+
+def test_a_joint_that_its_pace_takes_past_a_limit_is_named():
+    """Braking within the pace's limits it went past what saturation() keeps, and nothing was said."""
+    arm = ck.planar_arm([1.0, 0.8, 0.6])
+    arm = ck.replace(arm, lower=(-2.0, -1.0, -1.0), upper=(2.0, 1.3, 1.0))
+    law = ck.Law(arm, ck.position("xy"), alpha=2.7, limits=ck.saturation())
+    pace = ck.Pace(velocity=3.0, acceleration=8.8, jerk=5.26)
+    goal, q0, how = ck.hold([2.08, -0.474]), np.array([-1.218, 1.235, 0.342]), dict(Ts=0.02, method="EE")
+    run = ck.solve(law, goal, q0, 0.02, 300, "EE", pace=pace)
+    past = float(np.max(-2.0 - np.asarray(run.q)[:, 0]))
+    told = verdict(law, goal, run, pace=pace, **how)
+    assert past > 0.1 and f"joint q1 is up to {past:.3g} rad beyond its limit: braking at this pace" in told.sentence
+    assert not any(one.mends == "limits" for one in told.remedies)
+    kept = ck.solve(law, goal, q0, 0.02, 300, "EE")
+    assert "beyond" not in verdict(law, goal, kept, **how).sentence
+    outside = ck.solve(law, goal, np.array([-2.2, 1.2, 0.3]), 0.02, 300, "EE")  # began there, and came back
+    assert "beyond" not in verdict(law, goal, outside, **how).sentence
