@@ -1,12 +1,38 @@
 """Blocks: tall matrices in pieces so small that no BLAS parts them among threads.
 
-OpenBLAS parts every product of a matrix and a vector beyond some 9,000 numbers. A decomposition of a tall matrix makes
-one for each column: on cores that are taken its threads wait for each other longer than they compute.
+OpenBLAS parts every product of a matrix and a vector beyond some 9,000 numbers, and of two matrices beyond 262,144
+multiplications. A decomposition of a tall matrix makes one for each column: on cores that are taken its threads wait
+for each other longer than they compute.
 """
 
 import numpy as np
 
 NUMBERS = 8192  # of a piece
+PRODUCTS = 200_000  # multiplications of two pieces
+
+
+def product(a, b, out=None):
+    """a (n, k) @ b (k, m), of halves of halves of what is longest."""
+    (n, k), m = a.shape, b.shape[1]
+    out = np.empty((n, m)) if out is None else out
+    if n * k * m <= (NUMBERS if 1 in (n, m) else PRODUCTS):
+        return np.matmul(a, b, out=out)
+    half = max(n, k, m) // 2
+    if k == max(n, k, m):
+        product(a[:, :half], b[:half], out)
+        out += product(a[:, half:], b[half:])
+    elif n >= m:
+        product(a[:half], b, out[:half])
+        product(a[half:], b, out[half:])
+    else:
+        product(a, b[:, :half], out[:, :half])
+        product(a, b[:, half:], out[:, half:])
+    return out
+
+
+def within(still, a):
+    """The part of columns a (N, c) in the span of orthonormal columns (N, t)."""
+    return product(still, product(still.T, a))
 
 
 def orthogonal(a):
@@ -16,7 +42,7 @@ def orthogonal(a):
         return np.linalg.qr(a)
     q, r = np.linalg.qr(_pieces(a, rows))
     over, r = orthogonal(r.reshape(-1, n))
-    return (q @ over.reshape(-1, n, n)).reshape(-1, n)[:N], r
+    return np.concatenate([product(*both) for both in zip(q, over.reshape(-1, n, n), strict=True)])[:N], r
 
 
 def triangle(a):

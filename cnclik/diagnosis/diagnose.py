@@ -4,7 +4,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
-from cnclik.diagnosis.blocks import orthogonal
+from cnclik.diagnosis.blocks import orthogonal, within
 from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import (
     BEGUN,
@@ -270,7 +270,7 @@ def _noise_driven(seen, longest, alpha, Ts) -> dict:
     if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
         return {}
     basis, _ = orthogonal(trend(len(seen), longest if len(seen) > 3 * longest else None))
-    loops = excited(seen - basis @ (basis.T @ seen), Ts, None if alpha is None else alpha * Ts)
+    loops = excited(seen - within(basis, seen), Ts, None if alpha is None else alpha * Ts)
     return advice_excited(loops, alpha, Ts) if loops else {}
 
 

@@ -4,7 +4,7 @@ import enum
 
 import numpy as np
 
-from cnclik.diagnosis.blocks import orthogonal
+from cnclik.diagnosis.blocks import orthogonal, within
 from cnclik.diagnosis.modes import Modes, polynomials, roughness
 
 MOST = 2000  # rows that are looked at: those that move most
@@ -146,7 +146,7 @@ def _is_there(y, found, part, angle) -> bool:
     both = power = 0.0
     for first in range(0, len(y) - width + 1, width):
         there, wave = y[first : first + width], part[first : first + width]
-        wave = wave - smooth @ (smooth.T @ wave)
+        wave = wave - within(smooth, wave)
         both, power = both + np.sum(there * wave), power + np.sum(wave**2)
     return bool(both > THERE * power)
 

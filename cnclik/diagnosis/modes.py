@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.blocks import orthogonal, triangle
+from cnclik.diagnosis.blocks import orthogonal, product, triangle, within
 
 ROWS = 128  # of a Hankel matrix, at most
 ORDER = 12  # factors of a recording, at most
@@ -58,8 +58,8 @@ def _best(y, basis):
     still, _ = orthogonal(basis)
     sets = [np.zeros(0, complex), *_candidates(y, basis)]
     columns, owners = zip(*(columns_of(factors, len(y)) for factors in sets), strict=True)
-    moving = _without(still, np.hstack([*columns, y]))
-    *columns, rest = np.split(moving, np.cumsum([len(owner) for owner in owners]), axis=1)
+    every = np.hstack([*columns, y])
+    *columns, rest = np.split(every - within(still, every), np.cumsum([len(owner) for owner in owners]), axis=1)
     tried = [
         _Reduced(factors=factors, owner=owner, r=triangle(np.hstack([own, rest])), y=y, path=basis.shape[1])
         for factors, owner, own in zip(sets, owners, columns, strict=True)
@@ -102,11 +102,6 @@ class _Reduced(NamedTuple):
         return self._replace(factors=np.delete(self.factors, i), owner=owner - (owner > i), r=r)
 
 
-def _without(still, a):
-    """Columns a (N, c) without their path, in the span of orthonormal columns (N, t)."""
-    return a - still @ (still.T @ a)
-
-
 def _candidates(y, basis):
     """Factors for each order."""
     N = len(y)
@@ -115,7 +110,8 @@ def _candidates(y, basis):
     every = -(-width * y.shape[1] // WINDOWS)
     windows = np.lib.stride_tricks.sliding_window_view(y / _size(y), width, axis=0)[..., ::every]  # (rows, k, width)
     still, _ = orthogonal(basis[:width:every])
-    windows = _without(still, windows.reshape(-1, windows.shape[-1]).T).T.reshape(rows, -1)
+    windows = windows.reshape(-1, windows.shape[-1])
+    windows = (windows - within(still, windows.T).T).reshape(rows, -1)
     space, values = _signal_space(windows)
     most = min(ORDER, rows // 2, int(np.sum(values > 1e-12 * values[0])))
     # The right singular vectors of its first columns, beside the same a sample later, are those of their triangle.
@@ -133,15 +129,17 @@ def _signal_space(windows):
     """(first left singular vectors, their values) of windows (rows, M).
 
     Eigenvectors of the square tell no value below 1e-8 of the largest. What the windows make of as many again, once
-    more, are those of all values (subspace iteration: Golub & Van Loan 2013, Section 8.2.4). Of the square they are
-    found one by one: for all at once threads of BLAS wait for each other, a hundred times as long where cores are busy.
+    more, are those of all values (subspace iteration: Golub & Van Loan 2013, Section 8.2.4). LAPACK is called as it is:
+    with the least of room it takes steps so small that no BLAS parts them among threads (`eigh` gives it more).
     """
-    from scipy.linalg import eigh
+    from scipy.linalg.lapack import dsyevx
 
     rows = len(windows)
-    _, space = eigh(windows @ windows.T, driver="evx", subset_by_index=[max(rows - 2 * ORDER, 0), rows - 1])
-    over, _ = orthogonal(windows.T @ space[:, ::-1])
-    space, values, _ = np.linalg.svd(windows @ over, full_matrices=False)
+    _, space, *_ = dsyevx(
+        product(windows, windows.T), range="I", il=max(rows - 2 * ORDER, 0) + 1, iu=rows, lwork=8 * rows
+    )
+    over, _ = orthogonal(product(windows.T, space[:, ::-1].copy()))
+    space, values, _ = np.linalg.svd(product(windows, over), full_matrices=False)
     return space, values
 
 
@@ -174,7 +172,7 @@ def _in_parts(y, still, best: _Reduced):
     each = [columns[:, owner == i] @ best.weights[owner == i] for i in range(len(best.factors))]
     parts = np.array(each).reshape(len(each), *y.shape)
     moving = y - parts.sum(0)
-    path = still @ (still.T @ moving)
+    path = within(still, moving)
     return Modes(best.factors, parts, path, noise=np.std(moving - path, axis=0), score=best.score)
 
 
@@ -209,5 +207,6 @@ def _polynomials(basis, y, counts, others) -> float:
 def shape_of(y, found: Modes, i: int):
     """(k,) complex weights of the i-th mode in each column: y = … + Re(weight · factor^k), largest row 1."""
     columns, owner = columns_of(found.factors[[i]], len(y))
-    weights, *_ = np.linalg.lstsq(columns, found.parts[i], rcond=1e-13)
+    q, r = orthogonal(columns)
+    weights, *_ = np.linalg.lstsq(r, product(q.T, found.parts[i]), rcond=1e-13)
     return weights[0] - 1j * weights[1] if len(owner) == 2 else weights[0].astype(complex)

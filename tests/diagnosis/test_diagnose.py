@@ -1,5 +1,7 @@
 """What is read from a recording is what was put into it: gain, dead time, and whether it rings at all."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from cnclik.diagnosis.late import Loop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.stability.driven import driven_limits, respond
+from tests.diagnosis import long
 from tests.diagnosis.logs import late_loop
 from tests.diagnosis.recordings import loop, monotone, servo, stable
 
@@ -259,6 +262,17 @@ def test_no_decomposition_is_so_large_that_blas_parts_it_among_threads(monkeypat
     motion = servo(command, TS, 2.0, omega=40.0, zeta=0.8) + 1e-4 * rng.standard_normal(1500)
     assert fit_drive(None, command, motion, TS).drive.order == 2
     assert not apart
+
+
+def test_no_thread_of_blas_has_a_part_in_it():
+    """On cores that are taken its threads made 0.3 s of work 6 s."""
+    y = long.log("rings")
+    diagnose(y, long.TS)  # imports
+    time.sleep(0.2)
+    own, all_threads = time.thread_time(), time.process_time()
+    diagnose(y, long.TS)
+    own, all_threads = time.thread_time() - own, time.process_time() - all_threads
+    assert all_threads - own < 0.1 * own
 
 
 def test_pieces_of_a_tall_matrix_have_its_triangle():
