@@ -147,9 +147,9 @@ def _undetermined(facts) -> dict:
         near = f"comes within {np.abs(np.sin(at.q.sel(joint='q2'))).min().item():.1g} rad of its singularity, and"
         spread = ", ".join(f"{100 * v:.2g} % ({m})" for m, v in claims.by_method(at.spread).items())
         paragraphs.append(
-            f"Under `{short(facts.rows[arm, case, reading])}` the {ARMS[arm]} arm {near if ARMS[arm].n == 2 else ''} its"
-            f" Picard iteration {converges}. Mean ‖e‖ there is {listed(facts.mean(arm, case, reading))}, but **the digits"
-            f" of {joined(wild)} mean nothing**: starts {NUDGE:.0e} rad apart give mean errors that differ by {spread},"
+            f"Under `{short(facts.rows[arm, case, reading])}` the {ARMS[arm]} arm {near if ARMS[arm].n == 2 else ''}"
+            f" its Picard iteration {converges}. Mean ‖e‖ there is {listed(facts.mean(arm, case, reading))}, but **the"
+            f" digits of {joined(wild)} mean nothing**: starts {NUDGE:.0e} rad apart give mean errors that differ by {spread},"
             " and so do rounding, another processor, or another way to compute the pseudoinverse. Such numbers are"
             " marked * below; `spread` in `trajectories.nc` has it for every run."
         )

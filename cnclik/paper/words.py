@@ -1,4 +1,4 @@
-"""Sentences from data: a template that is filled, lists of names, names in the order of their numbers, readings that hold."""
+"""Sentences from data: a template that is filled, lists of names, readings that hold."""
 
 import re
 import textwrap

@@ -57,8 +57,8 @@ def test_a_step_is_that_of_a_program_of_ones_own_to_the_bit(method):
 def test_through_drives_with_noise_on_another_robot(dtype):
     """C, and the same numbers as the plain source gives."""
     drive = ck.Drive(delay=2, lag=0.05, feedback="measured", measurement_delay=1)
-    more = {"drive": drive, "noise": 1e-3 * np.sin(np.arange(18.0)).reshape(9, 2), "plant": ck.planar_arm([1, 0.81, 0.5])}
-    found = {}
+    noise, plant = 1e-3 * np.sin(np.arange(18.0)).reshape(9, 2), ck.planar_arm([1.0, 0.81, 0.5])
+    more, found = {"drive": drive, "noise": noise, "plant": plant}, {}
     for engine in (None, "plain"):
         with ck.use_engine(engine):
             run = solving.simulate(LAW, WAVE, Q.astype(dtype), 0.1, 9, ck.METHODS["EE"], ck.picard(5), **more)
