@@ -149,9 +149,9 @@ def _undetermined(facts) -> dict:
         paragraphs.append(
             f"Under `{short(facts.rows[arm, case, reading])}` the {ARMS[arm]} arm {near if ARMS[arm].n == 2 else ''}"
             f" its Picard iteration {converges}. Mean ‖e‖ there is {listed(facts.mean(arm, case, reading))}, but **the"
-            f" digits of {joined(wild)} mean nothing**: starts {NUDGE:.0e} rad apart give mean errors that differ by {spread},"
-            " and so do rounding, another processor, or another way to compute the pseudoinverse. Such numbers are"
-            " marked * below; `spread` in `trajectories.nc` has it for every run."
+            f" digits of {joined(wild)} mean nothing**: starts {NUDGE:.0e} rad apart give mean errors that differ by"
+            f" {spread}, and so do rounding, another processor, or another way to compute the pseudoinverse. Such"
+            " numbers are marked * below; `spread` in `trajectories.nc` has it for every run."
         )
     return {"undetermined": "\n\n".join(paragraphs)}
 
