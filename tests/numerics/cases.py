@@ -135,6 +135,7 @@ def loop(kind: Kind, seed) -> Loop | None:
 
 
 def _chain(kind, rng, scale):
+    """Of arrays: literals would make a program of their own for each arm."""
     joints = []
     for k, coordinate in zip(kind.kinds, kind.coordinates, strict=True):
         axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.7 else rng.normal(size=3)
@@ -146,14 +147,14 @@ def _chain(kind, rng, scale):
                 axis=tuple(axis / np.linalg.norm(axis)),
                 origin=origin,
                 coordinate=coordinate,
-                multiplier=float(rng.uniform(-2, 2)) if mimic else 1.0,
-                offset=float(rng.uniform(-0.5, 0.5)) if mimic else 0.0,
+                multiplier=np.float64(rng.uniform(-2, 2)) if mimic else 1.0,
+                offset=np.float64(rng.uniform(-0.5, 0.5)) if mimic else 0.0,
             )
         )
     bounds = {}
     if kind.limits != "none":
         bounds = dict(lower=[-2.0] * kind.n, upper=[2.0] * kind.n, velocity_limit=[3.0] * kind.n)
-    return assemble(joints, Offset(position=(0.0, 0.0, scale)), **bounds)
+    return assemble(joints, Offset(position=(0.0, 0.0, np.float64(scale))), **bounds)
 
 
 def _turn(rng, most):
