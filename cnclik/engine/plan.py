@@ -38,3 +38,8 @@ def wants_c() -> bool:
 def in_scalars() -> bool:
     """Whether XLA gets functions scalar by scalar where they can be read."""
     return _engine.value != "plain"
+
+
+def may_be_plain() -> bool:
+    """Whether XLA may get a function as it is, where that answers sooner."""
+    return _engine.value != "xla"

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.engine.numbers import Numbers
-from cnclik.engine.plan import unless_chosen
+from cnclik.engine.plan import may_be_plain, unless_chosen
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
@@ -160,7 +160,7 @@ def _computed(fn, known, given, soon, is_soon=lambda: True):
     if (found := fn(known, given)) is not None:
         return found
     *records, method = known
-    if all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
+    if may_be_plain() and all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
         found = soon(*(r and placed(modelled(r)) for r in records), method, *given, **fn.static)
     else:
         found = fn.native(known, given)
