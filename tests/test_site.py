@@ -27,6 +27,7 @@ LINKED = [
     ROOT / "README.md",
     ROOT / "CHANGELOG.md",
     ROOT / "CONTRIBUTING.md",
+    ROOT / "sweeps/README.md",
     *sorted(ROOT.glob("results/**/*.md")),
 ]
 SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
