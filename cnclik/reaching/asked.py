@@ -19,7 +19,8 @@ from cnclik.robot.posture import beyond_arm
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
 FREE = 128  # tries of the search without limits
 SURE = 256  # tries, at least, before it is said that there is no answer
-CLOSE, LONGER = 0.1, 4  # [rad, units]: a target missed by less is searched for with so many times the seeds and budget
+CLOSE, LONGER = (0.1, 1e-3), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
+FEW, DOUBT = 3, 1e-2  # with more joints than that, a target missed by less [rad, units] may have an answer all the same
 MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
 FOLD = 1e-7  # [units, rad]: searches end at minima of less next to a singularity, from which an answer may be near
@@ -86,7 +87,7 @@ class Asked:
         lower, upper = self.limited()
         some = []
         if self.jump is not None:
-            some.append((ReachStatus.JUMP, (lower, upper), LONGER * self.seeds))
+            some.append((ReachStatus.JUMP, (lower, upper), LONGER[0] * self.seeds))
         if (np.isfinite(lower) | np.isfinite(upper)).any():
             some.append((ReachStatus.AT_LIMIT, (np.full_like(lower, -np.inf), np.full_like(upper, np.inf)), FREE))
         return tuple(some) if self.explain else ()
@@ -95,9 +96,14 @@ class Asked:
         """Whether so many looks (...,) at tries within the bounds were enough to say that there is no answer."""
         return (self.seeds >= SURE) & (looks < self.budget)
 
-    def close(self, squares):
+    def close(self, squares, less=CLOSE[0]):
         """Whether what is missed (..., 2) is so little that there may be an answer which is hard to find."""
-        return (squares.sum(axis=-1) < CLOSE**2) & (self.seeds >= SURE)
+        return (squares.sum(axis=-1) < less**2) & (self.seeds >= SURE)
+
+    def longer(self):
+        """The searches that go on where there is no answer: (what is missed by less, tries before, tries in all)."""
+        tries = [times * self.seeds for times in (1, *LONGER)]
+        return tuple(zip(CLOSE, tries[:-1], tries[1:], strict=True)) if self.explain else ()
 
     def within(self, squares, times, xp=np):
         """Whether errors, as squares (..., 2), are within so many tolerances, or are small next to a singularity."""
@@ -133,7 +139,8 @@ class Asked:
         at_limit = (q <= lower + TOUCHING) | (q >= upper - TOUCHING)
         rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
         status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
-        told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1)
+        certain = (self.chain.n <= FEW) | ~self.close(squares, DOUBT)
+        told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1) & certain
         status = xp.where(told & sure & missed, why, status)
         if self.accept is not None:
             near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])

@@ -8,7 +8,7 @@ import numpy as np
 from cnclik.engine.plan import unless_chosen
 from cnclik.hints import as_here, on_cpu
 from cnclik.reaching import search
-from cnclik.reaching.asked import LONGER, Asked
+from cnclik.reaching.asked import Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
 from cnclik.reaching.search import BLOCK, SMALLEST, Answers, Targets
@@ -88,9 +88,9 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         if downhill:
             on_all_cores(functools.partial(later, tries=min(TRIES_FAR, setup.tries)), far)
             on_all_cores(nearest, ~made.found)
-        if asked.explain:
-            longer = functools.partial(later, done=setup.tries, tries=LONGER * setup.tries)
-            on_all_cores(longer, sure & asked.close(made.squares))
+        for less, done, tries in asked.longer():
+            longer = functools.partial(later, done=int(done), tries=int(tries))
+            on_all_cores(longer, sure & asked.close(made.squares, less))
         for status, bounds, tries in asked.beyond():
             on_all_cores(functools.partial(free, status, bounds, tries), sure)
     if progress is not None:

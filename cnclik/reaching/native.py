@@ -16,7 +16,7 @@ from cnclik import errors
 from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.plan import in_c
-from cnclik.reaching.asked import LONGER, Asked
+from cnclik.reaching.asked import Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
 from cnclik.reaching.search import BLOCK, CAREFUL, DOWNHILL, PLACES, SMALLEST, setup_of
@@ -185,9 +185,9 @@ class Native:
         still = report and (lambda _: report(count))  # of what follows hardly any is an answer
         if asked.downhill:
             nearest(made, known & (made["found"] == 0))
-        if asked.explain:
-            hard = sure & (made["found"] == 0) & asked.close(made["squares"])
-            more(made, hard, still, done=self.tries, tries=LONGER * self.tries, budget=ENDLESS)
+        for less, done, tries in asked.longer():
+            hard = sure & (made["found"] == 0) & asked.close(made["squares"], less)
+            more(made, hard, still, done=int(done), tries=int(tries), budget=ENDLESS)
         for status, bounds, tries in asked.beyond():
             wide = dict(zip(("low", "high", "jump"), (*bounds, np.full(asked.chain.n, np.inf)), strict=True))
             which = known & sure & (made["found"] == 0) & (why == 0)

@@ -15,7 +15,7 @@ from cnclik.engine.to_c import Writer
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.search import AROUND, CAREFUL, COARSE, NEARBY, PLACES, PLAIN, SELDOM, SLOW, STEPS, STUCK
-from cnclik.reaching.seeds import SETS, SIZE
+from cnclik.reaching.seeds import SETS, SIZE, STRETCHES
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast
 from cnclik.robot.model import modelled
@@ -36,9 +36,10 @@ def native_source(chain, task, weighted) -> str:
     ]
     numbers = {"N": chain.n, "M": task.m, "SETS": SETS, "SIZE": SIZE, "PLAIN": PLAIN, "STEPS": STEPS, "SLOW": SLOW}
     numbers |= {"CAREFUL": CAREFUL, "PLACES": PLACES, "AROUND": AROUND, "NEARBY": NEARBY}
-    numbers |= {"SELDOM": SELDOM, "STUCK": STUCK}
+    numbers |= {"SELDOM": SELDOM, "STUCK": STUCK, "STRETCHES": len(STRETCHES)}
     numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     defined = [f"#define {name} {value}" for name, value in numbers.items()]
+    defined += [f"static const double stretches[] = {{{', '.join(map(str, STRETCHES))}}};"]
     lanes = ["typedef struct {", *fields, "} Lanes;"]
     return "\n".join([vectors(writer, real), *writer.tables, *lanes, *look, *defined, SEARCH])
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.reaching import programs
-from cnclik.reaching.seeds import SETS, compared, nearest, seeds, spans, starts, turned
+from cnclik.reaching.seeds import SETS, STRETCHES, compared, nearest, seeds, spans, starts, turned
 
 PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
 WIDE, COPIES, CAREFUL = 384, 12, 24  # later: lanes of a try, seeds per target at once at most, steps
@@ -192,7 +192,8 @@ def _starts(setup, mine, done, copies, places):
         about = mine.near + AROUND * done / PLAIN * 2 * shake
         return np.clip(turned(about, mine.near, setup.periods, *mine.bounds), *mine.bounds)
     seed = drawn(setup, mine.pose, done, number, np.repeat(np.arange(L), copies))
-    start = starts(seed, mine.near, setup.periods, setup.ends, *mine.bounds)
+    stretch = np.array(STRETCHES)[number % len(STRETCHES)] if done >= SETS else 1.0
+    start = starts(seed, mine.near, setup.periods, setup.ends, *mine.bounds, stretch)
     if done >= SETS:  # some near the best places found
         place = places[np.arange(len(start)), _any(setup, number, np.repeat(np.arange(L), copies)) % PLACES]
         close = np.clip(place + NEARBY * (seed - known.middle), *mine.bounds)

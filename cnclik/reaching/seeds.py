@@ -17,6 +17,7 @@ from cnclik.robot.posture import arm_length, evenly
 
 SETS, SIZE = 16, 256
 ROWS = 64  # of a product: so few that distances stay in the cache, and that BLAS starts no threads beside ours
+STRETCHES = 1.0, 4.0, 1.0, 2.0  # of tries beyond the sets, by their number: half begin with most joints at limits
 TURN = 0.2  # of an arm's length, that a radian or so of orientation counts for when seeds are compared
 
 
@@ -58,17 +59,23 @@ def turned(q, about, periods, low, high, xp=np):
     return q + xp.where(few <= most, periods * turns, 0.0)
 
 
-def starts(seed, near, periods, ends, low, high, xp=np):
+def starts(seed, near, periods, ends, low, high, stretch=1.0, xp=np):
     """Postures to start from: seeds (..., n), turned to where `near` is, if there is one, and within the bounds.
 
     Of a joint whose value is beyond them, its place in the range of the seeds becomes its place between the bounds: all
     that is between them is tried, however far from the seeds it is, and not their corners alone.
 
-    Args: ends: of the range of the seeds, see `spans`.
+    An answer with several joints at limits has few postures about it from which a search arrives, and most of them have
+    joints there, too: seeds stretched by 4 have three in four joints at one of their bounds.
+
+    Args: ends: of the range of the seeds, see `spans`. stretch: of each seed (...,) about the middle of the bounds.
     """
     q = seed if near is None else turned(seed, near, periods, low, high, xp)
     beyond, width = (q < low) | (q > high), np.maximum(ends[1] - ends[0], 1e-9)
-    between = low + xp.where(beyond, high - low, 0.0) * ((seed - ends[0]) / width)
+    stretch = xp.asarray(stretch)[..., None]
+    beyond = beyond | (stretch > 1) & xp.isfinite(high - low)
+    place = 0.5 + stretch * ((seed - ends[0]) / width - 0.5)
+    between = low + xp.where(beyond, high - low, 0.0) * place
     return xp.clip(xp.where(beyond, between, q), low, high)
 
 

@@ -16,10 +16,10 @@ from cnclik import errors
 from cnclik.hints import as_here, quick_jit
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
-from cnclik.reaching.asked import LONGER, TOUCHING
+from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.programs import filled
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
-from cnclik.reaching.seeds import SETS, SIZE, compared, nearest_each, seeds, spans, starts, turned
+from cnclik.reaching.seeds import SETS, SIZE, STRETCHES, compared, nearest_each, seeds, spans, starts, turned
 from cnclik.reaching.step import begin, in_parts, iterate, look
 from cnclik.record import cast, kept, placed, replace
 from cnclik.robot.model import frames, jacobian_rows, modelled
@@ -167,14 +167,16 @@ def _search(asked, pose, near, postures, to):
         first = postures[nearest_each(to, pose, TOGETHER, asked.seed)]
     task, roots = asked.unweighted(jnp)
     roots = None if roots is None else roots.astype(dtype)
-    rounds = jnp.where(far, ROUNDS_FAR, _rounds(asked.seeds))
-    most = rounds, (LONGER - 1) * rounds if asked.explain else 0 * rounds, asked.budget, asked.seed
+    own = _rounds(asked.seeds)
+    longer = [(less, _rounds(before) - own, _rounds(tries) - own) for less, before, tries in asked.longer()]
+    most = jnp.where(far, ROUNDS_FAR, own), longer, asked.budget, asked.seed
 
-    def placed(seed, low, high):
-        return starts(seed, near, asked.periods, ends, low, high, jnp)
+    def placed(seed, low, high, r):
+        stretch = np.resize(STRETCHES, TOGETHER)
+        return starts(seed, near, asked.periods, ends, low, high, jnp.where(r * TOGETHER >= SETS, stretch, 1.0), jnp)
 
-    def hard(squares, tried):
-        return asked.close(squares) & asked.sure(tried) & ~far
+    def hard(squares, tried, less):
+        return asked.close(squares, less) & asked.sure(tried) & ~far
 
     meaning = functools.partial(asked.meaning, xp=jnp)
     given = asked.tolerance, postures, placed, first, most, hard, roots
@@ -206,15 +208,16 @@ def outcome(
     Args:
       bounds: lower and upper (n,) to keep. beyond: (status, bounds, rounds) of the searches that tell why there is no
         answer. meaning: `Asked.meaning`.
-      postures: (K, n) to start later rounds from, by placed(posture, low, high). first: (TOGETHER, n) to start from.
+      postures: (K, n) to start later rounds from, by placed(postures, low, high, round). first: (TOGETHER, n).
       roots: of the weights by which the nearest pose is the nearest, or None.
-      most: rounds of seeds, and of others where hard(squared errors, looks) is true; looks; number of the first seeds.
+      most: rounds of seeds; (what is missed by less, others before, others in all), which follow where
+        hard(squared errors, looks, less) is true; looks; number of the first seeds.
     """
     dtype = target.dtype
     chain, parts = cast(modelled(chain), dtype), in_parts(target)
     rounds, longer, budget, seed = most
     bottom = rounds + DOWNHILL
-    last = bottom + longer
+    last = bottom + (longer[-1][-1] if longer else 0)
     phases = [(0, bounds, last, last)]  # status, bounds, and where they begin and end
     for status, own, count in beyond:
         phases.append((int(status), own, phases[-1][-1], phases[-1][-1] + count))
@@ -237,7 +240,7 @@ def outcome(
         low, high = (phase(r, [jnp.asarray(own[side], dtype) for _, own, _, _ in phases]) for side in (0, 1))
         number = (r * 37 + seed * 41) * TOGETHER % (len(postures) - TOGETHER)
         others = lax.dynamic_slice_in_dim(postures, number, TOGETHER)
-        begin_at = jnp.where((r == 0) | begins(r), first, placed(others, low, high))
+        begin_at = jnp.where((r == 0) | begins(r), first, placed(others, low, high, r))
         begin_at = jnp.where(down, kept[0] + CLOSE * (begin_at - kept[0]).at[0].set(0.0), begin_at)
         begin_at = jnp.clip(begin_at, low, high)
         own = None if roots is None else jnp.where(down, roots, 1.0)
@@ -252,7 +255,9 @@ def outcome(
         spent = (r < rounds) & (looks >= budget)
         said = meaning(phase(r, [jnp.int32(status) for status, *_ in phases]), at.arrived[k], at.squares[k])
         why = jnp.where(wide & (at.arrived[k] | (why == 0)), said, why)
-        easy = (r == bottom - 1) & ~hard(kept[1], kept[-1])
+        easy = r < 0
+        for less, before, _ in longer:
+            easy |= (r == bottom + before - 1) & ~hard(kept[1], kept[-1], less)
         return jnp.where(spent, rounds, jnp.where(easy, last, r + 1)), kept, at.arrived[k] & ~wide, why
 
     far, none = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)

@@ -28,7 +28,8 @@ OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9
 LONGEST = 1.0  # [rad, m] that a joint moves in a step
 SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # of τ, after a step that helped and one that did not
-MOST_TRUST = 1e3  # beyond it steps are so short that an error which still grows with them is at a kink
+MOST_TRUST = 1e12
+SHORT = 100.0  # of ‖J‖²: damped by more, steps are so short that an error which still grows with them is at a kink
 STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
 
 
@@ -85,7 +86,7 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
         best=best,
         squares=choose(better, squares, at.squares),
         cost=jnp.where(better, cost, at.cost),
-        steep=jnp.where(trust >= MOST_TRUST, 0.0, jnp.where(better, steep, at.steep)),
+        steep=choose(better, steep, at.steep),
         trust=trust,
         looks=at.looks + 1.0,
         arrived=here,
@@ -129,4 +130,5 @@ def _step(rows, e, cost, q, low, high, trust):
     step = dense.cholesky_solve(dense.cholesky(dense.shifted(left @ left.T, shift)), e) @ left
     scale = cost * jnp.sum(rows**2)
     steep = downhill @ downhill / jnp.where(scale > 0, scale, 1.0)
-    return jnp.clip(step, -LONGEST, LONGEST), steep
+    kink = (trust > 1) & (shift > SHORT * jnp.sum(rows**2))
+    return jnp.clip(step, -LONGEST, LONGEST), jnp.where(kink, 0.0, steep)

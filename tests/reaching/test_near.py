@@ -137,6 +137,59 @@ def test_with_a_tolerance_far_below_the_arm_nothing_is_called_out_of_reach(size,
         assert np.isin(made.status, list(right)).sum() >= 9_995, name
 
 
+def cornered(kind):
+    """An arm whose limits allow for little else: a chain of right angles, or of offsets and twists at random."""
+    if kind == "twisted":
+        return ck.from_dh([1.0] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
+    n, rng = 6 + kind % 3, np.random.default_rng(kind)
+    a, d = rng.uniform(0, 1, (2, n)) * (rng.random((2, n)) < 0.7)
+    twist = rng.choice([np.pi / 2, -np.pi / 2, 0.0, 1.57, 0.4], n)
+    lower, upper = -rng.uniform(0.3, 3.1, n), rng.uniform(0.3, 3.1, n)
+    return ck.from_dh(*(v.tolist() for v in (a, twist, d)), lower=lower.tolist(), upper=upper.tolist())
+
+
+def at_limits(chain, count):
+    """Postures (count, n) with two joints to all of them exactly at a limit."""
+    rng, low, high = np.random.default_rng(1), np.array(chain.lower), np.array(chain.upper)
+    q, side = rng.uniform(low, high, (count, chain.n)), rng.random((count, chain.n)) < 0.5
+    held = rng.random(q.shape).argsort(axis=1) < rng.integers(2, chain.n + 1, count)[:, None]
+    return np.where(held, np.where(side, low, high), q)
+
+
+@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("kind", ["twisted", 1, 14])
+def test_an_answer_with_several_joints_at_their_limits_is_found(kind, request):
+    """It has hardly any posture about it from which a search within the limits arrives."""
+    chain = cornered(kind)
+    q = at_limits(chain, 100 if request.node.callspec.params["way"] == "jax" else 1000)
+
+    def right(made):
+        known = np.isin(made.status, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET])
+        return known.all() and np.sum(~made.solved) <= 1 + len(q) // 1000
+
+    rng, low, high = np.random.default_rng(2), np.array(chain.lower), np.array(chain.upper)
+    asked = [{}, {"near": rng.uniform(low, high, q.shape)}, {"near": high}]
+    asked += [{"near": np.clip(q + 0.999 * rng.uniform(-j, j, q.shape), low, high), "jump": j} for j in (0.05, 2.0)]
+    for given in asked:
+        for task in ("pose", "position"):
+            made = ck.reach(chain, tips(chain, q), task=task, **given)
+            assert right(made), (given.keys(), task, str(made))
+    several = ck.reach(chain, tips(chain, q[:100]), solutions=2)
+    assert right(ck.replace(several, status=several.status[:, 0]))
+    alone = [ck.reach(chain, target).status for target in tips(chain, q[:4])]
+    assert np.isin(alone, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET]).all()
+
+
+@pytest.mark.slow
+def test_of_many_arms_hardly_any_answer_at_limits_is_missed():
+    found = []
+    for kind in ["twisted", *range(45)]:
+        chain = cornered(kind)
+        found.append(ck.reach(chain, tips(chain, at_limits(chain, 5000))).status)
+    counts = {s.name: int(np.sum(np.array(found) == s)) for s in ReachStatus}
+    assert counts["SOLVED"] >= 229_950 and counts["AT_LIMIT"] + counts["OUT_OF_REACH"] <= 20, counts
+
+
 ELBOW = 2.0  # [rad] its limit
 
 

@@ -83,6 +83,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   if (own->number >= a->tries || (own->number >= PLAIN && own->looks >= (double)a->budget)) return 0;
   const int64_t k = own->number, number = a->seed + k;
   const int plain = k < PLAIN && !a->downhill, by = plain && a->near != NULL;
+  const double stretch = k < SETS ? 1 : stretches[number % STRETCHES];
   const double *start, *place = NULL;
   if (a->downhill) {
     start = made->places[k];
@@ -105,7 +106,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
       q = place[j] + NEARBY * (q - a->middle[j]);
     } else if (!a->downhill) { /* as `seeds.starts` */
       if (a->near != NULL) q = turned(q, about, a->periods[j], low, high);
-      if (q < low || q > high) q = low + (high - low) * (from + 0.5);
+      if (q < low || q > high || (stretch > 1 && high - low < INFINITY)) q = low + (high - low) * (stretch * from + 0.5);
     }
     q = q < low ? low : q > high ? high : q;
     s->q[j][i] = s->best[j][i] = q;
