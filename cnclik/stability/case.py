@@ -27,6 +27,7 @@ LOOKED_AT = 9  # instants of the last quarter whose target is looked at
 PLENTY = 5.0  # time constants from which on an error that does not shrink is believed to stay
 LEAST = 50  # and steps
 NEARLY = 0.95  # of a path that is judged as all of it: at a pace the last of it may take for ever
+NOISE = 4.0  # standard deviations of an error that is noise
 COUNTS = 0.05  # share of the last error from which on a direction of it counts
 BRIEF = 16  # part of a path, or of half a run to a held target, over which velocities at a pace are averaged
 UNMOVED = 1e-9  # a factor that is 1 to this is that of a direction that no joint moves
@@ -144,6 +145,17 @@ class Case:
         return self.more["pace"]
 
     @property
+    def follows(self):
+        """Whether it is less than a sample behind its target, in the last quarter."""
+        return rms(self.seen.late) <= max(self.behind, self.seen.floor)
+
+    @property
+    def in_noise(self):
+        """Whether what is left of the error is no more than noise makes of it."""
+        sigma = self.more["noise"]
+        return sigma is not None and self.seen.largest <= NOISE * np.linalg.norm(np.broadcast_to(sigma, len(self.e)))
+
+    @property
     def waits(self):
         """Whether the path goes on only as far as the robot follows."""
         return self.moving and path_waits(self.pace, self.reference)
@@ -222,9 +234,8 @@ def _advance(t, late, Ts) -> float:
 
 
 def brief(reference, run, Ts, pace) -> int:
-    """Steps over which the joint velocities of a run are averaged to see what goes back and forth; 0 where a step may
-    reverse them."""
-    if pace is None or pace.acceleration is pace.jerk is None:
+    """Steps over which the joint velocities of a run at a pace are averaged to see what goes back and forth; else 0."""
+    if pace is None:
         return 0
     steps, path = len(run.residual) // 2, whole(reference)
     passed = float(run.target_time[-1] - run.target_time[-1 - steps]) / max(steps * Ts, 1e-300)

@@ -13,7 +13,7 @@ import numpy as np
 from cnclik.integrate.status import Status
 from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import PLENTY, UNSTABLE
+from cnclik.stability.case import NEARLY, PLENTY, UNSTABLE
 from cnclik.stability.observed import rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
@@ -83,7 +83,7 @@ def _held(case, error):
     # A loop that carries what it rounds away would have moved by now.
     if seen.still and 4 * case.rounding / len(seen.late) < seen.largest <= 2 * case.rounding:
         return _rounded(case, error)
-    if seen.arrived:
+    if seen.arrived or case.in_noise:
         return _arrived(case, error)
     if case.radius > UNSTABLE or case.null_unstable:
         return _unstable(case, error)
@@ -130,8 +130,7 @@ def _arrived(case, error):
 
 def _moving(case, error):
     seen = case.seen
-    lag = rms(seen.late)
-    follows = lag <= max(case.behind, seen.floor)
+    lag, follows = rms(seen.late), case.follows
     if case.radius > UNSTABLE and not (follows and (case.radius_at(case.start) <= UNSTABLE or _slow_enough(case))):
         return _unstable(case, error)
     if seen.often(Status.AT_LIMIT) and case.law.limits is not None and not follows and not seen.shrinks:
@@ -143,6 +142,12 @@ def _moving(case, error):
         return kind, what, found if case.crawls else (*slower, *found)
     if _rings(case):
         return _ringing(case, error)
+    if seen.often(Status.OVER_ACCELERATION) and not follows and float(case.law.feedforward) == 1.0:
+        near = bool(np.any(seen.status & Status.NEAR_SINGULAR))
+        where = f"{', next to a singularity' * near}, and {error}"
+        what = f"in most steps the limits of the pace hold the joints back from what the law asks for{where}"
+        slower = remedies.slower_path(case, 0.5)
+        return Behaviour.AT_LIMIT, what, (*(remedies.gentle(case) if near else ()), *slower)
     if not follows and (reasons.beyond(case) > 0 or reasons.too_many(case)):
         return _out_of_reach(case, error)
     if case.covered < 1 or (case.spans < ENOUGH and case.covered < AROUND):
@@ -155,14 +160,17 @@ def _moving(case, error):
         return _out_of_reach(case, error)
     if _shakes(case):
         return _shaking(case, error)
-    what = f"{error}, {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on; {_radius(case)}"
+    behind = "" if case.waits else f", {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on"
+    what = f"{error}{behind}; {_radius(case)}"
     limited = case.law.limits is not None and bool(np.any(seen.status & Status.AT_LIMIT))
     if limited:  # more velocity may be more than they let through
         return Behaviour.LAGGING, what, remedies.slower_path(case, 0.5)
     if float(case.law.feedforward) != 1.0:
         words = "feed the velocity forward (feedforward=1)"
         return Behaviour.LAGGING, what, (Remedy(change={"feedforward": 1.0}, words=words),)
-    return Behaviour.LAGGING, what, remedies.raised(case) or remedies.slower_path(case, 0.5)
+    held_back = case.pace is not None and (not case.waits or case.advance < NEARLY)
+    slower = remedies.slower_path(case, 0.25 if held_back else 0.5)
+    return Behaviour.LAGGING, what, (*(raised := remedies.raised(case)), *(slower if held_back or not raised else ()))
 
 
 def _rounded(case, error):
@@ -177,7 +185,8 @@ def _rounded(case, error):
 
 def _rings(case):
     seen = case.seen
-    by_path = case.moving and case.path and 4 * seen.swing * case.loop[0] >= case.path  # as slowly as its path turns
+    swing = seen.swing * case.loop[0] * case.advance  # of the path's time
+    by_path = case.moving and case.path and 4 * swing >= case.path  # as slowly as its path turns
     return case.overshoot > OVERSHOOT and seen.swings >= 2 and case.radius <= UNSTABLE and not by_path
 
 
@@ -205,10 +214,7 @@ def _shaking(case, error):
     if case.crawls and case.radius <= UNSTABLE:
         kind, what, found = undecided(case, f"{fast}; {error}")
         return kind, what, found if hasattr(case.law.inverse, "damping") else (*found, *remedies.gentle(case, "motion"))
-    found = remedies.lower(case)
-    if case.pace is not None and case.radius <= UNSTABLE and bool(np.any(seen.status & Status.NEAR_SINGULAR)):
-        fast, found = f"{fast}, next to a singularity", found or remedies.gentle(case, "motion")
-    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", found
+    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", remedies.lower(case)
 
 
 def _unstable(case, error):
@@ -218,7 +224,8 @@ def _unstable(case, error):
         return undecided(case, error)
     if (seen.grows or seen.soars) and (case.pace is None or seen.lost):
         return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
-    if _shakes(case) or (seen.visible and case.spans > PLENTY and case.pace is None):
+    follows = case.pace is not None and (case.waits or case.follows)  # it moves with its path
+    if _shakes(case) or (seen.visible and case.spans > PLENTY and not follows):
         return _shaking(case, error)
     falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
     if not falls and case.radius_at(case.start) > UNSTABLE:

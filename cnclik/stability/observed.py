@@ -49,7 +49,8 @@ class Observed(NamedTuple):
 
     @property
     def arrived(self):
-        return self.largest <= max(ARRIVED * self.size[0], self.floor)
+        first = self.size[0] if self.size[0] > self.floor else self.size.max()  # it may begin on its path
+        return self.largest <= max(ARRIVED * first, self.floor)
 
     @property
     def grows(self):
@@ -161,8 +162,8 @@ def rms(values):
 def back_and_forth(qdot, mean=0):
     """(RMS speed that goes back and forth, RMS speed) of joint velocities (N, n).
 
-    That is what the next step takes back; or, where a limit of acceleration lets no step do so, what is off the mean
-    over `mean` steps about it.
+    That is what the next step takes back; or, at a pace, within which none may, what is off the mean over `mean` steps
+    about it.
     """
     flips = qdot[1:] * qdot[:-1] < 0
     back = np.where(flips, np.minimum(np.abs(qdot[1:]), np.abs(qdot[:-1])), 0.0)

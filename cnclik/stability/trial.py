@@ -168,16 +168,18 @@ class Trials:
         was_here, now_here = truncate(was, N), truncate(now, after)
         gone = max(ARRIVED * given.size[0], given.floor)
 
-        def ratio(before, later):
+        def ratio(before, later, gone=gone):
             return max(self._late(later), gone) / max(self._late(before), gone)
 
         in_the_end = ratio(was, now)
         longer = only_longer(change, self.case.period)
         if self.case.waits and not longer:  # a loop that shakes crawls along its path, with a small error
             gained = self._seen(now_here).way / max(self._seen(was_here).way, LEAST_WAY)
-            if gained < 1 / FARTHER:
+            least = max(gone, self.case.behind)  # what is less than a sample behind follows
+            here = ratio(was_here, now_here, least)
+            if gained < 1 / FARTHER and not here < GONE:
                 return False
-            if gained > FARTHER and after == N and max(in_the_end, ratio(was_here, now_here)) <= AS_GOOD:
+            if gained > FARTHER and after == N and max(here, ratio(was, now, least)) <= AS_GOOD:
                 return True
         if remedy.mends == "motion":
             turns = self._restless(made.reference, now_here) < CALMER * self._restless(self.given.reference, was_here)

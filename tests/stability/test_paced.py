@@ -84,3 +84,34 @@ def test_a_joint_that_its_pace_takes_past_a_limit_is_named():
     assert "beyond" not in verdict(law, goal, kept, **how).sentence
     outside = ck.solve(law, goal, np.array([-2.2, 1.2, 0.3]), 0.02, 300, "EE")  # began there, and came back
     assert "beyond" not in verdict(law, goal, outside, **how).sentence
+
+
+def test_a_loop_that_rings_at_a_pace_crawls_too():
+    """Less gain was "no better": in the end, after 4,096 steps, its lag is larger."""
+    made = problem_from("panda", **CIRCLE | dict(method="EXP-MIDPOINT", alpha=30.0, N=1000, delay=4.0, lag=0.02))
+    told = judge(made)
+    assert told.kind == Behaviour.RINGING and told.remedies[0].change["alpha"] < 12.0, told.sentence
+
+
+PLANAR = dict(robot="planar:1,0.8,0.6", reference="circle", method="EE", radius=0.2, N=800)
+
+
+def test_the_cause_of_a_lag_at_a_pace_is_named():
+    """A target that goes on by its own clock is too fast for the pace: "raise alpha" was all that was tried. And a path
+    that is cut is gone along sooner than one that is followed."""
+    stream = problem_from(**PLANAR | dict(future="unknown", period=2.0, alpha=10.0, max_acceleration=1.0))
+    told = judge(stream)
+    assert told.kind == Behaviour.LAGGING and "speed" not in told.sentence, told.sentence
+    (one,) = [one for one in told.remedies if "period" in one.change]
+    slower = judge(problem_from(**PLANAR | dict(future="unknown", alpha=10.0, max_acceleration=1.0) | one.change))
+    assert slower.error < 0.1 * told.error
+    cut = problem_from(**PLANAR | dict(feedforward=0.0, period=2.0, alpha=5.0, max_acceleration=1.0))
+    told = judge(cut)
+    assert told.kind == Behaviour.LAGGING and told.remedies[0].change == {"feedforward": 1.0}, told.sentence
+
+
+def test_an_error_that_is_noise_is_settled():
+    """After the end of its line: "no progress: 55.5 µm and stays", and to start elsewhere was tried."""
+    for more in (dict(reference="hold"), dict(reference="line", period=4.0, max_acceleration=5.0, max_jerk=300.0)):
+        told = judge(problem_from("panda", alpha=5.0, N=800, noise=1e-4, **more))
+        assert told.kind == Behaviour.SETTLED and not told.remedies, told.sentence
