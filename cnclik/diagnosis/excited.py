@@ -10,9 +10,12 @@ import numpy as np
 
 from cnclik.diagnosis.blocks import triangle
 from cnclik.diagnosis.late import TEMPER, Loop
+from cnclik.integrate.drive import Drive, sampled
 
 DEAD = 60  # samples of dead time, at most
-LAGS = (0.7, 1.5, 3.0, 5.0, 8.0, 13.0, 20.0)  # in samples
+LAGS = (0.7, 1.0, 1.4, 1.9, 2.4, 3.0, 3.8, 4.7, 6.0, 8.0, 10.0, 13.0, 20.0)  # in samples
+PARTS = (0.0, 0.25, 0.5, 0.75)  # of a sample of dead time
+DENSE = 7  # loops with a lag that weigh as much as one without, at each dead time
 COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
 FREE = (2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: one of order 1 that swings
 # is a loop without dead time
@@ -35,22 +38,22 @@ def excited(y, Ts, z=None) -> list:
     number = PENALTY * np.log(rows)
     floor = UNMODELLED_STEPS**2 * np.var(np.diff(y, axis=0), axis=0) + np.finfo(float).tiny
     tried, least = [], np.inf
-    for lag, half in ((0.0, 0), *itertools.product(LAGS, (0, 1))):
-        keep, b = _drive(lag)
-        b = np.convolve(b, [0.5, 0.5]) if half else b  # half a sample more
+    for lag, part in ((0.0, 0.0), *itertools.product(LAGS, PARTS)):
+        keep, b = _drive(lag, part)
         a = np.convolve([1.0, -1.0], [1.0, -keep]) if lag else np.array([1.0, -1.0])
-        for colour in COLOURS:
-            for c in ([1.0, -colour], np.convolve([1.0, -colour], [1.0, -keep])) if lag else ([1.0, -colour],):
-                made = _over_dead_times(y, a, b, c, Loop(0.5 * half, lag * Ts, 0.0), most, floor)
-                # Its gain is a number, and so are a lag and a colour; its dead time is what an order is to the other.
-                least = min(least, min(one.score for one in made) + number * (1 + (lag > 0) + (colour > 0)))
-                tried += made
+        for colour, c in _noises(keep, b):
+            made = _over_dead_times(y, a, b, c, Loop(part, lag * Ts, 0.0), most, floor)
+            # Its gain is a number, and so are a lag and a colour; its dead time is what an order is to the other.
+            least = min(least, min(one.score for one in made) + number * (1 + (lag > 0) + (colour > 0)))
+            tried += made
     free = min(_autoregression(y, p, most + 3, floor) + number * p for p in FREE if p < min(rows // 4, most + 3))
     best = min(tried, key=lambda one: one.score)
     if least > free or best.z <= 0:
         return []
     tried = [one for one in tried if one.z > 0]
-    odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) for one in tried]
+    of_lags = DENSE / (len(LAGS) * len(PARTS))
+    odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) * (of_lags if one.lag else 1.0)
+            for one in tried]  # fmt: skip
     found = [one._replace(share=float(o)) for one, o in zip(tried, odds / np.sum(odds), strict=True)]
     found = sorted((one for one in found if one.share > 1e-3), key=lambda one: -one.share)
     return found if found and _left(found[0].slowest(Ts)) > SWINGS else []
@@ -69,12 +72,29 @@ def _main(y):
     return y @ parts[: min(int(np.sum(size > NO_PART * size[0])), MAIN)].T
 
 
-def _drive(lag):
-    """(e^{−1/lag}, the numerator of the sampled lag in B, without its first B)."""
+def _noises(keep, b):
+    """(θ, C) of noise in the motion and, with a lag, in what is measured; last of what is measured and not recorded,
+    which comes through the drive."""
+    for colour in COLOURS:
+        yield colour, np.array([1.0, -colour])
+        if keep:
+            yield colour, np.convolve([1.0, -colour], [1.0, -keep])
+    if keep:
+        zeros = np.roots(b)
+        yield 0.0, np.poly(np.where(np.abs(zeros) > 1, 1 / zeros, zeros))
+
+
+def _drive(lag, part):
+    """(e^{−1/lag}, numerator in B without its first B) of the sampled lag after a part of a sample of dead time."""
     if not lag:
         return 0.0, np.array([1.0])
-    keep = np.exp(-1 / lag)
-    return keep, np.array([1 - lag * (1 - keep), lag * (1 - keep) ** 2 - keep * (1 - lag * (1 - keep))])
+    one = sampled(Drive(delay=part, lag=lag), 1.0)
+    (_, moves), (_, keep) = one.phi
+    b = np.zeros(3)
+    for at, by in enumerate((one.now, one.late)):
+        if by is not None:
+            b[at : at + 2] += by[0], moves * by[1] - keep * by[0]
+    return keep, b if part else b[:2]
 
 
 def _over_dead_times(y, a, b, c, start, most, floor) -> list:

@@ -127,6 +127,16 @@ def test_loops_that_noise_keeps_swinging(delay):
     assert right >= 3
 
 
+@pytest.mark.parametrize(("z", "delay", "lag"), [(0.258, 2.916, 2.35), (0.445, 1.5, 2.33), (0.488, 1.11, 2.41)])
+def test_loops_with_a_lag_that_noise_which_is_not_recorded_keeps_swinging(z, delay, lag):
+    """Between the lags of a coarse grid none explained them."""
+    _, calm = logs.limits(delay, lag)
+    e = late_loop(z, delay, lag, 1200, 0.0, np.random.default_rng(1).standard_normal(1200))
+    found = diagnose(e, TS)
+    assert found.cause == "lag" and found.delay + found.lag / TS == pytest.approx(delay + lag, rel=0.2), str(found)
+    assert 0.25 * calm < found.factor * z and logs.over(found.factor * z, delay, lag) < 0.05
+
+
 def test_a_sweep_is_no_loop():
     t = np.arange(600) / 600
     for low, high in ((3, 20), (6, 40)):
