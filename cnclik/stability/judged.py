@@ -19,6 +19,7 @@ from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
 
 AROUND = 3  # times around a path that tell, however slow a direction of the loop is
+RESTLESS = 0.045  # share of the joint speed off its mean, from which on what is unstable at rest shakes at a pace
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
 
 
@@ -196,7 +197,9 @@ def _ringing(case, error):
 
 
 def _shakes(case):
-    return case.seen.visible and case.seen.reversing > REVERSING
+    smooth = case.pace is not None and not case.pace.acceleration is case.pace.jerk is None
+    least = RESTLESS if smooth and case.radius > UNSTABLE else REVERSING
+    return case.seen.visible and case.seen.reversing > least
 
 
 def _shaking(case, error):
@@ -222,7 +225,7 @@ def _unstable(case, error):
     seen = case.seen
     if seen.shrinks and not _shakes(case):
         return undecided(case, error)
-    if (seen.grows or seen.soars) and (case.pace is None or seen.lost):
+    if (seen.grows or seen.soars) and (case.pace is None or (seen.lost and not _shakes(case))):
         return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
     follows = case.pace is not None and (case.waits or case.follows)  # it moves with its path
     if _shakes(case) or (seen.visible and case.spans > PLENTY and not follows):

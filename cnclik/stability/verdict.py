@@ -123,11 +123,13 @@ def _confirmed(case, trials):
     if plain or kind not in (*_UNSTABLE_KINDS, *_STAY, Behaviour.CONVERGING) or case.steps >= N:
         return kind, what, found
     later, on = _longer(case, trials, N), f"run on, for {N} steps in all,"
+    contradicted = _contradicted(kind, case, later)
     if case.pace is not None and kind == Behaviour.DIVERGING:
-        bounded, shakes, mends = judged(later)
-        if bounded == Behaviour.SHAKING:
-            return bounded, f"{on} {shakes}", mends
-    if not _contradicted(kind, case, later):
+        then, shakes, mends = judged(later)
+        if then == Behaviour.SHAKING:
+            return then, f"{on} {shakes}", mends
+        contradicted = then != kind
+    if not contradicted:
         return kind, what, found
     return restless(case, f"{what}, but {on} the error is at most {later.size} at the end", found)
 

@@ -68,6 +68,17 @@ def test_what_shakes_at_a_target_within_a_pace_does_not_diverge():
     assert told.remedies[0].change["alpha"] == pytest.approx(100.0, rel=0.02)
 
 
+@pytest.mark.parametrize("alpha", [105.0, 120.0, 150.0])
+def test_what_a_pace_bounds_does_not_diverge(alpha):
+    """A loop that is unstable at rest and calm so far was "diverging"; one that is restless was "settled"."""
+    table = dict(reference="circle", period=3.0, method="AB2", N=600, max_acceleration=3.0, max_jerk=60.0)
+    told = judge(problem_from("panda", **table, alpha=alpha))
+    assert told.kind != Behaviour.DIVERGING, told.sentence
+    if alpha > 105.0:
+        assert told.kind == Behaviour.SHAKING, told.sentence
+        assert told.remedies[0].change["alpha"] == pytest.approx(66.7, rel=0.02)
+
+
 def test_a_joint_that_its_pace_takes_past_a_limit_is_named():
     """Braking within the pace's limits it went past what saturation() keeps, and nothing was said."""
     arm = ck.planar_arm([1.0, 0.8, 0.6])
