@@ -65,6 +65,7 @@ def on_cpu() -> bool:
 # A program that runs once is ready sooner with fewer passes over it, and with XLA's older emitters where they
 # are still there: a third of the compile time, and hardly slower where one lane is all there is.
 QUICK_COMPILE = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+LIGHT_COMPILE = {**QUICK_COMPILE, "xla_backend_optimization_level": 1}  # for one that runs often: a third longer
 
 
 def known_options(options: dict) -> dict:

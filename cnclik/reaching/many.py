@@ -5,9 +5,8 @@ import functools
 import jax
 import numpy as np
 
-from cnclik.engine.plan import unless_chosen
-from cnclik.hints import as_here, on_cpu
-from cnclik.reaching import search
+from cnclik.hints import as_here
+from cnclik.reaching import programs, search
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.native import native_for
 from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
@@ -20,7 +19,6 @@ from cnclik.threads import cores, side_by_side
 POOL = 1 << 18  # targets whose leftovers are searched for together
 EARLY = search.PLAIN + 4  # tries of all targets, before it is asked which are out of reach
 MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which C is worth its compiling
-SCALARS = 10_000  # targets beyond which XLA's programs of scalars are worth theirs, 5 s; the source takes 1 s
 ONE_BY_ONE = 512  # targets, at most, that are sooner searched for one by one
 ENDLESS = 1 << 40  # looks
 TRIES_FAR = 16  # of the search for the nearest pose to a target that is farther off than the arm is long
@@ -68,15 +66,14 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
         there.put(close, search.downhill(mine, wider.part(close), there.part(close)))
         why[ids] = asked.meaning(status, there.found, there.squares)
 
-    soon = on_cpu() and not often(asked.chain, 0, SCALARS)
-    with jax.enable_x64(True), unless_chosen("plain" if soon else None):
+    with jax.enable_x64(True), programs.engine():
 
         def on_all_cores(fn, which):
             """fn of blocks of those of some targets that have no answer yet."""
             ids = np.flatnonzero(which & known & ~made.found & (why == 0))
             size = max(min(BLOCK, -(-len(ids) // cores())), SMALLEST)
             parts = [ids[i : i + size] for i in range(0, len(ids), size)]
-            with side_by_side() as pool:
+            with side_by_side(programs.workers()) as pool:
                 for _ in pool.map(as_here(fn), parts):
                     if progress is not None:
                         progress(int(made.found.sum()), B)
@@ -105,12 +102,12 @@ def path(asked: Asked, pose, progress=None) -> Reached:
     return along(asked, pose, progress)
 
 
-def often(chain, targets, many=MANY) -> bool:
-    """Whether a chain has been asked, with so many targets more, so often that compiling for it pays; by default C."""
+def often(chain, targets) -> bool:
+    """Whether a chain has been asked of, with so many targets more, so often that compiling C for it pays."""
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
     asked_of[0 if alone else 1] += targets
-    return asked_of[0] > ALONE if alone else asked_of[1] > many
+    return asked_of[0] > ALONE if alone else asked_of[1] > MANY
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
@@ -124,7 +121,8 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
         return _several(asked, setup, mine, targets.part(slice(start, start + size)), solutions)
 
     often(asked.chain, len(pose) * PATIENCE)
-    with jax.enable_x64(True), side_by_side() as pool:
+    alone = native_for(asked, True) is None
+    with jax.enable_x64(True), programs.engine(), side_by_side(programs.workers() if alone else None) as pool:
         made = list(pool.map(as_here(block), range(0, len(pose), size)))
     whole = {name: np.concatenate([part[name] for part in made]) for name in PER_TARGET}
     return replace(first, **whole, solutions=solutions)

@@ -1,14 +1,16 @@
 """Searching for many targets at once, where `native` does not: tries from ever new seeds, until all have arrived.
 
-The first tries start from the nearest seeds, and end early: float32 to near the tolerance, then a step or two in
-float64, where every answer is checked. The targets that are left get several seeds each at once, more steps, and a
-careful iteration in float64. What still has not arrived goes downhill from the best places found: to the nearest pose.
+The first tries start from the nearest seeds, and end early: near the tolerance (in float32 where that is quicker), then
+a step or two in float64, where every answer is checked. The targets that are left get several seeds each at once, more
+steps, and a careful iteration in float64. What still has not arrived goes downhill from the best places found: to the
+nearest pose.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from cnclik.engine.plan import in_scalars
 from cnclik.reaching import programs
 from cnclik.reaching.seeds import SETS, STRETCHES, compared, nearest, seeds, spans, starts, turned
 
@@ -166,14 +168,6 @@ def _polish(setup, targets, arrived, made):
     return ids
 
 
-def warm(setup: Setup, bounds, dtype) -> None:
-    """Compile the program of a precision, where it is not yet."""
-    n = setup.chain.n
-    own = tuple((b[:1] if b.ndim > 1 else b).astype(dtype) for b in bounds)
-    start, pose = np.zeros((1, n), dtype), np.eye(1, 12, dtype=dtype)
-    programs.search(setup.chain, setup.task, own, setup.tolerance.astype(dtype), start, pose, 0, careful=False)
-
-
 def from_starts(setup: Setup, targets: Targets, start) -> Answers:
     """One careful search from each of (B, n) postures within the bounds."""
     made = Answers.empty(*start.shape)
@@ -222,10 +216,11 @@ def _any(setup, number, target):
 def _searched(setup, mine, start, steps, careful):
     """A search from each start: q, cost, whether it came close, looks. In float32 but where it is `careful`.
 
-    Float32 does not get next to singularities: damping that its rounding needs makes steps there too short.
+    Float32 does not get next to singularities: damping that its rounding needs makes steps there too short. Of the
+    source as it is, which calls LAPACK, a look in float32 takes twice as long as in float64.
     """
     close = np.maximum(setup.tolerance, COARSE)
-    kind, tolerance = (float, setup.tolerance) if careful else (np.float32, close)
+    kind, tolerance = (float, setup.tolerance) if careful or not in_scalars() else (np.float32, close)
     bounds, (tolerance, start, pose) = (
         tuple(v.astype(kind) for v in some) for some in (mine.bounds, (tolerance, start, mine.pose))
     )
