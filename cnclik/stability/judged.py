@@ -144,7 +144,7 @@ def _moving(case, error):
     if _rings(case):
         return _ringing(case, error)
     if seen.often(Status.OVER_ACCELERATION) and not follows and float(case.law.feedforward) == 1.0:
-        near = bool(np.any(seen.status & Status.NEAR_SINGULAR))
+        near = _near_singular(case)
         where = f"{', next to a singularity' * near}, and {error}"
         what = f"in most steps the limits of the pace hold the joints back from what the law asks for{where}"
         slower = remedies.slower_path(case, 0.5)
@@ -217,7 +217,14 @@ def _shaking(case, error):
     if case.crawls and case.radius <= UNSTABLE:
         kind, what, found = undecided(case, f"{fast}; {error}")
         return kind, what, found if hasattr(case.law.inverse, "damping") else (*found, *remedies.gentle(case, "motion"))
-    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", remedies.lower(case)
+    found = remedies.lower(case)
+    if case.pace is not None and _near_singular(case):
+        fast, found = f"{fast}, next to a singularity", (*found, *remedies.gentle(case, "motion"))
+    return Behaviour.SHAKING, f"{fast}; {error}; {_radius(case)}", found
+
+
+def _near_singular(case):
+    return bool(np.any(case.seen.status & Status.NEAR_SINGULAR))
 
 
 def _unstable(case, error):
