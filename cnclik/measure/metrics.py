@@ -209,7 +209,7 @@ def _least_singular_value(loop):
     def one(q):
         return safe_sqrt(dense.least_squared(dense.thin(weigh(law, glance(law, q).rows))))
 
-    sigma = jax.vmap(one)(loop.run.q)
+    sigma = jax.lax.map(one, loop.run.q)  # vmap would be written out posture by posture as C
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 
