@@ -102,7 +102,7 @@ def in_python(text: str, own: str = "s, q, q/s, q/s², q/s³") -> str:
     """
     try:
         found = read(text, own, Ts=1.0)
-    except (AttributeError, ValueError):  # no text, no numbers, or no unit
+    except (AttributeError, TypeError, ValueError):  # no text, no numbers, or no unit
         return ""
     if not any(found.written):
         return ""
@@ -125,11 +125,16 @@ def _in_own(value, mark, known, Ts):
 
 
 def aloud(value: float, unit: str) -> str:
-    """A length or an angle as "0.5 mm" or "12 µrad"; what is below a nanometre in the unit itself."""
-    for prefix, scale in (("", 1.0), ("m", 1e3), ("µ", 1e6)):
-        if abs(value) * scale >= 1 or (prefix == "µ" and abs(value) >= 1e-9):
+    """A length or an angle as "0.5 mm" or "12 nrad"; what is below a nanometre in the unit itself."""
+    for prefix, scale in (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9)):
+        if abs(value) * scale >= 1:
             return f"{value * scale:.3g} {prefix}{unit}"
     return f"{value:.3g} {unit}" if value else "zero"
+
+
+def plainly(value: float) -> str:
+    """A number as "1.67" or "1,670": up to a million without a power of ten."""
+    return f"{float(f'{value:.3g}'):,.0f}" if 1000 <= value < 1e6 else f"{value:.3g}"
 
 
 def in_samples(samples: float, Ts: float) -> str:

@@ -6,6 +6,7 @@ from cnclik.quantities import in_samples
 
 def robot_and_task(name, tip, task) -> str:
     """Such as "panda, tip flange, task x y z rx ry rz"."""
+    name = name.removesuffix(f" {tip}")
     return ", ".join(filter(None, (name, tip and f"tip {tip}", f"task {' '.join(task.names)}")))
 
 

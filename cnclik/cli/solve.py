@@ -191,6 +191,7 @@ def _summary(made, trajectory, seconds):
 
     from cnclik.integrate.status import count
     from cnclik.measure.metrics import measure_run
+    from cnclik.quantities import plainly
 
     law = made.law
     parts = [("position", "m")] * bool(law.task.position) + [("rotation", "rad")] * bool(law.task.orientation)
@@ -205,12 +206,13 @@ def _summary(made, trajectory, seconds):
         rows.append(("path", f"{done:.4g} s of it in {whole:.4g} s: it waits for the robot"))
     rows.append(("steps", ", ".join(f"{k} {v}" for k, v in count(trajectory.status).items() if v)))
     unit, share = found.units["max_qdot"], float(found.velocity_ratio)
-    of = f", {100 * share:.3g} % of a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
+    part = f"{100 * share:.3g} % of" if share < 10 else f"{plainly(share)} times"
+    of = f", {part} a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
     rows.append(("joint velocity", f"up to {_number(found.max_qdot)} {unit}{of}"))
-    late = "RMS joint speed taken back in the next step, second half of the run"
-    if made.pace is None or made.pace.acceleration is made.pace.jerk is None:  # else no step can
+    late = "RMS joint speed that the next step reverses, second half of the run"
+    if made.pace is None or not made.pace.smooth:  # else no step takes speed back
         rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))
-    rows.append(("time per step", f"{1e6 * seconds:.0f} µs"))
+    rows.append(("time per step", f"{plainly(1e6 * seconds)} µs"))
     return rows
 
 

@@ -41,9 +41,11 @@ LONG = 20_000  # lines from which on a compiler is told to take less care: its t
 LIMIT = 300.0  # [s] that a compiler may take; the largest exports take half a minute
 MOST_SECONDS = 120  # the same where lanes wait for it, and XLA could do it
 
-
 # A command, and a watch that ends it and all that it has started where standard input ends before: with this process.
-_WATCH = 'exec 3<&0 </dev/null; { read _ <&3; kill -9 0; } & "$@" 3<&-; code=$?; kill $!; exit $code'
+# The shell waits for the watch, as in containers nobody else does: what is left there stays as a zombie.
+_WATCH = (
+    'exec 3<&0 </dev/null; { read _ <&3; kill -9 0; } & "$@" 3<&-; code=$?; { kill $!; wait; } 2>/dev/null; exit $code'
+)
 WATCHED = ("/bin/sh", "-c", _WATCH, "sh")
 
 
@@ -66,13 +68,11 @@ def _on_path(cc, path) -> list | None:
         own = shlex.split(cc)
     except ValueError:  # a quotation mark that is alone
         own = [cc]
-    found = next(
-        (words for words in (own, ["cc"], ["gcc"], ["clang"]) if words and shutil.which(words[0], path=path)), None
-    )
+    several = (own, ["cc"], ["gcc"], ["clang"])
+    found = next((words for words in several if words and shutil.which(words[0], path=path)), None)
     if own and found is not own:
-        errors.remark(
-            f"CC is {cc!r}, which names no program: {found[0] if found else 'none of cc, gcc and clang'} is used."
-        )
+        used = found[0] if found else "none of cc, gcc and clang"
+        errors.remark(f"CC is {cc!r}, which names no program: {used} is used.")
     return found
 
 
@@ -191,7 +191,7 @@ def _whole(library) -> bool:
 def _run(line, limit):
     """What a command returns and what it says; ended, with all that it has started, after so many seconds."""
     group = {"start_new_session": True} if hasattr(os, "killpg") else {}
-    line = [*WATCHED, *line] if group else line
+    line = [*WATCHED, *line] if group and os.access(WATCHED[0], os.X_OK) else line
     watched, alive = os.pipe()
     try:
         with subprocess.Popen(

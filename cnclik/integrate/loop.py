@@ -94,7 +94,7 @@ def loop_of(
     law, plant, reference, noise, drive, model, pace = cast(given, q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
     waits = path_waits(pace, reference)
-    looks = waits and reference.known and N > 1 and not (pace.acceleration is None and pace.jerk is None)
+    looks = waits and reference.known and N > 1 and pace.smooth
     ahead = corners(reference, law.task, t0 + jnp.arange(N + 1).astype(q0.dtype) * Ts) if looks else None
     return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained, pace, waits, ahead)
 

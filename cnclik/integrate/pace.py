@@ -65,6 +65,11 @@ class Pace:
                 raise errors.fail(name, "be positive", f"is {np.asarray(known).min():g}")
             object.__setattr__(self, name, leaf(value) if np.ndim(value) == 0 else known)
 
+    @property
+    def smooth(self) -> bool:
+        """Whether joint velocities change a little at a time: their acceleration or jerk is limited."""
+        return not self.acceleration is self.jerk is None
+
 
 @record
 class Pacing:

@@ -186,10 +186,10 @@ def _limit_distance(loop):
 
 
 def chatter(qdot):
-    """RMS speed that is taken back in the next step, over the second half of a run's (N, n) [rad/s, m/s].
+    """RMS speed that the next step reverses, over the second half of a run's (N, n) [rad/s, m/s].
 
-    A joint that moves at a in one step and at −b in the next takes back min(a, b); one that slows down, however
-    hard, takes back nothing. Alternation at ±a measures a·√n' for n' such joints, smooth motion 0.
+    A joint that moves at a in one step and at −b in the next reverses min(a, b); one that slows down, however
+    hard, reverses nothing. Alternation at ±a measures a·√n' for n' such joints, smooth motion 0.
     """
     qdot = jnp.asarray(qdot)
     late = qdot[len(qdot) // 2 :]
@@ -276,7 +276,7 @@ METRICS = {
         "q",
         "how far the farthest joint goes beyond its limit, 0 if none does",
     ),
-    "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed taken back in the next step, second half"),
+    "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
     "residual": Metric(lambda of: _max(_finite(of.run.residual)), "q", "largest last change of an implicit stage"),
     "contraction": Metric(

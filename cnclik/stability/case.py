@@ -235,7 +235,7 @@ def _advance(t, late, Ts) -> float:
 
 def brief(reference, run, Ts, pace) -> int:
     """Steps over which the joint velocities of a run at a pace are averaged to see what goes back and forth; else 0."""
-    if pace is None:
+    if pace is None or not np.isfinite(run.target_time[-1]):
         return 0
     steps, path = len(run.residual) // 2, whole(reference)
     passed = float(run.target_time[-1] - run.target_time[-1 - steps]) / max(steps * Ts, 1e-300)

@@ -42,7 +42,8 @@ def judged(case):
     """(kind, what it did, remedies) of a case."""
     law, seen, error = case.law, case.seen, _error(case)
     if seen.bad is not None:
-        what = f"not finite from t = {case.t[seen.bad]:.4g} s on (step {seen.bad})"
+        since = case.t[0] + seen.bad * case.loop[0]  # the time of a path that waits is not finite either
+        what = f"not finite from t = {since:.4g} s on (step {seen.bad})"
         return Behaviour.DIVERGING, what, remedies.lower(case)
     if not np.any(np.asarray(law.alpha)):
         Ts, drive = case.loop[0], case.loop[-1]
@@ -171,7 +172,8 @@ def _moving(case, error):
         return Behaviour.LAGGING, what, (Remedy(change={"feedforward": 1.0}, words=words),)
     held_back = case.pace is not None and (not case.waits or case.advance < NEARLY)
     slower = remedies.slower_path(case, 0.25 if held_back else 0.5)
-    return Behaviour.LAGGING, what, (*(raised := remedies.raised(case)), *(slower if held_back or not raised else ()))
+    raised = remedies.raised(case)
+    return Behaviour.LAGGING, what, (*raised, *(slower if held_back or not raised else ()))
 
 
 def _rounded(case, error):
@@ -197,7 +199,7 @@ def _ringing(case, error):
 
 
 def _shakes(case):
-    smooth = case.pace is not None and not case.pace.acceleration is case.pace.jerk is None
+    smooth = case.pace is not None and case.pace.smooth
     least = RESTLESS if smooth and case.radius > UNSTABLE else REVERSING
     return case.seen.visible and case.seen.reversing > least
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from cnclik.integrate.status import Status
 from cnclik.measure.outcome import STALL_RATIO
+from cnclik.quantities import plainly
 from cnclik.robot.posture import arm_length
 
 ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
@@ -82,7 +83,7 @@ class Observed(NamedTuple):
         """That joints are too fast, in words; empty where they are not."""
         if not self.too_fast:
             return ""
-        most = f", up to {self.excess:.3g} times it" if self.excess > 1 else ""  # a drive may not have moved so fast
+        most = f", up to {plainly(self.excess)} times it" if self.excess > 1 else ""  # a drive may be slower
         steps = f"{self.too_fast} of {len(self.size) - 1} steps"
         return f"{steps} ask for more than a joint's velocity limit{most}"
 

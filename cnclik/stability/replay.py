@@ -59,4 +59,5 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     if (other := np.isfinite(spread + off) & (off > floor + ROUNDINGS * spread)).any():
         first = int(np.argmax(other))
         must = "be made by the loop that is described, with its drive, pace, noise, method and stage"
-        raise errors.fail("run", must, f"after step {first - 1} its joints are {off[first]:.2g} from where that is")
+        found = f"at t = {t[first]:.4g} s its joints differ from that loop's by {off[first]:.2g} [rad, m]"
+        raise errors.fail("run", must, found)

@@ -26,9 +26,9 @@ GONE = 0.25  # and below which a longer run has shrunk it
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
 NUDGE = 1e-10  # [rad, m] of the start, to see whether a loop amplifies roundings
-FARTHER = 1.1  # ratio of the ways of two paths that wait, from which on a loop gets farther
-LEAST_WAY = 1e-9  # [m, rad]
+FARTHER = 1.1  # ratio of how far two loops get along a path that waits, from which on one gets farther
 AS_GOOD = 2.0  # and of their errors, up to which they are no worse in kind
+LEAST_WAY = 1e-9  # [m, rad]
 HUGE = 1e300  # stands for what is not finite
 PLACES = ("center", "start", "end")  # what a shift moves of a path
 
@@ -195,13 +195,11 @@ class Trials:
     def _seen(self, run):
         return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def _restless(self, reference, run):
         """Joint speed that goes back and forth in the second half; huge where one is not finite."""
-        v = run.qdot[len(run.qdot) // 2 - 1 :]
-        mean = brief(reference, run, self.Ts, self.case.pace)
-        if mean and np.isfinite(v).all():
-            return back_and_forth(v, mean)[0]
-        return _reversed(v)
+        speed, _ = back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
+        return speed if speed < HUGE else HUGE
 
     def _late(self, run):
         """Largest error of the last quarter; huge where one is not finite."""
@@ -217,10 +215,3 @@ def only_longer(change, period):
 def whole_trial(N):
     """Steps of a trial of N."""
     return max(LEAST_TRIED, 1 << (N - 1).bit_length()) if N <= MOST_TRIED else N
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def _reversed(v):
-    """Largest of joint velocities (N, n) that the next step reverses; huge where one is not finite."""
-    back = np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0)
-    return min(float(np.max(back, initial=0.0)), HUGE) if np.isfinite(v).all() else HUGE

@@ -1,6 +1,7 @@
 """What was asked stands above every answer: tip, dead time, start, target; what nobody gave is called default."""
 
 import json
+import re
 import warnings
 
 import numpy as np
@@ -72,6 +73,21 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     main(["reach", str(file), "--random", "2", "--task", "xy"])
     said = capsys.readouterr()
     assert not said.err and "hand, tip flange, task x y" in said.out
+    main(["reach", str(file), "--tip", "flange", "--random", "2", "--task", "xy"])  # "hand flange, tip flange" it was
+    assert capsys.readouterr().out.startswith("hand, tip flange, task x y\n")
+
+
+def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
+    """ "1.67e+05 % of a joint's limit, up to 1.67e+03 times it; 0 µs a step; 0.00918 µm"."""
+    file, run = tmp_path / "hand.urdf", ["--task", "xy", "--no-figures", "--out", str(tmp_path / "out")]
+    file.write_text(JAWED.format(joint="j3", jaw="flange").replace('velocity="3"', 'velocity="0.001"'))
+    main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--alpha", "20", "--target", "0.3", "0.2", *run])
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"up to [\d.]+ rad/s, \d{1,3},\d{3} times a joint's limit", said), said
+    assert re.search(r"ask for more than a joint's velocity limit, up to \d{1,3},\d{3} times it", said), said
+    main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--reference", "circle", "--radius", "0.05", *run])
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
 
 
 def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, capsys):

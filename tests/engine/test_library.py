@@ -149,9 +149,7 @@ def test_the_compiler_of_a_package_is_found_where_the_system_has_none(monkeypatc
 
 @pytest.mark.parametrize("fault", ["exit 1", "sleep 9", "echo >&2 'x.c: error: no room'; exit 2"])
 def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
-    broken = tmp_path / "broken cc"
-    broken.write_text(f"#!/bin/sh\n{fault}\n")
-    broken.chmod(0o755)
+    broken = program(tmp_path / "broken cc", fault)
     monkeypatch.setenv("CC", f"'{broken}'")
     monkeypatch.setattr(compiler, "MOST_SECONDS", 0.3)
     x = np.linspace(0, 1, 9)
@@ -164,25 +162,63 @@ def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
 @pytest.mark.parametrize("named", ["/nonexistent -O2", "'"])
 def test_a_compiler_that_is_none_is_named(monkeypatch, named):
     monkeypatch.setenv("CC", named)
-    compiler._on_path.cache_clear()
     with pytest.warns(ck_errors.Remark, match=f"CC is .*{named}.*, which names no program: (cc|gcc|clang) is used"):
         assert compiler.command()[0] != named
     with warnings.catch_warnings(action="error"):  # once
         compiler.command()
 
 
+def program(path, text):
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+def building(tmp_path, compiler, before=""):
+    """A process that calls a compiler, and then prints what children it has left."""
+    code = f"""import contextlib, ctypes, os
+from cnclik.engine.compiler import CompilerError, build_text
+{before}
+with contextlib.suppress(CompilerError):
+    build_text("", {str(tmp_path)!r})
+print(os.waitpid(-1, 0))
+"""
+    line = [sys.executable, "-c", code]
+    return subprocess.Popen(line, env=os.environ | {"CC": str(compiler)}, stderr=subprocess.PIPE, text=True)
+
+
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="processes have no groups here")
 def test_a_compiler_ends_with_the_process_that_calls_it(tmp_path):
     """However that ends; with what it has started."""
     started = tmp_path / "started"
-    hanging = ["sh", "-c", f"sleep 600 & echo $! >{started}.part; mv {started}.part {started}; wait"]
-    code = f"from cnclik.engine import compiler; compiler._run({hanging!r}, 600)"
-    caller = subprocess.Popen([sys.executable, "-c", code])
-    _until(started.exists)
-    caller.kill()
-    caller.wait()
+    hanging = program(tmp_path / "cc", f"sleep 600 & echo $! >{started}.part; mv {started}.part {started}; wait")
+    with building(tmp_path, hanging) as caller:
+        _until(started.exists)
+        caller.kill()
     state = pathlib.Path("/proc", started.read_text().strip(), "stat")
-    _until(lambda: not state.exists() or state.read_text().split()[2] in "ZX")
+
+    def ended():
+        try:
+            return state.read_text().split()[2] in "ZX"
+        except OSError:
+            return True
+
+    _until(ended)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="another process gets what is left")
+def test_a_compiler_leaves_no_process(tmp_path):
+    """The watch of each was a zombie in a container whose first process waits for none."""
+    adopts = "PR_SET_CHILD_SUBREAPER = 36; ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)"
+    with building(tmp_path, program(tmp_path / "cc", "exit 1"), adopts) as caller:
+        assert "No child processes" in caller.stderr.read()
+
+
+@NEEDS_C
+def test_a_compiler_runs_where_there_is_no_shell(monkeypatch, tmp_path):
+    monkeypatch.setattr(compiler, "WATCHED", ("/nonexistent/sh",))
+    library, known = compiler.build_text("int one;", tmp_path)
+    assert library.exists() and not known
 
 
 def _until(there, seconds=60.0):

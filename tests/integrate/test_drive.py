@@ -213,6 +213,7 @@ def test_float32_runs_in_float32():
         ({"delay": "8.5 samples"}, "but is '8.5 samples': write 8.5"),
         ({"delay": "soon"}, "but is 'soon'"),
         ({"lag": "20ms"}, "`lag` must be an array of real numbers, but is '20ms': write 0.02"),
+        ({"lag": b"20ms"}, "`lag` must be an array of real numbers, but is b.20ms."),
         ({"natural_frequency": "5Hz"}, "`natural_frequency` must be an array of real numbers, but is '5Hz'"),
         ({"delay": 150, "measurement_delay": 60}, "a measurement included, but is 210"),
         ({"delay": jnp.nan}, "`delay` must be finite"),

@@ -1,5 +1,6 @@
 """Verdicts of runs at a pace: the path waits for the robot, whose joints can't reverse in a step."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -95,6 +96,21 @@ def test_a_joint_that_its_pace_takes_past_a_limit_is_named():
     assert "beyond" not in verdict(law, goal, kept, **how).sentence
     outside = ck.solve(law, goal, np.array([-2.2, 1.2, 0.3]), 0.02, 300, "EE")  # began there, and came back
     assert "beyond" not in verdict(law, goal, outside, **how).sentence
+
+
+@pytest.mark.parametrize("goal", [ck.hold([1.0, 0.7]), ck.circle([1.2, 1.0], 0.2, period=2.0)])
+def test_a_run_whose_path_has_no_time_any_more(goal):
+    """ "not finite from t = nan s on" it was, or a ValueError."""
+
+    def lost(q):
+        return jnp.where(q[1] > 1.21, jnp.nan, 1.0) * jnp.array([0.0, 0.1, 0.0])
+
+    law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, null_velocity=lost)
+    pace = ck.Pace(velocity=2.0, acceleration=9.0)
+    run = ck.solve(law, goal, np.array([0.3, 1.2, 0.9]), 0.01, 200, "EE", pace=pace)
+    bad = int(np.argmin(np.isfinite(run.q).all(1)))
+    told = verdict(law, goal, run, Ts=0.01, method="EE", pace=pace)
+    assert told.sentence.startswith(f"diverging: not finite from t = {0.01 * bad:.4g} s on (step {bad})"), told.sentence
 
 
 def test_a_loop_that_rings_at_a_pace_crawls_too():
