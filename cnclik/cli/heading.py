@@ -4,10 +4,14 @@ from cnclik.problem.options import PATH
 from cnclik.quantities import in_samples
 
 
+def name_and_tip(name, tip) -> str:
+    """Such as "panda, tip flange", also where the name has the tip."""
+    return ", tip ".join(filter(None, (name.removesuffix(f" {tip}"), tip)))
+
+
 def robot_and_task(name, tip, task) -> str:
     """Such as "panda, tip flange, task x y z rx ry rz"."""
-    name = name.removesuffix(f" {tip}")
-    return ", ".join(filter(None, (name, tip and f"tip {tip}", f"task {' '.join(task.names)}")))
+    return f"{name_and_tip(name, tip)}, task {' '.join(task.names)}"
 
 
 def unless_given(written, *names) -> str:

@@ -85,7 +85,7 @@ def drive_words(made) -> str:
     from cnclik.quantities import in_samples
 
     if made.pace is not None:
-        return "steps scaled along the way to limits of " + ", ".join(
+        return "steps scaled along the path to limits of " + ", ".join(
             name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name) is not None
         )
     drive = made.drive

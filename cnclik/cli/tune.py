@@ -11,7 +11,7 @@ from cnclik import errors
 from cnclik.cli import common
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
-from cnclik.cli.heading import assumed_drives, dead_time, start_and_target
+from cnclik.cli.heading import assumed_drives, dead_time, name_and_tip, start_and_target
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
 from cnclik.version import __version__
@@ -90,7 +90,7 @@ def run(args: Args) -> None:
     with output_folder(args.out, overwrite=args.overwrite) as folder:
         text = tuning.page(
             found,
-            ", tip ".join(filter(None, (made.name, made.tip))),
+            name_and_tip(made.name, made.tip),
             seconds=seconds,
             figures=tuple(drawn) if args.figures else (),
         )
@@ -101,7 +101,7 @@ def run(args: Args) -> None:
         *assumed_drives(made),
     ]
     print("\n".join(heading))
-    print(text.split("\n## Figures")[0].replace(found.why, common.as_options(found.why)))
+    print(text.split("\n## Figures")[0].rstrip().replace(found.why, common.as_options(found.why)))
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
     written = ["tuned.json", "summary.md"]

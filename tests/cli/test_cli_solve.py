@@ -63,7 +63,7 @@ def test_steps_are_scaled_to_limits_by_options(tmp_path, capsys):
     most = ["--max-velocity", "0.4", "--max-acceleration", "2", "4"]
     small = ["--target", "0.5", "1.2", "--Ts", "0.05", "--N", "40", "--method", "EE", "--no-figures"]
     main(["solve", "planar:1,1", *small, *most, "--out", str(tmp_path)])
-    assert "steps scaled along the way to limits of velocity, acceleration" in capsys.readouterr().out
+    assert "steps scaled along the path to limits of velocity, acceleration" in capsys.readouterr().out
     with xr.open_dataset(tmp_path / "trajectory.nc") as data:
         qdot = data.qdot.values
         rate = np.abs(np.diff(qdot, axis=0, prepend=0)).max(axis=0) / 0.05

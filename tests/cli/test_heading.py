@@ -75,6 +75,8 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     assert not said.err and "hand, tip flange, task x y" in said.out
     main(["reach", str(file), "--tip", "flange", "--random", "2", "--task", "xy"])  # "hand flange, tip flange" it was
     assert capsys.readouterr().out.startswith("hand, tip flange, task x y\n")
+    main(["tune", str(file), "--tip", "flange", "--task", "xy", "--out", str(tmp_path / "tuned"), *VERBS["tune"][:-2]])
+    assert "uned: hand, tip flange\n" in capsys.readouterr().out
 
 
 def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
