@@ -11,23 +11,17 @@ NUMBERS = 8192  # of a piece
 PRODUCTS = 200_000  # multiplications of two pieces
 
 
-def product(a, b, out=None):
+def product(a, b):
     """a (n, k) @ b (k, m), of halves of halves of what is longest."""
     (n, k), m = a.shape, b.shape[1]
-    out = np.empty((n, m)) if out is None else out
     if n * k * m <= (NUMBERS if 1 in (n, m) else PRODUCTS):
-        return np.matmul(a, b, out=out)
+        return a @ b
     half = max(n, k, m) // 2
     if k == max(n, k, m):
-        product(a[:, :half], b[:half], out)
-        out += product(a[:, half:], b[half:])
-    elif n >= m:
-        product(a[:half], b, out[:half])
-        product(a[half:], b, out[half:])
-    else:
-        product(a, b[:, :half], out[:, :half])
-        product(a, b[:, half:], out[:, half:])
-    return out
+        return product(a[:, :half], b[:half]) + product(a[:, half:], b[half:])
+    if n >= m:
+        return np.concatenate([product(a[:half], b), product(a[half:], b)])
+    return np.concatenate([product(a, b[:, :half]), product(a, b[:, half:])], axis=1)
 
 
 def within(still, a):

@@ -109,11 +109,8 @@ def simulate(
     if gained is not None:
         return _run(*known, *given, model, noise, N=N, gained=gained)
     loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
-    how = loop, known, (*given, model, noise), _solve_soon, lambda: _is_soon(law, method, stage, N)
-    if pace is None:
-        return _computed(*how)
-    with unless_chosen("plain"):  # XLA compiles a pace in a tenth of C's time
-        return _computed(*how)
+    with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace in a tenth of C's time
+        return _computed(loop, known, (*given, model, noise), _solve_soon, lambda: _is_soon(law, method, stage, N))
 
 
 def step(

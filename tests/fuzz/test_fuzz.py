@@ -17,7 +17,7 @@ COUNTS |= {"poses": 300, "exports": 8}
 
 
 AT_WORK = """
-import os, pathlib, sys, time
+import os, pathlib, signal, sys, time
 from tests.fuzz import many
 
 def batch(name, numbers, place):
@@ -25,6 +25,7 @@ def batch(name, numbers, place):
     time.sleep(600)
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # behind `&` it is ignored
     many.batch = batch
     list(many.verdicts({"urdf": 1}, sys.argv[1], 1))
 """
@@ -36,11 +37,14 @@ def test_an_interrupt_ends_what_is_at_work(tmp_path):
     root = pathlib.Path(__file__).parents[2]
     line = [sys.executable, str(script), str(place)]
     with subprocess.Popen(line, env=os.environ | {"PYTHONPATH": str(root)}, stderr=subprocess.DEVNULL) as process:
-        while not (place.exists() and place.read_text().endswith("\n")):
-            assert process.poll() is None
-            time.sleep(0.1)
-        process.send_signal(signal.SIGINT)
-        process.wait(30)
+        try:
+            while not (place.exists() and place.read_text().endswith("\n")):
+                assert process.poll() is None
+                time.sleep(0.1)
+            process.send_signal(signal.SIGINT)
+            process.wait(30)
+        finally:
+            process.kill()
     with pytest.raises(ProcessLookupError):
         os.kill(int(place.read_text()), 0)
 
