@@ -39,7 +39,9 @@ LONGEST = (
     "test_fit.py",
     "test_store.py",
     "test_tune.py",
-    "test_forms.py",
+    "test_spectrum.py",
+    "test_paced.py",
+    "test_reach.py",
     "test_verdict.py",
 )
 

@@ -101,7 +101,7 @@ def fewer(argv):
         "--target",
         "--limits",
     }:
-        rest = [SMALL if word in ("panda", "robot.urdf") else word for word in rest]
+        rest = [SMALL if word in ("panda", "panda.urdf", "ur5", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
     if verb == "reach":

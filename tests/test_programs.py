@@ -34,7 +34,8 @@ def files(folder):
 def asked(law=LAW, target=(1.2, 0.9), N=4, method="EE", q=Q, Ts=0.1, solve=None):
     solve = solve or quick_jit(_run, static_argnames=("N", "method"))
     method = ck.METHODS[method]
-    return solve(law, ck.hold(np.array(target)), ck.picard(3), method, q, np.float64(Ts), np.float64(0.0), N=N)
+    known = law, ck.hold(np.array(target)), ck.picard(3), None, None, None, method
+    return solve(*known, q, np.float64(Ts), np.float64(0.0), None, None, N=N)
 
 
 def test_a_program_is_found_again_and_gives_the_same(folder):
@@ -91,8 +92,8 @@ def test_settings_make_another_program(folder):
 def test_a_function_of_the_users_is_never_kept(folder):
     path = ck.path(lambda t: (1.0 + 0.1 * t, 0.9 + 0.0 * t))
     solve = quick_jit(_run, static_argnames=("N", "method"))
-    arguments = LAW, path, ck.picard(3), ck.EE, Q, np.float64(0.1), np.float64(0.0)
-    run = solve(*arguments, N=3)
+    known = LAW, path, ck.picard(3), None, None, None, ck.EE
+    run = solve(*known, Q, np.float64(0.1), np.float64(0.0), None, None, N=3)
     assert not files(folder) and run.q.shape == (4, 2)
     gain = 2.0
 

@@ -82,9 +82,12 @@ SLOPES = {
     "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
 }
+SLOW = ("CN", "EXP-MIDPOINT")  # which "CN implicit" and "AB2" say more of
 
 
-@pytest.mark.parametrize("name", SLOPES)
+@pytest.mark.parametrize(
+    "name", [n for n in SLOPES if n not in SLOW] + [pytest.param(n, marks=pytest.mark.slow) for n in SLOW]
+)
 def test_gradients(name):
     """In both arguments, reverse; what C stores and computes anew is its own choice."""
     check(

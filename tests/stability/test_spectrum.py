@@ -1,5 +1,6 @@
 """The whole loop's one-step map at rest against linear theory, direction by direction."""
 
+import itertools
 import re
 
 import jax
@@ -143,19 +144,21 @@ def on_the_way(null, **changes):
     return ck.Law(FOUR, XY, **({"alpha": 6.0, "null_velocity": null} | changes))
 
 
+KEPT = {"free": None, "scaled": ck.velocity_scaling(), "saturated": ck.saturation()}
+QUICK = {("posture", "free"), ("manipulability", "saturated"), ("constant", "free"), ("function", "saturated")}
+
+
 @pytest.mark.parametrize(
-    "limits",
+    ("null", "limits"),
     [
-        pytest.param(None, id="free"),
-        pytest.param(ck.velocity_scaling(), id="scaled", marks=pytest.mark.slow),
-        pytest.param(ck.saturation(), id="saturated"),
+        pytest.param(null, limits, marks=[] if (null, limits) in QUICK else pytest.mark.slow)
+        for null, limits in itertools.product(NULL, KEPT)
     ],
 )
-@pytest.mark.parametrize("null", NULL)
 def test_gains_are_safe_on_the_way_to_another_posture_as_at_its_end(null, limits):
     """Moving through the null space changes nothing of the error, which an exact J# multiplies by 1 − z."""
     fast = ck.replace(FOUR, velocity_limit=(0.5,) * 4)
-    made = ck.replace(on_the_way(NULL[null]), chain=fast, limits=limits)
+    made = ck.replace(on_the_way(NULL[null]), chain=fast, limits=KEPT[limits])
     found = recommend(made, None, ON_THE_WAY, Ts=Ts, method="EE")
     assert found.z_largest == pytest.approx(2, rel=1e-6) and found.z_recommended == pytest.approx(0.25, rel=1e-3)
     assert found.limit.startswith("limited by EE")
