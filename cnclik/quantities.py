@@ -64,13 +64,14 @@ class Quantities(list):
         self.written = tuple(written)
 
 
-def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
+def read(text: str, unit: str, Ts: float | None = None, *, marked=False) -> Quantities:
     """The numbers of a text, such as "0.25", "34ms" or "0 -90 90 deg": a unit that stands apart is that of all numbers
     before it that have none.
 
     Args:
       unit: the option's own, as for `units`; "1" where it has none.
       Ts: the sampling time [s], by which times become samples.
+      marked: whether there must be a unit.
     Raises: ValueError, in words that follow "but", for what are no such numbers.
     """
     known, values, written = units(unit), [], []
@@ -87,7 +88,7 @@ def read(text: str, unit: str, Ts: float | None = None) -> Quantities:
             continue
         values.append(float(found[0]))
         written.append(mark or None)
-    if not values:
+    if not values or (marked and not any(written)):
         raise ValueError(f"is {text!r}")
     if unit != "x" and any(written) and any(w is None and v for v, w in zip(values, written, strict=True)):
         raise ValueError(f"is {text!r}: write a unit behind each number, or once at the end, apart")
@@ -101,10 +102,8 @@ def in_python(text: str, own: str = "s, q, q/s, q/s², q/s³") -> str:
     Args: own: the unit of what it is for, as for `units`; any where it isn't known.
     """
     try:
-        found = read(text, own, Ts=1.0)
+        found = read(text, own, Ts=1.0, marked=True)
     except (AttributeError, TypeError, ValueError):  # no text, no numbers, or no unit
-        return ""
-    if not any(found.written):
         return ""
     numbers = ", ".join(
         f"{v:.9g}" + "/Ts" * (own == SAMPLES and w == "s") for v, w in zip(found, found.written, strict=True)

@@ -160,9 +160,7 @@ def in_own_units(given: dict) -> tuple:
         if SWEPT[name].unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
             raise errors.fail(name, "be in samples where `Ts` is traced", f"is {given[name]!r}")
         try:
-            found = read(given[name], SWEPT[name].unit, Ts)
-            if not any(found.written):
-                raise ValueError(f"is {given[name]!r}")
+            found = read(given[name], SWEPT[name].unit, Ts, marked=True)
         except ValueError as error:
             raise errors.fail(name, "be a number, or a text of numbers with their unit", str(error)) from None
         written[name] = found.written

@@ -17,15 +17,13 @@ ROUNDINGS = 100.0  # of joint values, grown as two starts a few roundings apart 
 
 def check_path(pace, reference, run) -> None:
     """Raise ArgumentError where a run's record says that it had no such pace."""
-    waited = run.path_time is not None
-    if waited and pace is None:
-        raise errors.fail("pace", "be the run's", "is left out")
-    waits = path_waits(pace, reference)
+    waited, waits = run.path_time is not None, path_waits(pace, reference)
     if waits and not waited:
         must = "be left out, or have wait=False, as the path of the run did not wait for the robot"
         raise errors.fail("pace", must, "is one with which it waits")
     if waited and not waits:
-        raise errors.fail("pace", "be the run's, in which the path waited for the robot", "has wait=False")
+        found = "is left out" if pace is None else "has wait=False"
+        raise errors.fail("pace", "be the run's, in which the path waited for the robot", found)
 
 
 def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:

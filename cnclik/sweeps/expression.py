@@ -75,14 +75,10 @@ def parse(name: str, text: str):
 def _written(name, text):
     own = next((SWEPT[part].unit for part in name.split(".") if part in SWEPT), "1")  # of axes.q0.low that of q0
     try:
-        found = quantities.read(text, own, Ts=1.0)
-        if any(found.written):
-            return _Written(text, own, found.written)
-        why = f"is {text!r}"
+        return _Written(text, own, quantities.read(text, own, Ts=1.0, marked=True).written)
     except ValueError as error:
-        why = str(error)
-    words = f"be a number or a short expression of numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
-    raise errors.fail(name, words, why)
+        allowed = f"numbers, names, + - * / ** and {', '.join(sorted(_FUNCTIONS))}"
+        raise errors.fail(name, f"be a number or a short expression of {allowed}", str(error)) from None
 
 
 def _check(node, deep=0):

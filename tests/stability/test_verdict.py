@@ -488,7 +488,9 @@ def test_a_run_at_a_pace_is_judged_and_tried_at_its_pace():
     how = dict(Ts=Ts, method=ck.EE)
     pace = ck.Pace(velocity=0.0005)
     run = ck.solve(law(1.0), NEAR, Q5, Ts, 60, ck.EE, pace=pace)
-    with pytest.raises(ck.ArgumentError, match="`pace` must be the run's, but is left out"):
+    with pytest.raises(
+        ck.ArgumentError, match="`pace` must be the run's, in which the path waited for the robot, but is left out"
+    ):
         verdict(law(1.0), NEAR, run, **how)
     found = verdict(law(1.0), NEAR, run, **how, pace=pace)
     assert found.kind == Behaviour.UNDECIDED, found.sentence
