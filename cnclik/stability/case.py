@@ -145,15 +145,20 @@ class Case:
         return self.more["pace"]
 
     @property
+    def noise(self):
+        """Root mean square of the noise of its measured error; 0 where there is none."""
+        sigma = self.more["noise"]
+        return 0.0 if sigma is None else float(np.linalg.norm(np.broadcast_to(sigma, len(self.e))))
+
+    @property
     def follows(self):
-        """Whether it is less than a sample behind its target, in the last quarter."""
-        return rms(self.seen.late) <= max(self.behind, self.seen.floor)
+        """Whether it is less than a sample behind its target, or than noise moves that, in the last quarter."""
+        return rms(self.seen.late) <= max(self.behind, self.seen.floor, self.noise)
 
     @property
     def in_noise(self):
         """Whether what is left of the error is no more than noise makes of it."""
-        sigma = self.more["noise"]
-        return sigma is not None and self.seen.largest <= NOISE * np.linalg.norm(np.broadcast_to(sigma, len(self.e)))
+        return self.seen.largest <= NOISE * self.noise
 
     @property
     def waits(self):

@@ -204,7 +204,8 @@ def _shifted(case, tip) -> tuple:
 
 
 def _point(values):
-    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+    least = 1e-4 * np.max(np.abs(values))
+    return "(" + ", ".join(f"{v if abs(v) > least else 0:.4g}" for v in values) + ")"
 
 
 def elsewhere(case) -> tuple:

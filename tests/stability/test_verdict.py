@@ -206,6 +206,24 @@ def test_a_run_that_is_not_finite():
     assert found.kind == Behaviour.DIVERGING and "step 30" in found.sentence and found.error == np.inf
 
 
+def test_a_coordinate_of_a_remedy_is_no_rounding():
+    """It was "bring the target to (2.328, 2.33e-07, 0) m"."""
+    law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
+    goal = ck.hold([3.0, 3e-7])
+    found = verdict(law, goal, ck.solve(law, goal, np.array([0.3, 0.3, 0.3]), Ts, 60), Ts=Ts)
+    assert found.kind == Behaviour.OUT_OF_REACH and "bring the target to (2.328, 0, 0) m" in found.remedy
+
+
+def test_a_path_that_is_followed_but_for_noise_is_settled():
+    """It was "settled with lag, 0.0147 s behind a target that moves on". Without feed-forward it still is a lag."""
+    for change, kind in (({}, Behaviour.SETTLED), ({"feedforward": 0.0, "noise": 1e-4}, Behaviour.LAGGING)):
+        made = problem_from(
+            "panda", **{"reference": "circle", "delay": 3, "lag": 0.05, "alpha": 2.0, "noise": 1e-3, **change}
+        )
+        how = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive, noise=made.noise)
+        assert verdict(made.law, made.reference, made.run(), **how).kind == kind
+
+
 def test_float32_runs_are_judged_alike():
     for z, kind in ((0.5, Behaviour.SETTLED), (1.9, Behaviour.RINGING), (0.05, Behaviour.CONVERGING)):
         with jax.enable_x64(False):
