@@ -7,4 +7,13 @@ frozen records; jit, vmap and grad go through everything.
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_MOVED = {"pose_task": "pose"}  # names of the version before, which go with the next one
+_known, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name):
+    if name in _MOVED:
+        import warnings
+
+        warnings.warn(f"cnclik.{name} is cnclik.{_MOVED[name]} now", DeprecationWarning, stacklevel=2)
+    return _known(_MOVED.get(name, name))

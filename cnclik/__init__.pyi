@@ -16,10 +16,11 @@ from .integrate.drive import Drive as Drive
 from .integrate.history import History as History
 from .integrate.lanes import lanes as lanes
 from .integrate.method import (
-    CN as CN, EE as EE, HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4,
-    TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
+    CN as CN, EE as EE, EXP_AB2 as EXP_AB2, EXP_AB3 as EXP_AB3, EXP_AB4 as EXP_AB4, EXP_EE as EXP_EE,
+    EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4, HEUN as HEUN, IE as IE, METHODS as METHODS,
+    MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
 )
-from .integrate.multistep import Multistep as Multistep
+from .integrate.multistep import AB2 as AB2, AB3 as AB3, AB4 as AB4, Multistep as Multistep
 from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
@@ -39,7 +40,7 @@ from .law.reference import (
     path as path, waypoints as waypoints, with_feedforward as with_feedforward,
 )
 from .law.resampled import resampled as resampled
-from .law.task import Task as Task, orientation as orientation, pose_task as pose_task, position as position
+from .law.task import Task as Task, orientation as orientation, pose as pose, position as position
 from .measure.dataset import to_dataset as to_dataset
 from .measure.kept import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
@@ -53,7 +54,7 @@ from .robot.chain import (
     Chain as Chain, from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
     with_base as with_base, with_tool as with_tool,
 )
-from .robot.kinematics import Pose as Pose, jacobian as jacobian, manipulability as manipulability, pose as pose
+from .robot.kinematics import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
 from .robot.urdf import load_urdf as load_urdf
 from .show.run import plot as plot
 from .stability.linear import stability_limit as stability_limit

@@ -41,7 +41,7 @@ def draw(rng):
     inverse = INVERSES[rng.integers(len(INVERSES))]()
     law = ck.Law(chain, ck.position("xy"), alpha=float(rng.uniform(1, 10)), inverse=inverse)
     q = rng.uniform(0.3, 1.2, n)
-    tip = np.asarray(ck.pose(chain, q).position)[:2]
+    tip = np.asarray(ck.forward(chain, q).position)[:2]
     reference = (
         ck.hold(tip + 0.05) if rng.random() < 0.5 else ck.circle(tip, radius=float(rng.uniform(0.01, 0.1)), period=2.0)
     )
@@ -71,7 +71,7 @@ def everything(rng, folder):
         )
         (folder / "arm.urdf").write_text(f'<robot name="r">{text}<link name="l4"/></robot>')
         chain = ck.load_urdf(folder / "arm.urdf")
-        ck.pose(chain, np.zeros(chain.n))
+        ck.forward(chain, np.zeros(chain.n))
 
     def path():
         ck.solve(law, ck.path(lambda t: (0.5 + 0.1 * gain * t, 0.5 + 0.0 * t)), q, Ts, 5)

@@ -184,3 +184,21 @@ def test_the_version_is_one():
         )
     }
     assert said == {cnclik.__version__}
+
+
+def test_a_name_that_has_moved_says_where_to():
+    import cnclik as ck
+
+    with pytest.warns(DeprecationWarning, match="cnclik.pose_task is cnclik.pose now"):
+        assert ck.pose_task is ck.pose
+    with pytest.raises(ck.ArgumentError, match=r"`axes` .*ck\.forward\(robot, q\)"):
+        ck.pose(ck.planar_arm([1.0, 1.0]), [0.1, 0.2])
+    with pytest.raises(AttributeError):
+        ck.poses
+
+
+def test_methods_have_names_of_their_own():
+    import cnclik as ck
+
+    named = {name: method for name, method in ck.METHODS.items() if name.startswith(("AB", "EXP-"))}
+    assert len(named) == 10 and all(getattr(ck, name.replace("-", "_")) is method for name, method in named.items())

@@ -57,7 +57,7 @@ def test_any_file_loads_as_it_is_or_is_refused_in_one_line(tmp_path, text, tip, 
     assert arm.n >= 1 and all(lower <= upper for lower, upper in zip(arm.lower, arm.upper, strict=True))
     assert not np.isnan([*arm.lower, *arm.upper, *arm.velocity_limit]).any()
     assert all(f'name="{name}"' in text for name in arm.joint_names)
-    assert np.isfinite(ck.pose(arm, np.linspace(-0.5, 0.5, arm.n)).position).all()
+    assert np.isfinite(ck.forward(arm, np.linspace(-0.5, 0.5, arm.n)).position).all()
 
 
 @SETTINGS
@@ -93,7 +93,7 @@ def dh(values):
 def test_no_nan_without_a_status(name, task):
     made = task_from(task)
     if name == "pseudoinverse" and made.m > 4:  # more rows than joints only with damping
-        made = ck.pose_task("xyz", "x")
+        made = ck.pose("xyz", "x")
     size = st.floats(-2, 2) | st.sampled_from([0.0, np.pi / 2])
 
     @settings(SETTINGS, max_examples=15)

@@ -60,7 +60,7 @@ def _first_point(made, name, default) -> str:
     import numpy as np
 
     from cnclik.law.reference import controlled
-    from cnclik.robot.kinematics import pose
+    from cnclik.robot.kinematics import forward
     from cnclik.robot.poses import quaternions
 
     position, rotation = made.reference.curve(0.0)
@@ -74,7 +74,7 @@ def _first_point(made, name, default) -> str:
         return f"Target {', '.join(said)}{default}"
     away = ""
     if task.position:
-        here = controlled(task, np.asarray(pose(made.law.chain, made.q0).position, float))
+        here = controlled(task, np.asarray(forward(made.law.chain, made.q0).position, float))
         jump = float(np.linalg.norm(np.subtract(values, here)))
         away = f"; the start is {1e3 * jump:.3g} mm away from it (--begin on-path begins there)" if jump > 1e-3 else ""
     return f"Path {name}, from {', '.join(said)}{default}{away}"

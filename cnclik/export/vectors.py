@@ -5,7 +5,7 @@ import numpy as np
 
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.reaching.result import ReachStatus
-from cnclik.robot.kinematics import pose
+from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import start_posture
 
 COUNT = 8
@@ -19,7 +19,7 @@ def inputs(asked, program, count=COUNT) -> dict:
     q = start + random.uniform(-0.2, 0.2, (count, chain.n))
     known = {"q": q, "t": np.linspace(0, 1, count)[:, None], "Ts": np.full((count, 1), 0.01)}
     if any(f.name in ("position", "rotation") for f in program.inputs["input"]):
-        targets = [pose(chain, row + random.uniform(-0.05, 0.05, chain.n)) for row in q]
+        targets = [forward(chain, row + random.uniform(-0.05, 0.05, chain.n)) for row in q]
         known["position"] = np.array([np.asarray(x.position)[list(task.linear)] for x in targets])
         known["rotation"] = np.array([np.ravel(x.rotation) for x in targets])
         known["velocity"] = random.uniform(-0.1, 0.1, (count, task.m))

@@ -215,15 +215,17 @@ def exponential(method):
 
 _PLAIN = (EE, IE, CN, TRAPEZOID, HEUN, MIDPOINT, RK4)
 _OF_STEPS = (AB2, AB3, AB4, ZNN4, ZEAD4, ZNN6, IFD5)
-_EXPONENTIAL = tuple(map(exponential, (EE, HEUN, MIDPOINT, RK4, AB2, AB3, AB4)))
+EXP_EE, EXP_HEUN, EXP_MIDPOINT, EXP_RK4 = map(exponential, (EE, HEUN, MIDPOINT, RK4))
+EXP_AB2, EXP_AB3, EXP_AB4 = map(exponential, (AB2, AB3, AB4))
+_EXPONENTIAL = EXP_EE, EXP_HEUN, EXP_MIDPOINT, EXP_RK4, EXP_AB2, EXP_AB3, EXP_AB4
 METHODS = {m.name: m for m in (*_PLAIN, *_OF_STEPS, *_EXPONENTIAL)}
 
-DEFAULT = METHODS["EXP-MIDPOINT"]  # no memory, no limit of z, and second order: see results/methods
+DEFAULT = EXP_MIDPOINT  # no memory, no limit of z, and second order: see results/methods
 
 
 def starter(method) -> Method:
     """The one-step method that the first steps of a multistep one are made with: RK4, or EXP-RK4."""
-    return METHODS["EXP-RK4"] if method.exponential else RK4
+    return EXP_RK4 if method.exponential else RK4
 
 
 # --- what a step costs -------------------------------------------------------------------------------------

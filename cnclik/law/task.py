@@ -77,10 +77,9 @@ def pose(axes: str = "xyz", rotation_axes: str = "xyz", *, weights: ArrayLike | 
     return _task(_letters("axes", axes), _letters("rotation_axes", rotation_axes), weights)
 
 
-pose_task = pose  # as `cnclik` calls it, where `pose` is the tip's
-
-
 def _letters(name, axes):
+    if hasattr(axes, "joints"):  # of a robot, whose tip's pose `ck.pose` was until 0.2
+        raise errors.fail(name, 'be letters of "xyz"', "is a robot: its tip's pose is ck.forward(robot, q)")
     if not isinstance(axes, str) or not axes or axes != "".join(a for a in _AXES if a in axes):
         raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
     return axes

@@ -17,7 +17,7 @@ from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.kinematics import pose
+from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length
 
 
@@ -134,7 +134,7 @@ def _needs_position(name, task):
 
 
 def _tip(chain, q):
-    at = pose(chain, q)
+    at = forward(chain, q)
     return _known(at.position), _known(at.rotation)
 
 

@@ -6,7 +6,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "chain": ["Chain", "Joint", "Offset", "assemble", "from_dh", "from_screws", "planar_arm", "with_tool"],
-        "kinematics": ["Pose", "jacobian", "manipulability", "pose"],
+        "kinematics": ["Pose", "forward", "jacobian", "manipulability"],
         "urdf": ["load_urdf"],
         "builtin": ["panda", "ur5"],
     },

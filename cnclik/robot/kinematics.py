@@ -51,7 +51,7 @@ def _jacobian(chain, q):
     return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
 
 
-def pose(chain: Chain, q: ArrayLike) -> Pose:
+def forward(chain: Chain, q: ArrayLike) -> Pose:
     """Pose of the tip in the base frame, g(q) of Drexler (2016), Section II.
 
     Args:

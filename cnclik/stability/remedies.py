@@ -7,7 +7,7 @@ import numpy as np
 from cnclik.integrate.stage import Picard
 from cnclik.law.inverse import Transpose
 from cnclik.record import record, replace
-from cnclik.robot.kinematics import pose
+from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
 from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD
@@ -180,7 +180,7 @@ def nearer(case) -> tuple:
     found = []
     turns = case.law.task.orientation
     if made is not None and np.isfinite(made.q).all() and not (turns and case.moving):
-        tip = np.asarray(pose(case.law.chain, made.q).position, float)
+        tip = np.asarray(forward(case.law.chain, made.q).position, float)
         if reasons.beyond(case) > 0 and not turns:  # a little inside: the edge itself is singular
             base = np.array([float(v) for v in case.law.chain.joints[0].origin.position])
             tip = base + INSIDE * (tip - base)

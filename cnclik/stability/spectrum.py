@@ -22,7 +22,7 @@ from cnclik.law.law import check_loop, evaluate
 from cnclik.law.null import without
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import cast, record, replace
-from cnclik.robot.kinematics import as_joint_values, pose
+from cnclik.robot.kinematics import as_joint_values, forward
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
@@ -321,7 +321,7 @@ def leaky(law) -> bool:
 
 def hold_at(law, q, move=0.0):
     """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
-    at = pose(law.chain, q)
+    at = forward(law.chain, q)
     at = jax.tree.map(np.asarray, at) if errors.concrete(at.position) else at  # NumPy compiles nothing
     position = at.position[np.array(law.task.linear)] + move if law.task.position else None
     return ref.hold(position, at.rotation if law.task.orientation else None)

@@ -15,7 +15,7 @@ from cnclik.show.style import series
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.05
-target = ck.hold(np.asarray(ck.pose(arm, q0).position)[:2] + np.array([0.02, 0.0]))
+target = ck.hold(np.asarray(ck.forward(arm, q0).position)[:2] + np.array([0.02, 0.0]))
 
 figure, panel = plt.subplots(figsize=(6, 2.8))
 for i, z in enumerate((0.3, 1.0, 1.7, 2.1)):

@@ -15,7 +15,7 @@ from cnclik.show.style import BLUE, GUIDE
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts, noise = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.01, 1e-4
-target = ck.hold(np.asarray(ck.pose(arm, q0).position)[:2])
+target = ck.hold(np.asarray(ck.forward(arm, q0).position)[:2])
 drive = ck.Drive(joint_noise=noise)
 
 

@@ -16,7 +16,7 @@ from cnclik.show.style import COLORS, DASHES
 
 jax.config.update("jax_enable_x64", True)
 arm, q0 = ck.planar_arm([1.0, 1.0]), np.array([-0.9, 1.3])
-path = ck.line(np.asarray(ck.pose(arm, q0).position)[:2], [0.4, 2.15], duration=2.0)
+path = ck.line(np.asarray(ck.forward(arm, q0).position)[:2], [0.4, 2.15], duration=2.0)
 
 figure, panels = plt.subplots(1, 2, figsize=(7, 2.8))
 inverses = {"pseudoinverse": ck.pseudoinverse()} | {f"damped({size})": ck.damped(size) for size in (0.05, 0.2)}

@@ -17,7 +17,7 @@ from cnclik.show.style import BLUE, VERMILION
 jax.config.update("jax_enable_x64", True)
 arm, q0 = ck.planar_arm([1.0] * 5, clockwise=True), np.array([0.2, 1.2, 0.9, 0.2, 0.1])
 rest = np.array([-1.2, 1.5, 1.5, 0.9, -0.8])
-tip = np.asarray(ck.pose(arm, q0).position)[:2]
+tip = np.asarray(ck.forward(arm, q0).position)[:2]
 law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(rest, rate=1.0))
 run = ck.solve(law, ck.hold(tip), q0, 0.05, 120)
 

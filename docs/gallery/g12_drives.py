@@ -16,7 +16,7 @@ from cnclik.show.style import COLORS, DASHES
 
 jax.config.update("jax_enable_x64", True)
 arm, q0, Ts = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.01
-target = ck.hold(np.asarray(ck.pose(arm, q0).position)[:2] + np.array([0.01, 0.0]))
+target = ck.hold(np.asarray(ck.forward(arm, q0).position)[:2] + np.array([0.01, 0.0]))
 drives = {
     "at once": ck.Drive(),
     "5 samples late": ck.Drive(delay=5),

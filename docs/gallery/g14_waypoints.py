@@ -16,7 +16,7 @@ from cnclik.show.style import BLUE, VERMILION, series
 jax.config.update("jax_enable_x64", True)
 arm = ck.panda()
 q0 = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.8])
-start = np.asarray(ck.pose(arm, q0).position)
+start = np.asarray(ck.forward(arm, q0).position)
 moves = np.array([[0, 0, 0], [0.1, 0.15, 0.1], [0.0, 0.3, 0.0], [-0.1, 0.15, -0.1], [0, 0, 0]])
 times = np.array([0.0, 2.0, 4.0, 6.0, 8.0])
 path = ck.waypoints(times, start + moves)

@@ -12,11 +12,10 @@ from cnclik.integrate.solve import end, solve
 from cnclik.law import reference as ref
 from cnclik.law.inverse import damped, pseudoinverse
 from cnclik.law.law import Law
-from cnclik.law.task import pose as pose_task
-from cnclik.law.task import position
+from cnclik.law.task import pose, position
 from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.chain import Chain, from_dh, planar_arm
-from cnclik.robot.kinematics import pose
+from cnclik.robot.kinematics import forward
 
 ALPHA, TS = 5.0, 0.1  # the paper's: z = 0.5
 DAMPING = 0.1
@@ -42,7 +41,7 @@ def _planar(n):
 
 
 def _spatial(chain, posture):
-    return Case(Law(chain, pose_task(), alpha=ALPHA, inverse=damped(DAMPING)), posture, 0.2)
+    return Case(Law(chain, pose(), alpha=ALPHA, inverse=damped(DAMPING)), posture, 0.2)
 
 
 # The paper's arms on their position with J#, the others on their whole pose with damped least squares.
@@ -65,7 +64,7 @@ def inputs(case: Case, batch: int, dtype) -> dict:
     q0 = case.posture + case.spread * draw.uniform(-1, 1, (batch, n))
     goals = case.posture + case.spread * draw.uniform(-1, 1, (few, n))
     with jax.enable_x64(True):
-        at = jax.jit(jax.vmap(lambda q: pose(case.law.chain, q)))(goals)
+        at = jax.jit(jax.vmap(lambda q: forward(case.law.chain, q)))(goals)
     named = {"q0": q0, "position": np.resize(at.position, (batch, 3))}
     if case.law.task.orientation:
         named["rotation"] = np.resize(at.rotation, (batch, 3, 3))

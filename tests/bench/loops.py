@@ -138,7 +138,7 @@ def checks(arm, inertia) -> list:
 def around(setup, drive, alpha) -> float:
     """Growth of the error in cnclik's own loop through the drive."""
     arm = setup.arm
-    at = ck.pose(arm.chain, arm.q)
+    at = ck.forward(arm.chain, arm.q)
     law = replace(arm.law, alpha=alpha)
     path = ck.hold(np.asarray(at.position) + SHIFT[:3], loops_mujoco.rotation_of(SHIFT[3:]) @ np.asarray(at.rotation))
     made = ck.solve(law, path, arm.q, setup.Ts, 8000, "EE", ck.picard(5), drive=drive)

@@ -62,7 +62,7 @@ class Arm:
         self.name, self.path = name, folder() / file
         self.q = np.array(POSTURES[name])
         self.chain = ck.load_urdf(self.path, self.tip)
-        self.law = ck.Law(self.chain, ck.pose_task(), alpha=1.0, inverse=ck.pseudoinverse())
+        self.law = ck.Law(self.chain, ck.pose(), alpha=1.0, inverse=ck.pseudoinverse())
         self.n = self.chain.n
         assert self.n == len(self.q)
         self.text = self._urdf()

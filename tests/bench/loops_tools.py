@@ -222,7 +222,7 @@ def proportional(gain):
 
 def said(Ts, drive):
     """`practice` of the Panda by explicit Euler."""
-    law = ck.Law(arm()[2], ck.pose_task(), alpha=1.0, inverse=ck.pseudoinverse())
+    law = ck.Law(arm()[2], ck.pose(), alpha=1.0, inverse=ck.pseudoinverse())
     return practice(law, None, Q, Ts=Ts, method="EE", drive=drive)
 
 

@@ -213,7 +213,7 @@ def single(count):
 def as_c(robot, targets):
     """One target at a time by the search exported as C, from Python."""
     native = ck.export.compiled(robot.chain, what="reach")
-    middle = start_posture(robot.chain, ck.pose_task())
+    middle = start_posture(robot.chain, ck.pose())
 
     def ask(T, q):
         return native(q, T[:3, 3], T[:3, :3])
@@ -234,7 +234,7 @@ def near(robot, ask=None, steps=200):
         def ask(T, q):
             return ck.reach(robot.chain, T, near=q, jump=0.1)
 
-    q = start_posture(robot.chain, ck.pose_task())
+    q = start_posture(robot.chain, ck.pose())
     start = robot.pose(q[None])[0]
     line = np.tile(start, (steps, 1, 1))
     toward = -start[:3, 3] / np.linalg.norm(start[:3, 3])  # to the base: away from where the arm ends

@@ -127,7 +127,7 @@ def path(count):
 
 def curve(robot, count, jump=0.2):
     """Largest joint step between waypoints that follow one another, and jumps told."""
-    q = start_posture(robot.chain, ck.pose_task())
+    q = start_posture(robot.chain, ck.pose())
     start, t = robot.pose(q[None])[0], np.linspace(0.0, 2 * np.pi, count, endpoint=False)
     targets = np.tile(start, (count, 1, 1))
     targets[:, :3, 3] += 0.12 * np.stack([np.cos(t) - 1, np.sin(2 * t), 0.5 * np.sin(3 * t)], 1)

@@ -50,12 +50,12 @@ def arrivals(name, loops=LOOPS, progress=None) -> list:
     rng = np.random.default_rng(SEED)
     starts, goals = drawn(chain, rng), drawn(chain, rng)
     with jax.enable_x64(True):
-        at = jax.jit(jax.vmap(lambda q: ck.pose(chain, q)))(goals)
+        at = jax.jit(jax.vmap(lambda q: ck.forward(chain, q)))(goals)
         position, rotation = np.asarray(at.position), np.asarray(at.rotation)
         least = jax.jit(jax.vmap(lambda q: jnp.linalg.svd(ck.jacobian(chain, q), compute_uv=False)[-1]))
 
     def study(method, z, k):
-        law = ck.Law(chain, ck.pose_task(), alpha=z / TS, inverse=ck.damped(DAMPING), error_clamp=clamp)
+        law = ck.Law(chain, ck.pose(), alpha=z / TS, inverse=ck.damped(DAMPING), error_clamp=clamp)
         path = ck.hold(jnp.asarray(position)[k], jnp.asarray(rotation)[k])
         run = ck.solve(law, path, jnp.asarray(starts)[k], TS, N, method)
         size = jnp.linalg.norm(run.e[jnp.array([-21, -1])], axis=1)

@@ -34,7 +34,7 @@ def test_targets_can_be_reached_and_starts_differ(robot):
     assert len(np.unique(given["q0"], axis=0)) == 5000
     assert len(np.unique(given["position"], axis=0)) == 4096
     # The goals are poses within the spread of the posture: no farther from it than all joints can carry the tip.
-    at = ck.pose(case.law.chain, np.array(case.posture)).position
+    at = ck.forward(case.law.chain, np.array(case.posture)).position
     reach = 4.0 * case.law.chain.n * case.spread  # no arm here is longer than 5 m
     assert np.linalg.norm(given["position"] - at, axis=1).max() < reach
     assert ("rotation" in given) == bool(case.law.task.orientation)

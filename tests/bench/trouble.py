@@ -30,7 +30,7 @@ PATHS = {
     "limit": "There and back along a path that one joint could follow only 0.2 rad past its limit",
     "unreachable": "To a point 1.5 arm lengths further out, and on towards it",
 }
-TASK = ck.pose_task()
+TASK = ck.pose()
 LAMBDA, CLAMP = 0.05, (0.1, 0.5)  # λ (λ₀, λ_max) of every damped inverse; largest error that the gain sees [m, rad]
 EPSILON, WEAK = 0.1, 0.3  # damped below: σ, and w as a share of the start's
 ALPHA, TS, N, KNOTS = 5.0, 0.01, 800, 41
@@ -59,7 +59,7 @@ def methods(chain, q0) -> dict:
 
 def paths(chain, q0) -> dict:
     """The reference of each path, from q0; as many waypoints in all of them, so that they share programs, too."""
-    pose = jax.jit(jax.vmap(functools.partial(ck.pose, chain)))
+    pose = jax.jit(jax.vmap(functools.partial(ck.forward, chain)))
     s = np.linspace(0, 1, KNOTS)[:, None]
     bump = np.sin(np.pi * s) ** 2  # there and back, at rest at both ends
     moves = {"singularity": singular_posture(chain, q0) - q0, "limit": past_limit(chain, q0)}

@@ -25,7 +25,7 @@ def targets(tmp_path):
 
 
 def errors_of(q, x):
-    return np.linalg.norm(np.asarray(ck.pose(CHAIN, q).position)[:2] - x)
+    return np.linalg.norm(np.asarray(ck.forward(CHAIN, q).position)[:2] - x)
 
 
 def test_answers_in_every_kind_of_file(targets, tmp_path, capsys):

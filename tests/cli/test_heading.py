@@ -98,7 +98,7 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
     run = ["solve", "planar:1,1", "--reference", str(way), "--N", "3", "--no-figures", "--out", str(tmp_path / "out")]
     main([*run, "--q0", "0.3", "0.9"])
     shown = capsys.readouterr().out
-    here = np.array(ck.pose(ck.planar_arm([1.0, 1.0]), np.array([0.3, 0.9])).position)[:2]
+    here = np.array(ck.forward(ck.planar_arm([1.0, 1.0]), np.array([0.3, 0.9])).position)[:2]
     jump = 1e3 * np.linalg.norm(here - [0.8, 0.9])
     assert f"from x y = 0.8 0.9 m; the start is {jump:.3g} mm away from it (--begin on-path begins there)." in shown
     main([*run, "--q0", "0.3", "0.9", "--begin", "on-path"])
@@ -113,7 +113,7 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
 @pytest.mark.parametrize("task", ["pose", "position", "xy", "orientation", "xyrz"])
 def test_a_loop_begins_on_its_path_for_any_task(task):
     q0 = np.array([0.4, -1.1, 1.3, -0.5, 0.7, 0.2])
-    at = ck.pose(ck.ur5(), q0 + 0.3)
+    at = ck.forward(ck.ur5(), q0 + 0.3)
     end = [*np.array(at.position), *poses.quaternions(at.rotation)]
     first = end[3:] if task == "orientation" else end if task in ("pose", "xyrz") else end[: 2 if task == "xy" else 3]
     made = problem_from("ur5", task=task, reference="line", start=first, q0=q0, begin="on-path", N=2)

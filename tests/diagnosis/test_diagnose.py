@@ -75,7 +75,7 @@ def test_commands_and_joints_of_a_loop_with_noise_in_it():
     arm = ck.planar_arm([1.0, 0.8])
     law = ck.Law(arm, ck.position("xy"), alpha=40.0)
     q0 = np.array([0.4, 1.1])
-    target = ck.hold(ck.pose(arm, q0).position[:2] + np.array([0.005, -0.01]))
+    target = ck.hold(ck.forward(arm, q0).position[:2] + np.array([0.005, -0.01]))
     run = ck.solve(law, target, q0, 0.01, 120, "EE", ck.picard(5), drive=Drive(delay=2))
     found = diagnose(np.asarray(run.q), 0.01, alpha=40.0)
     assert about(found, 0.4, 2) and found.recommended_alpha == pytest.approx(40 * found.recommended / found.z)

@@ -41,7 +41,7 @@ def circle(x):
 def given(size=SIZE, dtype="float64"):
     rng = np.random.default_rng(2)
     q0 = rng.uniform(0.3, 1.2, (size, 3))
-    at = jax.vmap(lambda q: ck.pose(LAW.chain, q).position[:2])(q0 + 0.2)
+    at = jax.vmap(lambda q: ck.forward(LAW.chain, q).position[:2])(q0 + 0.2)
     return q0.astype(dtype), np.asarray(at, dtype)
 
 

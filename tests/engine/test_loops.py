@@ -44,7 +44,7 @@ def lanes_of(law, dtype):
     rng, n = np.random.default_rng(1), law.chain.n
     q0 = rng.uniform(0.3, 1.2, (SIZE, n))
     q0[3, 0] = np.nan
-    at = [ck.pose(law.chain, q + 0.2) for q in np.nan_to_num(q0, nan=0.5)]
+    at = [ck.forward(law.chain, q + 0.2) for q in np.nan_to_num(q0, nan=0.5)]
     position = np.array([np.asarray(p.position)[list(law.task.linear)] for p in at])
     return q0.astype(dtype), position.astype(dtype)
 

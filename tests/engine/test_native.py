@@ -124,7 +124,7 @@ def test_errors_are_the_functions_own():
         ck.native(lambda x: x @ MANY)(X)
 
 
-LAW = ck.Law(ck.panda(), ck.pose_task(), alpha=5.0, inverse=ck.damped(0.1))
+LAW = ck.Law(ck.panda(), ck.pose(), alpha=5.0, inverse=ck.damped(0.1))
 
 
 def moved(q0):

@@ -26,10 +26,10 @@ def arm(n):
 
 ROBOTS = {
     "planar3": (lambda: arm(3), lambda: ck.position("xy")),
-    "planar4": (lambda: arm(4), lambda: ck.pose_task("xy", "z")),
+    "planar4": (lambda: arm(4), lambda: ck.pose("xy", "z")),
     "planar2": (lambda: arm(2), lambda: ck.position("xy")),
-    "ur5": (ck.ur5, ck.pose_task),
-    "panda": (ck.panda, ck.pose_task),
+    "ur5": (ck.ur5, ck.pose),
+    "panda": (ck.panda, ck.pose),
 }
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse,
@@ -91,7 +91,7 @@ def inputs(law, count, dtype, seed=0):
     q[few : 2 * few] *= 1.3  # some beyond their limits
     q[2 * few : 3 * few, 1:] = random.normal(0, 1e-5, (few, chain.n - 1))  # next to a singularity
     there = low + (high - low) * random.uniform(0, 1, (min(count, 500), chain.n))
-    targets = [ck.pose(chain, row) for row in there]
+    targets = [ck.forward(chain, row) for row in there]
     position = np.resize([np.asarray(t.position)[list(task.linear)] for t in targets], (count, len(task.position)))
     rotation = np.resize([np.asarray(t.rotation) for t in targets], (count, 3, 3))
     velocity = random.normal(0, 0.1, (count, task.m))

@@ -70,7 +70,7 @@ def test_a_memory_is_handed_back():
 @pytest.mark.parametrize(("method", "Ts"), [("EE", 0.41), ("AB2", 0.01)])
 def test_a_loop_is_a_trajectory(reference, method, Ts):
     law = a_law(inverse=ck.pseudoinverse())
-    near = np.asarray(ck.pose(law.chain, Q).position)[:2] + 1e-3
+    near = np.asarray(ck.forward(law.chain, Q).position)[:2] + 1e-3
     target = dict(position=near) if reference is None else {}
     solve = ck.export.compiled(law, reference, method=method, what="solve")
     run = solve(Q, Ts=Ts, N=9, **target)
@@ -85,7 +85,7 @@ def test_a_loop_is_a_trajectory(reference, method, Ts):
 def test_geometry_alone():
     chain = ck.panda()
     q = np.linspace(-1, 1, 7)
-    at, wanted = ck.export.compiled(chain, what="fk")(q), ck.pose(chain, q)
+    at, wanted = ck.export.compiled(chain, what="fk")(q), ck.forward(chain, q)
     assert np.allclose(at.position, wanted.position, rtol=0, atol=1e-15)
     assert np.allclose(at.rotation, wanted.rotation, rtol=0, atol=1e-15)
     rows = ck.export.compiled(chain, what="jacobian")(q)

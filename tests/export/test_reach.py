@@ -29,7 +29,7 @@ def drawn(chain, count, seed=0):
 
 
 def places(chain, q):
-    at = jax.vmap(lambda q: ck.pose(chain, q))(np.asarray(q, float))
+    at = jax.vmap(lambda q: ck.forward(chain, q))(np.asarray(q, float))
     return np.asarray(at.position), np.asarray(at.rotation)
 
 
@@ -121,16 +121,14 @@ def test_a_joint_without_limits_answers_within_half_a_turn_of_where_it_is():
     for start in ([14.0, 1.0], [-8.0, 20.0]):
         made = reach(start, [0.9, 0.8])
         assert made.status == ck.ReachStatus.SOLVED and np.abs(made.q - start).max() <= np.pi
-        assert np.allclose(np.asarray(ck.pose(chain, made.q).position)[:2], [0.9, 0.8], atol=1e-6)
+        assert np.allclose(np.asarray(ck.forward(chain, made.q).position)[:2], [0.9, 0.8], atol=1e-6)
         assert made.orientation_error == 0
 
 
 @pytest.mark.parametrize("task", ["xyz", "orientation", "pose"])
 def test_tasks_in_single_precision(task):
     chain = ck.panda()
-    law = ck.Law(
-        chain, {"xyz": ck.position(), "orientation": ck.orientation(), "pose": ck.pose_task()}[task], alpha=1.0
-    )
+    law = ck.Law(chain, {"xyz": ck.position(), "orientation": ck.orientation(), "pose": ck.pose()}[task], alpha=1.0)
     reach = ck.export.compiled(law, what="reach", dtype="float32")
     made = []
     for p, r in zip(*drawn(chain, 100, seed=3)[1:], strict=True):

@@ -106,5 +106,5 @@ def _damaged(file, kind, seed, folder):
     if file.endswith(".so") and kind == "folder":
         return  # the library is built beside
     found = ck.export.load(folder / "whole")([0.3, 0.4]).position
-    wanted = np.asarray(ck.pose(ck.planar_arm([1.0, 0.8]), [0.3, 0.4]).position)
+    wanted = np.asarray(ck.forward(ck.planar_arm([1.0, 0.8]), [0.3, 0.4]).position)
     assert np.allclose(found, wanted, atol=1e-15), found

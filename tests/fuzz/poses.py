@@ -7,7 +7,7 @@ from cnclik.errors import ArgumentError
 from cnclik.reaching import targets
 from tests.fuzz.nasty import any_of, chance
 
-TASKS = {"pose": ck.pose_task, "position": ck.position, "orientation": ck.orientation}
+TASKS = {"pose": ck.pose, "position": ck.position, "orientation": ck.orientation}
 FORMS = ("transform", "transforms", "row", "rows", "matrix", "quaternion", "quaternions", "pair", "place", "places")
 
 

@@ -19,7 +19,7 @@ Ts = 0.02
 ARM = ck.planar_arm([1.0, 0.8])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 Q = np.array([0.3, 1.1])
-TARGET = np.asarray(ck.pose(ARM, Q).position)[:2] + np.array([0.05, -0.04])
+TARGET = np.asarray(ck.forward(ARM, Q).position)[:2] + np.array([0.05, -0.04])
 SERVO = dict(natural_frequency=30.0, damping_ratio=0.4)
 
 
@@ -78,7 +78,7 @@ def _plain(drive, alpha, N, feedback="measured", velocity=None):
     for k in range(N):
         seen = sent if drive.feedback == "commanded" else x[0]
         J = np.asarray(ck.jacobian(ARM, seen))[:2]
-        e = TARGET - np.asarray(ck.pose(ARM, seen).position)[:2]
+        e = TARGET - np.asarray(ck.forward(ARM, seen).position)[:2]
         step = Ts * np.linalg.solve(J, alpha * e)
         sent = (seen if drive.feedback == "rebased" else sent) + step
         commands.append((k * Ts + d, sent if position else step / Ts))
@@ -138,7 +138,7 @@ def test_dead_time_only_shifts_what_a_commanded_loop_does(method):
 
 def test_a_late_measurement_of_a_known_path_costs_nothing():
     """e[k+1] − e[k] is then what the path and its velocity leave, whatever the delay; to stability it is dead time."""
-    start = np.asarray(ck.pose(ARM, Q).position)[:2]
+    start = np.asarray(ck.forward(ARM, Q).position)[:2]
     path = ck.line(start, start + np.array([0.1, -0.05]), duration=1.0)
     runs = [
         ck.solve(LAW, path, Q, Ts, 50, "EXP-RK4", drive=Drive(measurement_delay=d, delay=e))
@@ -171,7 +171,7 @@ def test_limits_of_a_drive_hold():
 
 def test_what_is_measured_of_the_joints():
     """Noise has the size asked for and is another with another seed; encoders leave an error of half a step."""
-    rest = ck.hold(np.asarray(ck.pose(ARM, Q).position)[:2])
+    rest = ck.hold(np.asarray(ck.forward(ARM, Q).position)[:2])
     runs = [ck.solve(LAW, rest, Q, Ts, 2000, "EE", drive=Drive(joint_noise=1e-4, seed=s)) for s in (0, 0, 1)]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
     assert np.abs(runs[0].q - runs[2].q).max() > 1e-6

@@ -16,7 +16,7 @@ SHORT = ck.replace(ck.planar_arm([1.0, 0.8, 0.8]), **{name: value[:3] for name, 
 Q0 = np.array([0.3, 0.5, -0.4, 0.9])
 TASKS = {
     "position": ck.position("xy"),
-    "pose": ck.pose_task("xy", "z"),
+    "pose": ck.pose("xy", "z"),
     "weighted": ck.position("xy", weights=[1.0, 3.0]),
 }
 INVERSES = {
@@ -119,8 +119,8 @@ def test_reverse_gradients_agree():
 @pytest.mark.parametrize("limits", [None, pytest.param(ck.saturation(), marks=pytest.mark.slow)])
 def test_a_whole_pose_of_a_real_arm(limits):
     arm, q0 = ck.panda(), np.array([0.0, -0.3, 0.1, -2.0, 0.0, 1.8, 0.5])
-    to = ck.pose(arm, q0 + 0.1)
-    law = ck.Law(arm, ck.pose_task(), alpha=5.0, limits=limits, inverse=ck.damped(0.05))
+    to = ck.forward(arm, q0 + 0.1)
+    law = ck.Law(arm, ck.pose(), alpha=5.0, limits=limits, inverse=ck.damped(0.05))
     runs = {}
     for engine in ENGINES:
         with ck.use_engine(engine):

@@ -19,7 +19,7 @@ SLIDERS = ck.from_screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0, 0.0,
 
 def on_path(period=4.0):
     """A circle that starts where START is."""
-    x = np.asarray(ck.pose(ARM, START).position)[:2]
+    x = np.asarray(ck.forward(ARM, START).position)[:2]
     return ck.circle(x - [0.2, 0.0], 0.2, period=period)
 
 
@@ -107,7 +107,7 @@ def test_order_of_position_and_joint_path(method, order, N):
 
 WRIST = ck.from_dh([0.0, 0.0, 0.0], [np.pi / 2, -np.pi / 2, 0.0], [0.1, 0.0, 0.3])
 TURNED = np.array([0.2, 0.7, -0.3])
-HOME = np.asarray(ck.pose(WRIST, TURNED).rotation)
+HOME = np.asarray(ck.forward(WRIST, TURNED).rotation)
 
 
 def tumbling(t):
@@ -166,7 +166,7 @@ def test_panda_as_pinocchio_has_it(method):
     """A circle of 0.1 m in 4 s with a rocking orientation."""
     arm = ck.load_urdf(str(robot_file("panda")), tip="panda_link8")
     q0 = np.array([0.0, -0.3, 0.1, -2.0, 0.1, 1.8, 0.5])
-    at = ck.pose(arm, q0)
+    at = ck.forward(arm, q0)
     place, home = np.asarray(at.position), np.asarray(at.rotation)
 
     def curve(t):
@@ -178,7 +178,7 @@ def test_panda_as_pinocchio_has_it(method):
         return ck.Pose(position=place + moved, rotation=turn @ home)
 
     for (alpha, Ts), wanted in PRINTED[method].items():
-        run = ck.solve(ck.Law(arm, ck.pose_task(), alpha=alpha), ck.path(curve), q0, Ts, round(4 / Ts), method)
+        run = ck.solve(ck.Law(arm, ck.pose(), alpha=alpha), ck.path(curve), q0, Ts, round(4 / Ts), method)
         squares = np.sum(np.asarray(run.e)[:-1] ** 2, 1)
         assert np.sqrt(squares[len(squares) // 2 :].mean()) == pytest.approx(wanted, rel=0.2)
         ck.require_ok(run)
@@ -235,7 +235,7 @@ def test_damped_directions_keep_what_theory_says():
     law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=30.0, inverse=ck.damped(0.4))
     q = np.array([0.3, 0.9])
     u, sigma, _ = np.linalg.svd(np.asarray(ck.jacobian(law.chain, q))[:2])
-    x = np.asarray(ck.pose(law.chain, q).position)[:2]
+    x = np.asarray(ck.forward(law.chain, q).position)[:2]
     for direction, s in zip(u.T, sigma, strict=True):
         e = by_steps(law, ck.hold(x + 1e-7 * direction), q, 0.1, 2, "EXP-EE")[1]
         close(e[1] @ direction / 1e-7, 1 + np.expm1(-3.0) * s**2 / (s**2 + 0.16), atol=1e-6)
@@ -283,7 +283,7 @@ def test_needs_a_reference():
 def test_transforms_go_through_a_step_of_no_length():
     """Derivatives of the instant after the last are finite."""
     law = ck.Law(WRIST, ck.orientation(), alpha=5.0)
-    target = np.asarray(ck.pose(WRIST, TURNED + 0.1).rotation)
+    target = np.asarray(ck.forward(WRIST, TURNED + 0.1).rotation)
 
     def last(alpha):
         return ck.solve(ck.replace(law, alpha=alpha), ck.hold(None, rotation=target), TURNED, 0.1, 2, "EXP-EE").e[-1]

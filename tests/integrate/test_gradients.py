@@ -139,7 +139,7 @@ def wrist(v, method):
     arm = ck.from_screws(points, axes, home)
     law = ck.Law(arm, ck.orientation(), alpha=alpha, inverse=ck.damped(0.2))
     run = ck.solve(law, ck.hold(None, turn), q0, 0.1, 2, method, ck.picard(1))
-    return jnp.concatenate([run.q[-1], run.e[-1], ck.pose(arm, run.q[-1]).position])
+    return jnp.concatenate([run.q[-1], run.e[-1], ck.forward(arm, run.q[-1]).position])
 
 
 WRIST = {}

@@ -15,8 +15,8 @@ from cnclik.robot.model import modelled
 
 ARM = ck.planar_arm([1.0] * 3)
 Q = jnp.array([0.3, 0.9, -0.5])
-REST = ck.hold(ck.pose(ARM, Q).position[:2])
-TARGET = ck.hold(ck.pose(ARM, Q).position[:2] + jnp.array([0.12, -0.2]))
+REST = ck.hold(ck.forward(ARM, Q).position[:2])
+TARGET = ck.hold(ck.forward(ARM, Q).position[:2] + jnp.array([0.12, -0.2]))
 Ts = 0.1
 
 

@@ -165,7 +165,7 @@ def test_history_goes_from_one_engine_to_the_other():
 def test_from_far_off_at_a_large_gain_the_past_is_left_alone():
     """J# is another one after each step; extrapolated from there, 70 of 200 loops of a Panda arrived, not 190."""
     law = ck.replace(LAW, alpha=np.array(500.0))
-    goal = ck.hold(np.asarray(ck.pose(ARM, [-0.2, 2.2, -0.7]).position[:2]))
+    goal = ck.hold(np.asarray(ck.forward(ARM, [-0.2, 2.2, -0.7]).position[:2]))
     run = ck.solve(law, goal, START, 0.05, 30, "EXP-AB2")
     euler = ck.solve(law, goal, START, 0.05, 30, "EXP-EE")
     restarted = np.flatnonzero(np.asarray(run.status) & RESTARTED)
@@ -175,7 +175,7 @@ def test_from_far_off_at_a_large_gain_the_past_is_left_alone():
 
 def test_a_target_that_turns_back_restarts_nothing():
     """Along a straight line and back: its velocity passes through 0, and J# is what it was."""
-    x = np.asarray(ck.pose(ARM, START).position)[:2]
+    x = np.asarray(ck.forward(ARM, START).position)[:2]
     there_and_back = ck.path(lambda t: jnp.stack([x[0] - 0.2 * (1 - jnp.cos(OMEGA * t)), 0 * t + x[1]]))
     errors = [ck.solve(LAW, there_and_back, START, 4 / N, N, "EXP-AB2") for N in (40, 80)]
     assert not any(np.any(np.asarray(run.status) & RESTARTED) for run in errors)
@@ -236,7 +236,7 @@ def test_ordinary_motion_is_no_jump(dtype):
         ck.hold(x),
         ck.with_feedforward(CIRCLE, [0.0, 0.0]),
     ]
-    task = ck.pose_task("xy", "z")
+    task = ck.pose("xy", "z")
     law = modelled(ck.Law(ARM, task, alpha=1.0, inverse=ck.damped(0.1)))
     q = jnp.asarray(START, dtype)
     for reference, t0 in zip(paths, (0.0, 0.0, 50.0, 50.0, 50.0), strict=True):

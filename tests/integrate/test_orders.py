@@ -42,7 +42,7 @@ ORDERS = dict(told())
 @functools.cache
 def exact(case):
     q0, damping = CASES[case]
-    center = np.asarray(ck.pose(LAW.chain, START).position)[:2] - [0.2, 0.0]
+    center = np.asarray(ck.forward(LAW.chain, START).position)[:2] - [0.2, 0.0]
     turn = lambda t: np.pi / 2 * t  # noqa: E731
     inverse = np.linalg.pinv if not damping else lambda j: j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(2))
     f = planar_law(

@@ -16,7 +16,7 @@ from tests.oracles import close
 ARM = ck.planar_arm([1.0, 0.8, 0.6])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=10.0)
 Q0 = np.array([0.3, 1.2, 0.9])
-X0 = np.asarray(ck.pose(ARM, Q0).position[:2])
+X0 = np.asarray(ck.forward(ARM, Q0).position[:2])
 TS = 0.002
 LIMITS = dict(velocity=2.0, acceleration=10.0, jerk=300.0)
 PACE = ck.Pace(**LIMITS)

@@ -82,14 +82,14 @@ def test_a_loop_of_500_steps_is_pinocchios(name):
     file, tip, base = ROBOTS[name]
     arm = ck.load_urdf(folder() / file, tip, base)
     tip = tip or "link_eef"
-    q0 = start_posture(arm, ck.pose_task())
+    q0 = start_posture(arm, ck.pose())
     direction = np.array([0.05, -0.08, 0.06])
     expected, start, rotation_d = loop(folder() / file, arm, tip, base, q0, direction)
 
     def pose(t):
         return ck.Pose(position=jnp.asarray(start) + direction * jnp.sin(2.0 * t), rotation=jnp.asarray(rotation_d))
 
-    law = ck.Law(arm, ck.pose_task(), alpha=ALPHA, inverse=ck.damped(LAMBDA))
+    law = ck.Law(arm, ck.pose(), alpha=ALPHA, inverse=ck.damped(LAMBDA))
     found = ck.solve(law, ck.path(pose), q0, TS, N, "EE")
     assert np.ptp(expected, axis=0).max() > 0.2  # it moves
     # λ off by 1e-8, or a target one rounding early, shows at 1e-9.

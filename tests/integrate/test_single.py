@@ -8,7 +8,7 @@ import cnclik as ck
 
 ARM = ck.planar_arm([1.0, 0.8])
 Q0, GOAL = np.array([2.0, 1.0]), np.array([2.05, 0.95])
-TARGET = np.asarray(ck.pose(ARM, GOAL).position)[:2]
+TARGET = np.asarray(ck.forward(ARM, GOAL).position)[:2]
 Ts, ALPHA, N = 1e-3, 10.0, 2000
 FLOOR = np.spacing(np.float32(2.0)) / 2 / (ALPHA * Ts)  # [rad] where a plain sum stops: 1.2e-5
 

@@ -36,7 +36,7 @@ def test_trajectory():
     close(made.qdot, np.diff(made.q, axis=0) / 0.1, atol=1e-13)
     close(made.x + made.e, np.broadcast_to(TARGET, (N + 1, 2)), atol=1e-15)
     for q, x in zip(made.q, made.x, strict=True):
-        close(ck.pose(ARM, q).position[:2], x, atol=1e-14)
+        close(ck.forward(ARM, q).position[:2], x, atol=1e-14)
     assert made.evaluations == N * 4
     assert jnp.issubdtype(made.status.dtype, jnp.integer)
 

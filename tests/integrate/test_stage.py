@@ -52,7 +52,7 @@ def test_explicit_methods_have_no_residual():
 
 
 def test_converged_and_at_rest():
-    at_rest = ck.hold(ck.pose(ARM, Q).position[:2])
+    at_rest = ck.hold(ck.forward(ARM, Q).position[:2])
     made = ck.step(LAW, at_rest, Q, 0.0, 0.1, "IE", ck.picard(5))
     close(made.qdot, 0, atol=1e-14)
     assert made.contraction == 0 and made.status == 0

@@ -20,8 +20,8 @@ def arm(lower=None, upper=None):
 
 
 Q = np.array([0.2, 1.2])
-HERE = ck.hold(ck.pose(arm(), Q).position[:2])
-NEAR = ck.hold(ck.pose(arm(), Q).position[:2] + jnp.array([0.1, 0.1]))
+HERE = ck.hold(ck.forward(arm(), Q).position[:2])
+NEAR = ck.hold(ck.forward(arm(), Q).position[:2] + jnp.array([0.1, 0.1]))
 
 
 SLIDER = ck.from_screws([[0.0] * 3], [[1.0, 0, 0]], [0.0] * 3, kinds="P")  # J = 1: the error shrinks by R(z), exactly
@@ -51,7 +51,7 @@ def test_not_converged():
 
 def test_near_singular():
     stretched = np.array([0.2, 1e-4])
-    made = run(q=stretched, target=ck.hold(ck.pose(arm(), stretched).position[:2]), method="EE")
+    made = run(q=stretched, target=ck.hold(ck.forward(arm(), stretched).position[:2]), method="EE")
     np.testing.assert_array_equal(made.status, S.NEAR_SINGULAR)
     assert np.all(run(q=stretched, target=HERE, near_singular=0.0).status & S.NEAR_SINGULAR == 0)
     # σ_min at Q is 0.55: the threshold is compared with the value itself.
@@ -102,7 +102,7 @@ def test_diverged_while_all_is_finite(dtype, least):
     law = ck.Law(arm(), ck.position("xy"), alpha=2.0)
     for q0, bit in (((0.9 * least, 0.5), 0), ((0.6 * least, -0.6 * least), S.DIVERGED)):
         q = np.array(q0, dtype)
-        here = ck.hold(ck.pose(law.chain, q).position[:2])
+        here = ck.hold(ck.forward(law.chain, q).position[:2])
         made = ck.solve(law, here, q, 0.1, 3, "EE")
         np.testing.assert_array_equal(made.status & S.DIVERGED, bit)
 
@@ -180,12 +180,12 @@ def test_growing_from_the_limit_of_stability_on(dtype):
 def test_growing_of_a_pose_that_turns():
     planar = ck.planar_arm([1.0, 0.8, 0.5])
     q = np.array([0.3, 0.9, -0.5])
-    at = ck.pose(planar, q)
-    goal = np.asarray(ck.pose(planar, q + np.array([0.3, -0.4, 0.9])).rotation)
+    at = ck.forward(planar, q)
+    goal = np.asarray(ck.forward(planar, q + np.array([0.3, -0.4, 0.9])).rotation)
     moving = ck.line(at, ck.Pose(position=at.position + jnp.array([0.2, -0.3, 0]), rotation=goal), duration=2.0)
 
     def status(z):
-        law = ck.Law(planar, ck.pose_task("xy", "z"), alpha=z / 0.1, feedforward=0.0)
+        law = ck.Law(planar, ck.pose("xy", "z"), alpha=z / 0.1, feedforward=0.0)
         return np.asarray(ck.solve(law, moving, q, 0.1, 30, "EE").status)
 
     for z in (0.2, 1.0, 1.8):
@@ -210,7 +210,7 @@ def test_growing_where_a_velocity_is_told_and_with_a_users_function():
 def test_a_task_of_more_rows_than_joints():
     """Least squares is a compromise: damped it runs and says so; exact it is refused, see tests/law."""
     law = ck.Law(arm(), ck.position("xyz"), alpha=2.0, inverse=ck.damped(0.1))
-    target = ck.pose(arm(), Q).position + jnp.array([0.1, 0.1, 0.05])
+    target = ck.forward(arm(), Q).position + jnp.array([0.1, 0.1, 0.05])
     assert np.all(ck.solve(law, ck.hold(target), Q, 0.1, 3).status & S.TASK_TOO_LARGE)
 
 

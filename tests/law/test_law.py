@@ -101,7 +101,7 @@ def test_pose_task_on_a_spatial_arm():
     joints = [(k, a, np.block([[np.eye(3), o[:, None]], [0, 0, 0, 1]])) for k, a, o in zip(kinds, axes, origins)]  # noqa: B905
     tip = np.eye(4)
     tip[:3, 3] = home - points[-1]
-    law = ck.Law(arm, ck.pose_task(), alpha=np.arange(1.0, 7.0))
+    law = ck.Law(arm, ck.pose(), alpha=np.arange(1.0, 7.0))
     target, goal = np.array([0.1, 0.2, 0.4]), Rotation.from_rotvec([0.3, 0.2, -1.0])
     for q in rng.uniform(-2, 2, (5, 6)):
         pose, j = pinocchio_pose_and_jacobian(joints, tip, q)
@@ -147,7 +147,7 @@ def test_gains_at_the_edge_and_traced_ones_pass():
     for alpha in (0, [0.0, 1.0], [[0.0, 1.0], [-1.0, 0.0]], np.ones((2, 2), np.float32)):
         ck.Law(ARM, ck.position("xy"), alpha=alpha)
     jax.jit(lambda a: ck.Law(ARM, ck.position("xy"), alpha=a).alpha)(-1.0)
-    ck.Law(ARM, ck.pose_task(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
+    ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
 
 
 # --- what is refused ----------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ XY = ck.position("xy")
         (lambda: ck.Law(ARM, XY, alpha=[[1.0, 3.0], [3.0, 1.0]]), "`alpha` must have no eigenvalue of negative real"),
         (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=-1.0), "`alpha` must not be negative"),
         (
-            lambda: ck.Law(ARM, ck.pose_task("xyz", "z"), alpha=1),
+            lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),
             r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
         ),
         (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),

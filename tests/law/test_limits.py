@@ -132,7 +132,7 @@ def redundant(limits, **more):
     )
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(1e-3), limits=limits, **more)
     q0 = np.array([0.5, 0.5, 0.5])
-    start = ck.pose(arm, q0).position[:2]
+    start = ck.forward(arm, q0).position[:2]
     return arm, law, ck.line(start, [-0.6, 0.9], duration=3.0), q0
 
 
@@ -160,7 +160,7 @@ def test_damping_does_not_stop_a_saturated_arm(inverse):
 def test_a_start_outside_comes_back_while_the_task_goes_on(limits):
     arm, law, _, q0 = redundant(limits)
     q0 = np.array([0.5, 1.0, 0.5])
-    hold = ck.hold(ck.pose(arm, q0).position[:2])
+    hold = ck.hold(ck.forward(arm, q0).position[:2])
     run = ck.solve(law, hold, q0, 0.01, 800)
     assert run.status[0] & ck.Status.AT_LIMIT
     assert run.q[-1][1] < arm.upper[1] + 1e-3
@@ -171,7 +171,7 @@ def test_a_posture_is_reached_in_the_null_space():
     arm = ck.planar_arm([1.0, 1.0, 1.0])
     q0, rest = np.array([0.5, 0.5, 0.5]), np.array([0.0, 1.2, 0.0])
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(1e-4), null_velocity=ck.posture(rest, 2.0))
-    run = ck.solve(law, ck.hold(ck.pose(arm, q0).position[:2]), q0, 0.01, 1000)
+    run = ck.solve(law, ck.hold(ck.forward(arm, q0).position[:2]), q0, 0.01, 1000)
     assert np.abs(run.e).max() < 1e-3
     j = np.asarray(ck.jacobian(arm, run.q[-1]))[:2]
     pull = rest - np.asarray(run.q[-1])
@@ -184,7 +184,7 @@ def test_a_posture_is_reached_in_the_null_space():
 def test_manipulability_is_climbed_in_the_null_space():
     arm, task = ck.planar_arm([1.0, 1.0, 1.0]), ck.position("xy")
     q0 = np.array([0.2, 0.3, 0.1])
-    hold = ck.hold(ck.pose(arm, q0).position[:2])
+    hold = ck.hold(ck.forward(arm, q0).position[:2])
     term = ck.maximize_manipulability(arm, task, 2.0)
     gradient = np.array(term(jnp.asarray(q0))) / 2.0
     step = 1e-6 * np.eye(3)

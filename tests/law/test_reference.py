@@ -15,7 +15,7 @@ from cnclik.law.curves import interval
 from cnclik.law.reference import motion, sample
 from tests.oracles import close
 
-POSE = ck.pose_task()
+POSE = ck.pose()
 
 
 @functools.partial(jax.jit, static_argnums=2)
@@ -110,7 +110,7 @@ def test_hold():
     q = R2.as_quat(scalar_first=True)
     close(at(ck.hold([0.0, 0, 0], 1.0001 * q), 1.0, "pose")[1], R2.as_matrix(), atol=1e-15)
     arm = ck.planar_arm([1.0, 1.0])
-    close(at(ck.hold(ck.pose(arm, [0.1, 0.2])), 0.0, "pose")[1], ck.pose(arm, [0.1, 0.2]).rotation)
+    close(at(ck.hold(ck.forward(arm, [0.1, 0.2])), 0.0, "pose")[1], ck.forward(arm, [0.1, 0.2]).rotation)
 
 
 def test_hold_takes_a_whole_pose_in_any_form():

@@ -29,15 +29,15 @@ TASKS = {
     "z": (ck.position("z"), [2]),
     "turn": (ck.orientation(), [3, 4, 5]),
     "turn about y": (ck.orientation("y"), [4]),
-    "pose": (ck.pose_task(), [0, 1, 2, 3, 4, 5]),
-    "plane": (ck.pose_task("xy", "z"), [0, 1, 5]),
+    "pose": (ck.pose(), [0, 1, 2, 3, 4, 5]),
+    "plane": (ck.pose("xy", "z"), [0, 1, 5]),
 }
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_error_and_jacobian(name):
     task, picked = TASKS[name]
-    at = ck.pose(ARM, Q)
+    at = ck.forward(ARM, Q)
     target = np.array([0.5, 0.2, -0.4])
     turn = Rotation.from_rotvec([0.4, -1.3, 2.0])
     rotation_d = (turn * Rotation.from_matrix(at.rotation)).as_matrix()
@@ -49,15 +49,15 @@ def test_error_and_jacobian(name):
 
 
 def test_names_and_units():
-    task = ck.pose_task("xy", "z")
+    task = ck.pose("xy", "z")
     assert (task.m, task.names, task.units) == (3, ("x", "y", "rz"), ("m", "m", "rad"))
     assert ck.position().names == ("x", "y", "z") and ck.orientation("xy").units == ("rad", "rad")
 
 
 def test_task_coordinates_are_position_and_rotation_vector():
-    law = ck.Law(ARM, ck.pose_task(), alpha=1.0, inverse=ck.damped(0.1))  # six coordinates of four joints
-    run = ck.solve(law, ck.hold(ck.pose(ARM, Q)), Q, 0.1, 1)
-    at = ck.pose(ARM, Q)
+    law = ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # six coordinates of four joints
+    run = ck.solve(law, ck.hold(ck.forward(ARM, Q)), Q, 0.1, 1)
+    at = ck.forward(ARM, Q)
     wanted = np.concatenate([at.position, Rotation.from_matrix(at.rotation).as_rotvec()])
     close(run.x, [wanted, wanted], atol=1e-14)
     close(run.e, 0, atol=1e-14)
@@ -71,7 +71,7 @@ def test_task_coordinates_are_position_and_rotation_vector():
         (lambda: ck.position("xx"), "`axes` must be letters"),
         (lambda: ck.position(2), "`axes` must be letters"),
         (lambda: ck.orientation("w"), "`axes` must be letters"),
-        (lambda: ck.pose_task("xy", "zz"), "`rotation_axes` must be letters"),
+        (lambda: ck.pose("xy", "zz"), "`rotation_axes` must be letters"),
         (lambda: ck.position("xy", weights=[1]), r"`weights` must have shape \(2,\), but has shape \(1,\)"),
         (lambda: ck.position("xy", weights=[1, 0]), r"`weights` must be positive, but is \[1.0, 0.0\]"),
     ],

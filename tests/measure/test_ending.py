@@ -15,7 +15,7 @@ REST = np.array([0.3, 1.2])
 
 
 def test_it_agrees_with_outcome_over_z_and_starts():
-    target = ck.hold(ck.pose(ARM, REST).position)
+    target = ck.hold(ck.forward(ARM, REST).position)
     z, far = (v.ravel() for v in np.meshgrid(np.linspace(0.01, 2.6, 14), [0.01, 0.3, 1.5]))
 
     def both(z, far):

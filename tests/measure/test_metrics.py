@@ -18,7 +18,7 @@ Q0 = np.array([0.3, 0.9, -0.6])
 
 
 def run_pose(alpha=4.0, Ts=0.1, method=ck.CN, N=12):
-    law = ck.Law(ARM, ck.pose_task("xy", "z"), alpha=alpha)
+    law = ck.Law(ARM, ck.pose("xy", "z"), alpha=alpha)
     start, end = np.array([1.2, 1.5]), np.array([0.7, 1.7])
     half = np.array([np.cos(0.4), 0, 0, np.sin(0.4)])
     reference = ck.line(start, end, duration=0.8, rotation=half)
@@ -40,7 +40,7 @@ def test_every_scalar_metric_is_what_numpy_makes_of_the_trajectory():
 
 def test_a_start_inside_the_tolerance():
     law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0)
-    at = np.asarray(ck.pose(law.chain, [0.2, 0.9]).position)
+    at = np.asarray(ck.forward(law.chain, [0.2, 0.9]).position)
     run = ck.solve(law, ck.hold(at[:2]), [0.2, 0.9], 0.1, 3)
     m = measure_run(
         run, law, ck.hold(at[:2]), ["steps_to_tolerance", "settling_time", "converged", "overshoot", "rate"]
@@ -161,7 +161,7 @@ def test_how_far_beyond_a_limit():
     "links, task, target",
     [
         pytest.param([1.0, 0.8, 0.5], ck.position("xy"), [0.9, 1.2], id="position, redundant", marks=pytest.mark.slow),
-        pytest.param([1.0, 0.8, 0.5], ck.pose_task("xy", "z"), [0.9, 1.2], id="pose"),
+        pytest.param([1.0, 0.8, 0.5], ck.pose("xy", "z"), [0.9, 1.2], id="pose"),
     ],
 )
 def test_a_float32_run_has_the_metrics_of_the_float64_one(links, task, target):

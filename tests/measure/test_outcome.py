@@ -12,7 +12,7 @@ from cnclik.stability import attraction, maps
 TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
 START = np.array([0.2, 1.4])
 LAW = ck.Law(TWO, ck.position("xy"), alpha=1.0)
-HERE = np.asarray(ck.pose(TWO, START).position[:2])
+HERE = np.asarray(ck.forward(TWO, START).position[:2])
 TARGET = ck.hold(HERE + np.array([0.05, -0.08]))
 SMALL = ck.hold(HERE + np.array([3e-7, -5e-7]))
 
@@ -102,7 +102,7 @@ def test_measured_delay_limit_on_the_arm():
 
         history, _ = jax.lax.scan(one, jnp.tile(START, (d + 1, 1)), None, length=400)
         target = SMALL.curve(0.0)[0]
-        return jnp.hypot(*(ck.pose(TWO, history[-1]).position[:2] - jnp.stack(target)))
+        return jnp.hypot(*(ck.forward(TWO, history[-1]).position[:2] - jnp.stack(target)))
 
     inside, outside = jax.jit(jax.vmap(final))(limit * jnp.array([0.9, 1.1]))
     assert inside < 1e-10 < 1e-5 < outside

@@ -109,7 +109,7 @@ def loop(kind: Kind, seed) -> Loop | None:
     first = {c: s for c, s in reversed(list(zip(kind.coordinates, slides, strict=True)))}
     q = np.array([v * (scale if first[i] else 1.0) for i, v in enumerate(q)])
     task = task_from(kind.task)
-    tip = ck.pose(chain, np.clip(q, -1e3, 1e3) if start != "far" else q)
+    tip = ck.forward(chain, np.clip(q, -1e3, 1e3) if start != "far" else q)
     away = {"near": 0.05, "here": 0.0, "out of reach": 30.0, "far": 1e6, "moving": 0.02}[target] * scale
     position = np.asarray(tip.position) + away * rng.uniform(-1, 1, 3)
     turn = _turn(rng, 0.3) @ np.asarray(tip.rotation) if task.orientation else None

@@ -127,7 +127,7 @@ def test_paths_are_what_hold_and_line_say():
 
 def test_both_arms_start_on_the_path_only_with_clockwise_rotation():
     for arm, about in paper.ARMS.items():
-        tips = {r: ck.pose(paper.law(arm, r).chain, paper.start(arm)).position[:2] for r in ("on-path", "printed")}
+        tips = {r: ck.forward(paper.law(arm, r).chain, paper.start(arm)).position[:2] for r in ("on-path", "printed")}
         np.testing.assert_allclose(tips["on-path"], about.start, atol=1e-15)
         np.testing.assert_allclose(tips["printed"], jnp.array(about.start) * jnp.array([-1, 1]), atol=1e-15)
 

@@ -110,19 +110,19 @@ def test_words_mean_the_plane_on_a_planar_arm():
 
 
 def test_points_take_a_quaternion():
-    arm, task = ck.panda(), ck.pose_task()
+    arm, task = ck.panda(), ck.pose()
     q0 = p.start_from(arm, task)
     given = [0.4, 0.1, 0.5, 0.0, 1.0, 0.0, 0.0]
     hold = p.reference_from("hold", arm, task, q0, target=given)
     np.testing.assert_allclose(hold.curve.rotation, np.diag([1, -1, -1]), atol=1e-15)
     kept = p.reference_from("hold", arm, task, q0, target=given[:3])
-    np.testing.assert_allclose(kept.curve.rotation, ck.pose(arm, q0).rotation, atol=1e-15)
+    np.testing.assert_allclose(kept.curve.rotation, ck.forward(arm, q0).rotation, atol=1e-15)
 
 
 def test_waypoint_files(tmp_path):
-    arm, task = ck.panda(), ck.pose_task()
+    arm, task = ck.panda(), ck.pose()
     q0 = p.start_from(arm, task)
-    start, file = ck.pose(arm, q0).position, tmp_path / "way.csv"
+    start, file = ck.forward(arm, q0).position, tmp_path / "way.csv"
     rows = [[0.0, *start, 0, 1, 0, 0], [1.0, *(start + 0.1), 0, 1, 0, 0]]
     text = "time,x,y,z,qw,qx,qy,qz\n# half way there\n" + "\n".join(",".join(map(str, row)) for row in rows)
     file.write_text(text, encoding="utf-8-sig")  # as spreadsheets write it

@@ -188,7 +188,7 @@ def test_weights_are_for_the_nearest_pose_alone():
     arm = ck.replace(WRIST, lower=(-3.0,) * 6, upper=(3.0,) * 6)
     targets = tips(arm, drawn(arm, 10, seed=8))
     for weights in (None, np.array([1.0, 1.0, 1.0, 1e-8, 1e-8, 1e-8])):
-        made = ck.reach(arm, targets, task=ck.pose_task(weights=weights), solutions=2)
+        made = ck.reach(arm, targets, task=ck.pose(weights=weights), solutions=2)
         assert made.solved.all()
 
 

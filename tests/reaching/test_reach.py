@@ -30,7 +30,7 @@ PLANE = ck.position("xy")
 
 def tips(chain, q):
     """4×4 transforms of the tip."""
-    at = jax.vmap(lambda q: ck.pose(chain, q))(jnp.asarray(q))
+    at = jax.vmap(lambda q: ck.forward(chain, q))(jnp.asarray(q))
     made = np.tile(np.eye(4), (len(q), 1, 1))
     made[:, :3, 3], made[:, :3, :3] = at.position, at.rotation
     return made
@@ -209,7 +209,7 @@ def test_two_tolerances():
 @both_ways
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_weights_decide_what_is_nearest_and_nothing_else(dtype):
-    task = ck.pose_task("xy", "z", weights=np.array([1.0, 1.0, 1e-4], dtype))
+    task = ck.pose("xy", "z", weights=np.array([1.0, 1.0, 1e-4], dtype))
     arm = ck.planar_arm([1.0, 1.0, 0.5])
     targets = tips(arm, drawn(arm, 12))
     far = np.eye(4)
@@ -422,8 +422,8 @@ def test_derivative_with_respect_to_geometry():
 
 
 def test_derivative_of_a_task_that_leaves_part_of_the_turn_free():
-    task, q = ck.pose_task("xyz", "z"), np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
-    at = ck.pose(WRIST, q)
+    task, q = ck.pose("xyz", "z"), np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+    at = ck.forward(WRIST, q)
     turned = np.array([[1, 0, 0], [0, np.cos(1.2), -np.sin(1.2)], [0, np.sin(1.2), np.cos(1.2)]])
     rotation = turned @ np.asarray(at.rotation)  # about an axis that the task leaves free
     near = ck.reach(WRIST, (at.position, rotation), task=task, near=q, tolerance=(1e-12, 1e-12)).q
@@ -458,7 +458,7 @@ def test_a_joint_at_its_limit_has_no_derivative():
 
 
 def tips_traced(chain, q, shift):
-    at = ck.pose(chain, q)
+    at = ck.forward(chain, q)
     return at.position + shift, at.rotation
 
 
@@ -477,7 +477,7 @@ def test_the_forms_of_targets():
         made.tolist(),
     ):
         np.testing.assert_allclose(ck.reach(WRIST, same).q, first.q, atol=1e-5)
-    one = ck.reach(WRIST, ck.pose(WRIST, jnp.array(first.q[0])))
+    one = ck.reach(WRIST, ck.forward(WRIST, jnp.array(first.q[0])))
     assert one.solved and one.q.shape == (6,)
     places = ck.reach(WRIST, position, task="position")
     assert places.solved.all() and (places.orientation_error == 0).all()
@@ -485,7 +485,7 @@ def test_the_forms_of_targets():
     assert turns.solved.all() and (turns.position_error == 0).all()
     for count in (3, 4, 5):  # four of them are no transform
         assert ck.reach(WRIST, quaternion[:count], task="orientation").solved.all()
-    assert ck.reach(WRIST, made, task=ck.pose_task("xyz", "z")).solved.all()
+    assert ck.reach(WRIST, made, task=ck.pose("xyz", "z")).solved.all()
 
 
 def quaternion_of(r):

@@ -29,7 +29,7 @@ TOOL = transform(Rotation.from_rotvec([-1.0, 0.2, 0.4]).as_matrix(), [0.05, 0.1,
 
 
 def matrix(chain, q):
-    found = ck.pose(chain, q)
+    found = ck.forward(chain, q)
     return transform(found.rotation, found.position)
 
 
@@ -39,7 +39,7 @@ def test_planar_arm_closed_form(clockwise):
     arm = ck.planar_arm(LENGTHS, clockwise=clockwise)
     for q in np.random.default_rng(1).uniform(-4, 4, (20, 3)):
         wanted = planar_position(np.array(LENGTHS), q, sense)
-        close(ck.pose(arm, q).position, [*wanted, 0], atol=1e-13)
+        close(ck.forward(arm, q).position, [*wanted, 0], atol=1e-13)
         close(ck.jacobian(arm, q)[:2], planar_jacobian(np.array(LENGTHS), q, sense), atol=1e-13)
 
 
@@ -47,11 +47,11 @@ def test_planar_arm_of_the_paper():
     """At q = 0 along +y; at θ[0] the clockwise arms start on the path of Case II, the others at (−1, 1), (−4, 1)."""
     for n, end in ((2, 1.0), (5, 4.0)):
         q0 = np.zeros(n)
-        close(ck.pose(ck.planar_arm([1.0] * n), q0).position, [0, n, 0], atol=1e-15)
+        close(ck.forward(ck.planar_arm([1.0] * n), q0).position, [0, n, 0], atol=1e-15)
         q0[1] = np.pi / 2
-        close(ck.pose(ck.planar_arm([1.0] * n), q0).position, [-end, 1, 0], atol=1e-13)
+        close(ck.forward(ck.planar_arm([1.0] * n), q0).position, [-end, 1, 0], atol=1e-13)
         turned = ck.planar_arm([1.0] * n, clockwise=True)
-        close(ck.pose(turned, q0).position, [end, 1, 0], atol=1e-13)
+        close(ck.forward(turned, q0).position, [end, 1, 0], atol=1e-13)
 
 
 @pytest.mark.parametrize("as_array", [False, True], ids=["literal", "leaf"])
@@ -116,7 +116,7 @@ def test_joints_that_share_a_coordinate():
     assert chain.n == 2
     q = np.array([0.4, 0.2])
     lengths, angles = np.array([1.0, 0.7]), np.array([0.4, -2 * 0.4 + 0.3])
-    close(ck.pose(chain, q).position[:2], planar_position(lengths, angles), atol=1e-15)
+    close(ck.forward(chain, q).position[:2], planar_position(lengths, angles), atol=1e-15)
     both = planar_jacobian(lengths, angles)
     close(ck.jacobian(chain, q)[:2, 0], both[:, 0] - 2 * both[:, 1], atol=1e-15)
     assert ck.jacobian(chain, q)[5, 0] == 1 - 2
@@ -135,7 +135,7 @@ def test_array_geometry_equals_literal_geometry_and_is_differentiable():
     q = np.array([0.2, -0.5, 1.0])
     length = jnp.array(LENGTHS)
     close(ck.jacobian(ck.planar_arm(length), q), ck.jacobian(ck.planar_arm(LENGTHS), q), atol=1e-15)
-    tip = lambda lengths: ck.pose(ck.planar_arm(lengths), q).position[:2]  # noqa: E731
+    tip = lambda lengths: ck.forward(ck.planar_arm(lengths), q).position[:2]  # noqa: E731
     phi = np.cumsum(q)
     wanted = np.array([-np.sin(phi), np.cos(phi)])
     close(jax.jacfwd(tip)(length), wanted, atol=1e-15)
@@ -147,7 +147,7 @@ def test_array_geometry_equals_literal_geometry_and_is_differentiable():
 def test_axes_are_differentiable():
     """The axis is normalised, so its length has no effect; its direction has."""
     q = np.array([0.7])
-    tip = lambda axis: ck.pose(ck.from_screws([[0.0, 0.0, 0.0]], [axis], [1.0, 0.0, 0.0]), q).position  # noqa: E731
+    tip = lambda axis: ck.forward(ck.from_screws([[0.0, 0.0, 0.0]], [axis], [1.0, 0.0, 0.0]), q).position  # noqa: E731
     axis = jnp.array([0.0, 0.6, 0.8])
     slope = jax.jacfwd(tip)(axis)
     close(slope @ axis, 0, atol=1e-15)
@@ -224,7 +224,7 @@ BAD = [
     (lambda: ck.from_screws(I3, I3, [1.0, 0.0]), r"`home` must have shape \(3,\), but has shape \(2,\)\."),
     (lambda: ck.with_tool(ck.planar_arm([1.0]), [1.0]), r"`tool` must have shape \(3,\), but has shape \(1,\)\."),
     (lambda: assemble([]), r"`joints` must hold at least one joint"),
-    (lambda: ck.pose(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have shape \(1,\), but has shape \(2,\)\."),
+    (lambda: ck.forward(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have shape \(1,\), but has shape \(2,\)\."),
     (lambda: ck.jacobian(ck.planar_arm([1.0]), 0.0), r"`q` must have shape \(1,\), but has shape \(\)\."),
     (lambda: ck.planar_arm([1.0], joint_names=1.0), "`joint_names` must hold 1 different names, but is 1.0"),
     (lambda: ck.planar_arm([1.0], joint_names="a"), "`joint_names` must hold 1 different names, but is 'a'"),
@@ -242,7 +242,7 @@ BAD = [
     (lambda: ck.planar_arm([1.0], joint_names={"a": 1}), "`joint_names` must hold 1 different names"),
     (lambda: ck.with_tool("arm", [0.0, 0.0, 1.0]), "`chain` must be a Chain, but is str"),
     (lambda: ck.jacobian(3, [0.0]), "`chain` must be a Chain, but is int"),
-    (lambda: ck.pose(None, [0.0]), "`chain` must be a Chain, but is NoneType"),
+    (lambda: ck.forward(None, [0.0]), "`chain` must be a Chain, but is NoneType"),
     (lambda: ck.manipulability("panda", [0.0]), "`chain` must be a Chain, but is str"),
     (lambda: ck.manipulability(ck.planar_arm([1.0]), [0.0], "xy"), "`task` must be a Task such as position"),
 ]

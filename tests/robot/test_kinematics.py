@@ -61,7 +61,7 @@ def test_against_pinocchio(kinds, form):
         chain = build(joints, tip, form)
         for q in np.random.default_rng(seed).uniform(-4, 4, (5, len(kinds))):
             wanted, jacobian = pinocchio_pose_and_jacobian(joints, tip, q)
-            found = ck.pose(chain, q)
+            found = ck.forward(chain, q)
             close(found.position, wanted[:3, 3], atol=1e-12)
             close(found.rotation, wanted[:3, :3], atol=1e-12)
             close(ck.jacobian(chain, q), jacobian, atol=1e-12)
@@ -75,8 +75,8 @@ def mixed():
 def test_jacobian_is_the_derivative_of_the_pose():
     chain = mixed()
     for q in np.random.default_rng(4).uniform(-3, 3, (3, 7)):
-        slope = jax.jacfwd(functools.partial(ck.pose, chain))(q)
-        spin = np.einsum("ijk,lj->ilk", slope.rotation, ck.pose(chain, q).rotation)  # Ṙ Rᵀ = [ω]×
+        slope = jax.jacfwd(functools.partial(ck.forward, chain))(q)
+        spin = np.einsum("ijk,lj->ilk", slope.rotation, ck.forward(chain, q).rotation)  # Ṙ Rᵀ = [ω]×
         omega = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
         close(ck.jacobian(chain, q), np.concatenate([slope.position, omega]), atol=1e-13)
 
@@ -87,19 +87,19 @@ def test_public_functions_under_jit_and_vmap():
     assert many.shape == (4, 6, 7)
     for one, j in zip(q, many, strict=True):
         close(j, ck.jacobian(chain, one), atol=1e-14)
-    poses = jax.vmap(functools.partial(ck.pose, chain))(q)
+    poses = jax.vmap(functools.partial(ck.forward, chain))(q)
     assert poses.position.shape == (4, 3) and poses.rotation.shape == (4, 3, 3)
-    close(poses.rotation[2], ck.pose(chain, q[2]).rotation, atol=1e-14)
+    close(poses.rotation[2], ck.forward(chain, q[2]).rotation, atol=1e-14)
 
 
 def test_kinds_of_joint_values_accepted():
     arm = ck.planar_arm([1.0, 1.0])
-    wanted = ck.pose(arm, np.array([1.0, 2.0])).position
+    wanted = ck.forward(arm, np.array([1.0, 2.0])).position
     for q in ([1, 2], (1.0, 2.0), np.array([1, 2]), jnp.array([1, 2]), [np.float32(1), 2], [jnp.asarray(1.0), 2]):
-        found = ck.pose(arm, q).position
+        found = ck.forward(arm, q).position
         assert found.dtype == jnp.float64
         np.testing.assert_array_equal(found, wanted)
-    single = ck.pose(arm, np.array([1, 2], np.float32))
+    single = ck.forward(arm, np.array([1, 2], np.float32))
     assert single.position.dtype == single.rotation.dtype == jnp.float32
     close(single.position, wanted, atol=3e-7)
 
@@ -108,7 +108,7 @@ def test_float32_on_a_long_chain():
     chain, q = mixed(), np.random.default_rng(6).uniform(-3, 3, 7)
     joints, tip = random_robot("RPRRPRR", 11)
     wanted, jacobian = pinocchio_pose_and_jacobian(joints, tip, q.astype(np.float32).astype(float))
-    close(ck.pose(chain, q.astype(np.float32)).position, wanted[:3, 3], atol=3e-6)
+    close(ck.forward(chain, q.astype(np.float32)).position, wanted[:3, 3], atol=3e-6)
     close(ck.jacobian(chain, q.astype(np.float32)), jacobian, atol=5e-6)
 
 

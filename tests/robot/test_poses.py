@@ -27,7 +27,7 @@ def at_rest(reference):
 
 
 def tip_of(chain):
-    made = ck.pose(chain, np.zeros(chain.n))
+    made = ck.forward(chain, np.zeros(chain.n))
     return [np.array(made.position), np.array(made.rotation)]
 
 
@@ -133,7 +133,7 @@ def test_half_precision_is_read_as_it_is_written():
     np.testing.assert_allclose(rows[0, 3:].reshape(3, 3), exact, atol=1e-15)
     np.testing.assert_allclose(ck.hold([0, 0, 0], rough).curve.rotation, exact, atol=1e-15)
     found = ck.reach(ck.ur5(), ([[0.3, 0.3, 0.4]], rough[None]))
-    turn = np.array(ck.pose(ck.ur5(), found.q[0]).rotation, float)
+    turn = np.array(ck.forward(ck.ur5(), found.q[0]).rotation, float)
     assert found.solved.all() and np.abs(turn - exact).max() < 5e-6
 
 
@@ -169,7 +169,7 @@ def test_positions_alone_name_their_task():
 
 def test_a_base_moves_the_world_and_nothing_else():
     placed, q = ck.with_base(ck.ur5(), T), np.array([0.1, -1.0, 1.2, 0.3, 0.5, -0.4])
-    at, moved = ck.pose(ck.ur5(), q), ck.pose(placed, q)
+    at, moved = ck.forward(ck.ur5(), q), ck.forward(placed, q)
     np.testing.assert_allclose(moved.position, R @ np.array(at.position) + P, atol=1e-6)
     np.testing.assert_allclose(moved.rotation, R @ np.array(at.rotation), atol=1e-6)
     turned = np.kron(np.eye(2), R) @ np.array(ck.jacobian(ck.ur5(), q))

@@ -177,8 +177,8 @@ def test_a_base_in_the_middle():
     model, _ = oracle(path)
     q = np.random.default_rng(0).uniform(arm.lower, arm.upper)
     position, rotation, j = Pinocchio(path, model).at(arm.joint_names, q, "gripper_left_base_link", "torso_2_link")
-    np.testing.assert_allclose(ck.pose(arm, q).position, position, atol=1e-12)
-    np.testing.assert_allclose(ck.pose(arm, q).rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(ck.forward(arm, q).position, position, atol=1e-12)
+    np.testing.assert_allclose(ck.forward(arm, q).rotation, rotation, atol=1e-12)
     np.testing.assert_allclose(ck.jacobian(arm, q), j, atol=1e-12)
 
 
@@ -206,7 +206,7 @@ def test_builtin_panda_is_the_file():
     np.testing.assert_allclose(arm.velocity_limit, file.velocity_limit, atol=1e-9)
     q = np.random.default_rng(1).uniform(arm.lower, arm.upper)
     # The file writes its right angles with 12 digits.
-    np.testing.assert_allclose(ck.pose(arm, q).position, ck.pose(file, q).position, atol=1e-10)
+    np.testing.assert_allclose(ck.forward(arm, q).position, ck.forward(file, q).position, atol=1e-10)
     np.testing.assert_allclose(ck.jacobian(arm, q), ck.jacobian(file, q), atol=1e-10)
 
 
@@ -217,7 +217,7 @@ def test_builtin_ur5_is_the_file():
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, 6)
     # The maker's Denavit-Hartenberg frame 0 is the file's link "base".
     position, rotation, j = Pinocchio(path, model).at(file.joint_names, q, "tool0", "base")
-    at = ck.pose(ur5(), q)
+    at = ck.forward(ur5(), q)
     np.testing.assert_allclose(at.position, position, atol=1e-9)
     np.testing.assert_allclose(at.rotation, rotation, atol=1e-9)
     np.testing.assert_allclose(ck.jacobian(ur5(), q), j, atol=1e-9)

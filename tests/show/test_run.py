@@ -14,7 +14,7 @@ from cnclik.show import style
 N = 20
 LAW = ck.Law(
     ck.from_dh([1.0, 0.8], [0.0, 0.0], [0.0, 0.0], lower=[-1.0, -9.0], upper=[1.0, 9.0], velocity_limit=[0.5, 2.0]),
-    ck.pose_task("x", "z"),
+    ck.pose("x", "z"),
     alpha=1.0,
 )
 BITS = [bit for bit in ck.Status if bit]
@@ -84,7 +84,7 @@ def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
     space = ck.from_dh([0.0, 1.0], [np.pi / 2, 0.0], [0.5, 0.0])  # turns about z, then lifts
     law = ck.Law(space, ck.position("xz"), alpha=1.0)
     made = run()
-    way = np.array([ck.pose(space, q).position for q in made.q])
+    way = np.array([ck.forward(space, q).position for q in made.q])
     made = ck.replace(made, x=way[:, [0, 2]], e=[0.1, -0.2] - 0 * way[:, :2])
     tip, target, start = pictures.plot(made, law, "tip").axes[0].lines
     np.testing.assert_allclose(np.transpose(tip.get_data_3d()), way, atol=1e-12)

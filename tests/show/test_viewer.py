@@ -51,7 +51,7 @@ def test_frames_are_those_of_the_chain(chain):
     q = np.random.default_rng(0).uniform(-0.2, 0.5, (3, chain.n))
     found = body.link_poses(chain, q)
     for k in range(3):
-        at = ck.pose(chain, q[k])
+        at = ck.forward(chain, q[k])
         np.testing.assert_allclose(found[k, -1, :3, 3], at.position, atol=1e-12)
         np.testing.assert_allclose(found[k, -1, :3, :3], at.rotation, atol=1e-12)
 

@@ -124,9 +124,9 @@ def draw(of: Family, number: int, seed: int = 0) -> Loop:
     kind = rng.choice(["near", "anywhere", "far", "singular", "there"], p=[0.55, 0.25, 0.1, 0.05, 0.05])
     goal = {"near": np.clip(q0 + 10 ** rng.uniform(-2, -0.3) * rng.standard_normal(chain.n), low, high)}
     goal |= {"anywhere": posture(chain, rng), "singular": np.clip(np.zeros(chain.n), low, high), "there": q0}
-    end = ck.pose(chain, goal.get(kind, q0))
+    end = ck.forward(chain, goal.get(kind, q0))
     position, rotation = np.asarray(end.position, float), np.asarray(end.rotation, float)
-    start = ck.pose(chain, q0)
+    start = ck.forward(chain, q0)
     reachable = kind != "far"
     if not reachable:
         away = rng.standard_normal(3) * np.array([1, 1, 0 if of.robot in ("two", "three", "five") else 1])

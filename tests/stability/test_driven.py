@@ -100,7 +100,7 @@ def test_limits_are_where_loops_in_time_begin_to_grow(name):
     drive = DRIVES[name]
     law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=5.0)
     q = np.array([0.3, 1.1])
-    x = np.asarray(ck.pose(law.chain, q).position)[:2]
+    x = np.asarray(ck.forward(law.chain, q).position)[:2]
     found = recommend(law, None, q, Ts=Ts, method="EE", drive=drive)
     assert found.z_largest == pytest.approx(driven_limits("EE", Ts=Ts, drive=drive).stable, rel=1e-6)
 
@@ -127,7 +127,7 @@ def test_each_joint_may_have_a_drive_of_its_own():
     arm, q = ck.planar_arm([1.0, 0.8, 0.6]), np.array([0.3, 1.1, -0.4])
     law, drive = ck.Law(arm, ck.position("xy"), alpha=5.0), Drive(lag=np.array([0.01, 0.05, 0.03]), delay=3)
     z = recommend(law, None, q, Ts=Ts, method="EE", drive=drive).z_largest
-    x = np.asarray(ck.pose(arm, q).position)[:2]
+    x = np.asarray(ck.forward(arm, q).position)[:2]
     for share, grows in ((0.98, False), (1.02, True)):
         law = ck.replace(law, alpha=share * z / Ts)
         e = np.asarray(ck.solve(law, ck.hold(x + np.array([1e-7, 0])), q, Ts, 4000, "EE", drive=drive).e)
@@ -196,7 +196,7 @@ def test_what_practice_says_of_a_gain_is_what_it_does():
     arm, q = ck.planar_arm([1.0, 0.8]), np.array([0.3, 1.1])
     law, drive = ck.Law(arm, ck.position("xy"), alpha=12.0), Drive(lag=0.02, delay=3)
     said = practice(law, None, q, Ts=0.01, method="EE", drive=drive, speed=0.2)
-    x, now = np.asarray(ck.pose(arm, q).position)[:2], said.now
+    x, now = np.asarray(ck.forward(arm, q).position)[:2], said.now
     path = ck.line(x, x + np.array([0.2, 0.0]), duration=2.0)
     for factor, name in ((0.0, "lag"), (1.0, "lag_fed_forward")):
         run = ck.solve(ck.replace(law, feedforward=factor), path, q, 0.01, 200, "EE", drive=drive)

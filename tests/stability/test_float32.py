@@ -16,7 +16,7 @@ TWO = ck.planar_arm([1.0, 1.0])
 Q = {2: [0.3, 1.2], 5: [0.3, 0.5, -0.4, 0.6, 0.2]}
 CASES = {
     "redundant position": (FIVE, ck.position("xy")),
-    "redundant pose": (FIVE, ck.pose_task("xy", "z")),
+    "redundant pose": (FIVE, ck.pose("xy", "z")),
     "position": (TWO, ck.position("xy")),
 }
 Ts = 0.1
@@ -68,7 +68,7 @@ def test_joint_values_in_float32_with_x64_on():
 def test_settling_and_what_follows():
     def follow(array):
         law, q = loop("redundant position", array)
-        target = ck.hold(array(np.asarray(ck.pose(FIVE, q).position[:2]) + np.array([-0.1, 0.1])))
+        target = ck.hold(array(np.asarray(ck.forward(FIVE, q).position[:2]) + np.array([-0.1, 0.1])))
         rest = st.settle(law, target, q)
         made = st.recommend(law, target, rest, Ts=Ts, method="EE"), st.margin(law, target, rest, Ts=Ts, method="EE")
         return rest, made[0].z_largest, made[1].margin, st.spectral_radius(law, target, rest, Ts, method="EE")
@@ -84,7 +84,7 @@ def test_a_float32_run_at_rest_is_accepted():
     """Where a float32 loop comes to rest is a rounding or two from the target."""
     with jax.enable_x64(False):
         law, q = loop("redundant position", jnp.asarray)
-        target = ck.hold(ck.pose(FIVE, q).position[:2] + jnp.array([-0.1, 0.1]))
+        target = ck.hold(ck.forward(FIVE, q).position[:2] + jnp.array([-0.1, 0.1]))
         run = ck.solve(law, target, q, Ts, 60, method="EE")
         assert run.q.dtype == np.float32
         assert st.recommend(law, target, run.q[-1], Ts=Ts, method="EE").z_largest == pytest.approx(2, rel=1e-5)
@@ -103,7 +103,7 @@ def test_theory_is_the_same():
 def test_maps_responses_and_attraction_are_the_same():
     def look(array):
         law, q = loop("position", array)
-        target = ck.hold(array(np.asarray(ck.pose(TWO, q).position[:2]) + np.array([0.05, -0.08])))
+        target = ck.hold(array(np.asarray(ck.forward(TWO, q).position[:2]) + np.array([0.05, -0.08])))
         made = st.stability_map(
             law, target, q, alpha=np.array([4.0, 30.0]), Ts=np.array([0.05, 0.1]), N=40, method="EE"
         )

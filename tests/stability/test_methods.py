@@ -17,7 +17,7 @@ from cnclik.tuning.rollout import Scenario, rollout
 
 EXPONENTIAL = [name for name, m in ck.METHODS.items() if m.exponential]
 ARM, Q = ck.planar_arm([1.0, 0.8, 0.5]), np.array([0.3, 0.7, -0.4])
-X = np.asarray(ck.pose(ARM, Q).position)[:2]
+X = np.asarray(ck.forward(ARM, Q).position)[:2]
 LAW = ck.Law(ARM, ck.position("xy"), alpha=8.0)
 
 

@@ -98,7 +98,7 @@ def test_a_gain_is_named_where_it_is_fine(drive, Ts):
     """Short sampling times, little dead time, enough damping: and a loop in time with it settles without overshoot."""
     said = practice(LAW, None, Q, Ts=Ts, method="EE", drive=drive)
     law = ck.replace(LAW, alpha=said.recommended_alpha)
-    x = np.asarray(ck.pose(ARM, Q).position)[:2]
+    x = np.asarray(ck.forward(ARM, Q).position)[:2]
     run = ck.solve(law, ck.hold(x + np.array([1e-6, 0])), Q, Ts, round(3.0 / Ts), "EE", drive=drive)
     e = np.asarray(run.e)[:, 0] / 1e-6
     assert said.recommended_alpha > 0 and -e.min() < 0.02 and np.abs(e[-10:]).max() < 0.02
@@ -161,7 +161,7 @@ def test_tune_says_where_only_another_inertia_makes_the_loop_run_away():
 @pytest.mark.parametrize("alpha", [3.0, 10.0])
 def test_the_remedy_of_a_run_that_grew_is_no_gain_and_no_damping(alpha):
     """Damping and a clamp were named, which leave less of the gain. What is named ends the growth."""
-    x, drive = np.asarray(ck.pose(ARM, Q).position)[:2], servo(8.0)
+    x, drive = np.asarray(ck.forward(ARM, Q).position)[:2], servo(8.0)
     law, path = ck.replace(LAW, alpha=alpha), ck.hold(x + np.array([0.02, 0.01]))
     run = ck.solve(law, path, Q, 0.01, 1300, "EE", drive=drive)
     said = stability.verdict(law, path, run, Ts=0.01, method="EE", drive=drive)

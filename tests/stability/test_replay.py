@@ -13,7 +13,7 @@ from cnclik.stability import verdict
 
 ARM = ck.planar_arm([1.0, 0.8, 0.6])
 Q0 = np.array([0.3, 1.2, 0.9])
-X0 = np.asarray(ck.pose(ARM, Q0).position[:2])
+X0 = np.asarray(ck.forward(ARM, Q0).position[:2])
 TS = 0.01
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 CIRCLE = ck.circle(X0 - [0.2, 0.0], 0.2, period=2.0)

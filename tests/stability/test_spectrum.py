@@ -75,7 +75,7 @@ def test_advice_is_what_its_parts_say():
 
 def test_a_loop_that_rests_only_nearly_is_judged_at_rest():
     """A few 1e-6 m of error move null-space eigenvalues by as much from 1, which is no instability."""
-    near = ck.hold(np.asarray(ck.pose(ARM, Q).position[:2]) + 4e-6)
+    near = ck.hold(np.asarray(ck.forward(ARM, Q).position[:2]) + 4e-6)
     assert recommend(law(), near, Q, Ts=Ts, method="EE").z_largest == pytest.approx(2, rel=1e-6)
 
 
@@ -106,7 +106,7 @@ def test_radius_is_differentiable_in_the_gain():
 
 
 def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
-    target = ck.hold(ck.pose(ARM, Q).position[:2] + 0.2)
+    target = ck.hold(ck.forward(ARM, Q).position[:2] + 0.2)
     with pytest.raises(ck.ArgumentError, match="`q` must be at rest"):
         spectrum(law(), target, Q, Ts, method="EE")
     rest = settle(law(), target, Q)
@@ -236,7 +236,7 @@ def test_null_space_velocities_that_pull_at_the_task_are_told():
     draws = on_the_way(lambda q: 30.0 * (ON_THE_WAY - q), inverse=ck.damped(0.5))
     with pytest.raises(ck.ArgumentError, match=r"`null_velocity` must leave .* it takes back 0\.\d+ of an error"):
         practice(draws, None, ON_THE_WAY, Ts=0.05)
-    place = ck.hold(np.asarray(ck.pose(FOUR, ON_THE_WAY).position)[:2])
+    place = ck.hold(np.asarray(ck.forward(FOUR, ON_THE_WAY).position)[:2])
     with pytest.raises(ck.ArgumentError, match="as the null-space velocity pulls at it"):
         settle(leaks, place, ON_THE_WAY)
     climbs = on_the_way(ck.maximize_manipulability(FOUR, XY, 5.0), inverse=ck.damped(0.5))

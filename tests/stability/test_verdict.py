@@ -23,7 +23,7 @@ TWO = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q5 = np.array([0.3, 0.5, -0.4, 0.6, 0.2])
 Q2 = np.array([0.3, 1.2])
 XY = ck.position("xy")
-TIP = np.asarray(ck.pose(FIVE, Q5).position[:2])
+TIP = np.asarray(ck.forward(FIVE, Q5).position[:2])
 INWARD = -TIP / np.linalg.norm(TIP)
 NEAR = ck.hold(TIP + np.array([-0.1, 0.1]))
 Ts = 0.1
@@ -122,15 +122,15 @@ def test_out_of_reach():
 def test_a_gantry_reaches_as_far_as_its_slides(N, kind):
     """Its joints are all in one place at q = 0: an arm without any length."""
     gantry = ck.from_dh([0.0] * 3, [np.pi / 2, np.pi / 2, 0.0], [0.0] * 3, kinds="PPP", lower=[-2] * 3, upper=[2] * 3)
-    target = ck.hold(np.asarray(ck.pose(gantry, np.ones(3)).position))
+    target = ck.hold(np.asarray(ck.forward(gantry, np.ones(3)).position))
     found = judge(ck.Law(gantry, ck.position(), alpha=0.5), target, N, q=np.zeros(3))
     assert found.kind == Behaviour(kind) and "stretched arm" not in found.sentence
 
 
 def test_more_coordinates_than_joints():
-    task = ck.pose_task("xy", "z")
+    task = ck.pose("xy", "z")
     made = ck.Law(TWO, task, alpha=5.0, inverse=ck.damped(0.1))
-    target = ck.hold(np.asarray(ck.pose(TWO, Q2).position[:2]) - 0.1, np.eye(3))
+    target = ck.hold(np.asarray(ck.forward(TWO, Q2).position[:2]) - 0.1, np.eye(3))
     found = judge(made, target, 200, Q2)
     assert found.kind == Behaviour.OUT_OF_REACH
     assert "3 coordinates of an arm with 2 joints" in found.sentence and re.search(r"\d m?m and .*rad", found.sentence)
@@ -145,7 +145,7 @@ def test_more_coordinates_than_joints():
 )
 def test_stuck_at_a_limit(limits):
     chain = ck.replace(TWO, lower=(-1.0, 1.0), upper=(0.5, 1.4))
-    goal = ck.hold(np.asarray(ck.pose(TWO, [1.2, 1.2]).position[:2]))
+    goal = ck.hold(np.asarray(ck.forward(TWO, [1.2, 1.2]).position[:2]))
     found = judge(ck.Law(chain, XY, alpha=3.0, inverse=ck.damped(0.1), limits=limits), goal, 120, Q2)
     assert found.kind == Behaviour.AT_LIMIT, found.sentence
     assert re.search(r"q\d(, q\d)? (is|are) at a limit", found.sentence)
@@ -173,7 +173,7 @@ def test_what_asks_for_more_than_joints_can_is_told_how_to_ask_for_less():
 def test_feed_forward_alone_past_a_singularity():
     """alpha = 0 asks for nothing of an error: what is too fast is so by the path, and damping ends it."""
     chain, q = ck.replace(TWO, velocity_limit=(1.0, 1.0)), np.array([0.3, 0.05])
-    tip = np.asarray(ck.pose(chain, q).position[:2])
+    tip = np.asarray(ck.forward(chain, q).position[:2])
     found = judge(law(0.0, chain), ck.line(tip, np.array([1.0, 1.9]), duration=1.0), 100, q, 0.01)
     assert found.kind == Behaviour.STALLED and "velocity limit" in found.sentence
     assert "damped(" in found.remedy
@@ -246,15 +246,15 @@ def test_position_of_an_arm_from_a_file(alpha, kinds, tmp_path):
     (tmp_path / "three.urdf").write_text(URDF, encoding="utf-8")
     chain, q = ck.load_urdf(tmp_path / "three.urdf"), np.array([0.2, 0.4, 0.9])
     made = ck.Law(chain, ck.position("xyz"), alpha=alpha)
-    target = ck.hold(np.asarray(ck.pose(chain, q).position) + np.array([0.02, 0.03, -0.02]))
+    target = ck.hold(np.asarray(ck.forward(chain, q).position) + np.array([0.02, 0.03, -0.02]))
     found = judge(made, target, 40, q)
     assert found.kind in kinds.split(), found.sentence
 
 
 def test_pose_in_the_plane():
-    at = ck.pose(FIVE, Q5)
+    at = ck.forward(FIVE, Q5)
     target = ck.hold(TIP + np.array([-0.1, 0.1]), np.asarray(at.rotation))
-    found = judge(ck.Law(FIVE, ck.pose_task("xy", "z"), alpha=5.0), target, 60)
+    found = judge(ck.Law(FIVE, ck.pose("xy", "z"), alpha=5.0), target, 60)
     assert (
         found.kind == Behaviour.SETTLED
         and re.search(r"\d m?m and .*rad", found.sentence)
@@ -266,8 +266,8 @@ def test_pose_in_the_plane():
 @pytest.mark.parametrize(("alpha", "kinds"), [(5.0, "settled"), (25.0, "diverging shaking")])
 def test_pose_of_a_real_arm(alpha, kinds):
     chain, q = ck.ur5(), np.array([0.1, -1.2, 1.5, -0.4, 1.2, 0.3])
-    at = ck.pose(chain, q)
-    made = ck.Law(chain, ck.pose_task(), alpha=alpha)
+    at = ck.forward(chain, q)
+    made = ck.Law(chain, ck.pose(), alpha=alpha)
     target = ck.hold(np.asarray(at.position) + np.array([0.05, 0.02, -0.05]), np.asarray(at.rotation))
     with ck.use_hints(False):
         found = judge(made, target, 40, q)
@@ -279,7 +279,7 @@ def test_a_null_space_velocity_that_pulls_at_the_task_is_named():
     start = np.array([0.3, 0.8, 0.6])
     arm = ck.planar_arm([1.0] * 3)
     made = ck.Law(arm, XY, alpha=5.0, inverse=ck.damped(0.05), null_velocity=ck.posture(start + 0.5, 10.0))
-    place = ck.hold(np.asarray(ck.pose(arm, start).position[:2]) + 1e-3)
+    place = ck.hold(np.asarray(ck.forward(arm, start).position[:2]) + 1e-3)
     found = judge(made, place, 400, start, Ts=0.05)
     assert found.kind == Behaviour.STALLED and "pulls at the task" in found.sentence and found.radius < 1
     assert [list(one.change) for one in found.remedies] == [["inverse", "damping"], ["damping"], ["null_gain"]]
@@ -349,8 +349,8 @@ def test_a_loop_that_stops_at_the_rounding_of_its_joint_values_says_so():
 
 def test_fewer_coordinates_are_named():
     """Three coordinates of two joints: the remedy is a task that the arm has joints for, and it settles."""
-    made = ck.Law(TWO, ck.pose_task("xy", "z"), alpha=5.0, inverse=ck.damped(0.1))
-    target = ck.hold(np.asarray(ck.pose(TWO, Q2).position[:2]) - 0.1, np.eye(3))
+    made = ck.Law(TWO, ck.pose("xy", "z"), alpha=5.0, inverse=ck.damped(0.1))
+    target = ck.hold(np.asarray(ck.forward(TWO, Q2).position[:2]) - 0.1, np.eye(3))
     (one,) = judge(made, target, 200, Q2).remedies
     assert one.change == {"task": "xy"}
     assert judge(ck.Law(TWO, task_from("xy", TWO), alpha=5.0), target, 200, Q2).kind == Behaviour.SETTLED
@@ -424,9 +424,9 @@ def test_a_longer_run_follows_the_path_as_it_was(period):
 
 def test_where_the_tip_is_to_turn_a_path_out_of_reach_is_not_moved():
     """Nobody looked whether the moved path could be turned as it was to be; a held target is asked for again."""
-    start, task = np.array([0.3, 0.4, -0.2]), ck.pose_task("xy", "z")
+    start, task = np.array([0.3, 0.4, -0.2]), ck.pose("xy", "z")
     arm = ck.planar_arm([1.0, 1.0, 0.5])
-    turn = np.asarray(ck.pose(arm, start).rotation)
+    turn = np.asarray(ck.forward(arm, start).rotation)
     around = ck.circle([2.6, 0.3], 0.3, period=4.0, rotation=turn)
     made = ck.Law(arm, task, alpha=2.0, inverse=ck.damped(0.1))
     told = judge(made, around, 400, start, Ts=0.02)
@@ -443,7 +443,7 @@ def test_a_path_that_leaves_the_reach_and_comes_back_is_out_of_reach(radius, kin
     """Its end is where it began, within reach; all but there the arm is too short, and no shift of it helps."""
     arm, Ts, N = ck.planar_arm([1.0, 0.8]), 0.01, 300
     law, q0 = ck.Law(arm, ck.position("xy"), alpha=5.0), np.array([0.4, 1.1])
-    here = np.asarray(ck.pose(arm, q0).position)[:2]
+    here = np.asarray(ck.forward(arm, q0).position)[:2]
     path = ck.circle([here[0] + radius, here[1]], radius, period=N * Ts, phase=np.pi)
     run = ck.solve(law, path, q0, Ts, N)
     told = ck.verdict(law, path, run, Ts=Ts)

@@ -22,7 +22,7 @@ def test_every_parameter_goes_where_it_belongs():
         "damping": lambda made: made.law.inverse.damping,
         "null_gain": lambda made: jnp.asarray(made.law.null_velocity((0.0, 0.0)))[1],
         "feedforward": lambda made: made.law.feedforward,
-        "links": lambda made: ck.pose(made.law.chain, np.zeros(2)).position[1] / 2,
+        "links": lambda made: ck.forward(made.law.chain, np.zeros(2)).position[1] / 2,
         "tool": lambda made: jnp.asarray(made.law.chain.tip.position),
         "Ts": lambda made: made.Ts,
     }
@@ -37,8 +37,8 @@ def test_every_parameter_goes_where_it_belongs():
 
 def test_scaled_links_are_longer_links():
     q, f = np.array([0.3, -0.7]), np.array([1.0, 1.02, 0.97])
-    scaled = ck.pose(pm.scaled_links(ARM, f), q).position
-    np.testing.assert_allclose(scaled, ck.pose(ck.planar_arm(f[1:], clockwise=True), q).position, rtol=1e-14)
+    scaled = ck.forward(pm.scaled_links(ARM, f), q).position
+    np.testing.assert_allclose(scaled, ck.forward(ck.planar_arm(f[1:], clockwise=True), q).position, rtol=1e-14)
 
 
 @pytest.mark.parametrize("far", [0.0, 3.0, 50.0, 1e3, 1e9])

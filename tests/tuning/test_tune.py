@@ -105,7 +105,7 @@ def test_null_space_gain_is_dead_beat_too():
     across = np.linalg.svd(np.asarray(ck.jacobian(arm, POSTURE))[:2])[2][-1]
     q0 = POSTURE + 1e-4 * across
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(POSTURE, rate=2.5))
-    place = np.asarray(ck.pose(arm, q0).position)[:2]
+    place = np.asarray(ck.forward(arm, q0).position)[:2]
     still = ck.line(place, place, duration=3.0)
     found = tune(law, still, q0, **(LOOP | {"N": 2, "over": "null_gain", "loss": null_distance}))
     assert abs(found.values["null_gain"] - 4.0) < 1e-2 and found.satisfied
@@ -158,8 +158,8 @@ def test_values_found_in_other_ways_are_judged_in_float64():
 @pytest.mark.slow
 def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
     arm, q0 = ck.planar_arm([1.0, 0.8, 0.6]), POSTURE
-    at_q0 = ck.pose(arm, q0)
-    law = ck.Law(arm, ck.pose_task("y", "z"), alpha=3.0, null_velocity=ck.posture(q0, rate=1.0))
+    at_q0 = ck.forward(arm, q0)
+    law = ck.Law(arm, ck.pose("y", "z"), alpha=3.0, null_velocity=ck.posture(q0, rate=1.0))
     target = ck.hold(np.asarray(at_q0.position)[1:2] + 1e-3, np.asarray(at_q0.rotation))
 
     def one():
@@ -230,7 +230,7 @@ def test_a_null_direction_that_nothing_acts_on_keeps_its_constraint():
     """Two of them stay at exactly 1: ‖A^p‖^(1/p) is 2^(1/2p) > 1, which no gain would ever bring to 1."""
     arm, q = ck.planar_arm([1.0, 0.8, 0.6, 0.5]), np.array([0.4, 0.8, -0.5, 0.3])
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=lambda q: 0.0 * q)
-    place = np.asarray(ck.pose(arm, q).position)[:2]
+    place = np.asarray(ck.forward(arm, q).position)[:2]
     objective = loop_objective(law, ck.hold(place), q, **LOOP | {"N": 2, "velocity_limit": None})
     _, constraints = quick_jit(lambda objective, values: objective(values))(objective, (law.alpha,))
     assert float(np.max(constraints)) <= 0
@@ -297,7 +297,7 @@ def test_a_null_space_velocity_that_leaves_the_posture_is_no_fault_of_the_gain(n
         "posture": ck.posture(np.zeros(4), 2.0),
     }[name]
     q0 = np.array([-0.715, -0.605, 0.942, -1.224])
-    tip = np.asarray(ck.pose(arm, q0).position)[:2]
+    tip = np.asarray(ck.forward(arm, q0).position)[:2]
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=null)
     assert spectrum(law, None, q0, 0.01, "EE").null_radius > 1.01
     found = tune(law, ck.line(tip, 0.9 * tip, duration=1.0), q0, Ts=0.01, N=100, method="EE", descent=Descent(steps=60))
