@@ -208,7 +208,7 @@ def _summary(made, trajectory, seconds):
     unit, share = found.units["max_qdot"], float(found.velocity_ratio)
     part = f"{100 * share:.3g} % of" if share < 10 else f"{plainly(share)} times"
     of = f", {part} a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
-    rows.append(("joint velocity", f"up to {_number(found.max_qdot)} {unit}{of}"))
+    rows.append(("joint velocity", f"up to {plainly(found.max_qdot)} {unit}{of}"))
     late = "RMS joint speed that the next step reverses, second half of the run"
     if made.pace is None or not made.pace.smooth:  # else no step takes speed back
         rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))

@@ -11,6 +11,7 @@ import enum
 import numpy as np
 
 from cnclik.integrate.status import Status
+from cnclik.quantities import plainly
 from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import NEARLY, PLENTY, UNSTABLE
@@ -208,7 +209,7 @@ def _shaking(case, error):
     joints, seen = case.law.chain.joints, case.seen
     kinds = {j.kind for j in joints}
     unit = "rad" if kinds == {REVOLUTE} else "m" if REVOLUTE not in kinds else "rad or m"
-    fast = f"joint velocities up to {seen.joint_speed:.3g} {unit}/s go back and forth"
+    fast = f"joint velocities up to {plainly(seen.joint_speed)} {unit}/s go back and forth"
     fast += " within the limits of the pace" if case.pace is not None else ""
     fast += f", with the path at {case.advance:.2g} of its speed" if case.moving and case.advance < 1 else ""
     if case.null_unstable and seen.arrived:
