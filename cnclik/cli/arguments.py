@@ -77,10 +77,11 @@ def parse(Args, argv, *, prog, description):
         raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
     made = {one.field: _value(one.hint, [word]) for one, word in zip(places, loose, strict=False)}
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
-    for one, values in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
-        values, written[one.name[2:].replace("-", "_")] = _in_own_units(one, values, Ts)
+    for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
+        values, written[one.name[2:].replace("-", "_")] = _in_own_units(one, typed, Ts)
         if not _fits(one.hint, values):
-            raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.hint)}, but is {' '.join(values)!r}.")
+            found = f"{' '.join(typed)!r}" + (f", {' '.join(values)} {one.unit}" if values != typed else "")
+            raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.hint)}, but is {found}.")
         value = _value(one.hint, values)
         made[one.field] = [*made.get(one.field, []), *value] if one.many else value
         Ts = value if one.field == "Ts" else Ts

@@ -164,7 +164,8 @@ def in_own_units(given: dict) -> tuple:
         except ValueError as error:
             raise errors.fail(name, "be a number, or a text of numbers with their unit", str(error)) from None
         written[name] = found.written
-        whole = SWEPT[name].kind == INTEGER and found[0].is_integer()
+        if (whole := SWEPT[name].kind == INTEGER) and not found[0].is_integer():
+            raise errors.fail(name, "be an integer", f"is {given[name]!r}, {found[0]:g} {SWEPT[name].unit}")
         made[name] = list(found) if len(found) > 1 else int(found[0]) if whole else found[0]
     return made, written
 

@@ -88,7 +88,7 @@ def test_every_option_with_a_unit_takes_it():
         ("--Ts ０．０１", "write 0.01|but is"),
         ("--N 1_0", "`--N` must be an integer, but is '1_0'"),
         ("--N 10ms", "`--N` must be an integer"),
-        ("--Ts 4ms --measurement-delay 6ms", "`--measurement-delay` must be .*integer.*, but is '1.5'"),
+        ("--Ts 4ms --measurement-delay 6ms", "`--measurement-delay` must be .*integer.*, but is '6ms', 1.5 samples"),
         ("--feedforward 1m", "`--feedforward` must be .*number.*, but is '1m'"),
     ],
 )

@@ -79,6 +79,7 @@ def test_numbers_may_be_texts_with_a_unit():
         ({"delay": "34kg"}, r"but is '34kg' \(units: s, ms"),
         ({"q0": "1m 2m"}, "joint 'q1' is in rad, and m is given"),
         ({"delay": "34ms", "Ts": [0.1]}, "`Ts` must be a number"),
+        ({"measurement_delay": "9ms"}, "`measurement_delay` must be an integer, but is '9ms', 0.9 samples"),
     ):
         with pytest.raises(ck.ArgumentError, match=told):
             p.problem_from("planar:1,1", **options)
