@@ -15,14 +15,13 @@ from cnclik import errors
 
 def of_numbers(fn):
     """Decorator: `fn` decides by numbers. Where an argument is traced (jit, vmap, grad) one line says which."""
+    names, remedy = inspect.signature(fn).parameters, f"call {fn.__name__} outside of jit, vmap and grad"
 
     @functools.wraps(fn)
     def known(*args, **kwargs):
-        if not _known((*args, *kwargs.values())):
-            given = dict(zip(inspect.signature(fn).parameters, args, strict=False)) | kwargs
-            name = next(name for name, value in given.items() if not _known(value))
-            found = f"is traced by JAX: call {fn.__name__} outside of jit, vmap and grad"
-            raise errors.fail(name, "hold numbers", found)
+        for name, value in (*zip(names, args, strict=False), *kwargs.items()):
+            if not _known(value):
+                raise errors.fail(name, "hold numbers", f"is traced by JAX: {remedy}")
         return fn(*args, **kwargs)
 
     return known

@@ -88,12 +88,8 @@ def run(args: Args) -> None:
 
         drawn = drawings(found)
     with output_folder(args.out, overwrite=args.overwrite) as folder:
-        text = tuning.page(
-            found,
-            name_and_tip(made.name, made.tip),
-            seconds=seconds,
-            figures=tuple(drawn) if args.figures else (),
-        )
+        name, shown = name_and_tip(made.name, made.tip), tuple(drawn) if args.figures else ()
+        text = tuning.page(found, name, seconds=seconds, figures=shown)
         folder.write_text("summary.md", text)
     heading = [
         f"Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
