@@ -1,6 +1,5 @@
-"""Names: what a user may write, and what it stands for. To add a name, add its line here and in `words`."""
+"""Names: what a user may write, and what it stands for, by the table in `words`."""
 
-import functools
 import itertools
 import os
 import pathlib
@@ -10,40 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.integrate import stage as stages
 from cnclik.integrate.method import named
-from cnclik.law import inverse, limits, null, task
+from cnclik.law import null, task
 from cnclik.problem import words
-from cnclik.robot import builtin, urdf
-from cnclik.robot.chain import Chain, planar_arm
+from cnclik.robot import urdf
+from cnclik.robot.chain import Chain
 from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
 from cnclik.robot.tree import read_urdf
-
-ROBOTS = {
-    "panda": builtin.panda,
-    "ur5": builtin.ur5,
-    "planar": planar_arm,
-    "planar-clockwise": functools.partial(planar_arm, clockwise=True),
-}
-TASKS = {
-    "pose": task.pose,
-    "position": lambda where, turn: task.position(where),
-    "orientation": lambda where, turn: task.orientation(turn),
-}
-INVERSES = {
-    "pseudoinverse": inverse.pseudoinverse,
-    "damped": inverse.damped,
-    "transpose": inverse.transpose,
-    "manipulability-damped": inverse.manipulability_damped,
-    "singular-damped": inverse.singular_damped,
-}
-LIMITS = {  # of the rate [1/s] at which a joint may near its limit
-    "none": lambda rate: None,
-    "velocity-scaling": lambda rate: limits.velocity_scaling(),
-    "weighted-least-norm": limits.weighted_least_norm,
-    "saturation": limits.saturation,
-}
-STAGES = {"picard": stages.picard, "chord": stages.chord, "newton": stages.newton}
 
 
 def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
@@ -80,22 +52,23 @@ def robot_and_tip(text, tip=None, base=None, lengths=None) -> tuple:
         raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {text!r}")
     name, colon, parts = str(text).partition(":")
     given = {"tip": tip, "base": base, "lengths": lengths}
-    if colon and name in ROBOTS and "lengths" in words.ROBOTS[name].needs:
+    if colon and name in words.ROBOTS and "lengths" in words.ROBOTS[name].needs:
         if lengths is not None:
             raise errors.fail("lengths", f"be left out for the robot {str(text)!r}", f"is {lengths!r}")
         try:
             given["lengths"] = [m for part in parts.split(",") for m in quantities.read(part, "m")]
         except ValueError:
             raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {str(text)!r}") from None
-    elif str(text) not in ROBOTS:
+    elif str(text) not in words.ROBOTS:
         name = str(text)
         if not os.path.exists(name) and not name.lower().endswith((".urdf", ".xml", ".xacro")):
-            names = ", ".join(n for n in ROBOTS if not words.ROBOTS[n].needs)
+            names = ", ".join(n for n in words.ROBOTS if not words.ROBOTS[n].needs)
             raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
         links = fitting("robot", name, words.URDF, given)
         tree = read_urdf(name)
         return urdf.chain(tree, **links), urdf.tip_of(tree, **links)
-    return ROBOTS[name](**fitting("robot", name, words.ROBOTS[name], given)), words.ROBOTS[name].tip
+    robot = words.ROBOTS[name]
+    return robot.make(**fitting("robot", name, robot, given)), robot.tip
 
 
 def robot_name(text, tip=None) -> str:
@@ -103,7 +76,7 @@ def robot_name(text, tip=None) -> str:
     if isinstance(text, Chain):
         return f"{text.n}-joint chain"
     text = str(text)
-    name = text if text.partition(":")[0] in ROBOTS else pathlib.Path(text).stem
+    name = text if text.partition(":")[0] in words.ROBOTS else pathlib.Path(text).stem
     return f"{name} {tip}" if tip else name
 
 
@@ -118,12 +91,15 @@ def task_from(text, chain: Chain | None = None) -> task.Task:
     flat = chain is not None and is_planar(chain)
     if text is None:
         text = "pose" if not flat and (chain is None or chain.n >= 6) else "position"
-    if isinstance(text, str) and text in TASKS:
-        return TASKS[text](*(("xy", "z") if flat else ("xyz", "xyz")))
-    found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
-    if not found or not text:
-        raise errors.fail("task", f"be {', '.join(TASKS)}, or coordinates such as xy or xyrz", f"is {text!r}")
-    axes, turns = found[1], found[2].replace("r", "")
+    if isinstance(text, str) and text in words.TASKS:
+        axes, turns = ("xy", "z") if flat else ("xyz", "xyz")
+        axes, turns = axes * (text != "orientation"), turns * (text != "position")
+    else:
+        found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
+        if not found or not text:
+            must = f"be {', '.join(words.TASKS)}, or coordinates such as xy or xyrz"
+            raise errors.fail("task", must, f"is {text!r}")
+        axes, turns = found[1], found[2].replace("r", "")
     if not turns:
         return task.position(axes)
     return task.pose(axes, turns) if axes else task.orientation(turns)
@@ -177,7 +153,7 @@ def gain_from(alpha):
 
 
 def inverse_from(name=None, damping=None, threshold=None):
-    """J# by name, one of `INVERSES`.
+    """J# by name, one of `words.INVERSES`.
 
     Args:
       name: by default damped where `damping` is given, else pseudoinverse.
@@ -186,25 +162,26 @@ def inverse_from(name=None, damping=None, threshold=None):
     """
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"
-    build = INVERSES[errors.one_of("inverse", name, INVERSES)]
-    return build(**fitting("inverse", name, words.INVERSES[name], {"damping": damping, "threshold": threshold}))
+    choice = words.INVERSES[errors.one_of("inverse", name, words.INVERSES)]
+    return choice.make(**fitting("inverse", name, choice, {"damping": damping, "threshold": threshold}))
 
 
 def limits_from(name="none", Ts=None, rate=None):
-    """How limits are respected, one of `LIMITS`.
+    """How limits are respected, one of `words.LIMITS`.
 
     Where no rate is given and the sampling time is known, a joint nears its limit at most as fast as one step can stop:
     1/Ts, and 10 per second at most.
     """
-    made = LIMITS[errors.one_of("limits", name, LIMITS)]
+    choice = words.LIMITS[errors.one_of("limits", name, words.LIMITS)]
     if rate is not None:
-        if name not in ("weighted-least-norm", "saturation"):
-            raise errors.fail("limit_rate", "come with limits weighted-least-norm or saturation", f"comes with {name}")
-        return made(errors.number("limit_rate", rate, positive=True))
+        if not choice.takes:
+            several = " or ".join(name for name, other in words.LIMITS.items() if other.takes)
+            raise errors.fail("limit_rate", f"come with limits {several}", f"comes with {name}")
+        return choice.make(errors.number("limit_rate", rate, positive=True))
     rate = 10.0
     if Ts is not None:
         rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
-    return made(rate)
+    return choice.make(*[rate] * bool(choice.takes)) if choice.maker else None
 
 
 def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):
@@ -229,4 +206,6 @@ method_from = named
 
 def stage_from(name="picard", M=5, **options):
     """How implicit stages are solved: the iteration's name, its number of passes M, further options of it."""
-    return name if hasattr(name, "tolerance") else STAGES[errors.one_of("stage", name, STAGES)](M, **options)
+    if hasattr(name, "tolerance"):
+        return name
+    return words.STAGES[errors.one_of("stage", name, words.STAGES)].make(M, **options)

@@ -63,18 +63,20 @@ def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> re
     if str(name).lower().endswith(".csv"):
         fitting("reference", name, words.Takes(), given)
         return _waypoints(scene, name)
-    errors.one_of("reference", name, (*REFERENCES, "FILE.csv"))
-    takes = words.REFERENCES[name]
-    length = {"period": horizon} if "period" in takes.options else {}
-    return REFERENCES[name](scene, **(length | fitting("reference", name, takes, given)))
+    errors.one_of("reference", name, (*words.REFERENCES, "FILE.csv"))
+    choice = words.REFERENCES[name]
+    length = {"period": horizon} if "period" in choice.options else {}
+    return choice.make(scene, **(length | fitting("reference", name, choice, given)))
 
 
-def _hold(scene, target=None):
+def hold(scene, target=None):
+    """A fixed target; the options of this and the next three are those of `reference_from`."""
     there = scene.here if target is not None else _away(scene)
     return ref.hold(*_point("target", target, scene.task, there))
 
 
-def _line(scene, period, **ends):
+def line(scene, period, **ends):
+    """A straight line."""
     errors.number("period", period, positive=True)
     first, turned = _point("from", ends.get("from"), scene.task, scene.here)
     last, turned_last = _point("to", ends.get("to"), scene.task, scene.here if "to" in ends else _away(scene))
@@ -84,7 +86,8 @@ def _line(scene, period, **ends):
     return ref.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
 
-def _circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
+def circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
+    """A circle."""
     _needs_position("circle", scene.task)
     radius = arm_length(scene.chain) / 10 if radius is None else radius
     errors.number("radius", radius, positive=True)
@@ -96,7 +99,8 @@ def _circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
     return ref.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
 
 
-def _lissajous(scene, period, center=None, amplitude=None, frequency=None, phase=None):
+def lissajous(scene, period, center=None, amplitude=None, frequency=None, phase=None):
+    """A Lissajous curve."""
     _needs_position("lissajous", scene.task)
     amplitude = arm_length(scene.chain) / 20 if amplitude is None else amplitude
     at, rotation = _point("center", center, scene.task, scene.here)
@@ -120,9 +124,6 @@ def on_path(chain: Chain, task, reference, q0):
         at = f"is on-path, and where the path begins is {ReachStatus(int(found.status)).name}"
         raise errors.fail("begin", "be q0 for a path that begins where the arm doesn't reach", at)
     return found.q
-
-
-REFERENCES = {"hold": _hold, "line": _line, "circle": _circle, "lissajous": _lissajous}
 
 
 def _needs_position(name, task):

@@ -1,50 +1,65 @@
-"""Words: every name that an option may have, and the options that it takes. Read without loading JAX.
+"""Words: every name that an option may have, what makes it, and the options that it takes. Read without loading JAX."""
 
-`cnclik.problem.names` and `.reference` say what each name builds; to add one, add its line here and there.
-"""
-
+import importlib
 from typing import NamedTuple
 
 
 class Takes(NamedTuple):
-    """The options of a name: so nothing is left out that it needs, and nothing given that it would silently drop."""
+    """A name: what makes it, and its options, so that none it needs is left out and none given is silently dropped."""
 
+    maker: str = ""  # "module:function"; "" of what is nothing
     needs: tuple = ()  # options that must be given
     takes: tuple = ()  # options that may be
+    always: tuple = ()  # (name, value) of arguments that make it this and no other
     tip: str = ""  # of a robot: what its tip is called
 
     @property
     def options(self) -> tuple:
         return (*self.needs, *self.takes)
 
+    def function(self):
+        """What makes it, loaded now."""
+        module, _, function = self.maker.partition(":")
+        return getattr(importlib.import_module(f"cnclik.{module}"), function)
 
+    def make(self, *args, **given):
+        """What the name stands for."""
+        return self.function()(*args, **dict(self.always), **given)
+
+
+_PLANAR = dict(needs=("lengths",), tip="end of the last link")
 ROBOTS = {
-    "panda": Takes(tip="flange"),
-    "ur5": Takes(tip="tool flange"),
-    "planar": Takes(needs=("lengths",), tip="end of the last link"),
-    "planar-clockwise": Takes(needs=("lengths",), tip="end of the last link"),
+    "panda": Takes("robot.builtin:panda", tip="flange"),
+    "ur5": Takes("robot.builtin:ur5", tip="tool flange"),
+    "planar": Takes("robot.chain:planar_arm", **_PLANAR),
+    "planar-clockwise": Takes("robot.chain:planar_arm", always=(("clockwise", True),), **_PLANAR),
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
 INVERSES = {
-    "pseudoinverse": Takes(),
-    "damped": Takes(needs=("damping",)),
-    "transpose": Takes(),
-    "manipulability-damped": Takes(needs=("damping", "threshold")),
-    "singular-damped": Takes(needs=("damping", "threshold")),
+    "pseudoinverse": Takes("law.inverse:pseudoinverse"),
+    "damped": Takes("law.inverse:damped", needs=("damping",)),
+    "transpose": Takes("law.inverse:transpose"),
+    "manipulability-damped": Takes("law.inverse:manipulability_damped", needs=("damping", "threshold")),
+    "singular-damped": Takes("law.inverse:singular_damped", needs=("damping", "threshold")),
 }
-LIMITS = ("none", "velocity-scaling", "weighted-least-norm", "saturation")
+LIMITS = {  # they take the rate [1/s] at which a joint may near its limit
+    "none": Takes(),
+    "velocity-scaling": Takes("law.limits:velocity_scaling"),
+    "weighted-least-norm": Takes("law.limits:weighted_least_norm", takes=("rate",)),
+    "saturation": Takes("law.limits:saturation", takes=("rate",)),
+}
 REFERENCES = {
-    "hold": Takes(takes=("target",)),
-    "line": Takes(takes=("from", "to", "period")),
-    "circle": Takes(takes=("center", "radius", "normal", "phase", "period")),
-    "lissajous": Takes(takes=("center", "amplitude", "frequency", "phase", "period")),
+    "hold": Takes("problem.reference:hold", takes=("target",)),
+    "line": Takes("problem.reference:line", takes=("from", "to", "period")),
+    "circle": Takes("problem.reference:circle", takes=("center", "radius", "normal", "phase", "period")),
+    "lissajous": Takes("problem.reference:lissajous", takes=("center", "amplitude", "frequency", "phase", "period")),
 }
 METHODS = (
     *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "AB2", "AB3", "AB4", "ZNN4", "ZEAD4", "ZNN6", "IFD5"),
     *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
 )
-STAGES = ("picard", "chord", "newton")
+STAGES = {name: Takes(f"integrate.stage:{name}") for name in ("picard", "chord", "newton")}
 BEGINS = ("q0", "on-path")
 FUTURES = ("known", "unknown")
 COMMANDS = ("velocity", "position")

@@ -16,7 +16,6 @@ import time
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
@@ -248,11 +247,11 @@ def single(dtype, seconds=0.2) -> dict:
 def _single(dtype):
     case = cases.ROBOTS["panda"]()
     few = tuple(a[:1] for a in given(dtype))
-    q0, position, rotation = (jnp.asarray(a[0]) for a in few)
+    q0, position, rotation = (a[0] for a in few)
     reference, solver = ck.hold(position, rotation), PinocchioCpp(*panda(), dtype)
 
     def solve(N=STEPS):
-        return jax.block_until_ready(ck.solve(case.law, reference, q0, cases.TS, N))
+        return jax.block_until_ready(ck.solve(case.law, reference, q0, cases.TS, N, "EE"))
 
     def cpp():
         return solver.run(*few, damping=cases.DAMPING, N=STEPS, M=None, **SETTINGS)

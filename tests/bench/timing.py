@@ -21,7 +21,7 @@ import numpy as np
 
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import METHODS, evaluations_per_step
-from cnclik.problem.names import STAGES
+from cnclik.problem.names import stage_from
 from cnclik.threads import cores
 from tests.bench.cases import ALPHA, ROBOTS, inputs, loop, tracking_loss
 from tests.bench.lines import Line
@@ -87,7 +87,7 @@ def measure(line: Line, seconds: float = 1.0) -> dict:
       error: mean of the lanes' final ‖e‖.
       gradient_over_forward: None, or what `gradients` tells.
     """
-    case, method, stage = ROBOTS[line.robot](), METHODS[line.method], STAGES[line.stage](line.M)
+    case, method, stage = ROBOTS[line.robot](), METHODS[line.method], stage_from(line.stage, line.M)
     per_step = evaluations_per_step(method, stage, case.law.chain.n)
     N = steps_for(line, per_step)
     named = inputs(case, line.batch, line.dtype)

@@ -9,6 +9,7 @@ import pytest
 import cnclik as ck
 from cnclik import problem as p
 from cnclik.problem import names
+from cnclik.problem.words import REFERENCES
 
 
 def test_the_papers_case_in_words():
@@ -27,8 +28,8 @@ def test_the_papers_case_in_words():
 
 
 ROBOTS = ("panda", "ur5", "planar:1,1,1,1,1")
-PAIRS = list(itertools.product(ROBOTS, p.REFERENCES))
-QUICK = [pair for i, pair in enumerate(PAIRS) if i % 2 == i // len(p.REFERENCES) % 2]  # every other of each robot
+PAIRS = list(itertools.product(ROBOTS, REFERENCES))
+QUICK = [pair for i, pair in enumerate(PAIRS) if i % 2 == i // len(REFERENCES) % 2]  # every other of each robot
 
 
 @pytest.mark.parametrize(
