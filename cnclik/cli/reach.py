@@ -20,6 +20,8 @@ from cnclik.cli.remarks import print_json
 class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     targets: pathlib.Path | None = option(None, positional=True)
     """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms."""
+    target: tuple[float, ...] | None = option(None, unit="x")
+    """One target, in place of TARGETS: position [m] and for a pose a quaternion w x y z."""
     random: int | None = None
     """So many poses that can be reached, at random, in place of TARGETS."""
     map: Literal["xy", "xz", "yz", "box"] | None = None
@@ -62,7 +64,7 @@ def run(args: Args) -> None:
     _check(args)
     chain, tip = robot_and_tip(args.robot, args.tip, args.base, args.lengths)
     task = task_from(args.task, chain)
-    look_at_units(args, {}, chain, task)
+    look_at_units(args, {} if args.target is None else {"target": args.target}, chain, task)
     if not args.json:
         print(robot_and_task(robot_name(args.robot, args.tip), tip, task))
     if args.map:
@@ -72,10 +74,12 @@ def run(args: Args) -> None:
 
 
 def _check(args):
-    given = [n for n, v in (("TARGETS", args.targets), ("--random", args.random), ("--map", args.map)) if v is not None]
+    ways = {"TARGETS": args.targets, "--target": args.target, "--random": args.random, "--map": args.map}
+    given = [name for name, value in ways.items() if value is not None]
     if len(given) != 1:
         found = f"are {' and '.join(given)}" if given else "is none of them"
-        raise errors.ArgumentError(f"One of TARGETS, --random N and --map PLANE must be given, but there {found}.")
+        must = "One of TARGETS, --target X Y Z, --random N and --map PLANE must be given"
+        raise errors.ArgumentError(f"{must}, but there {found}.")
     if args.random is not None:
         errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
     if args.path and args.near is not None:
@@ -98,7 +102,10 @@ def _answers(args, chain, task):
     from cnclik.record import replace
     from cnclik.writing import checked_file, output_folder
 
-    targets = _random(chain, args) if args.random else read_targets(args.targets, task)
+    if args.target is not None:
+        targets = [args.target]
+    else:
+        targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
@@ -203,12 +210,11 @@ def _tell(made, summary, seconds):
 
     from cnclik.reaching.result import ReachStatus
 
-    print(
-        f"{summary['targets']:,} targets in {seconds:.2f} s, {summary['evaluations_per_target']:.0f} evaluations each"
-    )
+    count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f} evaluations"
+    print(f"{count:,} target{'s' * (count > 1)} in {seconds:.2f} s, {each}{' each' * (count > 1)}")
     for name, number in summary["status"].items():
         print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
-    if summary["targets"] == 1:
+    if count == 1:
         q = made.q.reshape(-1, made.chain.n)
         for row in q[np.isfinite(q).all(axis=1)]:
             shown = zip(made.chain.joint_names, row, made.chain.units, strict=True)

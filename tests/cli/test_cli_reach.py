@@ -90,11 +90,22 @@ def test_a_map(where, tmp_path, capsys):
     assert not plt.get_fignums()
 
 
+def test_one_target_as_solve_takes_it(capsys):
+    main(["reach", ARM, "--task", "position", "--target", "700", "300", "0", "mm"])
+    said = capsys.readouterr().out
+    assert "1 target in" in said and "SOLVED" in said and "q1 -2.07" in said
+    main(["reach", ARM, "--task", "position", "--target", "700", "300", "0"])
+    said = capsys.readouterr()
+    assert "OUT_OF_REACH" in said.out and "Millimetres are written with their unit" in said.err
+
+
 @pytest.mark.parametrize(
     ("argv", "told"),
     [
-        ([], "One of TARGETS, --random N and --map PLANE must be given, but there is none of them."),
+        ([], "One of TARGETS, --target X Y Z, --random N and --map PLANE must be given, but there is none of them."),
         (["t.csv", "--random", "3"], "are TARGETS and --random"),
+        (["--target", "1", "0.2", "--map", "xy"], "are --target and --map"),
+        (["--target", "1"], "`targets` must be"),
         (["none.csv"], "name a CSV file that can be read"),
         (["none.npz"], "name a file of targets that can be read"),
         (["none.txt"], "`TARGETS` must end with .csv, .npy, .npz, but is 'none.txt'"),
