@@ -37,6 +37,7 @@ class Behaviour(enum.StrEnum):
     AT_LIMIT = "stuck at a limit"
     OUT_OF_REACH = "out of reach"
     STALLED = "no progress"
+    BEYOND_LIMITS = "beyond the robot's limits"
 
 
 def judged(case):

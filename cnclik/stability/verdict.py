@@ -29,6 +29,8 @@ CALM = 0.02  # share of the joint speed that is reversed, below which a loop doe
 LESS = 0.3  # ratio of errors below which it does not diverge
 SAME = 0.75, 1.9  # ratios between which an error stays
 _STAY = (Behaviour.STALLED, Behaviour.AT_LIMIT)
+_FINE = (Behaviour.SETTLED, Behaviour.LAGGING, Behaviour.CONVERGING)  # what a robot does as well, within its limits
+TOO_FAST = 2.0  # ratio of a joint's velocity and its limit from which on a robot does something else than the run
 
 
 @record
@@ -99,11 +101,15 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     case = case_of(law, reference, run, dtype, Ts, method, stage, drive, **more)
     trials = Trials(case)
     kind, what, found = _confirmed(case, trials)
+    beyond, left = [], reasons.outside(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
-        what = f"{what}; {case.seen.over_velocity}"
-        found = (*remedies.slower_joints(case), *found)
-    if (left := reasons.outside(case)) and (kind not in _UNSTABLE_KINDS or case.pace is not None):
-        what, found = f"{what}; {left}", (*found, *remedies.inside(case))
+        beyond, found = [case.seen.over_velocity], (*remedies.slower_joints(case), *found)
+    if left and (kind not in _UNSTABLE_KINDS or case.pace is not None):
+        beyond, found = [*beyond, left], (*found, *remedies.inside(case))
+    if kind in _FINE and (left or (beyond and case.seen.excess >= TOO_FAST)):
+        kind, what = Behaviour.BEYOND_LIMITS, f"{'; '.join(beyond)}. The loop is {kind}: {what}"
+    else:
+        what = "; ".join([what, *beyond])
     found, left_out = _tried(case, trials, tuple({one.words: one for one in found}.values()))
     what, words = f"{what}{left_out}", _in_words(found)
     return Verdict(

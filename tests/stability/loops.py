@@ -8,6 +8,7 @@ judged are its first N steps, and what is true stands in the rest. Each remedy i
 import argparse
 import dataclasses
 import functools
+import re
 from collections import Counter
 from unittest import mock
 
@@ -257,7 +258,7 @@ def rings(loop, run):
 
 
 def reverses(run):
-    """Share of the joint speed that the next step takes back, in the last quarter (RMS)."""
+    """Share of the joint speed that the next step reverses, in the last quarter (RMS)."""
     v = run.qdot[-max(len(run.qdot) // 4, 2) :]
     back = np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0)
     return float(np.linalg.norm(back) / max(np.linalg.norm(v), 1e-300))
@@ -308,6 +309,8 @@ def _error(law, target, q):
 def falsehood(loop, said, run, whole, of):
     """What is wrong with a verdict on the first N steps of a whole run; "" where nothing is."""
     kind, claimed, finally_ = str(said.kind), said.error, late(whole)
+    if kind == "beyond the robot's limits":  # of the loop it says what it does apart from them
+        kind = re.search(r"The loop is ([a-z ]+):", said.sentence)[1]
     N = loop.N
     floor = max(1e-9, ARRIVED * float(np.linalg.norm(run.e[0])))
     if not np.isfinite(finally_):

@@ -167,7 +167,12 @@ def test_what_asks_for_more_than_joints_can_is_told_how_to_ask_for_less():
     assert held.kind == Behaviour.SETTLED and "velocity limit" in held.sentence
     assert "path" not in held.remedy and "velocity_scaling()" in held.remedy and "reduce alpha" in held.remedy
     moving = judge(law(5.0, chain), ck.line(TIP, TIP + 0.7 * INWARD, duration=2.0), 200, Ts=0.01)
-    assert moving.kind == Behaviour.SETTLED and moving.remedy.startswith("follow a slower path")
+    assert moving.kind == Behaviour.BEYOND_LIMITS and moving.remedy.startswith("follow a slower path")
+    assert re.match(r"beyond the robot's limits: \d+ of 200 steps ask for more than a joint's velo", moving.sentence)
+    most = float(np.abs(ck.solve(law(5.0), NEAR, Q5, Ts, 60, ck.EE).qdot).max())
+    for excess, kind in ((1.5, Behaviour.SETTLED), (2.5, Behaviour.BEYOND_LIMITS)):
+        near = judge(law(5.0, ck.replace(FIVE, velocity_limit=(most / excess,) * 5)), NEAR, 60)
+        assert near.kind == kind and f"velocity limit, up to {excess} times it" in near.sentence, near.sentence
 
 
 def test_feed_forward_alone_past_a_singularity():
@@ -316,7 +321,8 @@ def test_joints_that_are_too_fast_are_told_of():
     law = ck.Law(arm, ck.position("xy"), alpha=8.0)
     goal, q0 = ck.hold([0.2, 0.9]), [0.3, 1.1]
     told = ck.verdict(law, goal, ck.solve(law, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
-    assert told.kind == "settled" and "up to 8.98 times" in told.sentence and "velocity_scaling()" in told.remedy
+    assert told.kind == Behaviour.BEYOND_LIMITS and "The loop is settled: " in told.sentence, told.sentence
+    assert "up to 8.98 times" in told.sentence and "velocity_scaling()" in told.remedy
     slow = ck.replace(law, limits=ck.velocity_scaling())
     told = ck.verdict(slow, goal, ck.solve(slow, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
     assert told.kind == "settled" and "velocity limit" not in told.sentence and not told.remedy
@@ -395,7 +401,8 @@ def test_joints_that_leave_their_limits_are_told_of():
     run = ck.solve(made, goal, q0, Ts, 60, ck.EE)
     told = verdict(made, goal, run, Ts=Ts, method=ck.EE)
     beyond = float(np.max(np.asarray(run.q)[:, 1]) - 1.3)
-    assert told.kind == Behaviour.SETTLED and f"joint q2 is up to {beyond:.3g} rad beyond" in told.sentence
+    assert told.kind == Behaviour.BEYOND_LIMITS, told.sentence
+    assert told.sentence.startswith(f"beyond the robot's limits: joint q2 is up to {beyond:.3g} rad beyond its limit")
     (one,) = [one for one in told.remedies if one.mends == "limits"]
     assert one.change == {"limits": "saturation"} and "saturation()" in told.sentence
     kept = ck.replace(made, limits=ck.saturation())
