@@ -96,6 +96,12 @@ def read(text: str, unit: str, Ts: float | None = None, *, marked=False) -> Quan
                       [known[w][1] if w else None for w in written])  # fmt: skip
 
 
+def read_each(values, unit: str, Ts: float | None = None) -> Quantities:
+    """The numbers of a list of texts, each with its unit, as for `read`, and of numbers in the option's own unit."""
+    each = [read(v, unit, Ts, marked=True) if isinstance(v, str) else Quantities([v], [None]) for v in values]
+    return Quantities([v for one in each for v in one], [w for one in each for w in one.written])
+
+
 def in_python(text: str, own: str = "s, q, q/s, q/s², q/s³") -> str:
     """How a text with a unit is written in Python, to stand behind it, such as ": write 0.02" for 20ms; else nothing.
 

@@ -129,7 +129,7 @@ def require_free(chain: Chain, task) -> None:
         if apart(best) > _APART:
             such = f", such as {''.join(best.names)}"
             break
-    must = f"have coordinates that {chain.n} joints can move apart{such}"
+    must = f"be coordinates that {chain.n} joints can move independently{such}"
     raise errors.fail("task", must, f"is {' '.join(task.names)}, always singular")
 
 

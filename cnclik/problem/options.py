@@ -20,7 +20,7 @@ from cnclik.problem.words import (
     STAGES,
     TASKS,
 )
-from cnclik.quantities import SAMPLES, read
+from cnclik.quantities import SAMPLES, read_each
 
 NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
 
@@ -151,23 +151,31 @@ def check_values(where: str, name: str, values) -> None:
 def in_own_units(given: dict) -> tuple:
     """({option: value} with texts such as "34ms" as numbers in the option's own unit, {option: the units of each}).
 
+    A list may hold texts, too.
+
     Raises: ArgumentError for a text that is no such numbers, or has no unit.
     """
     made, written = dict(given), {}
-    texts = [name for name, value in given.items() if isinstance(value, str) and SWEPT[name].kind != NAME]
+    texts = [name for name, value in given.items() if SWEPT[name].kind != NAME and _written(value, SWEPT[name].kind)]
     for name in sorted(texts, key=lambda name: SWEPT[name].unit == SAMPLES):  # once the sampling time is known
-        Ts = made.get("Ts", DEFAULTS["Ts"])
+        Ts, alone = made.get("Ts", DEFAULTS["Ts"]), isinstance(given[name], str)
         if SWEPT[name].unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
             raise errors.fail(name, "be in samples where `Ts` is traced", f"is {given[name]!r}")
         try:
-            found = read(given[name], SWEPT[name].unit, Ts, marked=True)
+            found = read_each([given[name]] if alone else given[name], SWEPT[name].unit, Ts)
         except ValueError as error:
             raise errors.fail(name, "be a number, or a text of numbers with their unit", str(error)) from None
         written[name] = found.written
         if (whole := SWEPT[name].kind == INTEGER) and not found[0].is_integer():
             raise errors.fail(name, "be an integer", f"is {given[name]!r}, {found[0]:g} {SWEPT[name].unit}")
-        made[name] = list(found) if len(found) > 1 else int(found[0]) if whole else found[0]
+        made[name] = list(found) if len(found) > 1 or not alone else int(found[0]) if whole else found[0]
     return made, written
+
+
+def _written(value, kind) -> bool:
+    """Whether an option's value is a text, or, where it may be several numbers, a list that holds one."""
+    several = kind == NUMBERS and isinstance(value, (list, tuple))
+    return isinstance(value, str) or (several and any(isinstance(v, str) for v in value))
 
 
 def units(law, width=None) -> dict:

@@ -75,7 +75,17 @@ def test_numbers_may_be_texts_with_a_unit():
     made = p.problem_from("planar:1,1", Ts="4ms", delay="34ms", measurement_delay="8ms", q0="0 90 deg", lag="20ms")
     assert (made.Ts, made.drive.delay, made.drive.measurement_delay, made.drive.lag) == (0.004, 8.5, 2, 0.02)
     np.testing.assert_allclose(made.q0, [0, np.pi / 2])
+    for q0 in (["0deg", "90deg"], (0.0, "90 deg")):  # a sweep's file takes them
+        np.testing.assert_allclose(p.problem_from("planar:1,1", q0=q0).q0, [0, np.pi / 2])
+    assert p.problem_from("planar:1", q0=["90deg"], task="x").q0.shape == (1,)
     for options, told in (
+        ({"q0": ["0deg", "1m"]}, "joint 'q2' is in rad, and m is given"),
+        ({"q0": ["0deg", "nonsense"]}, "`q0` must be .* a text of numbers with their unit, but is 'nonsense'"),
+        ({"q0": ["0deg", "90"]}, "`q0` must be .* a text of numbers with their unit, but is '90'"),
+        ({"q0": ["0deg", "1 2 deg"]}, r"`q0` must have shape \(2,\)"),
+        ({"q0": ["0deg", None]}, "`q0` must be an array of real numbers"),
+        ({"alpha": [["1 1/s", 0], [0, 2.0]]}, "`alpha` must"),
+        ({"delay": ["34ms"]}, "`delay` must be"),
         ({"delay": "34"}, "`delay` must be a number, or a text of numbers with their unit, but is '34'"),
         ({"delay": "34kg"}, r"but is '34kg' \(units: s, ms"),
         ({"q0": "1m 2m"}, "joint 'q1' is in rad, and m is given"),
@@ -228,5 +238,5 @@ def test_what_does_not_fit_is_named(options, told):
 
 
 def test_a_coordinate_that_no_joint_moves_is_named():
-    with pytest.raises(ck.ArgumentError, match="that 2 joints can move apart, but is z, always singular"):
+    with pytest.raises(ck.ArgumentError, match="that 2 joints can move independently, but is z, always singular"):
         names.require_free(ck.planar_arm([1.0, 1.0]), ck.position("z"))
