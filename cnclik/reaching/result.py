@@ -64,7 +64,7 @@ class Reached:
         status = np.atleast_1d(np.asarray(self.status))
         parts = ", ".join(f"{number:,} {name}" for name, number in count(status).items())
         targets, each = status.size // self.solutions, f", {self.solutions:,} solutions of each" * (self.solutions > 1)
-        return f"Reached: {targets:,} target{'s' * (targets != 1)}{each}: {parts}"
+        return f"{targets:,} target{'s' * (targets != 1)}{each}: {parts}"
 
 
 def width(n: int) -> int:

@@ -335,7 +335,7 @@ def _different(steps):
 
 
 def noise_limit(most: float, drive: Drive, Ts: float) -> float:
-    """Share of an error that a step may take back so that the noise gain is at most `most`: 2m²/(1 + m²) of a loop
+    """Share of an error that a step may remove so that the noise gain is at most `most`: 2m²/(1 + m²) of a loop
     without drive, for then it is √(g/(2 − g))."""
     low, high = 0.0, min(2.0, driven_limits("EE", Ts=Ts, drive=drive).stable)
     for _ in range(24):

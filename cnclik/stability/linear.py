@@ -337,7 +337,7 @@ def gain_per_step(alpha, Ts):
 
 
 def share_per_step(method, z: float) -> float:
-    """What an explicit Euler step takes back of an error so that it decays as with this method: z, or 1 − e^{−z}."""
+    """Share of an error that an explicit Euler step removes so that it decays as with this method: z, or 1 − e^{−z}."""
     return -math.expm1(-z) if method.exponential else z
 
 

@@ -163,7 +163,7 @@ def rms(values):
 def back_and_forth(qdot, mean=0):
     """(RMS speed that goes back and forth, RMS speed) of joint velocities (N, n).
 
-    That is what the next step takes back; or, at a pace, within which none may, what is off the mean over `mean` steps
+    That is what the next step reverses; or, at a pace, within which none may, what is off the mean over `mean` steps
     about it.
     """
     flips = qdot[1:] * qdot[:-1] < 0

@@ -133,9 +133,9 @@ def practice(
     if drive is None:
         safe = Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
         stable, recommended = shares(safe.delay, ASSUMED_LAG, Ts)
-        chosen = min(chosen, taking_back(loop, recommended, Ts))
-        by_euler = min(by_euler, taking_back(by, recommended, Ts))
-        z_largest = min(z_largest, taking_back(loop, stable, Ts))
+        chosen = min(chosen, removing(loop, recommended, Ts))
+        by_euler = min(by_euler, removing(by, recommended, Ts))
+        z_largest = min(z_largest, removing(loop, stable, Ts))
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
@@ -169,7 +169,7 @@ def practice(
 
 @functools.lru_cache(maxsize=64)
 def shares(delay: float, lag: float, Ts: float) -> tuple:
-    """Shares of an error that a step may take back through dead time [samples] and a lag [s]: stable, recommended."""
+    """Shares of an error that a step may remove through dead time [samples] and a lag [s]: stable, recommended."""
     found = driven_limits("EE", Ts=Ts, drive=Drive(delay=delay, lag=lag))
     return found.stable, min(found.recommended, MOST_Z)
 
@@ -188,12 +188,12 @@ def _no_gain(loop, gains, Ts):
     what, why = "stable", gains.limit
     if gains.z_largest > 0:
         own = np.abs(loop.modes(np.array([1e-9]), Ts)[0].sum(-1)).max()
-        what, why = "without overshoot", f"by itself, through this J#, it takes back {own:.3g} of an error in a step"
+        what, why = "without overshoot", f"by itself, through this J#, one step removes {own:.3g} of an error"
     return errors.fail(name, f"leave some gain {what} at Ts = {Ts:g} s: less of it, or a shorter Ts", why)
 
 
-def taking_back(loop, share: float, Ts: float) -> float:
-    """z up to MOST_Z with which a step takes back a share of an error at rest, in any direction of the task."""
+def removing(loop, share: float, Ts: float) -> float:
+    """z up to MOST_Z with which a step removes a share of an error at rest, in any direction of the task."""
     return first_above(lambda z: np.abs(loop.modes(z, Ts)[0].sum(-1)).max(-1), share, MOST_Z, POINTS)
 
 
@@ -267,7 +267,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
     said, late = assumed_of(drive, Ts), drive.lumped.delay
     if not (said and late):
         return said
-    lagging = min(chosen, taking_back(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
+    lagging = min(chosen, removing(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
     return (
         f"{said} Servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, would overshoot: at most "
         f"{lagging:.3g} 1/s is for them. {_MEASURE}"

@@ -339,12 +339,12 @@ LATE = 2  # samples, from which on exponential steps have a limit
 
 def _why(loop) -> str:
     if not loop.drive.prompt:
-        return "takes back less of an error than the drive could make grow"
+        return "removes less of an error than the drive could make grow"
     method = loop.method
     if not method.exponential:
         return "solves the stiff part"
     late = f"an error {LATE} samples late brings one back, z < {delay_limit(LATE, method):.3g}"
-    return f"takes back a share of an error, never more than all of it ({late})"
+    return f"removes a share of an error, never more than all of it ({late})"
 
 
 def _how(loop):

@@ -22,7 +22,7 @@ KNOWN = (
     "Record a step of all joints, and ask again with what `cnclik diagnose LOG.csv --step` prints: natural frequency, "
     "damping ratio and dead time decide"
 )
-MOST_Z = 1.0  # a recommended gain takes back no more than 63 % of an error per step, or all of it by explicit Euler
+MOST_Z = 1.0  # a recommended gain removes no more than 63 % of an error per step, or all of it by explicit Euler
 
 
 def settings(loop, drive, safe: Drive, Ts: float) -> dict:

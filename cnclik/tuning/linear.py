@@ -55,7 +55,7 @@ def driven_map(a, drive, Ts):
 
 
 def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
-    """Largest share of an error that a step may take back: without overshoot, also were the dead time longer by
+    """Largest share of an error that a step may remove: without overshoot, even with a dead time longer by
     `delay_margin` samples, and with at most this noise gain: d^d/(d + 1)^(d + 1) of dead time d.
 
     See `driven_limits`.

@@ -110,7 +110,7 @@ class LoopObjective:
     moments: object  # (B·K,) of the horizon, for a gain schedule
     losses: tuple  # (function, weight) pairs
     margin: object
-    largest_correction: object  # largest share of an error that a step may take back; inf: any
+    largest_correction: object  # largest share of an error that a step may remove; inf: any
     limits: object  # (j,) joint velocity limits, and which joints have them
     joints: tuple
     horizon: object
@@ -128,7 +128,7 @@ class LoopObjective:
         return kinds * len(self.postures) + len(self.joints)
 
     def costs(self, correction: float) -> dict:
-        """Noise gain and delay margin of a loop that takes back this share of an error, by linear theory."""
+        """Noise gain and delay margin of a loop that removes this share of an error, by linear theory."""
         unknown = dict(noise_gain=np.inf, delay_margin=0.0)
         if not 0 < correction < np.inf:
             return unknown
@@ -243,7 +243,7 @@ class LoopObjective:
 
 
 def _corrections(maps, xp=jnp):
-    """I − A: what a step takes back of an error."""
+    """I − A: what a step removes of an error."""
     return xp.eye(maps.shape[-1], dtype=maps.dtype) - maps
 
 

@@ -50,7 +50,7 @@ class Performance:
       radius: spectral radius in the task's directions at rest, delay included: a small error shrinks by it per step.
       null_radius: spectral radius in the null space of J; 1 where nothing acts there, or the null-space velocity leaves
         a posture for another, 0 where there is none.
-      correction: share of a small error that one step takes back, |1 − λ|: z for explicit Euler and exact J#.
+      correction: share of a small error that one step removes, |1 − λ|: z for explicit Euler and exact J#.
       noise_gain: standard deviation of the motion per unit of white noise of what is measured, by linear theory.
       delay_margin: further dead time that the loop tolerates [samples]; inf for any.
       speed: |q̇| over its limit; 0 where there are no limits.

@@ -128,6 +128,6 @@ def test_the_solutions_of_a_target_are_its_own():
 def test_a_summary_counts_targets():
     targets = tips(ck.planar_arm([1.0, 1.0]), np.array([[0.3, 1.0], [-0.4, -0.7]]))[:, :3, 3]
     made = ck.reach(ck.planar_arm([1.0, 1.0]), targets, task=ck.position("xy"), solutions=3)
-    assert str(made) == "Reached: 2 targets, 3 solutions of each: 4 SOLVED, 2 NO_OTHER"
+    assert str(made) == "2 targets, 3 solutions of each: 4 SOLVED, 2 NO_OTHER"
     alone = ck.reach(ck.planar_arm([1.0, 1.0]), targets[0], task=ck.position("xy"), solutions=3)
-    assert str(alone) == "Reached: 1 target, 3 solutions of each: 2 SOLVED, 1 NO_OTHER"
+    assert str(alone) == "1 target, 3 solutions of each: 2 SOLVED, 1 NO_OTHER"

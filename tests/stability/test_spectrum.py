@@ -234,7 +234,7 @@ def test_null_space_velocities_that_pull_at_the_task_are_told():
     found = recommend(leaks, None, ON_THE_WAY, Ts=Ts, method="EE")
     assert found.z_largest == 0 and re.search(r"multiplies an error, through this J#, by 1\.\d+ each step", found.limit)
     draws = on_the_way(lambda q: 30.0 * (ON_THE_WAY - q), inverse=ck.damped(0.5))
-    with pytest.raises(ck.ArgumentError, match=r"`null_velocity` must leave .* it takes back 0\.\d+ of an error"):
+    with pytest.raises(ck.ArgumentError, match=r"`null_velocity` must leave .* one step removes 0\.\d+ of an error"):
         practice(draws, None, ON_THE_WAY, Ts=0.05)
     place = ck.hold(np.asarray(ck.forward(FOUR, ON_THE_WAY).position)[:2])
     with pytest.raises(ck.ArgumentError, match="as the null-space velocity pulls at it"):
