@@ -23,6 +23,7 @@ MOST_TRIED = 1 << 15  # and at most, or as many as the run that is judged has
 SHORTEST = 16  # steps of a run whose own program is used again, piece by piece
 BETTER = 0.9  # ratio of two errors below which a loop does better
 GONE = 0.25  # and below which a longer run has shrunk it
+UNCHANGED = 0.8  # ratio of two shares of joint speed that go back and forth, above which a loop is no calmer
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
 NUDGE = 1e-10  # [rad, m] of the start, to see whether a loop amplifies roundings
@@ -195,11 +196,25 @@ class Trials:
     def _seen(self, run):
         return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
 
+    def turned_by_path(self, found) -> bool:
+        """Whether joints go back and forth as much with the gain of a remedy, which is stable: the path turns them."""
+        calm = next((one for one in found if "alpha" in one.change), None)
+        if calm is None or self.case.pace is None or not (self.case.pace.smooth and self.case.moving):
+            return False
+        made, N = changed(self.given, calm.change), self.case.steps
+        steps = whole_trial(N)
+        runs = truncate(self._run(made, steps), N), truncate(self.unchanged(steps), N)
+        (calmed, speed), (shaking, all_of_it) = (self._back_and_forth(made.reference, run) for run in runs)
+        return bool(calmed * all_of_it > UNCHANGED * shaking * speed)
+
     @np.errstate(over="ignore", invalid="ignore")
     def _restless(self, reference, run):
         """Joint speed that goes back and forth in the second half; huge where one is not finite."""
-        speed, _ = back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
+        speed, _ = self._back_and_forth(reference, run)
         return speed if speed < HUGE else HUGE
+
+    def _back_and_forth(self, reference, run):
+        return back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
 
     def _late(self, run):
         """Largest error of the last quarter; huge where one is not finite."""

@@ -101,6 +101,9 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     case = case_of(law, reference, run, dtype, Ts, method, stage, drive, **more)
     trials = Trials(case)
     kind, what, found = _confirmed(case, trials)
+    if kind == Behaviour.SHAKING and trials.turned_by_path(found):
+        case = replace(case, seen=case.seen._replace(reversing=0.0))
+        kind, what, found = _confirmed(case, trials)
     beyond, left = [], reasons.outside(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         beyond, found = [case.seen.over_velocity], (*remedies.slower_joints(case), *found)

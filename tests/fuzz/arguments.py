@@ -50,13 +50,13 @@ CHOICES = {
         "robot": ROBOTS,
         "task": (*words.TASKS, "xy", "xyrz", "z"),
         "inverse": tuple(words.INVERSES),
-        "stage": words.STAGES,
+        "stage": tuple(words.STAGES),
     },
     **{
         "method": words.METHODS,
         "methods": words.METHODS,
         "reference": (*words.REFERENCES, "way.csv"),
-        "limits": words.LIMITS,
+        "limits": tuple(words.LIMITS),
     },
     **{
         "future": words.FUTURES,

@@ -61,6 +61,14 @@ def test_a_loop_that_is_unstable_only_at_rest_is_calm_at_its_pace():
     assert "at rest is 2, and 0." in told.sentence and not told.remedies
 
 
+def test_joints_that_the_path_turns_do_not_shake():
+    """A lissajous figure has as much of its joint speed off the mean with any gain: it was said to shake."""
+    slow = dict(reference="lissajous", period=3.0, N=600, Ts=0.01, method="EE", max_acceleration=3.0, max_jerk=60.0)
+    told = judge(problem_from("ur5", alpha=210.0, **slow))
+    assert told.kind == Behaviour.SETTLED and told.radius > 1.05, told.sentence
+    assert "of a step that the pace makes" in told.sentence and not told.remedies
+
+
 def test_what_shakes_at_a_target_within_a_pace_does_not_diverge():
     """Joints that go back and forth by less than is seen: "at rest, but any disturbance grows"."""
     made = problem_from("ur5", reference="hold", method="EE", alpha=300.0, N=800, max_acceleration=3.0, max_jerk=100.0)
