@@ -76,7 +76,7 @@ class Drive:
         if not errors.concrete(self.delay):
             raise errors.fail("delay", "be a known number of samples", "is traced: there is a program for each")
         errors.number("delay", self.delay, at_least=0)
-        errors.integer("measurement_delay", self.measurement_delay, at_least=0)
+        errors.integer("measurement_delay", self.measurement_delay, at_least=0, at_most=errors.MOST)
         if self.delay + self.measurement_delay > MOST:
             late = float(self.delay) + self.measurement_delay
             raise errors.fail("delay", f"be at most {MOST} samples, that of a measurement included", f"is {late:g}")
