@@ -196,6 +196,7 @@ class Trials:
     def _seen(self, run):
         return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def turned_by_path(self, found) -> bool:
         """Whether joints go back and forth as much with the gain of a remedy, which is stable: the path turns them."""
         calm = next((one for one in found if "alpha" in one.change), None)
