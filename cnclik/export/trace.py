@@ -13,7 +13,7 @@ from cnclik.integrate.history import blank
 from cnclik.integrate.solve import step_and_least
 from cnclik.integrate.status import growing
 from cnclik.law.curves import Hold
-from cnclik.law.law import look
+from cnclik.law.law import observe
 from cnclik.law.reference import Reference, tangent
 from cnclik.record import cast, replace
 from cnclik.robot.model import frames, jacobian_rows, modelled
@@ -107,7 +107,7 @@ class Stepping:
         """Error and task coordinates alone."""
         law, _, reference, inputs, _ = self._apart(flat)
         law, reference = cast((modelled(law), reference), self.asked.dtype)
-        at = look(law, reference, inputs["t"], inputs["q"])
+        at = observe(law, reference, inputs["t"], inputs["q"])
         return at.e, at.x()
 
     def grown(self, *flat):

@@ -9,7 +9,7 @@ from cnclik.integrate.march import march
 from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
 from cnclik.integrate.status import Status, flags
-from cnclik.law.law import Law, evaluate, look, respond
+from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
 from cnclik.record import record
@@ -52,18 +52,18 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
 
 def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False):
     """The same, and the estimate of the least singular value of the task Jacobian at its start."""
-    told = reference if reference.known else tangent(reference, law.task, t)
-    at, begun = look(law, told, t, q), None
+    known = reference if reference.known else tangent(reference, law.task, t)
+    at, begun = observe(law, known, t, q), None
     if method.steps == 1 or starting:
         made_with = starter(method) if starting else method
         # A loop over the stages is compiled several times faster, and runs 15 to 25 % slower.
         looped = starting or not (made_with.implicit or len(made_with.b) < 3)
         looped = looped and made_with.c[0] == 0
-        begun = _of_tableau(law, told, q, at, t, Ts, made_with, stage, looped=looped)
+        begun = _of_tableau(law, known, q, at, t, Ts, made_with, stage, looped=looped)
     if method.steps == 1:
         one = Stepped(begun.moved)
     else:
-        one = over_history(law, told, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)
+        one = over_history(law, known, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)
     made = one.moved
     if law.limits is not None:
         after, qdot = within(law, q, made.qdot, Ts)
@@ -103,4 +103,4 @@ def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun
     def field(c, q):
         return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
 
-    return Begun(march(field, q, Ts, method, stage, respond(law, q, at), looped=looped))
+    return Begun(march(field, q, Ts, method, stage, evaluate_at(law, q, at), looped=looped))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from cnclik.integrate.march import combine, march
 from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over_step
-from cnclik.law.law import answer, glance, null_velocity
+from cnclik.law.law import null_velocity, resolve, rows_at
 from cnclik.law.null import Posture
 from cnclik.law.reference import sample
 
@@ -22,18 +22,18 @@ class Start(NamedTuple):
     feedback: object  # (m,) held over the step
     velocity: object  # (m,) φ ẋ_d at the start
     mean: object  # (m,) φ times the target's mean velocity over the step
-    wanted: object  # (n,) null-space velocity, a posture's held over the step; None
+    null: object  # (n,) null-space velocity, a posture's held over the step; None
 
 
 def start(law, reference, q, at, t, Ts) -> Start:
     """What the law's exact solution asks of a step, from what the law sees at q and t."""
     to = ahead(law, reference, at, t, Ts)
-    wanted, factor = null_velocity(law, q), null_over_step(law, Ts)
+    null, factor = null_velocity(law, q), null_over_step(law, Ts)
     return Start(
         feedback=held_feedback(law, at.e, to.turn, Ts),
         velocity=law.feedforward * at.xdot_d,
         mean=law.feedforward * to.mean,
-        wanted=wanted if factor is None else factor * wanted,
+        null=null if factor is None else factor * null,
     )
 
 
@@ -66,8 +66,8 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
         velocities = [v + w for v, w in zip(velocities, asked, strict=True)]
 
     def field(velocity, q):
-        wanted = to.wanted if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
-        return answer(law, q, glance(law, q), velocity + held, wanted)
+        null = to.null if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
+        return resolve(law, q, rows_at(law, q), velocity + held, null)
 
-    first = answer(law, q, at, velocities[0] + held, to.wanted)
+    first = resolve(law, q, at, velocities[0] + held, to.null)
     return march(field, q, Ts, method, stage, first, at=velocities, looped=looped), to

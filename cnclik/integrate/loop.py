@@ -23,7 +23,7 @@ from cnclik.integrate.pace import pace_at_rest, path_waits, share
 from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.corners import corners
-from cnclik.law.law import look
+from cnclik.law.law import observe
 from cnclik.law.reference import check
 from cnclik.law.shifted import shifted
 from cnclik.record import cast, replace
@@ -101,7 +101,7 @@ def loop_of(
 
 def start(loop: Loop, q0, *, compensated=False) -> State:
     """The state at rest at q0 (n,). Args: compensated: whether q adds up what a rounding takes, see `summed`."""
-    first = look(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
+    first = observe(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
     return State(
         q0,
         blank(loop.law, q0, loop.method),
@@ -149,16 +149,16 @@ def one(loop: Loop, starting, state: State, k):
 def _measured(loop, state, t, k):
     """(joint values that the controller sees, its reference as it is then, what is true, errors still on their way)"""
     law, reference, q = loop.law, loop.reference, state.q
-    at, commanded = look(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
+    at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
     seen = state.drives.sent if commanded else q if loop.drive.exact else measured_joints(loop.drive, q, k)
     # A camera sees the tip where it is; of its own commands a controller knows what its model says.
-    found = at.e if seen is q else look(law if commanded else loop.truth, reference, t, seen).e
+    found = at.e if seen is q else observe(law if commanded else loop.truth, reference, t, seen).e
     measured = (found, *state.late)[loop.late]
     if loop.noise is not None:
         measured = measured + loop.noise[k.astype(int)]
     exact = loop.noise is None and loop.plant is None and not loop.late
     if not exact:
-        believed = look(law, reference, t, seen).e
+        believed = observe(law, reference, t, seen).e
         reference = shifted(reference, law.task, _between(law.task, measured, believed))
     return seen, reference, at, (found, *state.late)[: loop.late]
 

@@ -31,7 +31,7 @@ from cnclik.integrate.history import (
 )
 from cnclik.integrate.march import Moved, combine, shift
 from cnclik.law.inverse import remembered
-from cnclik.law.law import Evaluation, answer, look, respond, weigh
+from cnclik.law.law import Evaluation, evaluate_at, observe, resolve, weighted
 from cnclik.law.limits import within
 
 TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
@@ -67,7 +67,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
         slope = jnp.where(turned, first.qdot, slope)
         left = jnp.where(turned, 0, count)
     if law.limits is not None:
-        alone = first.held | broken(law, slope, q, Ts)
+        alone = first.limited | broken(law, slope, q, Ts)
         slope = jnp.where(alone, first.qdot, slope)
         left = jnp.where(alone, -1, left)
     zero = jnp.zeros((), q.dtype)
@@ -78,7 +78,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
 
 def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
     """Evaluation, slope, and entry of a formula on f; nothing of it is left alone."""
-    first = respond(law, q, at) if begun is None else begun.moved.first
+    first = evaluate_at(law, q, at) if begun is None else begun.moved.first
     entry = Entry(q=q if len(method.a) > 1 else None, slope=first.qdot)
     if begun is not None:
         return first, begun.moved.qdot, entry, None
@@ -96,11 +96,11 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     """Evaluation, slope, and entry of an exponential formula, and whether J# has become another one."""
     to = start(law, reference, q, at, t, Ts) if begun is None else begun.to
     alone = to.feedback + to.mean
-    first = answer(law, q, at, alone, to.wanted) if begun is None else begun.moved.first
+    first = resolve(law, q, at, alone, to.null) if begun is None else begun.moved.first
     null = None
-    if to.wanted is not None or law.limits is not None:
-        null = first.qdot - first.apply(first.asked)
-    columns, factor = _columns(first, law.task.m, q) if first.kept is None else first.kept()
+    if to.null is not None or law.limits is not None:
+        null = first.qdot - first.apply(first.task_velocity)
+    columns, factor = _columns(first, law.task.m, q) if first.memory is None else first.memory()
     entry = Entry(
         columns=columns,
         factor=factor,
@@ -117,10 +117,10 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     held = to.feedback
     if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
         held = held + closure(law, to.mean, quadrature, turns)
-    parts = [_applied(e, weigh(law, e.velocity + held)) for e in entries]
+    parts = [_applied(e, weighted(law, e.velocity + held)) for e in entries]
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
-        parts = [part + (to.wanted - _applied(e, _rows(e) @ to.wanted)) for part, e in zip(parts, entries, strict=True)]
+        parts = [part + (to.null - _applied(e, _rows(e) @ to.null)) for part, e in zip(parts, entries, strict=True)]
     elif remembers_null(law):
         parts = [part + e.null for part, e in zip(parts, entries, strict=True)]
     slope = combine(betas, parts)
@@ -164,7 +164,7 @@ def broken(law, qdot, q, Ts):
 def primed(law, reference, past, t, Ts, method, history: History) -> History:
     """The history of a loop that was at the joint values `past`, newest first, the target being as it is at t."""
     for q in reversed(past):
-        at = look(law, reference, t, q)
+        at = observe(law, reference, t, q)
         make = _exponential if method.exponential else _plain
         entry = make(law, reference, q, at, t, Ts, method, history, history.count, None)[2]
         count = jnp.minimum(history.count + 1, len(history.entries))

@@ -87,7 +87,7 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is not a number is not known to be large enough.
     status |= jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
-    outside, fast = first.held, too_fast(chain, qdot)
+    outside, fast = first.limited, too_fast(chain, qdot)
     if chain.bounded:
         outside |= jnp.any(_at_limit(q, chain.lower, chain.upper))
     for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):

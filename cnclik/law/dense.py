@@ -7,7 +7,7 @@ from jax import lax
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 
-def thin(rows):
+def wide_side(rows):
     """The matrix, or its transpose, whichever has fewer rows."""
     return rows if len(rows) <= rows.shape[1] else rows.T
 

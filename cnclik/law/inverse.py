@@ -23,7 +23,7 @@ class Factored(NamedTuple):
     apply: Callable
     least: object  # estimate of the least singular value of J; no derivative
     shift: object = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
-    kept: Callable | None = None  # () to what is to be remembered of J#, for `remembered`; None: its columns
+    memory: Callable | None = None  # () to what is to be remembered of J#, for `remembered`; None: its columns
 
 
 # Of the trace of J Jᵀ, below which a shift leaves no pivot of a singular one surely positive: from 1 on they are in all
@@ -37,9 +37,9 @@ def remembered(rows, factor, t):
     return (t if factor is None else dense.packed_solve(factor, t)) @ rows
 
 
-def through(apply, rows, velocity, wanted):
+def through(apply, rows, velocity, null):
     """J# v + (I − J# J) q̇₀, with one application of J#; q̇₀ may be None."""
-    return apply(velocity) if wanted is None else apply(velocity - rows @ wanted) + wanted
+    return apply(velocity) if null is None else apply(velocity - rows @ null) + null
 
 
 @record
@@ -49,19 +49,19 @@ class Pseudoinverse:
     def __call__(self, rows) -> Factored:
         columns, least = dense.pinv(rows)
         apply = functools.partial(dense.pinv_applied, rows) if len(rows) <= rows.shape[1] else lambda t: t @ columns
-        return Factored(apply, lax.stop_gradient(least), kept=lambda: (columns, None))
+        return Factored(apply, lax.stop_gradient(least), memory=lambda: (columns, None))
 
 
 @record
 class Damped:
     """See `damped`."""
 
-    factors = True  # whether `kept` has factors, for a task of no more rows than joints
+    factors = True  # whether `memory` has factors, for a task of no more rows than joints
     damping: object  # λ, never λ²
 
     def __call__(self, rows) -> Factored:
         apply, factor, shift = damped_apply(rows, self.damping * self.damping)
-        return Factored(apply, _least(factor, shift), shift, _kept(rows, factor))
+        return Factored(apply, _least(factor, shift), shift, _memory(rows, factor))
 
 
 @record
@@ -73,14 +73,14 @@ class ManipulabilityDamped:
     threshold: object  # w₀
 
     def __call__(self, rows) -> Factored:
-        thin = dense.thin(rows)
-        tiny = tiny_shift(thin)
-        factor = dense.cholesky(dense.shifted(thin @ thin.T, tiny))
+        wide = dense.wide_side(rows)
+        tiny = tiny_shift(wide)
+        factor = dense.cholesky(dense.shifted(wide @ wide.T, tiny))
         w = jnp.sqrt(jnp.prod(jnp.maximum(jnp.diagonal(factor) ** 2, tiny)))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
         shift = jnp.maximum(below * below, tiny)
         apply, damped, shift = damped_apply(rows, shift)
-        return Factored(apply, _least(factor, tiny), shift, _kept(rows, damped))
+        return Factored(apply, _least(factor, tiny), shift, _memory(rows, damped))
 
 
 @record
@@ -92,32 +92,32 @@ class SingularDamped:
     threshold: object  # ε
 
     def __call__(self, rows) -> Factored:
-        thin = dense.thin(rows)
-        tiny = tiny_shift(thin)
-        squared = dense.least_squared(thin)
+        wide = dense.wide_side(rows)
+        tiny = tiny_shift(wide)
+        squared = dense.least_squared(wide)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
         shift = jnp.maximum(share * self.damping * self.damping, tiny)
         apply, damped, shift = damped_apply(rows, shift)
-        return Factored(apply, jnp.sqrt(lax.stop_gradient(squared)), shift, _kept(rows, damped))
+        return Factored(apply, jnp.sqrt(lax.stop_gradient(squared)), shift, _memory(rows, damped))
 
 
-def _kept(rows, factor):
+def _memory(rows, factor):
     """What is remembered of Jᵀ (J Jᵀ + λ² I)⁻¹."""
     return (lambda: (rows, dense.packed(factor))) if len(rows) <= rows.shape[1] else None
 
 
 def damped_apply(rows, shift):
     """Application of Jᵀ (J Jᵀ + shift·I)⁻¹, the factors behind it, and the shift: no less than what rounding needs."""
-    thin = dense.thin(rows)
-    gram = thin @ thin.T
+    wide = dense.wide_side(rows)
+    gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
     shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
     factor = dense.cholesky(dense.shifted(gram, shift))
-    if thin is rows:
+    if wide is rows:
         return lambda t: dense.cholesky_solve(factor, t) @ rows, factor, shift
 
     # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: dense.cholesky_solve(factor, thin @ t), factor, shift
+    return lambda t: dense.cholesky_solve(factor, wide @ t), factor, shift
 
 
 def tiny_shift(rows):
@@ -132,9 +132,9 @@ class Transpose:
 
     def __call__(self, rows) -> Factored:
         shift = 1e-12  # only so that the factorisation behind the estimate never divides by 0
-        thin = dense.thin(rows)
-        factor = dense.cholesky(dense.shifted(thin @ thin.T, shift))
-        return Factored(lambda t: t @ rows, _least(factor, shift), kept=lambda: (rows, None))
+        wide = dense.wide_side(rows)
+        factor = dense.cholesky(dense.shifted(wide @ wide.T, shift))
+        return Factored(lambda t: t @ rows, _least(factor, shift), memory=lambda: (rows, None))
 
 
 def _least(factor, shift):

@@ -128,33 +128,33 @@ class Evaluation(NamedTuple):
     apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
     least: object  # estimate of the least singular value
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
-    held: object = False  # whether a limit changed what the task asked for
-    asked: object = None  # (m,) task velocities, weighted
-    kept: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
+    limited: object = False  # whether a limit changed what the task asked for
+    task_velocity: object = None  # (m,) what was asked of the task, weighted
+    memory: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
     """f(q, t) for q (n,), of a law whose chain is a `Model`."""
-    return respond(law, q, look(law, reference, t, q))
+    return evaluate_at(law, q, observe(law, reference, t, q))
 
 
-def respond(law: Law, q, at) -> Evaluation:
+def evaluate_at(law: Law, q, at) -> Evaluation:
     """f at q, from what the law sees there."""
     velocity = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
-    return answer(law, q, at, velocity, null_velocity(law, q))
+    return resolve(law, q, at, velocity, null_velocity(law, q))
 
 
 @precise
-def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
+def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
-    rows, velocity = weigh(law, at.rows), weigh(law, velocity)
-    held = False
+    rows, velocity = weighted(law, at.rows), weighted(law, velocity)
+    limited = False
     if law.limits is None:
         made = law.inverse(rows)
-        qdot = through(made.apply, rows, velocity, wanted)
+        qdot = through(made.apply, rows, velocity, null)
     else:
-        made = law.limits(law.inverse, law.chain, q, rows, velocity, wanted)
-        qdot, held = made.qdot, made.held
+        made = law.limits(law.inverse, law.chain, q, rows, velocity, null)
+        qdot, limited = made.qdot, made.limited
     return Evaluation(
         qdot=qdot,
         e=at.e,
@@ -163,13 +163,13 @@ def answer(law: Law, q, at, velocity, wanted) -> Evaluation:
         apply=made.apply,
         least=made.least,
         correct=lambda h, r: correct(law, q, rows, made, h, r),
-        held=held,
-        asked=velocity,
-        kept=getattr(made, "kept", None),
+        limited=limited,
+        task_velocity=velocity,
+        memory=getattr(made, "memory", None),
     )
 
 
-class Seen(NamedTuple):
+class Observation(NamedTuple):
     """What the law sees at an instant; of a stage that needs no error, the rows alone."""
 
     rows: jax.Array  # (m, n) of the task Jacobian, unweighted
@@ -181,12 +181,12 @@ class Seen(NamedTuple):
 
 
 @precise
-def look(law: Law, reference, t, q) -> Seen:
+def observe(law: Law, reference, t, q) -> Observation:
     """All that the law sees at q and t."""
     position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
     at = frames(law.chain, q)
     e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
-    return Seen(
+    return Observation(
         rows=rows,
         e=e,
         x=lambda: coordinates(law.task, at.position, at.rotation),
@@ -197,9 +197,9 @@ def look(law: Law, reference, t, q) -> Seen:
 
 
 @precise
-def glance(law: Law, q) -> Seen:
+def rows_at(law: Law, q) -> Observation:
     """The rows of J alone."""
-    return Seen(rows=jacobian_rows(law.chain, frames(law.chain, q), law.task.linear, law.task.angular))
+    return Observation(rows=jacobian_rows(law.chain, frames(law.chain, q), law.task.linear, law.task.angular))
 
 
 def correct(law: Law, q, rows, made, h, r):
@@ -272,6 +272,6 @@ def null_velocity(law: Law, q):
     return None if law.null_velocity is None else evaluated(law.null_velocity, q)
 
 
-def weigh(law: Law, items):
+def weighted(law: Law, items):
     """Rows (m, n) or components (m,) times the task's weights: what J# takes."""
     return items if law.task.weights is None else (law.task.weights * items.T).T

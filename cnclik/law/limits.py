@@ -29,7 +29,7 @@ class Limited(NamedTuple):
     qdot: jax.Array
     apply: Callable  # the J# that acts at these velocities
     least: object  # estimate of the least singular value of J
-    held: object  # whether a limit changed what was asked for
+    limited: object  # whether a limit changed what was asked for
 
 
 # --- velocity limits alone ----------------------------------------------------------------------------
@@ -41,10 +41,10 @@ class Scaled:
 
     positions = False  # are not looked at
 
-    def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
+    def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         factored = inverse(rows)
-        qdot, held = slowed(chain, through(factored.apply, rows, velocity, wanted))
-        return Limited(qdot=qdot, apply=factored.apply, least=factored.least, held=held)
+        qdot, limited = slowed(chain, through(factored.apply, rows, velocity, null))
+        return Limited(qdot=qdot, apply=factored.apply, least=factored.least, limited=limited)
 
 
 def velocity_scaling() -> Scaled:
@@ -74,22 +74,22 @@ class Weighted:
 
     rate: object
 
-    def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
+    def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
-        asked = through(plain.apply, rows, velocity, wanted)
+        asked = through(plain.apply, rows, velocity, null)
         roots = _roots(chain, q, asked)
         made = inverse(rows * roots)
         factored = Factored(lambda t: roots * made.apply(t), plain.least)
         back = None
         if chain.bounded:
             back = self.rate * (jnp.clip(q, chain.lower, chain.upper) - q)
-        if wanted is not None:
-            wanted = roots * roots * wanted
-            back = wanted if back is None else back + wanted
+        if null is not None:
+            null = roots * roots * null
+            back = null if back is None else back + null
         qdot, late = slowed(chain, through(factored.apply, rows, velocity, back))
         # Held back: a joint four times as heavy as it would be in mid-range, unless it can't move at all.
         stopped = jnp.any((roots < 0.5) & (chain.lower < chain.upper))
-        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=late | stopped)
+        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, limited=late | stopped)
 
 
 def _roots(chain, q, qdot):
@@ -135,7 +135,7 @@ class _Pass(NamedTuple):
     best: object  # largest share of the task met so far, negative while no share fits
     qdot: object  # (n,) the velocities that met it
     kept: object  # (n,) and the joints locked then
-    held: object
+    limited: object
     reached: object  # what is out of reach of all joints, see `_beyond_reach`; infinite before the first pass
 
 
@@ -145,11 +145,11 @@ class Saturated:
 
     rate: object
 
-    def __call__(self, inverse, chain, q, rows, velocity, wanted) -> Limited:
+    def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
         if not (chain.bounded or chain.slowed):
-            qdot = through(plain.apply, rows, velocity, wanted)
-            return Limited(qdot=qdot, apply=plain.apply, least=plain.least, held=False)
+            qdot = through(plain.apply, rows, velocity, null)
+            return Limited(qdot=qdot, apply=plain.apply, least=plain.least, limited=False)
         low, high = self._bounds(chain, q)
         # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
         # all of them false for NaN, so that no lane that is not finite passes for one at rest.
@@ -190,21 +190,21 @@ class Saturated:
                 best=jnp.where(better, jnp.where(fits, 1.0, s), at.best),
                 qdot=choose(made, at.qdot),
                 kept=choose(at.locked, at.kept),
-                held=at.held | over,
+                limited=at.limited | over,
                 reached=jnp.where(jnp.isinf(at.reached), beyond, at.reached),
             )
 
         never = jnp.zeros_like(zero, bool)
         nothing = jnp.zeros_like(q) + zero
-        wanted = nothing if wanted is None else nothing + wanted
+        null = nothing if null is None else nothing + null
         start = _Pass(
             locked=fixed,
-            fixed=jnp.where(fixed > 0, low, wanted),
+            fixed=jnp.where(fixed > 0, low, null),
             done=never,
             best=zero - 1.0,
             qdot=nothing,
             kept=nothing,
-            held=never,
+            limited=never,
             reached=zero + jnp.inf,
         )
         passes = max(chain.n - len(rows), 0) + 2  # most loops are done with the first
@@ -212,7 +212,7 @@ class Saturated:
         factored = inverse(free(found.kept))
         # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
         qdot = jnp.clip(found.qdot + zero, low, high)
-        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, held=found.held)
+        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, limited=found.limited)
 
     def _bounds(self, chain, q):
         """The least and largest velocities that the joints may have."""

@@ -46,9 +46,9 @@ class MaximizeManipulability:
     def _measure(self, q):
         chain = modelled(self.chain)
         rows = jacobian_rows(chain, frames(chain, q), self.task.linear, self.task.angular)
-        thin = dense.thin(rows)
+        wide = dense.wide_side(rows)
         # A shift at rounding level: w has a kink at 0, where this stays finite.
-        return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(thin @ thin.T, tiny_shift(thin)))))
+        return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(wide @ wide.T, tiny_shift(wide)))))
 
 
 @record(kw_only=False)

@@ -18,7 +18,7 @@ from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, glance, weigh
+from cnclik.law.law import Law, check_loop, rows_at, weighted
 from cnclik.measure.ending import ending
 from cnclik.measure.outcome import stable
 from cnclik.record import cast
@@ -207,7 +207,7 @@ def _least_singular_value(loop):
     law = modelled(loop.law)
 
     def one(q):
-        return safe_sqrt(dense.least_squared(dense.thin(weigh(law, glance(law, q).rows))))
+        return safe_sqrt(dense.least_squared(dense.wide_side(weighted(law, rows_at(law, q).rows))))
 
     sigma = jax.lax.map(one, loop.run.q)  # vmap would be written out posture by posture as C
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))

@@ -8,7 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik.integrate import history
 from cnclik.integrate.multistep import adams
-from cnclik.law.law import look
+from cnclik.law.law import observe
 from cnclik.robot.model import modelled
 from tests.integrate.test_exponential import ARM, CIRCLE, LAW, LENGTHS, START, by_steps
 from tests.oracles import clik, close, planar_jacobian, planar_law, planar_position
@@ -258,7 +258,7 @@ def _counts(law, reference, t0, q, Ts):
 
     def one(k):
         marks = [
-            history.mark(law, reference, look(law, reference, t, q), t)
+            history.mark(law, reference, observe(law, reference, t, q), t)
             for t in (t0 + Ts * k, t0 + Ts * (k + 1).astype(q.dtype))
         ]
         blank = history.blank(law, q, ck.METHODS["AB2"])

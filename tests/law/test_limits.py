@@ -26,7 +26,7 @@ def act(limits, j, task, q, wanted=None):
     def one(j, task, q):
         wants = None if wanted is None else jnp.asarray(wanted)
         made = limits(ck.pseudoinverse(), modelled(ARM), q, j, task, wants)
-        return made.qdot, jnp.asarray(made.held)
+        return made.qdot, jnp.asarray(made.limited)
 
     return map(np.asarray, jax.jit(jax.vmap(one))(j, task, q))
 
