@@ -1,7 +1,7 @@
 """`python -m tests.bench.tables FOLDER ...`: the tables of the studies' READMEs in results/, from their stores.
 
-FOLDER is where `cnclik sweep` put the data of sweeps/ingredients.toml, methods_noise, methods_reach or methods_spatial,
-and has its name, such as results/ingredients.
+FOLDER is where `cnclik sweep` put the data of sweeps/exponential_parts.toml, methods_noise, methods_reach or
+methods_spatial, and has its name, such as results/exponential_parts.
 """
 
 import pathlib
@@ -23,7 +23,7 @@ def number(value) -> str:
     return text.replace("e-0", "e-").replace("e+00", "")
 
 
-def ingredients(data):
+def exponential_parts(data):
     """RMS position error by ingredient, target's future and Ts."""
     columns = [(future, Ts) for future in data.future.values for Ts in (0.1, 0.05, 0.01)]
     rows = [
@@ -81,7 +81,7 @@ def methods_spatial(data):
         yield f"{case}, α = 5 1/s", markdown(["", "Jacobians a step", *header], rows)
 
 
-STUDIES = {fn.__name__: fn for fn in (ingredients, methods_noise, methods_reach, methods_spatial)}
+STUDIES = {fn.__name__: fn for fn in (exponential_parts, methods_noise, methods_reach, methods_spatial)}
 
 
 def main():
