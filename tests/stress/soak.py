@@ -1,11 +1,11 @@
-"""`python -m tests.soak`: half an hour of all calls in one process, with new robots all the time: is memory flat?
+"""`python -m tests.stress.soak`: half an hour of all calls in one process, always with new robots: is memory flat?
 
 Every round has a robot, a path and functions that nobody has asked for before, as literals where that is how users
 write them. What the process holds is looked at after each round. So that half an hour shows what a day does, caches of
 programs hold 16 in place of 128, and all functions together in place of 64.
 
-    python -m tests.soak                      # 30 minutes
-    python -m tests.soak --minutes 3
+    python -m tests.stress.soak                      # 30 minutes
+    python -m tests.stress.soak --minutes 3
 """
 
 import argparse

@@ -1,9 +1,9 @@
-"""A share of `python -m tests.numerics`: short arms, each held against another way to run it."""
+"""A share of `python -m tests.stress.numerics`: short arms, each held against another way to run it."""
 
 import pytest
 
 import cnclik as ck
-from tests.numerics import cases, checks
+from tests.stress.numerics import cases, checks
 
 
 def short(way, after=0):

@@ -26,7 +26,7 @@ def begin():
 
 def batch(name, numbers, seed):
     """The verdicts of some inputs of a room."""
-    from tests.fuzz import judge, rooms
+    from tests.stress.fuzz import judge, rooms
 
     made = []
     for number in numbers:

@@ -1,8 +1,8 @@
-"""`python -m tests.numerics`: thousands of random loops of every kind, on several processes.
+"""`python -m tests.stress.numerics`: thousands of random loops of every kind, on several processes.
 
-python -m tests.numerics                       # 2,000 kinds of loops
-python -m tests.numerics --kinds 100 --first 500
-XLA_FLAGS=--xla_cpu_max_isa=AVX2 python -m tests.numerics      # as on a processor without AVX-512
+python -m tests.stress.numerics                       # 2,000 kinds of loops
+python -m tests.stress.numerics --kinds 100 --first 500
+XLA_FLAGS=--xla_cpu_max_isa=AVX2 python -m tests.stress.numerics      # as on a processor without AVX-512
 """
 
 import argparse
@@ -15,7 +15,7 @@ import time
 
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
-from tests.numerics.checks import one
+from tests.stress.numerics.checks import one
 
 
 def main():

@@ -5,7 +5,7 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.integrate.status import Status, far
-from tests.numerics import cases
+from tests.stress.numerics import cases
 
 LOOPS = 32  # of a kind: they share their program
 LANES = 5

@@ -12,7 +12,7 @@ from cnclik.problem.tables import read_targets
 from cnclik.reaching import targets
 from cnclik.robot.builtin import panda
 from cnclik.robot.chain import planar_arm
-from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
+from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 
 ROBOTS = (planar_arm([1.0, 1.0]), panda())
 HEADS = (  # names of columns, in the spellings of several programs

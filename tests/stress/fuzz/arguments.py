@@ -14,11 +14,11 @@ import numpy as np
 from cnclik.cli import VERBS, main
 from cnclik.problem import words
 from cnclik.problem.options import SWEPT
-from tests.fuzz import stores
-from tests.fuzz.judge import one_line
-from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, slipped
-from tests.fuzz.urdf import draw as robot
 from tests.specs import reaching
+from tests.stress.fuzz import stores
+from tests.stress.fuzz.judge import one_line
+from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, slipped
+from tests.stress.fuzz.urdf import draw as robot
 
 LEFT_OUT = ("distributed", "coordinator", "processes", "process", "timings")  # these wait for others, or listen to JAX
 NUMERIC = ("0", "1", "2", "5", "0.1", "0.01", "-1", "3", "10", "1e-3", "100", "1e6", "1000000000", "1e308", "1e-320",

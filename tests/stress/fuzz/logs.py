@@ -6,8 +6,8 @@ import io
 import numpy as np
 
 from cnclik.cli import main
-from tests.fuzz.judge import one_line
-from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
+from tests.stress.fuzz.judge import one_line
+from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 
 CLOCKS = ("time", "t", "timestamp", "__time", "/header/stamp", "header.stamp.sec", "Time", "time_ns", "stamp")
 OPTIONS = (["--step"], ["--alpha", "20"], ["--json"], ["--command", "velocity"], ["--kind", "lag"])

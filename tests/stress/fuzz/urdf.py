@@ -14,8 +14,8 @@ from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.posture import arm_length, start_posture
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
-from tests.fuzz.judge import one_line
-from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
+from tests.stress.fuzz.judge import one_line
+from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "revolute", "revolute", "floating", "planar")
 LIMITS = (  # one-sided, frozen, huge, without 0, crossed

@@ -87,7 +87,7 @@ def judge(room, number: int, folder: pathlib.Path, seed: int = 0) -> Verdict:
 
 def repeat(verdict: Verdict, seed: int = 0) -> str:
     """The command that tries an input again."""
-    return f"python -m tests.fuzz --only {verdict.room} --seed {seed} --number {verdict.number}"
+    return f"python -m tests.stress.fuzz --only {verdict.room} --seed {seed} --number {verdict.number}"
 
 
 def is_remark(warned) -> bool:

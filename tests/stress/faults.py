@@ -1,4 +1,4 @@
-"""`python -m tests.faults`: whole commands killed, stopped and starved at random moments; nothing half-written remains.
+"""`python -m tests.stress.faults`: whole commands killed, stopped and starved; nothing half-written remains.
 
 Each round starts one command in a process of its own, as a user would, and disturbs it:
 
@@ -10,8 +10,8 @@ Each round starts one command in a process of its own, as a user would, and dist
 - writers: four of the same command at once, into one folder.
 - reader: as a user who may not write there (needs root).
 
-    python -m tests.faults                        # 100 kills and 20 of each other kind for each command
-    python -m tests.faults --kills 4 --others 1 --only solve
+    python -m tests.stress.faults                        # 100 kills and 20 of each other kind for each command
+    python -m tests.stress.faults --kills 4 --others 1 --only solve
 """
 
 import argparse
@@ -33,7 +33,7 @@ from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
 from cnclik.writing import LIST
 
-SPEC = pathlib.Path(__file__).parents[1] / "sweeps" / "horizon.toml"
+SPEC = pathlib.Path(__file__).parents[2] / "sweeps" / "horizon.toml"
 PLANAR = ["planar:1,1", "--reference", "circle"]
 AXES = ("method=['EE']", "Ts=[0.1]", "alpha=[1, 9]")
 COMMANDS = {  # every verb that writes results, on small cases

@@ -4,7 +4,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.sweeps import expression
-from tests.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, slipped
+from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, slipped
 
 KNOWN = {"a": 2.0, "b": -0.5, "n": 3, "N": 1000, "z": np.float64(0.3), "zero": 0, "huge": 1e308,
          "v": np.array([1.0, -2.0]), "method": "EE", "big": 10**300, "Ts": 1e-320}  # fmt: skip

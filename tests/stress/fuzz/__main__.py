@@ -1,8 +1,8 @@
-"""`python -m tests.fuzz`: a hundred thousand inputs that are wrong in every way, each judged (see `judge`).
+"""`python -m tests.stress.fuzz`: a hundred thousand inputs that are wrong in every way, each judged (see `judge`).
 
-    python -m tests.fuzz                                         # all of it: docs/reliability.md tells how long
-    python -m tests.fuzz --only urdf toml --inputs 1000          # some rooms, fewer inputs
-    python -m tests.fuzz --only urdf --seed 0 --number 17        # one input again, shown, with its traceback
+    python -m tests.stress.fuzz                                         # all of it: docs/reliability.md tells how long
+    python -m tests.stress.fuzz --only urdf toml --inputs 1000          # some rooms, fewer inputs
+    python -m tests.stress.fuzz --only urdf --seed 0 --number 17        # one input again, shown, with its traceback
 
 Exit code 1, and the command that repeats it, for every input that fails.
 """
@@ -19,7 +19,7 @@ import time
 
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
-from tests.fuzz import judge, many
+from tests.stress.fuzz import judge, many
 
 SHARES = {
     "urdf": 0.3,
@@ -35,7 +35,7 @@ SHARES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m tests.stress.fuzz", description=__doc__.partition("\n")[0])
     parser.add_argument("--only", nargs="+", choices=SHARES, default=list(SHARES))
     parser.add_argument("--inputs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
@@ -82,7 +82,7 @@ def table(verdicts) -> str:
 
 def _again(args):
     """One input of one room, shown."""
-    from tests.fuzz import rooms
+    from tests.stress.fuzz import rooms
 
     for name in args.only:
         room = rooms.ROOMS[name]

@@ -11,7 +11,7 @@ import numpy as np
 import cnclik as ck
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
-from tests.fuzz.nasty import TEXTS, any_of, chance, damaged, slipped
+from tests.stress.fuzz.nasty import TEXTS, any_of, chance, damaged, slipped
 
 NAMES = (
     "clik_step",

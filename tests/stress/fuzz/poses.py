@@ -5,7 +5,7 @@ import numpy as np
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.reaching import targets
-from tests.fuzz.nasty import any_of, chance
+from tests.stress.fuzz.nasty import any_of, chance
 
 TASKS = {"pose": ck.pose, "position": ck.position, "orientation": ck.orientation}
 FORMS = ("transform", "transforms", "row", "rows", "matrix", "quaternion", "quaternions", "pair", "place", "places")

@@ -13,11 +13,11 @@ import numpy as np
 
 from cnclik.problem.options import SWEPT
 from cnclik.sweeps import labels, spec
-from tests.fuzz.expressions import draw as expression
-from tests.fuzz.nasty import TEXTS, VALUES, any_of, chance, damaged, slipped
 from tests.specs import reaching
+from tests.stress.fuzz.expressions import draw as expression
+from tests.stress.fuzz.nasty import TEXTS, VALUES, any_of, chance, damaged, slipped
 
-SHIPPED = pathlib.Path(__file__).parents[2] / "sweeps"
+SHIPPED = pathlib.Path(__file__).parents[3] / "sweeps"
 BASES = tuple(map(tomllib.loads, (
     reaching(["final_error"], alpha="[1.0, 5.0]"),
     reaching(["mean_error", "ok"], method='["EE", "HEUN"]', alpha="{ linspace = [1, 20, 30] }", Ts="[0.01, 0.1]"),

@@ -1,4 +1,4 @@
-"""A share of the inputs of `python -m tests.fuzz`, the same in every run."""
+"""A share of the inputs of `python -m tests.stress.fuzz`, the same in every run."""
 
 import os
 import pathlib
@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from tests.fuzz.judge import judge, repeat
-from tests.fuzz.rooms import ROOMS
+from tests.stress.fuzz.judge import judge, repeat
+from tests.stress.fuzz.rooms import ROOMS
 
 COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "logs": 40, "stores": 12}
 COUNTS |= {"poses": 300, "exports": 8}
@@ -18,7 +18,7 @@ COUNTS |= {"poses": 300, "exports": 8}
 
 AT_WORK = """
 import os, pathlib, signal, sys, time
-from tests.fuzz import many
+from tests.stress.fuzz import many
 
 def batch(name, numbers, place):
     pathlib.Path(place).write_text(f"{os.getpid()}\\n")
@@ -34,7 +34,7 @@ if __name__ == "__main__":
 def test_an_interrupt_ends_what_is_at_work(tmp_path):
     script, place = tmp_path / "at_work.py", tmp_path / "place"
     script.write_text(AT_WORK)
-    root = pathlib.Path(__file__).parents[2]
+    root = pathlib.Path(__file__).parents[3]
     line = [sys.executable, str(script), str(place)]
     with subprocess.Popen(line, env=os.environ | {"PYTHONPATH": str(root)}, stderr=subprocess.DEVNULL) as process:
         try:
