@@ -1,4 +1,4 @@
-"""A share of `python -m tests.stress.faults`: one command killed, stopped and starved; what an interrupt leaves of it."""
+"""A share of `python -m tests.stress.faults`: a command killed, stopped and starved; what an interrupt leaves of it."""
 
 import subprocess
 import sys
