@@ -32,10 +32,10 @@ def use_cache(folder=None, *, most_bytes=MOST_BYTES) -> pathlib.Path | None:
 
     Returns: where programs are kept, or None.
     """
-    if not jax.config.jax_enable_compilation_cache:
+    if not jax.config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
         return None
     _keep_quick_programs()
-    named = jax.config.jax_compilation_cache_dir
+    named = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     if folder is None and named:
         return pathlib.Path(named)
     try:

@@ -11,8 +11,12 @@ import os
 import pathlib
 import sys
 import warnings
+from typing import TYPE_CHECKING, Any
 
 from cnclik import quantities
+
+if TYPE_CHECKING:
+    from jax import Array
 
 _MOST = 800  # characters of a message
 _LISTED = 300  # characters of a list of names, beyond which the one that was probably meant stands for it
@@ -133,7 +137,7 @@ def integer(name: str, value, *, at_least: int, at_most: int | None = None) -> i
     return int(value)
 
 
-def array(name: str, value, *shapes, finite=True, most=None):
+def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
     """A real array of one of the shapes (None matches any length); returned as an array of floats.
 
     Args: most: what no entry is beyond, of either sign.
@@ -142,7 +146,7 @@ def array(name: str, value, *shapes, finite=True, most=None):
     import numpy as np
 
     try:
-        found = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
+        found: Any = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
         if isinstance(found, np.ma.MaskedArray):
             if found.mask.any():
                 raise fail(name, "hold no masked entries", f"has {int(found.mask.sum())} of them")

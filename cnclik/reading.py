@@ -38,7 +38,7 @@ def read_bytes(argument: str, path, what: str, *, most: int | None = None) -> by
     """
     if not isinstance(path, (str, bytes, os.PathLike)):
         raise errors.fail(argument, f"name {what}", f"is {path!r}")
-    name, most = os.fspath(path), most or MOST_BYTES
+    name, most = os.fsdecode(path), most or MOST_BYTES
     shown = pathlib.Path(name).name[:80] or name[:80]
     try:
         about = os.stat(name)

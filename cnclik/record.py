@@ -7,9 +7,12 @@ program as constants, and geometry that is zero costs nothing. Arrays are differ
 """
 
 import dataclasses
+from typing import Any, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
+
+T = TypeVar("T")
 
 _LITERAL = (float, int, bool, str, type(None))
 
@@ -68,6 +71,7 @@ def combine(arrays, literals: Literals):
     return jax.tree.unflatten(literals.treedef, leaves)
 
 
+@dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False)
 def record(cls=None, *, kw_only=True):
     """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above."""
     if cls is None:
@@ -133,7 +137,7 @@ def _own(array):
 
 def in_words(value, digits=5) -> str:
     """A number, vector or matrix as text, on one line; of floats so many significant digits."""
-    shown = {"float_kind": lambda v: f"{v:.{digits}g}"}
+    shown: Any = {"float_kind": lambda v: f"{v:.{digits}g}"}
     return np.array2string(np.asarray(value), separator=", ", max_line_width=10**6, formatter=shown).replace("\n", "")
 
 
@@ -162,9 +166,9 @@ def leaf(value):
     return np.asarray(value, float) if type(value) in (int, float) else value
 
 
-def replace(rec, **changes):
+def replace(rec: T, **changes) -> T:
     """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
-    return dataclasses.replace(rec, **changes)
+    return dataclasses.replace(rec, **changes)  # type: ignore[type-var]
 
 
 def placed(rec):

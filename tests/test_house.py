@@ -15,7 +15,7 @@ import cnclik
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
     *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads"),
-    *("reading", "writing", "version", "quantities"),
+    *("reading", "writing", "version", "quantities", "shapes"),
 )
 BASE = ("engine", "robot", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (

@@ -36,6 +36,8 @@ def test_what_is_no_file_is_told_in_one_line(odd):
 
 def test_what_is_too_large_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(reading, "MOST_BYTES", 1 << 20)
+    (tmp_path / "small").write_text("text")
+    assert reading.read_bytes("path", bytes(tmp_path / "small"), "a URDF file") == b"text"  # a name as bytes
     (tmp_path / "large").write_bytes(b"0" * ((1 << 20) + 1))
     with pytest.raises(ck.ArgumentError, match="of at most 1 MiB, but 'large' is larger"):
         reading.read_bytes("path", tmp_path / "large", "a URDF file")

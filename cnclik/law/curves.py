@@ -5,6 +5,7 @@ Targets are arrays: positions (d,), rotations (3, 3).
 """
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,9 @@ from cnclik.record import record
 from cnclik.robot import poses
 from cnclik.robot.kinematics import Pose
 from cnclik.robot.rotations import exp_so3, library, quaternion_from_rotation, rotation_from_quaternion
+from cnclik.shapes import Array, Float
+
+Rotation = Float[Array, "3 3"] | None
 
 
 def interval(times, t):
@@ -39,8 +43,8 @@ def interval(times, t):
 
 @record
 class Hold:
-    position: object
-    rotation: object
+    position: Float[Array, " d"] | None
+    rotation: Rotation
 
     def __call__(self, t):
         return self.position, self.rotation
@@ -48,11 +52,11 @@ class Hold:
 
 @record
 class Line:
-    start: object
-    end: object
-    rotation: object
-    turn: object  # rotation vector from the first to the last orientation, in the base frame
-    duration: object
+    start: Float[Array, " d"] | None
+    end: Float[Array, " d"] | None
+    rotation: Rotation
+    turn: Float[Array, "3"] | None  # rotation vector from the first to the last orientation, in the base frame
+    duration: Float[Array, ""]
 
     def __call__(self, t):
         s = _progress(t, self.duration)
@@ -64,12 +68,12 @@ class Line:
 
 @record
 class Lissajous:
-    center: object
-    amplitude: object
-    frequency: object
-    phase: object
-    rotation: object
-    period: object
+    center: Float[Array, " d"]
+    amplitude: Float[Array, " d"]
+    frequency: Float[Array, " d"]
+    phase: Float[Array, " d"]
+    rotation: Rotation
+    period: Float[Array, ""]
 
     def __call__(self, t):
         omega = 2 * math.pi / self.period
@@ -78,11 +82,11 @@ class Lissajous:
 
 @record
 class Circle:
-    center: object
-    first: object  # radius vector at t = 0
-    second: object  # and a quarter period later
-    rotation: object
-    period: object
+    center: Float[Array, " d"]
+    first: Float[Array, " d"]  # radius vector at t = 0
+    second: Float[Array, " d"]  # and a quarter period later
+    rotation: Rotation
+    period: Float[Array, ""]
 
     def __call__(self, t):
         angle = 2 * math.pi / self.period * t
@@ -91,10 +95,10 @@ class Circle:
 
 @record
 class Spline:
-    times: object  # (K,)
-    position: object  # (4, K−1, d) coefficients of the powers of t − t_k, or None
-    quaternion: object  # (4, K−1, 4) of unnormalised quaternions, or None
-    rotation: object  # constant rotation, or None
+    times: Float[Array, " K"]
+    position: Float[Array, "4 K-1 d"] | None  # coefficients of the powers of t − t_k
+    quaternion: Float[Array, "4 K-1 4"] | None  # and of unnormalised quaternions
+    rotation: Rotation  # constant
     closed: bool
 
     def __call__(self, t):
@@ -118,7 +122,7 @@ class Spline:
 
 @record
 class Path:
-    fn: object
+    fn: Callable
 
     def __call__(self, t):
         target, dtype = self.fn(t), jnp.result_type(t)
@@ -132,11 +136,11 @@ class Path:
 
 @record
 class Tangent:
-    t: object  # where it touches the path that it stands for
-    position: object
-    velocity: object
-    rotation: object  # (3, 3), or None
-    spin: object  # angular velocity in the base frame, or None
+    t: Float[Array, ""]  # where it touches the path that it stands for
+    position: Float[Array, " d"]
+    velocity: Float[Array, " d"]
+    rotation: Rotation
+    spin: Float[Array, "3"] | None  # angular velocity in the base frame
 
     def __call__(self, t):
         on = t - self.t

@@ -23,6 +23,7 @@ from cnclik.law.law import Law, clamped, gain
 from cnclik.law.null import Posture
 from cnclik.law.reference import controlled
 from cnclik.robot.rotations import axial, exp_so3, log_quaternion
+from cnclik.shapes import Array, Float
 
 HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
 _TERMS = 9  # of the series there
@@ -102,7 +103,8 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
     """
     e, p = clamped(law, e), len(law.task.position)
     half, whole = (gain(per_step(law.alpha, c * Ts), e) for c in (0.5, 1.0))  # mean rates over as much of the step
-    z = Ts * jnp.max(jnp.abs(law.alpha) if law.alpha.ndim < 2 else jnp.sum(jnp.abs(law.alpha), axis=1))
+    k = jnp.abs(jnp.asarray(law.alpha))
+    z = Ts * jnp.max(k if k.ndim < 2 else jnp.sum(k, axis=1))
     half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)
     found = []
     for c, turn in zip(times, turns, strict=True):
@@ -127,8 +129,8 @@ def null_over_step(law: Law, Ts):
 class Ahead(NamedTuple):
     """How the target moves in a step."""
 
-    mean: object  # (m,) its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
-    turn: object = None  # R_d(t + Ts) R_d(t)ᵀ; None for none, or where less than the whole is controlled
+    mean: Float[Array, " m"]  # its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
+    turn: Float[Array, "3 3"] | None = None  # R_d(t + Ts) R_d(t)ᵀ, where the whole of it is controlled, and turns
 
 
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:

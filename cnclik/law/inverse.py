@@ -10,19 +10,19 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.record import leaf, record
+from cnclik.shapes import Array, Float, Number
 
 
 class Factored(NamedTuple):
     """What an inverse makes of J: `apply` maps m task components to n joint components."""
 
     apply: Callable
-    least: object  # estimate of the least singular value of J; no derivative
-    shift: object = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
+    least: Float[Array, ""]  # estimate of the least singular value of J; no derivative
+    shift: Number | None = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
     memory: Callable | None = None  # () to what is to be remembered of J#, for `remembered`; None: its columns
 
 
@@ -57,7 +57,7 @@ class Damped:
     """See `damped`."""
 
     factors = True  # whether `memory` has factors, for a task of no more rows than joints
-    damping: object  # λ, never λ²
+    damping: Number  # λ, never λ²
 
     def __call__(self, rows) -> Factored:
         apply, factor, shift = damped_apply(rows, self.damping * self.damping)
@@ -69,8 +69,8 @@ class ManipulabilityDamped:
     """See `manipulability_damped`."""
 
     factors = True
-    damping: object  # λ₀, never λ₀²
-    threshold: object  # w₀
+    damping: Number  # λ₀, never λ₀²
+    threshold: Number  # w₀
 
     def __call__(self, rows) -> Factored:
         wide = dense.wide_side(rows)
@@ -88,8 +88,8 @@ class SingularDamped:
     """See `singular_damped`."""
 
     factors = True
-    damping: object  # λ_max, never λ_max²
-    threshold: object  # ε
+    damping: Number  # λ_max, never λ_max²
+    threshold: Number  # ε
 
     def __call__(self, rows) -> Factored:
         wide = dense.wide_side(rows)
@@ -152,7 +152,7 @@ def pseudoinverse() -> Pseudoinverse:
     return Pseudoinverse()
 
 
-def damped(damping: ArrayLike) -> Damped:
+def damped(damping: Number) -> Damped:
     """Damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
     Args:
@@ -161,7 +161,7 @@ def damped(damping: ArrayLike) -> Damped:
     return Damped(damping=positive("damping", damping))
 
 
-def manipulability_damped(damping: ArrayLike, threshold: ArrayLike) -> ManipulabilityDamped:
+def manipulability_damped(damping: Number, threshold: Number) -> ManipulabilityDamped:
     """Singularity-robust inverse: damped only where the manipulability w = √det(J Jᵀ) is low.
 
     λ = λ₀ (1 − w/w₀) for w < w₀, else 0, in Jᵀ (J Jᵀ + λ² I)⁻¹ (Nakamura & Hanafusa 1986, eq. 18, who write
@@ -174,7 +174,7 @@ def manipulability_damped(damping: ArrayLike, threshold: ArrayLike) -> Manipulab
     return ManipulabilityDamped(damping=positive("damping", damping), threshold=positive("threshold", threshold))
 
 
-def singular_damped(damping: ArrayLike, threshold: ArrayLike) -> SingularDamped:
+def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
     """Damped only where the least singular value σ_m of J is below a threshold.
 
     λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m

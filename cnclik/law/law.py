@@ -16,14 +16,16 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.inverse import Pseudoinverse, damped_apply, through
+from cnclik.law.inverse import Factored, Pseudoinverse, damped_apply, through
+from cnclik.law.limits import Limited
 from cnclik.law.null import evaluated
 from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.precision import precise
 from cnclik.record import brief, leaf, record
 from cnclik.robot.chain import Chain
-from cnclik.robot.model import Model, frames, jacobian_rows
+from cnclik.robot.model import Model, frames, jacobian_rows, modelled
 from cnclik.robot.rotations import safe_norm
+from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
 
 
 @record(kw_only=False)
@@ -51,13 +53,13 @@ class Law:
     chain: Chain
     task: Task
     _: dataclasses.KW_ONLY
-    alpha: object
-    inverse: object = Pseudoinverse()
-    limits: object = None
-    null_velocity: object = None
-    feedforward: object = 1.0
-    error_clamp: object = None
-    near_singular: object = 0.01
+    alpha: ArrayLike
+    inverse: Callable[[Array], Factored] = Pseudoinverse()
+    limits: Callable[..., Limited] | None = None
+    null_velocity: Callable[[Array], Array] | ArrayLike | None = None
+    feedforward: Number = 1.0
+    error_clamp: tuple[Number, Number] | Float[Array, "2"] | None = None
+    near_singular: Number = 0.01
 
     def __post_init__(self):
         m = errors.kind("task", self.task, Task).m
@@ -121,15 +123,15 @@ def check_loop(law, *references) -> None:
 class Evaluation(NamedTuple):
     """One evaluation of f(q, t), and what it was made of."""
 
-    qdot: jax.Array  # (n,) joint velocities
-    e: jax.Array  # (m,) task errors
+    qdot: Float[Array, " n"]  # joint velocities
+    e: Float[Array, " m"]  # task errors
     x: Callable  # () to the task coordinates of the tip (m,)
-    rows: jax.Array  # (m, n) of the task Jacobian, weighted
+    rows: Float[Array, "m n"]  # of the task Jacobian, weighted
     apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
-    least: object  # estimate of the least singular value
+    least: Float[Array, ""]  # estimate of the least singular value
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
-    limited: object = False  # whether a limit changed what the task asked for
-    task_velocity: object = None  # (m,) what was asked of the task, weighted
+    limited: bool | Bool[Array, ""] = False  # whether a limit changed what the task asked for
+    task_velocity: Float[Array, " m"] | None = None  # what was asked of the task, weighted
     memory: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
 
 
@@ -172,20 +174,21 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
 class Observation(NamedTuple):
     """What the law sees at an instant; of a stage that needs no error, the rows alone."""
 
-    rows: jax.Array  # (m, n) of the task Jacobian, unweighted
-    e: object = None  # (m,)
-    x: Callable = None  # () to (m,)
-    xdot_d: object = None  # (m,)
-    position: object = None  # the target's, in the task's coordinates
-    rotation: object = None
+    rows: Float[Array, "m n"]  # of the task Jacobian, unweighted
+    e: Float[Array, " m"] | None = None
+    x: Callable | None = None  # () to (m,)
+    xdot_d: Float[Array, " m"] | None = None
+    position: Float[Array, " p"] | None = None  # the target's, in the task's coordinates
+    rotation: Float[Array, "3 3"] | None = None
 
 
 @precise
 def observe(law: Law, reference, t, q) -> Observation:
     """All that the law sees at q and t."""
     position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
-    at = frames(law.chain, q)
-    e, rows = error_and_rows(law.task, law.chain, at, position_d, rotation_d)
+    chain = modelled(law.chain)
+    at = frames(chain, q)
+    e, rows = error_and_rows(law.task, chain, at, position_d, rotation_d)
     return Observation(
         rows=rows,
         e=e,
@@ -199,7 +202,8 @@ def observe(law: Law, reference, t, q) -> Observation:
 @precise
 def rows_at(law: Law, q) -> Observation:
     """The rows of J alone."""
-    return Observation(rows=jacobian_rows(law.chain, frames(law.chain, q), law.task.linear, law.task.angular))
+    chain = modelled(law.chain)
+    return Observation(rows=jacobian_rows(chain, frames(chain, q), law.task.linear, law.task.angular))
 
 
 def correct(law: Law, q, rows, made, h, r):
@@ -216,7 +220,7 @@ def correct(law: Law, q, rows, made, h, r):
         return jnp.linalg.solve(_whole(law, q, rows, apply, h), r)
     task = rows @ r
     exact = isinstance(law.inverse, Pseudoinverse)
-    if law.alpha.ndim == 0 and law.limits is None and (exact or made.shift is not None):
+    if np.ndim(law.alpha) == 0 and law.limits is None and (exact or made.shift is not None):
         hz = h * law.alpha
         again = apply if exact else damped_apply(rows, made.shift / (1.0 + hz))[0]
         return r - hz / (1.0 + hz) * again(task)

@@ -8,15 +8,14 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.typing import ArrayLike
 
 from cnclik.law import dense
 from cnclik.law.inverse import Factored, positive, through, tiny_shift
 from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
+from cnclik.shapes import Array, Bool, Float, Number
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 WIDE = 4 * math.pi  # [rad, m] a wider range, or one that is open, has limits that are felt as far as those of this one
@@ -26,10 +25,10 @@ NOISE = 0.05  # relative, of two of `_beyond_reach`: each feels the rounding of 
 class Limited(NamedTuple):
     """Joint velocities within limits."""
 
-    qdot: jax.Array
+    qdot: Float[Array, " n"]
     apply: Callable  # the J# that acts at these velocities
-    least: object  # estimate of the least singular value of J
-    limited: object  # whether a limit changed what was asked for
+    least: Float[Array, ""]  # estimate of the least singular value of J
+    limited: bool | Bool[Array, ""]  # whether a limit changed what was asked for
 
 
 # --- velocity limits alone ----------------------------------------------------------------------------
@@ -72,7 +71,7 @@ def slowed(chain, qdot):
 class Weighted:
     """See `weighted_least_norm`."""
 
-    rate: object
+    rate: Number
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
@@ -107,7 +106,7 @@ def _roots(chain, q, qdot):
     return jnp.where(free, jnp.where(qdot * (below - above) > 0, root, 1.0), 0.0)
 
 
-def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
+def weighted_least_norm(rate: Number = 10.0) -> Weighted:
     """Weighted least norm for joint limits, W⁻¹ Jᵀ (J W⁻¹ Jᵀ)⁻¹ (Chan & Dubey 1995, eqs. 11-17).
 
     wᵢ = 1 + |∂H/∂qᵢ| for a joint that would move towards its nearer limit, else 1, with
@@ -129,21 +128,21 @@ def weighted_least_norm(rate: ArrayLike = 10.0) -> Weighted:
 class _Pass(NamedTuple):
     """What a pass of the saturation hands to the next."""
 
-    locked: object  # (n,) 1 where a joint moves at its bound
-    fixed: object  # (n,) null-space velocities, those of locked joints at their bounds
-    done: object  # a pass met every bound with the whole task
-    best: object  # largest share of the task met so far, negative while no share fits
-    qdot: object  # (n,) the velocities that met it
-    kept: object  # (n,) and the joints locked then
-    limited: object
-    reached: object  # what is out of reach of all joints, see `_beyond_reach`; infinite before the first pass
+    locked: Float[Array, " n"]  # 1 where a joint moves at its bound
+    fixed: Float[Array, " n"]  # null-space velocities, those of locked joints at their bounds
+    done: Bool[Array, ""]  # a pass met every bound with the whole task
+    best: Float[Array, ""]  # largest share of the task met so far, negative while no share fits
+    qdot: Float[Array, " n"]  # the velocities that met it
+    kept: Float[Array, " n"]  # and the joints locked then
+    limited: Bool[Array, ""]
+    reached: Float[Array, ""]  # what is out of reach of all joints, see `_beyond_reach`; infinite before the first pass
 
 
 @record
 class Saturated:
     """See `saturation`."""
 
-    rate: object
+    rate: Number
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
@@ -260,7 +259,7 @@ def _share(a, b, low, high, locked):
     return s, worst, jnp.where(whole > high, high, low), jnp.any(out)
 
 
-def saturation(rate: ArrayLike = 10.0) -> Saturated:
+def saturation(rate: Number = 10.0) -> Saturated:
     """Saturation in the null space, SNS (Flacco, De Luca & Khatib 2015, Algorithm 1), for position and velocity.
 
     While some joint would exceed its bounds, the one that bounds the task most moves at its bound and the others

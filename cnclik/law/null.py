@@ -5,10 +5,10 @@ A term is a record that maps q (n,) to a joint velocity q̇₀ (n,); the law pro
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.law import dense
@@ -17,14 +17,15 @@ from cnclik.law.task import Task
 from cnclik.record import leaf, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.shapes import Array, ArrayLike, Float, Number
 
 
 @record
 class Posture:
     """See `posture`."""
 
-    rest: object
-    rate: object
+    rest: Float[Array, " n"]
+    rate: Number
 
     def __call__(self, q):
         if len(self.rest) != len(q):
@@ -38,7 +39,7 @@ class MaximizeManipulability:
 
     chain: Chain
     task: Task
-    gain: object
+    gain: Number
 
     def __call__(self, q):
         return self.gain * jax.grad(self._measure)(q)
@@ -55,8 +56,8 @@ class MaximizeManipulability:
 class ScaledNullVelocity:
     """A null-space velocity times a gain."""
 
-    base: object
-    gain: object
+    base: Callable[[Array], Array] | ArrayLike
+    gain: Number
 
     def __call__(self, q):
         return self.gain * evaluated(self.base, q)
@@ -66,8 +67,8 @@ class ScaledNullVelocity:
 class WithoutDrift:
     """See `without`."""
 
-    base: object
-    drift: object
+    base: Callable[[Array], Array] | ArrayLike
+    drift: Float[Array, " n"]
 
     def __call__(self, q):
         return evaluated(self.base, q) - self.drift
@@ -91,7 +92,7 @@ def without(wanted, drift):
     return WithoutDrift(wanted, drift)
 
 
-def posture(rest: ArrayLike, rate: ArrayLike = 1.0) -> Posture:
+def posture(rest: ArrayLike, rate: Number = 1.0) -> Posture:
     """Draw the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q).
 
     Args:
@@ -102,7 +103,7 @@ def posture(rest: ArrayLike, rate: ArrayLike = 1.0) -> Posture:
     return Posture(rest=errors.array("rest", rest, (None,)), rate=rate)
 
 
-def maximize_manipulability(chain: Chain, task: Task, gain: ArrayLike = 1.0) -> MaximizeManipulability:
+def maximize_manipulability(chain: Chain, task: Task, gain: Number = 1.0) -> MaximizeManipulability:
     """Move away from singularities in the null space: q̇₀ = gain · ∂w/∂q, w = √det(J Jᵀ) (Yoshikawa 1985).
 
     Args:

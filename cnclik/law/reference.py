@@ -5,25 +5,23 @@ from `jax.jvp`, so path and feed-forward can't disagree, unless an explicit feed
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.tracing import is_read
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Spline, Tangent, cubic, quaternions_of
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, Tangent, cubic, quaternions_of
 from cnclik.law.task import Task
 from cnclik.record import brief, leaf, record, replace
 from cnclik.robot import poses
-from cnclik.robot.kinematics import Pose
 from cnclik.robot.rotations import log_so3, safe_norm, safe_sqrt
+from cnclik.shapes import Array, ArrayLike, Float, Number
 
-Target = ArrayLike | Pose | Any | None  # a position, or a whole pose; see `hold`
+Target = poses.PoseLike | None  # see `hold`
 
 A_REFERENCE = "be a Reference such as hold(...)"
 
@@ -32,8 +30,8 @@ A_REFERENCE = "be a Reference such as hold(...)"
 class Reference:
     """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
 
-    curve: object  # t -> (position (d,) or None, rotation (3, 3) or None)
-    feedforward: object = None  # None: the curve's own velocity; else (m,), held constant
+    curve: Callable  # t -> (position (d,) or None, rotation (3, 3) or None)
+    feedforward: Float[Array, " m"] | None = None  # held constant; None: the curve's own velocity
     known: bool = True  # whether a step may look at the target ahead of its start, see `causal`
 
     def __repr__(self):
@@ -173,7 +171,7 @@ def line(
     start: Target,
     end: Target,
     *,
-    duration: ArrayLike,
+    duration: Number,
     rotation: ArrayLike | None = None,
     rotation_end: ArrayLike | None = None,
 ) -> Reference:
@@ -190,8 +188,9 @@ def line(
     start, rotation = _split("start", start, rotation)
     end, rotation_end = _split("end", end, rotation_end, "rotation_end")
     errors.number("duration", duration, positive=True)
-    if (start is None) != (end is None) or (start is not None and start.shape != end.shape):
-        raise errors.fail("end", "have the shape of `start`", f"has shape {np.shape(end)}")
+    first, last = (() if v is None else v.shape for v in (start, end))
+    if first != last:
+        raise errors.fail("end", "have the shape of `start`", f"has shape {last}")
     turn = None
     if rotation_end is not None:
         if rotation is None:
@@ -204,11 +203,11 @@ def line(
 
 def circle(
     center: ArrayLike,
-    radius: ArrayLike,
+    radius: Number,
     *,
-    period: ArrayLike,
+    period: Number,
     normal: ArrayLike | None = None,
-    phase: ArrayLike = 0.0,
+    phase: Number = 0.0,
     rotation: ArrayLike | None = None,
 ) -> Reference:
     """Circle at constant speed 2π·radius/period.
@@ -253,7 +252,7 @@ def lissajous(
     center: ArrayLike,
     amplitude: ArrayLike,
     *,
-    period: ArrayLike,
+    period: Number,
     frequency: ArrayLike | None = None,
     phase: ArrayLike | None = None,
     rotation: ArrayLike | None = None,
@@ -338,7 +337,7 @@ def _nonzero(name, value):
         raise errors.fail(name, "not be 0", "is 0")
 
 
-def _split(name, target, rotation, called="rotation"):
+def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
     """A target's position and rotation: those of a whole pose, or what is given as they are; both checked."""
     found = poses.whole(name, target)
     if found is None:

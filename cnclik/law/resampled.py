@@ -2,11 +2,11 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.law.curves import Spline, quaternions_of
 from cnclik.law.reference import Reference
+from cnclik.shapes import ArrayLike, Number
 
 KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # and how late each is at least [longest periods]
 
@@ -17,7 +17,7 @@ def resampled(
     rotations: ArrayLike | None = None,
     *,
     kind: str = "spline",
-    delay: ArrayLike | None = None,
+    delay: Number | None = None,
 ) -> Reference:
     """A stream of targets, such as a policy's at 30 Hz, for a loop at 1 kHz that knows only what has come.
 

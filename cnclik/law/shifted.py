@@ -1,5 +1,7 @@
 """Shifted: a reference moved by a vector in the task's coordinates."""
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -7,15 +9,16 @@ from cnclik.law.reference import Reference
 from cnclik.law.task import Task
 from cnclik.record import record, replace
 from cnclik.robot.rotations import exp_so3
+from cnclik.shapes import ArrayLike
 
 
 @record
 class Shifted:
     """A curve moved by w: (m,) in the task's coordinates [m, rad], or a record that gives it as a function of time."""
 
-    base: object
-    task: object
-    w: object
+    base: Callable
+    task: Task
+    w: ArrayLike | Callable
 
     def __call__(self, t):
         w, p = self.w(t) if callable(self.w) else jnp.asarray(self.w), len(self.task.position)

@@ -6,12 +6,12 @@ vector [rad] that turns the tip into the desired orientation, in the base frame.
 
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.record import brief, record
 from cnclik.robot.model import Frames, jacobian_rows
 from cnclik.robot.rotations import log_so3
+from cnclik.shapes import Array, ArrayLike, Float
 
 _AXES = "xyz"
 
@@ -22,7 +22,7 @@ class Task:
 
     position: str
     orientation: str
-    weights: object = None  # (m,) or None
+    weights: Float[Array, " m"] | None = None
 
     @property
     def m(self) -> int:

@@ -6,16 +6,20 @@ as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik
 """
 
 import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from cnclik import errors, markup
 from cnclik.record import record, replace
 from cnclik.robot import poses
-from cnclik.robot.fixed import ZERO, Offset, compose, is_number, rotation_about, vsub
+from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, rotation_about, vsub
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
+from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import MOST
+from cnclik.shapes import ArrayLike, Number
 
+Names = Sequence[str] | None
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
 
 
@@ -24,23 +28,23 @@ class Joint:
     """One joint. Its value is `multiplier · q[coordinate] + offset`: mimic joints share a coordinate."""
 
     kind: str
-    axis: tuple  # unit vector in the joint's own frame
+    axis: Triple  # unit vector in the joint's own frame
     origin: Offset
     coordinate: int
-    multiplier: float = 1.0
-    offset: float = 0.0
+    multiplier: Number = 1.0
+    offset: Number = 0.0
 
 
 @record
 class Chain:
     """A serial robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]."""
 
-    joints: tuple  # of `Joint`, from the base to the tip; mimic joints share a coordinate with the one they follow
+    joints: tuple[Joint, ...]  # from the base to the tip; mimic joints share a coordinate with the one they follow
     tip: Offset  # where the tip is, as seen from the last joint
-    joint_names: tuple  # (n,) of the joint coordinates
-    lower: tuple  # (n,) lower limits [rad or m], −inf where unlimited
-    upper: tuple  # (n,) upper limits [rad or m], inf where unlimited
-    velocity_limit: tuple  # (n,) [rad/s or m/s], inf where unlimited
+    joint_names: tuple[str, ...]  # (n,) of the joint coordinates
+    lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
+    upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
+    velocity_limit: tuple[Number, ...]  # (n,) [rad/s or m/s], inf where unlimited
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
@@ -56,13 +60,13 @@ class Chain:
         return len(self.joint_names)
 
     @property
-    def units(self) -> tuple:
+    def units(self) -> tuple[str, ...]:
         """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
         kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
         return tuple("m" if kinds.get(i) == PRISMATIC else "rad" for i in range(self.n))
 
     @property
-    def periodic(self) -> tuple:
+    def periodic(self) -> tuple[bool, ...]:
         """Of each coordinate whether a whole turn of it changes nothing: all its joints turn, by whole multiples."""
         slow = {j.coordinate for j in self.joints if j.kind != REVOLUTE or not _is_whole(j.multiplier)}
         return tuple(i not in slow for i in range(self.n))
@@ -96,7 +100,7 @@ def _is_whole(number) -> bool:
     return is_number(number) and float(number).is_integer()
 
 
-def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
+def planar_arm(lengths: ArrayLike, *, clockwise: bool = False, joint_names: Names = None) -> Chain:
     """Planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).
 
     Joint i sits at (0, l₁ + … + lᵢ₋₁, 0), the tip at (0, l₁ + … + lₙ, 0).
@@ -120,19 +124,19 @@ def planar_arm(lengths, *, clockwise=False, joint_names=None) -> Chain:
 
 
 def from_dh(
-    a,
-    alpha,
-    d,
-    theta=None,
+    a: ArrayLike,
+    alpha: ArrayLike,
+    d: ArrayLike,
+    theta: ArrayLike | None = None,
     *,
-    convention="standard",
-    kinds=None,
-    base=None,
-    tool=None,
-    joint_names=None,
-    lower=None,
-    upper=None,
-    velocity_limit=None,
+    convention: str = "standard",
+    kinds: str | None = None,
+    base: PoseLike | None = None,
+    tool: PoseLike | None = None,
+    joint_names: Names = None,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    velocity_limit: ArrayLike | None = None,
 ) -> Chain:
     """Chain from Denavit-Hartenberg parameters.
 
@@ -179,7 +183,15 @@ def from_dh(
 
 
 def from_screws(
-    points, axes, home, *, kinds=None, joint_names=None, lower=None, upper=None, velocity_limit=None
+    points: ArrayLike,
+    axes: ArrayLike,
+    home: PoseLike,
+    *,
+    kinds: str | None = None,
+    joint_names: Names = None,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    velocity_limit: ArrayLike | None = None,
 ) -> Chain:
     """Chain from a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
 
@@ -204,7 +216,15 @@ def from_screws(
     return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
-def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velocity_limit=None) -> Chain:
+def assemble(
+    joints: Iterable[Joint],
+    tip: Offset | None = None,
+    *,
+    joint_names: Names = None,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    velocity_limit: ArrayLike | None = None,
+) -> Chain:
     """Chain from joints built one by one, with limits checked against the number of coordinates."""
     joints = tuple(joints)
     if not joints:
@@ -232,7 +252,7 @@ def assemble(joints, tip=None, *, joint_names=None, lower=None, upper=None, velo
     return made
 
 
-def with_tool(chain: Chain, tool) -> Chain:
+def with_tool(chain: Chain, tool: PoseLike) -> Chain:
     """The chain with a fixed tool after its tip: a (3,) offset [m], or a pose: a 4×4 transform, [x, y, z, w, x, y, z],
     a `Pose`, or an object with translation and rotation such as Pinocchio's SE3.
     """
@@ -240,7 +260,7 @@ def with_tool(chain: Chain, tool) -> Chain:
     return replace(chain, tip=compose(chain.tip, _offset("tool", tool, places=True)))
 
 
-def with_base(chain: Chain, base) -> Chain:
+def with_base(chain: Chain, base: PoseLike) -> Chain:
     """The chain where it stands in the world: its base at a (3,) position [m] or a pose, as for `with_tool`.
 
     Targets, Jacobians and the tip's pose are then in the world's frame.

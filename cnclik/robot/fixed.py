@@ -7,6 +7,9 @@ arm whose link lengths are parameters the rest of the geometry stays known; `rob
 import functools
 
 from cnclik.record import record
+from cnclik.shapes import Number
+
+Triple = tuple[Number, Number, Number]
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO = (0.0, 0.0, 0.0)
@@ -78,8 +81,8 @@ def rotation_about(axis, sine, cosine):
 class Offset:
     """A fixed transform: rotation (rows), then position, as seen from the frame before."""
 
-    position: tuple = ZERO  # [m]
-    rotation: tuple = IDENTITY
+    position: Triple = ZERO  # [m]
+    rotation: tuple[Triple, ...] = IDENTITY
 
 
 def compose(first: Offset, second: Offset) -> Offset:

@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -11,17 +10,18 @@ from cnclik.record import cast, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, frames, jacobian_rows, modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
+from cnclik.shapes import Array, ArrayLike, Float
 
 
 @record
 class Pose:
     """Where the tip is, in the base frame."""
 
-    position: jax.Array  # (3,) [m]
-    rotation: jax.Array  # (3, 3)
+    position: Float[Array, "3"]  # [m]
+    rotation: Float[Array, "3 3"]
 
 
-def as_joint_values(chain: Chain, q, name="q", *, finite=False):
+def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float[Array, " n"]:
     """q as a floating array (n,), checked."""
     n = errors.kind("chain", chain, (Chain, Model)).n
     q = errors.array(name, q, (n,), finite=finite)
@@ -63,7 +63,7 @@ def forward(chain: Chain, q: ArrayLike) -> Pose:
     return Pose(position=position, rotation=rotation)
 
 
-def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
+def jacobian(chain: Chain, q: ArrayLike) -> Float[Array, "6 n"]:
     """Geometric Jacobian J(q), (6, n): tip velocity (v, ω) = J q̇ in the base frame, linear rows first.
 
     Column i is (aᵢ × (p − pᵢ), aᵢ) for a revolute joint and (aᵢ, 0) for a prismatic one (Siciliano et al.
@@ -76,7 +76,7 @@ def jacobian(chain: Chain, q: ArrayLike) -> jax.Array:
     return _jacobian(chain, as_joint_values(chain, q))[0]
 
 
-def manipulability(chain: Chain, q: ArrayLike, task=None) -> jax.Array:
+def manipulability(chain: Chain, q: ArrayLike, task=None) -> Float[Array, ""]:
     """Yoshikawa's measure w = √det(J Jᵀ), 0 at a singularity (Yoshikawa 1985, eq. 9).
 
     Args:

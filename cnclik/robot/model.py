@@ -21,6 +21,7 @@ from cnclik.record import kept, mapped, record
 from cnclik.robot import fixed
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.rotations import library
+from cnclik.shapes import Array, Bool, Float
 
 
 @record
@@ -28,14 +29,14 @@ class Model:
     """A `Chain` as arrays: j joints, n coordinates."""
 
     n: int  # joint coordinates
-    transforms: tuple  # A, B, C, D as above, (j, 4, 4) each; D is None where all joints are revolute
-    axes: object  # (j, 3) unit vectors in the joints' own frames
-    turning: object  # (j,) true for revolute joints; None where all are
-    mimic: object  # (multipliers (j, n), offsets (j,)) of the joint values; None where they are the coordinates
-    tip: object  # (4, 4)
-    lower: object  # (n,) as in `Chain`
-    upper: object
-    velocity_limit: object
+    transforms: tuple[Float[Array, "j 4 4"] | None, ...]  # A, B, C, D as above; D is None where all joints are revolute
+    axes: Float[Array, "j 3"]  # unit vectors in the joints' own frames
+    turning: Bool[np.ndarray, " j"] | None  # true for revolute joints; None where all are
+    mimic: tuple[Float[Array, "j n"], Float[Array, " j"]] | None  # multipliers and offsets of the joint values, if any
+    tip: Float[Array, "4 4"]
+    lower: Float[Array, " n"]  # as in `Chain`
+    upper: Float[Array, " n"]
+    velocity_limit: Float[Array, " n"]
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
 
@@ -44,10 +45,10 @@ class Model:
 class Frames:
     """The tip's pose, and for each joint its axis and a point on it, in the base frame."""
 
-    position: object  # (3,) [m]
-    rotation: object  # (3, 3)
-    axes: object  # (j, 3)
-    points: object  # (j, 3) [m]
+    position: Float[Array, "3"]  # [m]
+    rotation: Float[Array, "3 3"]
+    axes: Float[Array, "j 3"]
+    points: Float[Array, "j 3"]  # [m]
 
 
 def joint_frames(chain: Model, q):

@@ -3,18 +3,31 @@
 A rotation may be as rough as three decimals; what is known is then made a rotation exactly, in float64.
 """
 
+from typing import Any, Protocol
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
+from cnclik.shapes import ArrayLike
 
 ROUGH = 1e-3  # of a rotation: how far lengths of its rows are from 1, and cosines of their angles from 0
 _EXACT = 1e-12  # the same of one that is taken as it is
 NORM = 1e-2  # how far a quaternion's norm may be from 1: 0.71 0.71 0 0
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])  # row of a transform
 FORMS = "a 4×4 transform, [x, y, z, w, x, y, z], a Pose, or an object with translation and rotation"
+
+
+class Posed(Protocol):
+    """A `Pose`, or an object such as Pinocchio's SE3; its place is its `position` or `translation`."""
+
+    @property
+    def rotation(self) -> Any: ...
+
+
+PoseLike = ArrayLike | Posed  # numbers may be a position alone
 
 
 def whole(name, value, *, finite=True):

@@ -293,8 +293,8 @@ def _edge(file, joint) -> Edge:
             mimic = joint.mimic
             if not all(abs(x) <= MOST for x in mimic[1:]):
                 raise bad(f"has a mimic multiplier or offset that is not finite, or not within ±{MOST:g}")
-    found = {"origin": origin, "axis": axis, "lower": lower, "upper": upper, "velocity": velocity, "mimic": mimic}
-    return Edge(name=joint.name, type=joint.type, parent=joint.parent, child=joint.child, **found)
+    told = {name: getattr(joint, name) for name in ("name", "type", "parent", "child")}
+    return Edge(**told, origin=origin, axis=axis, lower=lower, upper=upper, velocity=velocity, mimic=mimic)
 
 
 def _snapped(values):

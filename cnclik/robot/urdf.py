@@ -1,5 +1,6 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
+import os
 import re
 
 from cnclik import errors
@@ -11,7 +12,7 @@ _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 
 
-def load_urdf(path, tip=None, base=None) -> Chain:
+def load_urdf(path: str | os.PathLike, tip: str | None = None, base: str | None = None) -> Chain:
     """Chain from base to tip of a robot in a URDF file, read without its meshes.
 
     Revolute, continuous and prismatic joints become coordinates in order from the base; fixed joints are
@@ -34,7 +35,7 @@ def load_urdf(path, tip=None, base=None) -> Chain:
     return chain(read_urdf(path), tip, base)
 
 
-def chain(tree: Tree, tip=None, base=None) -> Chain:
+def chain(tree: Tree, tip: str | None = None, base: str | None = None) -> Chain:
     """The chain from base to tip of a tree that was read before. Args and raises: as `load_urdf`."""
     base = tree.root if base is None else _link(tree, "base", base)
     given, tip = tip, tip_of(tree, tip, base)
@@ -77,7 +78,7 @@ def chain(tree: Tree, tip=None, base=None) -> Chain:
     )
 
 
-def tip_of(tree: Tree, tip=None, base=None) -> str:
+def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
     """The name of the last link: the one given, or the only one that can be meant. Args and raises: as `load_urdf`."""
     base = tree.root if base is None else _link(tree, "base", base)
     if tip is not None:
