@@ -1,6 +1,4 @@
-"""Files of results: nothing half-written looks whole, what was computed is not lost where it can't be written, and
-what others wrote stays.
-"""
+"""Files of results: each is whole or not there, and what others wrote stays."""
 
 import contextlib
 import errno
@@ -27,6 +25,7 @@ _SIGNS = {  # what files of each kind have in them that say so: others are known
 }
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
+_begun = []  # hidden folders that this process writes into, and new ones that may yet hold nothing
 
 
 def checked_file(name, file, *endings, overwrite=True) -> pathlib.Path:
@@ -49,12 +48,6 @@ def checked_file(name, file, *endings, overwrite=True) -> pathlib.Path:
     if os.path.lexists(file) and not (overwrite or _is_own(file)):
         raise errors.fail(name, "be a new file, or one of cnclik's own", f"{file.name[:60]!r} is not ({_OVERWRITE})")
     return file
-
-
-def checked_folder(name, path, *, overwrite=True, files=()) -> None:
-    """Raise ArgumentError unless `path` is, or can become, a folder that takes files; nothing is left there."""
-    with output_folder(path, name=name, overwrite=overwrite, files=files):
-        pass
 
 
 _OVERWRITE = "--overwrite writes there all the same"
@@ -93,9 +86,13 @@ def _check_target(target, *, overwrite) -> None:
         raise FileExistsError(errno.EEXIST, f"{target.name} there is not cnclik's own ({_OVERWRITE})")
 
 
+class Refused(errors.ArgumentError):
+    """A folder does not take a file."""
+
+
 def _refused(name, folder, reason):
     found = f"{str(folder)[-80:]!r} does not: {reason}"
-    return errors.ArgumentError(f"Argument `{name}` must be a folder that takes all files, but {found}.")
+    return Refused(f"Argument `{name}` must be a folder that takes all files, but {found}.")
 
 
 def _is_own(path) -> bool:
@@ -130,127 +127,46 @@ def _checksum(path) -> bytes:
 
 
 class Folder:
-    """A hidden folder to write into, whose files are moved to their place when all is well.
+    """A folder that takes files one by one: each is written into a hidden folder beside its place, and moved there."""
 
-    Where the disk does not take a file (full, over quota, gone) all files go to a folder for temporary files instead,
-    and the computation goes on; `finish` says so at the end.
-    """
-
-    def __init__(self, out: pathlib.Path, hidden: pathlib.Path, name: str, overwrite: bool, replaces=()):
-        self.out, self.path, self.name, self.overwrite, self.problem = out, hidden, name, overwrite, None
-        self.replaces = replaces
-        self.told = False  # whether a message says where the files are
+    def __init__(self, path: pathlib.Path, name: str, overwrite: bool):
+        self.path, self.name, self.overwrite, self.made = path, name, overwrite, []
 
     def write(self, file: str, make) -> None:
-        """Write a file by make(path). Raises: ArgumentError where no folder for temporary files takes it either."""
+        """Write a file by make(path). Raises: Refused where the folder doesn't take it; files before it are there."""
+        target = self.path / file
         try:
-            _write(self.path / file, make)
-        except Exception as error:
-            with contextlib.suppress(OSError):
-                (self.path / file).unlink()
-            if not isinstance(error, OSError):
-                raise
-            self._elsewhere(error, lambda path: _write(path / file, make))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with hidden_folder(target.parent) as hidden:
+                partial = hidden / target.name
+                make(partial)
+                with open(partial, "rb+") as whole:  # Windows syncs no file that is open to be read only
+                    os.fsync(whole.fileno())  # some disks tell only now that they are full
+                _check_target(target, overwrite=self.overwrite)
+                _list(partial, target)
+                os.replace(partial, target)
+        except OSError as error:
+            reason = f"{errors.reason(error)} ({file}; files before it are kept)"
+            raise _refused(self.name, self.path, reason) from error
+        self.made.append(file)
 
     def write_text(self, file: str, text: str) -> None:
         """Write a text. Raises: as `write`."""
         self.write(file, lambda path: path.write_text(text, encoding="utf-8"))
 
-    def finish(self) -> None:
-        """Move all files to their place. Raises: ArgumentError that tells where they are, if they are not there."""
-        if not self.problem:
-            made = {p: self.out / p.relative_to(self.path) for p in sorted(self.path.rglob("*")) if os.path.isfile(p)}
-            try:
-                for target in made.values():
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    _check_target(target, overwrite=self.overwrite)
-                _list(made)
-                for file, target in made.items():
-                    os.replace(file, target)
-                self._remove_earlier(made.values())
-            except OSError as error:
-                self._beside(error)
-        if self.problem:
-            self.told = True
-            reason = f"{errors.reason(self.problem)}; the files are kept in {self.path}"
-            raise _refused(self.name, self.out, reason) from self.problem
 
-    def _remove_earlier(self, made):
-        """Remove what an earlier run of the command left and this one did not make: it is of another result."""
-        for target in (self.out / file for file in self.replaces):
-            if target not in made and not is_input(target) and os.path.isfile(target) and _is_own(target):
-                target.unlink()
-
-    def _beside(self, problem):
-        """Keep files that can't be moved where they are, no longer hidden."""
-        seen = self.out / self.path.name.replace(_PARTIAL, "kept-")
-        try:
-            self.path.rename(seen)
-        except OSError:
-            self._elsewhere(problem)
-        else:
-            self.path, self.problem = seen, problem
-
-    def _elsewhere(self, problem, write=lambda path: None):
-        """Copy all files to the first folder for temporary files that has room, and write there from now on."""
-        for place in _places():
-            path = None
-            try:
-                path = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-", dir=place))
-                shutil.copytree(self.path, path, dirs_exist_ok=True)
-                write(path)
-            except OSError:
-                if path is not None:
-                    shutil.rmtree(path, ignore_errors=True)
-            else:
-                self.discard()  # of an earlier place, that is full too
-                self.path, self.problem = path, self.problem or problem
-                return
-        self.told = self.problem is not None
-        kept = f"; the files before it are kept in {self.path}" if self.told else ""
-        reason = f"{errors.reason(problem)}, nor is there room anywhere else{kept}"
-        raise _refused(self.name, self.out, reason) from problem
-
-    def discard(self) -> None:
-        """Remove files that went elsewhere, unless a message says where they are."""
-        if self.problem and not self.told:
-            shutil.rmtree(self.path, ignore_errors=True)
-
-
-def _list(made) -> None:
-    """Add to the lists of the folders that files are about to move into, {file: where to}. Raises OSError.
-
-    Lines stay, so that an earlier file is known until the move, and others may write at once.
-    """
-    for file, target in made.items():
-        if not _says_so(file):
-            known, own = target.parent / LIST, _checksum(file)
-            if own not in _ends(known):
-                with open(known, "ab") as lines:
-                    lines.write(own + b"  " + os.fsencode(target.name) + b"\n")
-
-
-def _places():
-    """Folders for temporary files."""
-    for place in (tempfile.gettempdir, pathlib.Path.home):
-        with contextlib.suppress(OSError, RuntimeError):  # no folder takes a byte; a user without a home
-            yield place()
-    yield "/dev/shm"
-
-
-def _write(path, make):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    make(path)
-    with open(path, "rb+") as file:  # Windows syncs no file that is open to be read only
-        os.fsync(file.fileno())  # some disks tell only now that they are full
+def _list(file, target) -> None:
+    """Add a file that doesn't say who wrote it to the list of the folder that it is about to move into."""
+    if not _says_so(file):
+        known, own = target.parent / LIST, _checksum(file)
+        if own not in _ends(known):
+            with open(known, "ab") as lines:  # an earlier file is known until the move, and others may write at once
+                lines.write(own + b"  " + os.fsencode(target.name) + b"\n")
 
 
 @contextlib.contextmanager
 def output_folder(path, *, name="out", overwrite=True, files=(), replaces=()):
-    """A `Folder` whose files are moved into `path` when the block ends well.
-
-    `path` is created if need be, and found unwritable before any work is done. On an error or an interrupt
-    all that was written is removed and what `path` held before is untouched.
+    """A `Folder` that writes into `path`, which is created if need be, and found unwritable before any work is done.
 
     Args:
       path: where the results shall be.
@@ -259,79 +175,66 @@ def output_folder(path, *, name="out", overwrite=True, files=(), replaces=()):
         reads is not.
       files: names of what is going to be written there, now or later: one in the way is refused at once.
       replaces: names that the same command may have written before: those of cnclik's own that it doesn't write this
-        time are removed at the end, so that the folder holds one result.
+        time are removed when the block ends well, so that the folder holds one result.
 
     Yields: the `Folder`, with `write(file, make)`.
-    Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into, or is one of others;
-      and at the end where it did not take all, naming the folder that the files are kept in.
+    Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into, or is one of others.
     """
     path = errors.path(name, path)
     if not overwrite:
         check_own(name, path)
         check_free(name, path, files)
-    with contextlib.ExitStack() as stack:
+    created = [p for p in (*reversed(path.parents), path) if not os.path.exists(p)]
+    _begun.extend(created)
+    try:
         try:
-            created = [p for p in (path, *path.parents) if not os.path.exists(p)]
-            stack.callback(_remove_empty, created)
             path.mkdir(parents=True, exist_ok=True)
-            hidden = stack.enter_context(hidden_folder(path))
-            _write(hidden / "room", lambda file: file.write_bytes(bytes(_ROOM)))
-            (hidden / "room").unlink()
+            with tempfile.TemporaryFile(dir=path) as room:
+                room.write(bytes(_ROOM))
+            remove_abandoned(path.glob(f"{_PARTIAL}*"))
         except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
             found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
-        folder = Folder(path, hidden, name, overwrite, replaces)
-        stack.callback(folder.discard)
+        folder = Folder(path, name, overwrite)
         yield folder
-        folder.finish()
-
-
-def _remove_empty(folders):
-    for folder in folders:  # deepest first; what holds something stays
-        with contextlib.suppress(OSError):
-            folder.rmdir()
-
-
-# --- hidden folders -----------------------------------------------------------------------------------
+        for target in (path / file for file in replaces if file not in folder.made):
+            if not is_input(target) and os.path.isfile(target) and _is_own(target):
+                target.unlink()  # of an earlier result
+    finally:
+        for new in reversed(created):
+            _begun.remove(new)
+            _remove(new)
 
 
 @contextlib.contextmanager
 def hidden_folder(path: pathlib.Path):
-    """A new hidden folder inside `path`, to make something in that is moved out when it is whole; removed at the end.
-
-    It is locked for as long as this process lives, and those that killed processes have left are removed first.
-    """
-    for left in path.glob(f"{_PARTIAL}*"):
-        with contextlib.suppress(OSError, ImportError):
-            if abandoned(left):  # else perhaps just made, and about to be locked
-                opened = _lock(left)
-                shutil.rmtree(left, ignore_errors=True)
-                os.close(opened)
+    """A new hidden folder inside `path`, to make in what is moved out when it is whole; removed at the end."""
     hidden = pathlib.Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=path))
-    opened = None
+    _begun.append(hidden)
     try:
-        with contextlib.suppress(OSError, ImportError):
-            opened = _lock(hidden)
         yield hidden
     finally:
-        shutil.rmtree(hidden, ignore_errors=True)
-        if opened is not None:
-            os.close(opened)
+        _begun.remove(hidden)
+        _remove(hidden)
 
 
-def abandoned(path: pathlib.Path) -> bool:
-    """Whether nobody has written there for a minute: else perhaps another process is at it. Raises OSError."""
-    return abs(time.time() - path.stat().st_mtime) > 60
+def remove_begun() -> None:
+    """Remove what this process has begun to write: before a signal ends it at once."""
+    for path in reversed(_begun):
+        _remove(path)
 
 
-def _lock(folder):
-    """A descriptor that holds the folder's lock. Raises OSError where another process has it or there are no locks."""
-    import fcntl
+def remove_abandoned(paths) -> None:
+    """Remove files, or hidden folders, that nobody has written into for an hour: else another process may be at it."""
+    for path in paths:
+        with contextlib.suppress(OSError):
+            if abs(time.time() - path.stat().st_mtime) > 3600:
+                path.unlink() if os.path.isfile(path) else _remove(path)
 
-    opened = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(opened)
-        raise
-    return opened
+
+def _remove(folder) -> None:
+    """Remove a hidden folder with all that is in it, and another one where it is empty."""
+    if folder.name.startswith(_PARTIAL):
+        shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()

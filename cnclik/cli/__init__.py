@@ -60,12 +60,10 @@ def _run(verb, *options) -> None:
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
+        if isinstance(args, common.ComputeOptions):  # the others are quick without JAX
+            with _nothing_collected():
+                _prepare(args.cache)
         with remarks.listening(), reading.remembered(), _watched(args) as spans:
-            if isinstance(args, common.ComputeOptions):  # the others are quick without JAX
-                with _nothing_collected():
-                    with terminal.whole():
-                        importlib.import_module("jax")
-                    _prepare(args.cache)
             module.run(args)
             if spans is not None:
                 print(spans)
@@ -74,8 +72,6 @@ def _run(verb, *options) -> None:
     except FigureError as error:
         _leave(1, error)
     except Exception as error:
-        if terminal.heard_now:
-            raise terminal.STOPS[terminal.heard_now[0]] from None
         if isinstance(error, ImportError):  # of what draws: what was computed is written before that is loaded
             _leave(1, errors.in_a_line(error))
         if _has_platform():

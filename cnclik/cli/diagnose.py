@@ -42,7 +42,7 @@ def run(args: Args) -> None:
     from cnclik.diagnosis.recording import APART, clock, no_motion, sampling_time
     from cnclik.problem.magnitudes import remark_on_times
     from cnclik.problem.tables import read_columns
-    from cnclik.writing import checked_folder
+    from cnclik.writing import output_folder
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
@@ -50,7 +50,8 @@ def run(args: Args) -> None:
         remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log, gaps=True)
     if args.out is not None:
-        checked_folder("out", args.out, overwrite=args.overwrite, files=["diagnose.png"])
+        with output_folder(args.out, overwrite=args.overwrite, files=["diagnose.png"]):
+            pass  # it takes the figure
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
     t, times, unit = clock(names, table)

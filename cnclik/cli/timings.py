@@ -1,8 +1,6 @@
-"""Where a command's time goes: importing, tracing, compiling, drawing, and the rest, which is running."""
+"""Where a command's time goes: importing (until it begins), tracing, compiling, drawing, and the rest: running."""
 
-import builtins
 import contextlib
-import threading
 import time
 
 from cnclik.show.output import DRAWING
@@ -21,9 +19,6 @@ class Spans:
 
     def __init__(self, begun: float):
         self.begun, self.found, self.hits = begun, {name: [] for name in _ORDER}, 0
-
-    def add(self, what, start, end):
-        self.found[what].append((start, end))
 
     def seconds(self, now=None) -> dict:
         """{what: seconds}, each instant counted once, and the rest as "running"."""
@@ -58,46 +53,22 @@ def length(spans) -> float:
 @contextlib.contextmanager
 def watch(begun: float):
     """Yields the `Spans` of what happens inside; they began at `begun` (`time.time()`), with importing until now."""
+    from jax import monitoring
+
     spans = Spans(begun)
-    spans.add("importing", begun, time.time())
-    with _imports(spans):
-        from jax import monitoring
+    spans.found["importing"].append((begun, time.time()))
 
-        def span(event, start, end, **_):
-            if event in EVENTS:
-                spans.add(EVENTS[event], start, end)
+    def span(event, start, end, **_):
+        if event in EVENTS:
+            spans.found[EVENTS[event]].append((start, end))
 
-        def happened(event, **_):
-            spans.hits += event == "/jax/compilation_cache/cache_hits"
+    def happened(event, **_):
+        spans.hits += event == "/jax/compilation_cache/cache_hits"
 
-        monitoring.register_event_time_span_listener(span)
-        monitoring.register_event_listener(happened)
-        try:
-            yield spans
-        finally:
-            monitoring.unregister_event_time_span_listener(span)
-            monitoring.unregister_event_listener(happened)
-
-
-@contextlib.contextmanager
-def _imports(spans):
-    """Modules are loaded all along a command: those that take a while, and are waited for, are spans, too."""
-    load, depth, here = builtins.__import__, 0, threading.current_thread()
-
-    def timed(*args, **kwargs):
-        nonlocal depth
-        if depth or threading.current_thread() is not here:
-            return load(*args, **kwargs)
-        start, depth = time.time(), 1
-        try:
-            return load(*args, **kwargs)
-        finally:
-            depth = 0
-            if (end := time.time()) - start > 1e-3:
-                spans.add("importing", start, end)
-
-    builtins.__import__ = timed
+    monitoring.register_event_time_span_listener(span)
+    monitoring.register_event_listener(happened)
     try:
-        yield
+        yield spans
     finally:
-        builtins.__import__ = load
+        monitoring.unregister_event_time_span_listener(span)
+        monitoring.unregister_event_listener(happened)

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import os
+import signal
 import threading
 from pathlib import Path
 
@@ -45,11 +46,12 @@ def run(args: Args) -> None:
         return
     viewer = front.Viewer(motions, live, host=args.host, port=args.port)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)
+    if signal.getsignal(signal.SIGINT) is terminal.end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # as the way to end it
     try:
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()
     finally:
-        terminal.heard_now.clear()  # what is wrong from here on is no signal's
         viewer.stop()
 
 

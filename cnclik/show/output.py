@@ -7,7 +7,7 @@ import threading
 import time
 
 from cnclik import errors
-from cnclik.writing import output_folder
+from cnclik.writing import Refused, output_folder
 
 DRAWING = "/cnclik/drawing"  # the event by which `draw` tells jax.monitoring how long it took
 
@@ -49,7 +49,8 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
       progress: called as progress(done, total, note).
       overwrite: also over files that cnclik did not write.
 
-    Raises: FigureError at the end, naming the figures that could not be drawn; the others are there.
+    Raises: FigureError at the end, naming the figures that could not be drawn; the others are there. ArgumentError
+      where the folder doesn't take one: those before it are there.
     """
     if not figures:
         return []
@@ -66,6 +67,8 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
                 progress(done, len(figures), f"drawing {file}")
             try:
                 folder.write(file, functools.partial(style.save, make(), about=about))
+            except Refused:
+                raise
             except Exception as error:  # some mistakes, as in a title's mathematics, show only when it is saved
                 failed[file] = error
     monitoring.record_event_time_span(DRAWING, begun, time.time())

@@ -10,6 +10,7 @@ refused by a reader.
 
 import contextlib
 import dataclasses
+import functools
 import json
 import os
 import pathlib
@@ -26,10 +27,10 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import OWN, abandoned, check_own, hidden_folder
+from cnclik.writing import OWN, check_own, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
-_MARK = OWN  # in a store: {file: checksum} of its description and coordinates
+_MARK = OWN  # in a store: {file: checksum} of its description and of its coordinates' values
 _DESCRIPTION = "zarr.json"  # of a group or an array
 _NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
 
@@ -70,17 +71,12 @@ class Store:
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
 
-    def damaged(self, missing) -> set:
-        """Numbers of those missing blocks that were done and no longer have their checksum, or can't be read."""
-        known = self._known()
-        return {b.number for b in missing if known[b.number] != _NOT_DONE or self._checksum(b) is None}
-
-    def without(self, name, damaged) -> np.ndarray:
-        """A variable as if some blocks were not done yet; they are not read."""
-        array = self.group[name]
+    def without(self, name, missing) -> np.ndarray:
+        """A variable as if the missing blocks had not been begun; they are not read."""
+        array, numbers = self.group[name], {b.number for b in missing}
         values = np.full(array.shape, array.fill_value, array.dtype)
         for block in self.blocks():
-            if block.number not in damaged:
+            if block.number not in numbers:
                 values[block.region] = array[block.region]
         return values
 
@@ -93,29 +89,24 @@ class Store:
                 known[number] = self._checksums[number]
         return known
 
-    def _checksum(self, block, piece=None):
-        total = 0
-        for name in self.names:
-            try:
-                values = self.group[name][block.region] if piece is None else piece[name]
-            except _UNREADABLE:
-                return None
-            total = zlib.crc32(np.ascontiguousarray(values), total)
-        return total
+    def _checksum(self, block):
+        try:
+            return _checksum_of(self.group[name][block.region] for name in self.names)
+        except _UNREADABLE:
+            return None
 
     def write(self, block, piece):
         """The data, then the checksum that vouches for them."""
         for name in self.names:
             self.group[name][block.region] = piece[name]
-        self._checksums[block.number] = self._checksum(block, piece)
+        self._checksums[block.number] = _checksum_of(piece[name] for name in self.names)
 
     def damaged_coordinates(self) -> list:
         """Names of the coordinates that are not what was written."""
-        found = _chunks(self.path, self.coordinates)
         if set(self._mark) == {_DESCRIPTION}:  # of a store that version 0.2 made
             return []
-        wanted = {file: self._mark.get(file) for file in {*found, *self._mark} - {_DESCRIPTION}}
-        return sorted({file.partition("/")[0] for file in wanted if found.get(file) != wanted[file]})
+        other = self._mark.items() ^ _file_checksums(self.path, self.coordinates).items()
+        return sorted({file.partition("/")[0] for file, _ in other})
 
     def foreign(self):
         """The first file in the store that is no part of it, or None."""
@@ -137,32 +128,31 @@ class Store:
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chunk raises
 
 
+def _checksum_of(arrays) -> int:
+    return functools.reduce(lambda total, values: zlib.crc32(np.ascontiguousarray(values), total), arrays, 0)
+
+
 def _mark(path, coordinates) -> None:
     """Note the checksums of the description and the coordinates, which never change, at once."""
     partial = path / f"{_MARK}.partial"
-    found = {_DESCRIPTION: _file_checksum(path / _DESCRIPTION)} | _chunks(path, coordinates)
-    partial.write_text(json.dumps(found))
+    partial.write_text(json.dumps(_file_checksums(path, coordinates)))
     partial.replace(path / _MARK)
 
 
 def _checked_mark(path) -> dict:
     """What was noted. Raises: ValueError where the description is not what was written, OSError where none is."""
     found = json.loads(read_bytes("out", path / _MARK, "a store's checksums"))
-    found = {_DESCRIPTION: found} if isinstance(found, int) else found
-    if not isinstance(found, dict) or found.get(_DESCRIPTION) != _file_checksum(path / _DESCRIPTION):
+    found = {_DESCRIPTION: found} if isinstance(found, int) else {file: int(v) for file, v in dict(found).items()}
+    if found.get(_DESCRIPTION) != _file_checksums(path, ())[_DESCRIPTION]:
         raise ValueError("its description is damaged")
     return found
 
 
-def _chunks(path, coordinates) -> dict:
-    """{file: checksum} of the values of coordinates."""
-    files = (file for name in coordinates for file in sorted((path / name).rglob("*")) if os.path.isfile(file))
-    named = {file.relative_to(path).as_posix(): file for file in files if file.suffix != ".partial"}
-    return {name: _file_checksum(file) for name, file in named.items() if not name.endswith(_DESCRIPTION)}
-
-
-def _file_checksum(file) -> int:
-    return zlib.crc32(read_bytes("out", file, "a sweep's file"))
+def _file_checksums(path, coordinates) -> dict:
+    """{file: checksum} of the description and of the values of coordinates."""
+    values = (f for name in coordinates for f in (path / name).rglob("*") if f.name != _DESCRIPTION)
+    own = [path / _DESCRIPTION, *(f for f in values if os.path.isfile(f) and f.suffix != ".partial")]
+    return {f.relative_to(path).as_posix(): zlib.crc32(read_bytes("out", f, "a sweep's file")) for f in own}
 
 
 def _codecs():
@@ -247,10 +237,7 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         words = "hold results of this very spec (--fresh starts over, another --out keeps both)"
         raise errors.fail("out", words, f"differs in {where}")
     with _disk(folder):
-        for left in path.rglob("*.partial"):  # of a write that was cut off
-            with contextlib.suppress(OSError):
-                if abandoned(left):
-                    left.unlink()
+        remove_abandoned(path.rglob("*.partial"))  # of a write that was cut off
         store.repair(spec)
     return store
 
@@ -370,9 +357,8 @@ def read_and_missing(folder):
         raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
     data = store.opened()
     missing = store.missing()
-    damaged = store.damaged(missing)
-    if damaged:
-        data = data.assign({n: v.copy(data=store.without(n, damaged)) for n, v in data.items()})
+    if missing:
+        data = data.assign({n: v.copy(data=store.without(n, missing)) for n, v in data.items()})
     return data, len(missing)
 
 
