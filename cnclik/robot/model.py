@@ -16,8 +16,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.constants import of_the_model
-from cnclik.hints import quick_jit
-from cnclik.record import kept, mapped, record
+from cnclik.hints import QUICK_COMPILE, quick_jit
+from cnclik.record import kept, mapped, record, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.rotations import library
@@ -39,6 +39,7 @@ class Model:
     velocity_limit: Float[Array, " n"]
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
+    standing: object = None  # (`Frames`, their derivatives by q) of `standing`; None: they follow the joint values
 
 
 @record
@@ -64,12 +65,33 @@ def joint_frames(chain: Model, q):
 
 def frames(chain: Model, q) -> Frames:
     """All frames at q (n,), as arrays; NumPy's where all are numbers, and then also of q (..., n)."""
+    if chain.standing is not None:
+        return _standing(*chain.standing, q)
     xp = library(q, chain.tip)
     chain = chain if xp is np else of_the_model(chain)
     at = joint_frames(chain, q)
     tip = at[..., -1, :, :] @ chain.tip
     axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
     return Frames(position=tip[..., :3, 3], rotation=tip[..., :3, :3], axes=axes, points=at[..., :3, 3])
+
+
+def standing(chain: Model, q) -> Model:
+    """The chain whose frames stand as they are at q (n,), and whose derivatives by the joint values are those at q.
+
+    For what is differentiated at q alone: of many loops that rest there, all that depends on frames is computed once.
+    """
+    return replace(chain, standing=(frames(chain, q), jax.jacfwd(functools.partial(frames, chain))(q)))
+
+
+@jax.custom_jvp
+def _standing(at, by_joint, q):
+    return at
+
+
+@_standing.defjvp
+def _standing_jvp(primals, tangents):
+    (moved, _, turned), by_joint = tangents, primals[1]
+    return _standing(*primals), jax.tree.map(lambda own, each: own + each @ turned, moved, by_joint)
 
 
 def jacobian_rows(chain: Model, at: Frames, linear, angular):
@@ -137,15 +159,15 @@ def _model(chain: Chain) -> Model:
     )
 
 
-def one_off(fn=None, *, as_given=False, **options):
-    """`jax.jit`, with its arguments, for programs that are run once or twice: compiled `quick`.
+def one_off(fn=None, *, as_given=False, compiler=QUICK_COMPILE, **options):
+    """`jax.jit`, with its arguments, for programs that are run once or twice: compiled `quick`, see `quick_jit`.
 
     Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape; unless
     they are wanted `as_given`, by a function that changes their links or has one for each lane.
     """
     if fn is None:
-        return functools.partial(one_off, as_given=as_given, **options)
-    jitted, quick = bounded_jit(fn, **options), quick_jit(fn, **options)
+        return functools.partial(one_off, as_given=as_given, compiler=compiler, **options)
+    jitted, quick = bounded_jit(fn, **options), quick_jit(fn, compiler=compiler, **options)
 
     @functools.wraps(fn)
     def call(*args, **named):

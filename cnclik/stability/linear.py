@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.cache import bounded_jit
 from cnclik.integrate.drive import MOST
 from cnclik.integrate.march import march
 from cnclik.integrate.method import named
@@ -24,6 +23,7 @@ from cnclik.integrate.stage import picard
 from cnclik.law.feedback import per_step
 from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record
+from cnclik.robot.model import one_off
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
@@ -51,7 +51,7 @@ def _held(w, Ts, q):
     return _Linear(qdot=-per_step(w, Ts) @ q, correct=None)
 
 
-@bounded_jit(static_argnames=("method",))
+@one_off(static_argnames=("method",))
 def _amplification(method, stage, a, b):
     def one(a, b):
         w, start, Ts = jnp.array([[a, -b], [b, a]]), jnp.array([1.0, 0.0]), jnp.ones_like(a)
@@ -81,9 +81,9 @@ def amplification(method, stage, z):
         largest = np.take_along_axis(roots, np.argmax(np.abs(roots), -1)[..., None], -1)[..., 0]
         return largest if np.iscomplexobj(z) or np.any(largest.imag) else largest.real
     flat = z.reshape(-1)
-    a, b = jnp.asarray(flat.real, np.float64), jnp.asarray(flat.imag, np.float64)
-    x, y = _amplification(at_rest_as(method), stage, a, b).T
-    value = np.asarray(x) + 1j * np.asarray(y) if np.iscomplexobj(z) else np.asarray(x)
+    a, b = (np.asarray(v, np.float64) for v in (flat.real, flat.imag))
+    x, y = np.asarray(_amplification(at_rest_as(method), stage, a, b)).T
+    value = x + 1j * y if np.iscomplexobj(z) else x
     return value.reshape(z.shape)
 
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.hints import equations
+from cnclik.record import replace
 from cnclik.stability import linear
 from cnclik.stability.practice import practice
 from cnclik.stability.recommend import advise, margin, recommend
-from cnclik.stability.spectrum import settle, spectral_radius, spectrum
+from cnclik.stability.spectrum import at_rest, one_step, settle, spectral_radius, spectrum
 
 ARM = ck.planar_arm([1.0] * 3)
 Q = jnp.array([0.3, 0.9, -0.5])
@@ -26,13 +28,28 @@ def law(**changes):
 
 
 @pytest.mark.parametrize(
-    ("method", "stage"), [(ck.EE, None), (ck.IE, ck.picard(3)), (ck.TRAPEZOID, ck.chord(2))], ids=str
+    ("method", "stage"),
+    [(ck.EE, None), (ck.IE, ck.picard(3)), (ck.TRAPEZOID, ck.chord(2)), (ck.CN, ck.newton(1))],
+    ids=str,
 )
 def test_exact_inverse_amplifies_the_task_by_R_and_the_null_space_by_one(method, stage):
     found = spectrum(law(), None, Q, Ts, method, stage)
     np.testing.assert_allclose(found.task, linear.amplification(method, stage, 0.6), atol=1e-9)
     np.testing.assert_allclose(found.null, 1, atol=1e-12)
     assert found.coupling < 1e-9 and found.lost == 0
+
+
+def test_maps_of_many_gains_factor_one_jacobian():
+    pose = ck.Law(ck.planar_arm([1.0] * 4), ck.pose("xy", "z"), alpha=6.0)
+    q = np.array([0.3, 0.9, -0.5, 0.4])
+    changed, held = at_rest(pose, None, q)
+
+    def one(gain):
+        return one_step(replace(changed, alpha=gain), held, q, Ts, ck.CN, ck.chord(2))
+
+    traced = jax.make_jaxpr(jax.vmap(one))(np.linspace(1, 9, 5)).jaxpr
+    factored = [e.invars[0].aval.shape for e in equations(traced) if e.primitive.name == "cholesky"]
+    assert factored and set(factored) == {(3, 3)}
 
 
 def test_damping_slows_each_singular_direction_by_itself():
