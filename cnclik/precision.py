@@ -15,16 +15,21 @@ from cnclik import errors
 
 def of_numbers(fn):
     """Decorator: `fn` decides by numbers. Where an argument is traced (jit, vmap, grad) one line says which."""
-    names, remedy = inspect.signature(fn).parameters, f"call {fn.__name__} outside of jit, vmap and grad"
+    names = inspect.signature(fn).parameters
 
     @functools.wraps(fn)
     def known(*args, **kwargs):
-        for name, value in (*zip(names, args, strict=False), *kwargs.items()):
-            if not _known(value):
-                raise errors.fail(name, "hold numbers", f"is traced by JAX: {remedy}")
+        as_numbers(fn.__name__, *zip(names, args, strict=False), *kwargs.items())
         return fn(*args, **kwargs)
 
     return known
+
+
+def as_numbers(door, *named) -> None:
+    """Refuse what is traced among (name, value), arguments that `door` decides by."""
+    for name, value in named:
+        if not _known(value):
+            raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
 
 
 def in_float64(fn):

@@ -7,6 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.law.task import Task
+from cnclik.precision import as_numbers
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.seeds import turned
 from cnclik.reaching.step import STATIONARY
@@ -20,6 +21,7 @@ TOUCHING = 1e-9  # [rad, m] from a limit: at it
 FREE = 128  # tries of the search without limits
 SURE = 256  # tries, at least, before it is said that there is no answer
 CLOSE, LONGER = (0.1, 1e-3), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
+MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # which all tries of a target are a multiple of, as int32
 FEW, DOUBT = 3, 1e-2  # with more joints than that, a target missed by less [rad, units] may have an answer all the same
 MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
 CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
@@ -189,10 +191,13 @@ def asked_of(chain, *rest) -> Asked:
 def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
     if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
+    numbers = {"seeds": (seeds, MOST_SEEDS), "budget": (budget, (1 << 30) - 1)}
+    others = {"tolerance": tolerance, "accept": accept, "seed": seed, "limits": limits, "explain": explain}
+    as_numbers("reach", *numbers.items(), *others.items())
     if jump is not None:
         errors.number("jump", jump, positive=True)
-    for name, value in {"seeds": seeds, "budget": budget}.items():
-        errors.integer(name, value, at_least=1, at_most=(1 << 30) - 1)
+    for name, (value, most) in numbers.items():
+        errors.integer(name, value, at_least=1, at_most=most)
     tolerance, (own, unit) = _pair("tolerance", tolerance), in_units(chain)
     if jump is not None and unit != 1.0 and "m" in chain.units:
         jump = jump / np.array(of_joints(chain, unit))
@@ -215,6 +220,6 @@ def _pair(name, value):
     if not isinstance(value, (tuple, list)) and np.ndim(value) == 0:
         raise errors.fail(name, "be a pair, of position [m] and orientation [rad]", f"is {value!r}")
     value = errors.array(name, value, (2,), finite=False)
-    if not errors.concrete(value) or not (np.asarray(value) > 0).all():
+    if not (np.asarray(value) > 0).all():
         raise errors.fail(name, "hold positive numbers", f"is {value!r}")
     return np.asarray(value, float)

@@ -541,6 +541,7 @@ def test_turns_are_even():
         ({"targets": ([0, 0, 0], np.stack([np.eye(3)] * 5))}, "as many positions as rotations, but have one and 5"),
         ({"base": 2 * np.eye(4)}, "`base` must hold a rotation, .* scaled by 2"),
         ({"budget": 10**10}, "`budget` must be at most"),
+        ({"seeds": 1 << 27}, "`seeds` must be at most 134,217,727"),  # 16 times as many overflowed
         ({"near": "previous", "solutions": 2}, "`solutions` must be 1 along a path"),
     ],
 )
