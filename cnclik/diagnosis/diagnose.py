@@ -7,6 +7,7 @@ from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.blocks import orthogonal, within
 from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import (
+    ABOVE_NOISE,
     BEGUN,
     HELD,
     LEAST,
@@ -37,6 +38,7 @@ UNFINISHED = (
     "It may be the beginning of a swing, a path, or columns that are not of one loop, such as commands: the gain "
     "cannot be judged. Record the loop at rest, pushed, until it rests again."
 )
+SLOW = "What moves slowly is taken for a path: an error that grows as slowly looks alike, and a longer recording tells."
 
 
 @record
@@ -187,6 +189,9 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
         made |= growth_without_end(factor, shape, clear, alpha, Ts)
     elif kind is Kind.UNDECIDED:
         made["note"] = UNFINISHED
+    elif made["kind"] in (Kind.QUIET, Kind.NOISE):
+        moved = np.ptp(found.path + found.parts.sum(0), axis=0)
+        made["note"] = SLOW if np.any(moved > ABOVE_NOISE * found.noise + STILL) else ""
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)
     rest = [i for i in range(len(found.factors)) if i not in chosen]

@@ -17,8 +17,8 @@ LAGS = (0.7, 1.0, 1.4, 1.9, 2.4, 3.0, 3.8, 4.7, 6.0, 8.0, 10.0, 13.0, 20.0)  # i
 PARTS = (0.0, 0.25, 0.5, 0.75)  # of a sample of dead time
 DENSE = 7  # loops with a lag that weigh as much as one without, at each dead time
 COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
-FREE = (2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: one of order 1 that swings
-# is a loop without dead time
+FREE = (0, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: 0 is white noise, and
+# one of order 1 that swings is a loop without dead time
 PENALTY = 1.0  # on the logarithm of the number of rows, for each number
 UNMODELLED_STEPS = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
 MAIN = 3  # parts of the columns that are looked at, at most
@@ -119,8 +119,8 @@ def _over_dead_times(y, a, b, c, start, most, floor) -> list:
 def _autoregression(y, order, first, floor) -> float:
     """The criterion of y[k] = Σ aⱼ y[k−j] + w, all columns alike."""
     power = np.var(np.diff(y, axis=0), axis=0) + floor
-    past = np.stack([y[first - 1 - j : len(y) - 1 - j] / np.sqrt(power) for j in range(order)], -1)
-    now = y[first:] / np.sqrt(power)
-    r = triangle(np.column_stack([past.reshape(-1, order), now.ravel()]))
+    lagged = np.stack([y[first - j : len(y) - j] / np.sqrt(power) for j in range(order + 1)], -1)
+    now, past = lagged[..., 0], lagged[..., 1:]
+    r = triangle(np.column_stack([past.reshape(now.size, order), now.ravel()]))
     left = (now - past @ np.linalg.lstsq(r[:, :order], r[:, order], rcond=None)[0]) ** 2
     return len(now) * float(np.sum(np.log(np.mean(left, axis=0) * power + floor)))

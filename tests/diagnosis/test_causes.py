@@ -24,6 +24,13 @@ def test_growth_without_swinging_is_a_wrong_sign(growth, noise):
     assert "sign of the error, of the Jacobian or of the command is wrong" in str(found)
 
 
+def test_a_growth_as_slow_as_a_path_is_not_called_quiet_without_a_word():
+    found = diagnose(0.1 * 1.001 ** np.arange(400.0), TS)  # by half: a path may do that, too
+    assert found.kind is Kind.QUIET and "an error that grows as slowly looks alike" in str(found)
+    still = 1e-3 * np.random.default_rng(0).standard_normal(400)
+    assert diagnose(still, TS).note == ""
+
+
 @pytest.mark.parametrize(("d", "named"), [(0, 0), (2, 0), (7, 7)])  # of two nobody can be sure
 def test_the_gain_of_a_wrong_sign_at_a_given_alpha(d, named):
     """Its z was that of no dead time, whatever alpha was: less than half of it at seven samples."""
@@ -135,6 +142,14 @@ def test_loops_with_a_lag_that_noise_which_is_not_recorded_keeps_swinging(z, del
     found = diagnose(e, TS)
     assert found.cause == "lag" and found.delay + found.lag / TS == pytest.approx(delay + lag, rel=0.2), str(found)
     assert 0.25 * calm < found.factor * z and logs.over(found.factor * z, delay, lag) < 0.05
+
+
+def test_white_noise_is_no_loop():
+    """One in ten such recordings was called ringing: an autoregression of no order was not among what loops compete
+    with."""
+    for seed in (3, 16, 28, 32, 38):
+        found = diagnose(np.random.default_rng(seed).standard_normal(400), TS)
+        assert found.kind is Kind.NOISE, str(found)
 
 
 def test_a_sweep_is_no_loop():
