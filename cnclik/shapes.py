@@ -20,4 +20,5 @@ else:
 
     Bool = Int = Float
 
+AnyArray = Array | np.ndarray  # JAX's or NumPy's
 Number = float | np.floating | Float[Array, ""]  # compiled in as a float, a parameter as an array

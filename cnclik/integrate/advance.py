@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from cnclik.integrate.exponential import exponential_march
-from cnclik.integrate.history import mark
+from cnclik.integrate.history import History, mark
 from cnclik.integrate.march import march
 from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
@@ -13,6 +13,7 @@ from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
 from cnclik.record import record
+from cnclik.shapes import Array, Float, Int
 
 
 @record
@@ -30,14 +31,14 @@ class Step:
       history: what a multistep method wants back with its next step; None for one-step methods.
     """
 
-    q: jax.Array
-    x: jax.Array
-    e: jax.Array
-    qdot: jax.Array
-    residual: jax.Array
-    contraction: jax.Array
-    status: jax.Array
-    history: object = None
+    q: Float[Array, " n"]
+    x: Float[Array, " m"]
+    e: Float[Array, " m"]
+    qdot: Float[Array, " n"]
+    residual: Float[Array, ""]
+    contraction: Float[Array, ""]
+    status: Int[Array, ""]
+    history: History | None = None
 
 
 def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False) -> Step:
@@ -60,7 +61,7 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         looped = starting or not (made_with.implicit or len(made_with.b) < 3)
         looped = looped and made_with.c[0] == 0
         begun = _of_tableau(law, known, q, at, t, Ts, made_with, stage, looped=looped)
-    if method.steps == 1:
+    if begun is not None and method.steps == 1:
         one = Stepped(begun.moved)
     else:
         one = over_history(law, known, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)

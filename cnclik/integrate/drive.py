@@ -15,6 +15,7 @@ import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.record import is_literal, leaf, record, replace
+from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
@@ -58,15 +59,15 @@ class Drive:
 
     delay: float = 0.0
     measurement_delay: int = 0
-    lag: object = 0.0
-    natural_frequency: object = None
-    damping_ratio: object = 1.0
+    lag: ArrayLike = 0.0
+    natural_frequency: ArrayLike | None = None
+    damping_ratio: ArrayLike = 1.0
     command: str = "velocity"
     feedback: str = "measured"
-    drive_velocity: object = None
-    drive_acceleration: object = None
-    joint_noise: object = 0.0
-    resolution: object = 0.0
+    drive_velocity: ArrayLike | None = None
+    drive_acceleration: ArrayLike | None = None
+    joint_noise: ArrayLike = 0.0
+    resolution: ArrayLike = 0.0
     seed: int = 0
 
     def __post_init__(self):
@@ -98,8 +99,8 @@ class Drive:
             if name == "damping_ratio" and self.natural_frequency is None:
                 continue
             if value is not None and not (_none(value) and name in _ABSENT):
-                _check(name, value, zero=name in ("joint_noise", "resolution"))
-                object.__setattr__(self, name, leaf(value))
+                known = _check(name, value, zero=name in ("joint_noise", "resolution"))
+                object.__setattr__(self, name, known if np.ndim(known) else leaf(value))
 
     @property
     def order(self) -> int:
@@ -158,12 +159,13 @@ def _none(value) -> bool:
 def _check(name, value, *, zero):
     value = errors.array(name, value, (), (None,), most=LARGEST)
     if not errors.concrete(value):
-        return
+        return value
     known = np.asarray(value, float)
     if np.any(known < 0 if zero else known <= 0):
         raise errors.fail(name, "be at least 0" if zero else "be positive", f"is {known.min():g}")
     if not zero and np.any(known < 1 / LARGEST):
         raise errors.fail(name, f"be at least {1 / LARGEST:g}", f"is {known.min():g}")
+    return value
 
 
 def check_drive(drive, n: int) -> Drive:
@@ -182,9 +184,9 @@ def check_drive(drive, n: int) -> Drive:
 class Sampled:
     """A drive from sample to sample: x[k+1] = Φ x[k] + Γ₀ u[k−d] + Γ₁ u[k−d−1], q = x₀, u the command."""
 
-    phi: object  # (s, s) or (n, s, s)
-    now: object  # (s,) or (n, s)
-    late: object  # the same; None where the dead time is of whole samples
+    phi: Float[AnyArray, "*n s s"]
+    now: Float[AnyArray, "*n s"]
+    late: Float[AnyArray, "*n s"] | None  # None where the dead time is of whole samples
     whole: int  # d
 
     @property
@@ -284,10 +286,10 @@ def _exponential(a):
 class Driven(NamedTuple):
     """Where drives are."""
 
-    x: object  # (n, s)
-    line: object  # (d, n): commands that still act, the newest first
-    sent: object  # (n,): the sum of the controller's steps
-    limited: object  # (n,), (n,): the last command as the drive took it, and how fast it changed; None without limits
+    x: Float[Array, "n s"]
+    line: Float[Array, "d n"]  # commands that still act, the newest first
+    sent: Float[Array, " n"]  # the sum of the controller's steps
+    limited: tuple[Array, Array] | None  # (n,), (n,): the last command as the drive took it, and how fast it changed
 
 
 def resting(drive: Drive, model: Sampled, q) -> Driven:
@@ -322,7 +324,7 @@ def _within_limits(drive, u, before, Ts):
     return u, (u, wanted)
 
 
-def measured_joints(drive: Drive, q, k):
+def measured_joints(drive, q, k):
     """What the controller is told of joint values q (n,) at step k: with noise, and in steps of the encoders."""
     if not _none(drive.joint_noise):
         key = jax.random.fold_in(

@@ -12,6 +12,7 @@ from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over
 from cnclik.law.law import null_velocity, resolve, rows_at
 from cnclik.law.null import Posture
 from cnclik.law.reference import sample
+from cnclik.shapes import Array, Float
 
 CLOSED = 2  # order up to which a turn has its closure, see `closure`
 
@@ -19,10 +20,10 @@ CLOSED = 2  # order up to which a turn has its closure, see `closure`
 class Start(NamedTuple):
     """What a step is to do, as known at its start."""
 
-    feedback: object  # (m,) held over the step
-    velocity: object  # (m,) φ ẋ_d at the start
-    mean: object  # (m,) φ times the target's mean velocity over the step
-    null: object  # (n,) null-space velocity, a posture's held over the step; None
+    feedback: Float[Array, " m"]  # held over the step
+    velocity: Float[Array, " m"]  # φ ẋ_d at the start
+    mean: Float[Array, " m"]  # φ times the target's mean velocity over the step
+    null: Float[Array, " n"] | None  # null-space velocity, a posture's held over the step
 
 
 def start(law, reference, q, at, t, Ts) -> Start:

@@ -18,6 +18,7 @@ from cnclik.law.reference import sample
 from cnclik.law.shifted import unshifted
 from cnclik.record import record, replace
 from cnclik.robot.rotations import axial, safe_norm
+from cnclik.shapes import Array, Float, Int
 
 UNEVEN = 0.1  # relative change of the sampling time from which on the past is dropped
 _SLACK = 64  # roundings that count as no motion of a target
@@ -27,13 +28,13 @@ _SLACK = 64  # roundings that count as no motion of a target
 class Entry:
     """What is remembered of one instant; None for what a method has no use for."""
 
-    q: object = None  # (n,)
-    slope: object = None  # (n,) f there
-    columns: object = None  # (m, n) columns of J#, of the weighted task; with a factor, of Jᵀ
-    factor: object = None  # (m(m + 1)/2,) what stands between Jᵀ and J#, see `cnclik.law.inverse.remembered`
-    velocity: object = None  # (m,) ẋ_d, times the feed-forward factor
-    null: object = None  # (n,) what J# times a task velocity was not part of
-    rows: object = None  # (m, n) weighted rows of J, for a posture term, where no factor tells them
+    q: Float[Array, " n"] | None = None
+    slope: Float[Array, " n"] | None = None  # f there
+    columns: Float[Array, "m n"] | None = None  # columns of J#, of the weighted task; with a factor, of Jᵀ
+    factor: Float[Array, " m_m"] | None = None  # (m(m + 1)/2,) between Jᵀ and J#, see `law.inverse.remembered`
+    velocity: Float[Array, " m"] | None = None  # ẋ_d, times the feed-forward factor
+    null: Float[Array, " n"] | None = None  # what J# times a task velocity was not part of
+    rows: Float[Array, "m n"] | None = None  # weighted rows of J, for a posture term, where no factor tells them
 
 
 @record
@@ -49,13 +50,13 @@ class History:
       made: steps made since the start, up to p − 1: so many are made by the starting method.
     """
 
-    entries: tuple
-    position: object
-    rotation: object
-    speed: object
-    Ts: object
-    count: object
-    made: object
+    entries: tuple[Entry, ...]
+    position: Float[Array, " p"]
+    rotation: Float[Array, "3 3"] | None
+    speed: Float[Array, ""]
+    Ts: Float[Array, ""]
+    count: Int[Array, ""]
+    made: Int[Array, ""]
 
 
 def blank(law: Law, q, method):
@@ -128,9 +129,9 @@ def checked(history, method, law):
 class Mark(NamedTuple):
     """Where a target is, and its own velocity, whatever a controller is told or measures."""
 
-    position: object
-    rotation: object
-    velocity: object
+    position: Float[Array, " p"]
+    rotation: Float[Array, "3 3"] | None
+    velocity: Float[Array, " m"]
 
 
 def mark(law: Law, reference, at, t) -> Mark:
@@ -149,8 +150,8 @@ def valid(history: History, law: Law, at: Mark, Ts):
     """
     whole = len(law.task.orientation) == 3
     moved = [at.position - history.position]
-    if law.task.orientation:
-        before, now = history.rotation, at.rotation
+    before, now = history.rotation, at.rotation
+    if before is not None and now is not None:
         if whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
             moved.append((now - before).ravel() * 0.5**0.5)
         else:

@@ -8,6 +8,7 @@ cores, or on all devices.
 
 import functools
 import itertools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,9 @@ DEVICE_BLOCK = 1 << 20  # the same where a device has thousands of lanes in flig
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
-def lanes(fn, *, tile: int | None = None, block: int | None = None, cores: int | None = None, quick: bool = False):
+def lanes(
+    fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None, quick: bool = False
+) -> Callable:
     """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but fast.
 
     Every argument is a tree of arrays with one leading batch axis of any size from 1 to tens of millions; what

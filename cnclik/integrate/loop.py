@@ -9,6 +9,7 @@ away from what the law's own chain would say. A step holds w[k], as a controller
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -16,40 +17,43 @@ import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.advance import advance, summed
-from cnclik.integrate.drive import Drive, driven, measured_joints, moving, resting
-from cnclik.integrate.history import blank
-from cnclik.integrate.method import early_steps, evaluations_of
-from cnclik.integrate.pace import pace_at_rest, path_waits, share
+from cnclik.integrate.drive import Drive, Driven, Sampled, driven, measured_joints, moving, resting
+from cnclik.integrate.history import History, blank
+from cnclik.integrate.method import Method, early_steps, evaluations_of
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
+from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
-from cnclik.law.corners import corners
-from cnclik.law.law import observe
-from cnclik.law.reference import check
+from cnclik.law.corners import Corners, corners
+from cnclik.law.law import Law, observe
+from cnclik.law.reference import Reference, check
 from cnclik.law.shifted import shifted
 from cnclik.record import cast, replace
-from cnclik.robot.model import modelled
+from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import turn_from
+from cnclik.shapes import Array, Float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Loop:
     """What is the same in all steps of a loop, of one dtype: made by `loop_of`."""
 
-    law: object
-    reference: object
-    method: object
-    stage: object
-    Ts: object
-    t0: object
+    law: Law
+    reference: Reference
+    method: Method | Multistep
+    stage: Stage
+    Ts: Float[Array, ""]
+    t0: Float[Array, ""]
     N: int
     drive: Drive  # what lies between command and motion
-    model: object  # it, as `moving` samples it
-    noise: object  # (N, m) added to the measured error, or None
-    plant: object  # the chain as it really is, or None
-    gained: object  # (law, t) to the law at time t, or None
-    pace: object  # limits that are kept by going slower, or None
+    model: Sampled | None  # it, as `moving` samples it
+    noise: Float[Array, "N m"] | None  # added to the measured error
+    plant: Model | None  # the chain as it really is, if not the law's
+    gained: Callable | None  # (law, t) to the law at time t
+    pace: Pace | None  # limits that are kept by going slower
     waits: bool  # whether the path then waits for the robot
-    ahead: object  # the path's corners, where they are known, or None
+    ahead: Corners | None  # the path's corners, where they are known
 
     @property
     def measured(self) -> bool:
@@ -70,13 +74,13 @@ class Loop:
 class State(NamedTuple):
     """Where a loop is."""
 
-    q: object  # (n,) the robot's joint values
-    history: object  # of a multistep method
-    lost: object = None  # (n,) of q, by rounding, in float32
-    drives: object = None  # `Driven`
-    late: tuple = ()  # errors that were measured and have not arrived
-    path: object = None  # time on a path that waits
-    pacing: object = None
+    q: Float[Array, " n"]  # the robot's joint values
+    history: History | None  # of a multistep method
+    lost: Float[Array, " n"] | None = None  # of q, by rounding, in float32
+    drives: Driven | None = None
+    late: tuple[Array, ...] = ()  # errors that were measured and have not arrived
+    path: Float[Array, ""] | None = None  # time on a path that waits
+    pacing: Pacing | None = None
 
 
 def loop_of(
@@ -107,7 +111,7 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
         blank(loop.law, q0, loop.method),
         lost=jnp.zeros_like(q0) if compensated else None,
         drives=None if loop.model is None else resting(loop.drive, loop.model, q0),
-        late=(first,) * loop.late,
+        late=() if first is None else (first,) * loop.late,
         path=loop.t0 if loop.waits else None,
         pacing=None if loop.pace is None else pace_at_rest(q0),
     )
@@ -122,7 +126,7 @@ def one(loop: Loop, starting, state: State, k):
     """
     law, Ts, q = loop.law, loop.Ts, state.q
     t = state.path if loop.waits else loop.t0 + k * Ts
-    part = jnp.clip(state.pacing.share, jnp.finfo(q.dtype).eps ** (1 / 3), 1.0) if loop.waits else 1
+    part = jnp.clip(state.pacing.share, jnp.finfo(q.dtype).eps ** (1 / 3), 1.0) if loop.waits and state.pacing else 1
     length = jnp.where(k < loop.N, part * Ts, 0.0)
     now = law if loop.gained is None else loop.gained(law, t)
     seen, told, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
@@ -132,7 +136,7 @@ def one(loop: Loop, starting, state: State, k):
     if loop.pace is not None:
         made, pacing, path = _paced(loop, made, pacing, t)
         length, moved = Ts, q + Ts * made.qdot
-    if drives is not None:
+    if loop.model is not None and drives is not None:
         asked = made.q - seen if loop.pace is None else Ts * made.qdot
         drives = driven(loop.drive, loop.model, drives, seen, asked, Ts)
         moved = drives.x[:, 0]
@@ -217,7 +221,8 @@ def run(loop: Loop, q0, *, end=False):
     if early:
         found = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, found)
     cost = evaluations_of(loop.method, loop.stage, loop.law.chain.n, loop.N)
-    made = assemble(loop.t0 + k * loop.Ts, *found, last, cost)
+    steps, path = found
+    made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost)
     if loop.measured:  # with noise an error grows and shrinks by chance
         return made
     return replace(made, status=made.status | growing(loop.law.task, loop.reference, made.target_time, made.e))

@@ -2,23 +2,24 @@
 
 import functools
 import operator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from cnclik.integrate.method import Method
+from cnclik.shapes import Array, Float
 
 
 class Moved(NamedTuple):
     """One step over any field: where it went, how, and what the field was at its start."""
 
-    q: object  # (n,)
-    qdot: object  # (n,)
-    first: object
-    residual: object
-    contraction: object
+    q: Float[Array, " n"]
+    qdot: Float[Array, " n"]
+    first: Any  # an `Evaluation`, of a law's field
+    residual: Float[Array, ""]
+    contraction: Float[Array, ""]
 
 
 def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=False):

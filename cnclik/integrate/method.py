@@ -25,6 +25,7 @@ from cnclik.integrate.multistep import (
     check_order,
     weights_of,
 )
+from cnclik.integrate.stage import Count
 
 
 @jax.tree_util.register_static
@@ -43,9 +44,9 @@ class Method:
     """
 
     name: str
-    A: tuple
-    b: tuple
-    c: tuple
+    A: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    c: tuple[float, ...]
     order: int
     source: str
     exponential: bool = False
@@ -180,12 +181,12 @@ RK4 = Method(
 )
 
 
-def named(method, argument="method"):
+def named(method, argument="method") -> Method | Multistep:
     """The method, or the one of that name. Raises: ArgumentError, naming `argument`, where there is none."""
     return method if isinstance(method, (Method, Multistep)) else METHODS[errors.one_of(argument, method, METHODS)]
 
 
-def exponential(method):
+def exponential(method: Method | Multistep | str) -> Method | Multistep:
     """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same price.
 
     The law's exact solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). So e is measured once, at the
@@ -223,7 +224,7 @@ METHODS = {m.name: m for m in (*_PLAIN, *_OF_STEPS, *_EXPONENTIAL)}
 DEFAULT = EXP_MIDPOINT  # no memory, no limit of z, and second order: see results/methods
 
 
-def starter(method) -> Method:
+def starter(method):
     """The one-step method that the first steps of a multistep one are made with: RK4, or EXP-RK4."""
     return EXP_RK4 if method.exponential else RK4
 
@@ -231,7 +232,7 @@ def starter(method) -> Method:
 # --- what a step costs -------------------------------------------------------------------------------------
 
 
-def evaluations_per_step(method, stage, n: int) -> object:
+def evaluations_per_step(method, stage, n: int) -> Count:
     """Evaluations of f(q, t) that one step of n joints costs; an array where the stage's M is one."""
     if method.steps > 1:
         return 1
@@ -241,7 +242,7 @@ def evaluations_per_step(method, stage, n: int) -> object:
     return explicit + start + (implicit * stage.evaluations(n) if implicit else 0)
 
 
-def evaluations_of(method, stage, n: int, N: int) -> object:
+def evaluations_of(method, stage, n: int, N: int) -> Count:
     """Evaluations of f(q, t) in N steps of n joints, those of the starting method among them."""
     several = N * evaluations_per_step(method, stage, n)
     if method.steps == 1:

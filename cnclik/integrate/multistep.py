@@ -72,8 +72,8 @@ class Multistep:
     """
 
     name: str
-    a: tuple = (1.0,)
-    b: tuple
+    a: tuple[float, ...] = (1.0,)
+    b: tuple[float, ...]
     order: int
     source: str
     exponential: bool = False

@@ -13,10 +13,8 @@ Where no share keeps the limits of acceleration and jerk, as after a jump of the
 path: each brakes, within its limits, towards the velocity that the law wants. The loop sees where it is and comes back.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -24,6 +22,7 @@ from cnclik.record import leaf, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_sqrt
+from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
 
 TURNING = 0.6  # part of the acceleration that following the path may take at a steady share; the rest changes the share
 BENDING = 0.5  # and part of the jerk
@@ -46,10 +45,10 @@ class Pace:
     Raises: ArgumentError for values that do not fit.
     """
 
-    velocity: object = CHAIN
-    acceleration: object = None
-    jerk: object = None
-    wait: object = None
+    velocity: ArrayLike | None = CHAIN
+    acceleration: ArrayLike | None = None
+    jerk: ArrayLike | None = None
+    wait: bool | None = None
 
     def __post_init__(self):
         if self.wait is not None:
@@ -85,17 +84,17 @@ class Pacing:
       begun: whether a step was paced.
     """
 
-    velocity: jax.Array
-    acceleration: jax.Array
-    asked: jax.Array
-    turn: jax.Array
-    bend: jax.Array
-    share: jax.Array
-    excess: jax.Array
-    begun: jax.Array
+    velocity: Float[Array, " n"]
+    acceleration: Float[Array, " n"]
+    asked: Float[Array, " n"]
+    turn: Float[Array, " n"]
+    bend: Float[Array, " n"]
+    share: Float[Array, ""]
+    excess: Float[Array, ""]
+    begun: Bool[Array, ""]
 
     @property
-    def over(self):
+    def over(self) -> Bool[Array, ""]:
         """Whether the joints left the path in the step, as no share keeps the limits of acceleration and jerk."""
         return self.excess > _whole(self.excess.dtype)
 
@@ -105,7 +104,7 @@ def _whole(dtype):
     return 1 + 1024 * jnp.finfo(dtype).eps
 
 
-def pace_at_rest(q: ArrayLike) -> Pacing:
+def pace_at_rest(q: Float[ArrayLike, " n"]) -> Pacing:
     """The state of a paced loop at rest at joint values q (n,)."""
     zeros = jnp.zeros_like(_vector("q", q))
     one = jnp.ones((), zeros.dtype)
@@ -113,7 +112,15 @@ def pace_at_rest(q: ArrayLike) -> Pacing:
     return Pacing(**state, share=one, excess=0 * one, begun=jnp.zeros((), bool))
 
 
-def paced(pace: Pace, state: Pacing, dq: ArrayLike, Ts: ArrayLike, *, stop: ArrayLike | None = None, sharpness=1.0):
+def paced(
+    pace: Pace,
+    state: Pacing,
+    dq: Float[ArrayLike, " n"],
+    Ts: Number,
+    *,
+    stop: Number | None = None,
+    sharpness: Number = 1.0,
+) -> tuple[Float[Array, " n"], Pacing]:
     """One step of any loop within its limits: for a control loop of one's own. Pure.
 
     Args:

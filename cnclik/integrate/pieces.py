@@ -21,7 +21,7 @@ def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
     """
     part, q = None, q0
     for begun in range(0, N, size):
-        if np.isfinite(q).all():
+        if part is None or np.isfinite(q).all():
             part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
         else:  # lost, as it is for good
             last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *STEPS)}

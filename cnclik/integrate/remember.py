@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from cnclik.integrate.exponential import CLOSED, closure, start
+from cnclik.integrate.exponential import CLOSED, Start, closure, start
 from cnclik.integrate.history import (
     Entry,
     History,
@@ -33,6 +33,7 @@ from cnclik.integrate.march import Moved, combine, shift
 from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, evaluate_at, observe, resolve, weighted
 from cnclik.law.limits import within
+from cnclik.shapes import Array, Bool
 
 TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
 
@@ -42,14 +43,14 @@ class Stepped(NamedTuple):
 
     moved: Moved
     history: History | None = None
-    restarted: object = None  # whether what was remembered has been dropped
+    restarted: Bool[Array, ""] | None = None  # whether what was remembered has been dropped
 
 
 class Begun(NamedTuple):
     """A step that the starting method made, and what an exponential one was to do."""
 
     moved: Moved
-    to: object = None
+    to: Start | None = None
 
 
 def over_history(law, reference, q, at, now, t, Ts, method, history: History, begun: Begun | None) -> Stepped:

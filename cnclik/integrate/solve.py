@@ -9,7 +9,6 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
 from cnclik.cache import Recent
@@ -25,12 +24,13 @@ from cnclik.integrate.loop import loop_of, run
 from cnclik.integrate.method import DEFAULT, Method, evaluations_per_step, named
 from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.pace import Pace, check_pace
-from cnclik.integrate.stage import picard
+from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, Reference, check
 from cnclik.record import cast, placed
 from cnclik.robot.model import modelled
+from cnclik.shapes import ArrayLike, Float, Number
 
 SOON = 1 << 14  # evaluations of f, for each joint and each task coordinate, up to which XLA's answer comes sooner
 
@@ -46,13 +46,13 @@ def answers_soon(evaluations, law) -> bool:
 def solve(
     law: Law,
     reference: Reference,
-    q0: ArrayLike,
-    Ts: ArrayLike,
+    q0: Float[ArrayLike, " n"],
+    Ts: Number,
     N: int,
     method: Method | Multistep | str = DEFAULT,
-    stage=picard(5),
+    stage: Stage = picard(5),
     *,
-    t0: ArrayLike = 0.0,
+    t0: Number = 0.0,
     drive: Drive | None = None,
     pace: Pace | None = None,
 ) -> Trajectory:
@@ -116,11 +116,11 @@ def simulate(
 def step(
     law: Law,
     reference: Reference,
-    q: ArrayLike,
-    t: ArrayLike,
-    Ts: ArrayLike,
+    q: Float[ArrayLike, " n"],
+    t: Number,
+    Ts: Number,
     method: Method | Multistep | str = DEFAULT,
-    stage=picard(5),
+    stage: Stage = picard(5),
     history: History | None = None,
 ) -> Step:
     """One step, for use inside a control loop of one's own: from q(t) to q(t + Ts).
@@ -142,7 +142,7 @@ def step(
 
 def _is_soon(law, method, stage, N) -> bool:
     count = N * evaluations_per_step(method, stage, law.chain.n)
-    return errors.concrete(count) and np.all(answers_soon(count, law))
+    return errors.concrete(count) and bool(np.all(answers_soon(count, law)))
 
 
 def _computed(fn, known, given, soon, is_soon=lambda: True):

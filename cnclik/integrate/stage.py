@@ -5,7 +5,7 @@ called with g and what is known at the step's start, runs a fixed number of pass
 differentiable, the same length in every lane) and returns the slope with what is known of its convergence.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +15,28 @@ from jax import lax
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
+from cnclik.shapes import Array, Float, Int
+
+Count = int | Int[Array, ""]  # of passes: compiled in, or of each lane
 
 
 class Solved(NamedTuple):
     """An implicit slope and its convergence. `residual` and `contraction` carry no derivative."""
 
-    slope: object  # (n,)
-    residual: object  # h·‖last change of the slope‖: a joint displacement [rad, m]
-    contraction: object  # last change over the one before it; at 1 or more the iteration diverges
+    slope: Float[Array, " n"]
+    residual: Float[Array, ""]  # h·‖last change of the slope‖: a joint displacement [rad, m]
+    contraction: Float[Array, ""]  # last change over the one before it; at 1 or more the iteration diverges
+
+
+class Stage(Protocol):
+    """How an implicit slope is found: a stage is called with g, f at the step's start, h, and what is known of k."""
+
+    @property
+    def tolerance(self) -> float: ...
+
+    def __call__(self, g, first, h, ahead) -> Solved: ...
+
+    def evaluations(self, n) -> Count: ...
 
 
 class _Named:
@@ -36,7 +50,7 @@ class _Named:
 class Picard(_Named):
     """See `picard`."""
 
-    M: object
+    M: Count
     maximum: int
     tolerance: float
 
@@ -52,7 +66,7 @@ class Picard(_Named):
 class Chord(_Named):
     """See `chord`."""
 
-    M: object
+    M: Count
     maximum: int
     tolerance: float
     implicit: bool
@@ -76,7 +90,7 @@ class Chord(_Named):
 class Newton(_Named):
     """See `newton`."""
 
-    M: object
+    M: Count
     maximum: int
     tolerance: float
     implicit: bool
@@ -159,7 +173,7 @@ def _with_implicit_derivative(g, start, iterate) -> Solved:
 # --- public -------------------------------------------------------------------------------------------
 
 
-def picard(M, *, maximum=None, tolerance=1e-3) -> Picard:
+def picard(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Picard:
     """Fixed-point iteration k ← g(k), M passes, started from the explicit Euler slope (Drexler 2016, eqs. 6-8).
 
     It converges where h·‖∂f/∂q‖ < 1, near a target where a·alpha·Ts < 1, and costs M evaluations of f. Left
@@ -173,7 +187,7 @@ def picard(M, *, maximum=None, tolerance=1e-3) -> Picard:
     return Picard(**_passes(M, maximum, tolerance))
 
 
-def chord(M, *, maximum=None, tolerance=1e-3, implicit=False) -> Chord:
+def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, implicit: bool = False) -> Chord:
     """Chord (simplified Newton) iteration k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, converging at any z.
 
     −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; the law knows
@@ -191,7 +205,7 @@ def chord(M, *, maximum=None, tolerance=1e-3, implicit=False) -> Chord:
     return Chord(**_passes(M, maximum, tolerance), implicit=bool(implicit))
 
 
-def newton(M, *, maximum=None, tolerance=1e-3, implicit=False) -> Newton:
+def newton(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, implicit: bool = False) -> Newton:
     """Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, with the whole derivative by `jax.jvp`.
 
     Curvature included, so it converges quadratically where the start is near enough; a pass costs one evaluation

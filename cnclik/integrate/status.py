@@ -9,6 +9,7 @@ from cnclik import errors
 from cnclik.law.reference import motion
 from cnclik.precision import of_numbers
 from cnclik.robot.rotations import safe_sqrt
+from cnclik.shapes import ArrayLike
 
 
 class Status(enum.IntFlag):
@@ -44,17 +45,17 @@ class StepError(RuntimeError):
     """A trajectory that is not OK; the message names the first bad step, its time, and a remedy."""
 
 
-def names(status) -> str:
+def names(status: ArrayLike) -> str:
     """A status value in words, such as "NOT_CONVERGED|NEAR_SINGULAR"."""
-    status = int(status)
-    return "|".join(s.name for s in Status if s and s & status) or "OK"
+    status = int(np.asarray(status))
+    return "|".join(str(s.name) for s in Status if s and s & status) or "OK"
 
 
-def count(status) -> dict:
+def count(status: ArrayLike) -> dict[str, int]:
     """How many steps bear each name; a step may bear several."""
     status = np.asarray(status)
     counts = {"OK": int(np.sum(status == 0))}
-    return counts | {s.name: int(np.sum((status & s.value) != 0)) for s in Status if s}
+    return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
 
 
 @of_numbers

@@ -7,6 +7,7 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.integrate.status import count
 from cnclik.record import record, replace
+from cnclik.shapes import Array, Float, Int
 
 INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
 STEPS = ("qdot", "residual", "contraction", "status")  # N entries
@@ -29,19 +30,19 @@ class Trajectory:
       path_time: (N + 1,) time on the path where it waits for the robot, see `Pace` [s]; None where that is t.
     """
 
-    t: jax.Array
-    q: jax.Array
-    x: jax.Array
-    e: jax.Array
-    qdot: jax.Array
-    residual: jax.Array
-    contraction: jax.Array
-    status: jax.Array
-    evaluations: jax.Array
-    path_time: object = None
+    t: Float[Array, "*lanes N+1"]
+    q: Float[Array, "*lanes N+1 n"]
+    x: Float[Array, "*lanes N+1 m"]
+    e: Float[Array, "*lanes N+1 m"]
+    qdot: Float[Array, "*lanes N n"]
+    residual: Float[Array, "*lanes N"]
+    contraction: Float[Array, "*lanes N"]
+    status: Int[Array, "*lanes N"]
+    evaluations: Int[Array, "*lanes"]
+    path_time: Float[Array, "*lanes N+1"] | None = None
 
     @property
-    def target_time(self):
+    def target_time(self) -> Float[Array, "*lanes N+1"]:
         """(N + 1,) times at which the reference gave the targets [s]."""
         return self.t if self.path_time is None else self.path_time
 
@@ -139,5 +140,5 @@ def join(parts) -> Trajectory:
     return Trajectory(
         **{name: instants(name) for name in (*INSTANTS, *_path_time(parts[0]))},
         **{name: steps(name) for name in STEPS},
-        evaluations=sum(np.asarray(p.evaluations) for p in parts),
+        evaluations=sum(np.asarray(p.evaluations) for p in parts),  # type: ignore
     )

@@ -21,7 +21,7 @@ from cnclik.record import kept, mapped, record, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.rotations import library
-from cnclik.shapes import Array, Bool, Float
+from cnclik.shapes import AnyArray, Array, Bool, Float
 
 
 @record
@@ -31,7 +31,7 @@ class Model:
     n: int  # joint coordinates
     transforms: tuple[Float[Array, "j 4 4"] | None, ...]  # A, B, C, D as above; D is None where all joints are revolute
     axes: Float[Array, "j 3"]  # unit vectors in the joints' own frames
-    turning: Bool[np.ndarray, " j"] | None  # true for revolute joints; None where all are
+    turning: Bool[AnyArray, " j"] | None  # true for revolute joints; None where all are
     mimic: tuple[Float[Array, "j n"], Float[Array, " j"]] | None  # multipliers and offsets of the joint values, if any
     tip: Float[Array, "4 4"]
     lower: Float[Array, " n"]  # as in `Chain`

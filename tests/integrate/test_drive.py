@@ -169,6 +169,15 @@ def test_limits_of_a_drive_hold():
     assert np.linalg.norm(run.e[-1]) < 1e-6
 
 
+@pytest.mark.parametrize("name", ["lag", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"])
+def test_numbers_of_each_joint_may_be_a_list(name):
+    arm = planar_arm([1.0, 0.8])
+    law = Law(arm, position("xy"), alpha=5.0)
+    listed, arrayed = (Drive(delay=1.0, **{name: kind([0.01, 0.02])}) for kind in (list, np.array))
+    runs = [solve(law, hold([1.0, 1.0]), [0.1, 0.2], 0.01, 5, drive=drive) for drive in (listed, arrayed)]
+    np.testing.assert_array_equal(*(run.q for run in runs))
+
+
 def test_what_is_measured_of_the_joints():
     """Noise has the size asked for and is another with another seed; encoders leave an error of half a step."""
     rest = ck.hold(np.asarray(ck.forward(ARM, Q).position)[:2])
