@@ -171,10 +171,8 @@ def test_limits_of_a_drive_hold():
 
 @pytest.mark.parametrize("name", ["lag", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"])
 def test_numbers_of_each_joint_may_be_a_list(name):
-    arm = planar_arm([1.0, 0.8])
-    law = Law(arm, position("xy"), alpha=5.0)
-    listed, arrayed = (Drive(delay=1.0, **{name: kind([0.01, 0.02])}) for kind in (list, np.array))
-    runs = [solve(law, hold([1.0, 1.0]), [0.1, 0.2], 0.01, 5, drive=drive) for drive in (listed, arrayed)]
+    drives = [Drive(delay=1.0, **{name: kind([0.01, 0.02])}) for kind in (list, np.array)]
+    runs = [ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, drive=drive) for drive in drives]
     np.testing.assert_array_equal(*(run.q for run in runs))
 
 
