@@ -77,7 +77,7 @@ def concrete(value) -> bool:
 _NO_NUMBERS = (str, bytes, list, tuple, type(None))
 
 
-def number(name: str, value, *, positive=False, at_least=None):
+def number(name: str, value, *, positive=False, at_least=None) -> "float | Array":
     """A finite real number (or a traced scalar); returned as it came."""
     import numpy as np
 

@@ -86,7 +86,7 @@ def record(cls=None, *, kw_only: bool = True):
 
     cls.__post_init__ = frozen
     if cls.__repr__ is object.__repr__:
-        cls.__repr__ = _in_short
+        cls.__repr__ = _in_short  # type: ignore[assignment]
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
     names = tuple(f.name for f in dataclasses.fields(cls))
 

@@ -1,7 +1,7 @@
 """Answers of `cnclik.reach` as labelled data and files; and how they did, in a few numbers."""
 
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def save(data: "xr.Dataset", path) -> None:
     if ending == ".nc":
         save_netcdf(data, path)
     elif ending == ".npz":
-        arrays = {name: variable.values for name, variable in data.data_vars.items()}
+        arrays: dict[str, Any] = {str(name): variable.values for name, variable in data.data_vars.items()}
         np.savez_compressed(path, targets=arrays.pop("transform"), joint=np.array(data.joint.values, str), **arrays)
     else:
         save_csv(_rows(data), path)

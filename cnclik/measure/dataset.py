@@ -3,8 +3,9 @@
 import functools
 import json
 import subprocess
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -14,6 +15,7 @@ from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
 from cnclik.precision import of_numbers
+from cnclik.shapes import ArrayLike
 from cnclik.version import __version__
 
 if TYPE_CHECKING:
@@ -21,7 +23,14 @@ if TYPE_CHECKING:
 
 
 @of_numbers
-def to_dataset(run: Trajectory, law: Law, *, dims=(), coords=None, config=None) -> "xr.Dataset":
+def to_dataset(
+    run: Trajectory,
+    law: Law,
+    *,
+    dims: Iterable[str] = (),
+    coords: Mapping[str, ArrayLike] | None = None,
+    config: Any = None,
+) -> "xr.Dataset":
     """A trajectory, or a batch of them, as an `xarray.Dataset`.
 
     Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from
@@ -48,7 +57,7 @@ def to_dataset(run: Trajectory, law: Law, *, dims=(), coords=None, config=None) 
     q_unit, x_unit = (" or ".join(dict.fromkeys(units)) for units in (q_units, x_units))
     qdot_unit = " or ".join(f"{unit}/s" for unit in dict.fromkeys(q_units))
     instant, step = (*dims, "time"), (*dims, "step")
-    flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(s.name for s in Status if s)}
+    flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(str(s.name) for s in Status if s)}
     variables = {
         "q": ((*instant, "joint"), run.q, _about("joint value", q_unit)),
         "x": ((*instant, "axis"), run.x, _about("task coordinate", x_unit)),

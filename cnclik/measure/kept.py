@@ -8,6 +8,7 @@ from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.precision import of_numbers
 from cnclik.record import record
 from cnclik.robot.chain import Chain
+from cnclik.shapes import ArrayLike, Float, Number
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
 _ROUNDING = 1e-6  # of a limit
@@ -23,11 +24,11 @@ class Kept:
       names: of the joints.
     """
 
-    velocity: object
-    acceleration: object
-    jerk: object
-    at: object
-    names: tuple
+    velocity: Float[np.ndarray, " n"]
+    acceleration: Float[np.ndarray, " n"]
+    jerk: Float[np.ndarray, " n"]
+    at: Float[np.ndarray, "3 n"]
+    names: tuple[str, ...]
 
     @property
     def ok(self) -> bool:
@@ -44,7 +45,9 @@ class Kept:
 
 
 @of_numbers
-def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
+def check_limits(
+    run: Trajectory | Float[ArrayLike, "N+1 n"], pace: Pace, *, chain: Chain | None = None, Ts: Number | None = None
+) -> Kept:
     """A motion against limits, as a robot's controller sees it: differences of sampled joint values, from rest.
 
     q̇[k] = (q[k+1] − q[k])/Ts, q̈[k] = (q̇[k] − q̇[k−1])/Ts, q⃛[k] = (q̈[k] − q̈[k−1])/Ts, with q̇ and q̈ 0 before. In
@@ -66,8 +69,8 @@ def check_limits(run, pace: Pace, *, chain=None, Ts=None) -> Kept:
         Ts = (t[-1] - t[0]) / max(len(qdot), 1)
     else:
         q = np.asarray(errors.array("run", run, (None, None)), float)
-        errors.number("Ts", Ts, positive=True)
-        qdot, t = np.diff(q, axis=0) / float(Ts), np.arange(len(q)) * float(Ts)
+        Ts = float(errors.number("Ts", Ts, positive=True))
+        qdot, t = np.diff(q, axis=0) / Ts, np.arange(len(q)) * Ts
     n = qdot.shape[1]
     if not len(qdot):
         raise errors.fail("run", "have a step", "has none")

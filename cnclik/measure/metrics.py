@@ -6,7 +6,7 @@ that is not finite counts as infinitely large, so that a diverged loop is never 
 NaN means "not defined", and only where a metric's line says so.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,7 +15,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import check_run, one_lane
+from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, check_loop, rows_at, weighted
@@ -24,6 +24,7 @@ from cnclik.measure.outcome import stable
 from cnclik.record import cast
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
+from cnclik.shapes import Number
 
 
 @jax.tree_util.register_pytree_node_class
@@ -41,7 +42,7 @@ class Metrics:
         return cls(values, *aux)
 
     @property
-    def names(self) -> tuple:
+    def names(self) -> tuple[str, ...]:
         return tuple(self.units)
 
     def __getitem__(self, name):
@@ -63,10 +64,10 @@ class Metrics:
 class Measured(NamedTuple):
     """The run that is measured: what a metric may look at."""
 
-    run: object  # Trajectory, one lane
+    run: Trajectory  # one lane
     law: Law
-    reference: object
-    tolerance: object  # on ‖e‖
+    reference: ref.Reference
+    tolerance: Number  # on ‖e‖
 
 
 class Metric(NamedTuple):
@@ -75,7 +76,7 @@ class Metric(NamedTuple):
     fn: Callable
     unit: str  # "e": that of the error; "q": that of the joints; each may be followed by more
     label: str
-    dims: tuple = ()
+    dims: tuple[str, ...] = ()
     needs: str = ""  # "position" or "rotation": a task with such coordinates
 
 
@@ -221,7 +222,9 @@ def _count(hit):
 
 
 _MARKED = {
-    bit.name.lower(): Metric(lambda of, bit=bit: _count((of.run.status & bit) != 0), "1", f"steps marked {bit.name}")
+    str(bit.name).lower(): Metric(
+        lambda of, bit=bit: _count((of.run.status & bit) != 0), "1", f"steps marked {bit.name}"
+    )
     for bit in Status
     if bit
 }
@@ -303,7 +306,9 @@ DEFAULT = (
 )
 
 
-def measure_run(run, law: Law, reference, names=DEFAULT, *, tolerance=1e-3) -> Metrics:
+def measure_run(
+    run: Trajectory, law: Law, reference: ref.Reference, names: Sequence[str] = DEFAULT, *, tolerance: Number = 1e-3
+) -> Metrics:
     """Metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
 
     In float32 errors are those of float64 to some 10 roundings of the arm's length, velocities to that over Ts.

@@ -14,10 +14,12 @@ from jax import lax
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.loop import loop_of, one, start
 from cnclik.integrate.method import DEFAULT, Method, named
-from cnclik.integrate.stage import picard
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status
 from cnclik.record import cast, record
 from cnclik.robot.rotations import safe_norm
+from cnclik.shapes import Array, Bool, Float, Int
 
 
 class Ending(enum.IntEnum):
@@ -61,12 +63,12 @@ class Outcome:
       stage_not_converged: whether some implicit stage was marked NOT_CONVERGED.
     """
 
-    ending: jax.Array
-    steps: jax.Array
-    rate: jax.Array
-    final: jax.Array
-    near_singular: jax.Array
-    stage_not_converged: jax.Array
+    ending: Int[Array, ""]
+    steps: Int[Array, ""]
+    rate: Float[Array, ""]
+    final: Float[Array, ""]
+    near_singular: Bool[Array, ""]
+    stage_not_converged: Bool[Array, ""]
 
 
 class _Seen(NamedTuple):
@@ -89,10 +91,10 @@ def outcome(
     q0,
     Ts,
     N: int,
-    method: Method = DEFAULT,
-    stage=picard(5),
+    method: Method | Multistep | str = DEFAULT,
+    stage: Stage = picard(5),
     *,
-    drive=Drive(),
+    drive: Drive = Drive(),
     model=None,
     tolerance=1e-3,
     scale=None,

@@ -1,14 +1,17 @@
 """A problem in plain names: what the command line, sweep files and Python say, turned into records."""
 
 import dataclasses
+import os
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, white_noise
 from cnclik.integrate.method import Method, named
+from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import simulate
+from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
@@ -29,6 +32,8 @@ from cnclik.problem.names import (
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
+from cnclik.robot.chain import Chain
+from cnclik.shapes import ArrayLike
 
 LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
@@ -48,11 +53,11 @@ class Problem:
     q0: np.ndarray
     Ts: float
     N: int
-    method: Method
-    stage: object
+    method: Method | Multistep
+    stage: Stage
     drive: Drive | None = None
     pace: Pace | None = None
-    noise: object = None
+    noise: ArrayLike | None = None
     seed: int = 0
     tip: str = ""
 
@@ -72,7 +77,7 @@ class Problem:
         return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
 
 
-def problem_from(robot, **options) -> Problem:
+def problem_from(robot: str | os.PathLike | Chain, **options) -> Problem:
     """A whole problem from a flat table of names and numbers, such as a sweep file's `[fixed]`.
 
     Args:

@@ -72,7 +72,7 @@ def clock_of(name) -> Clock | None:
         rest = ["time"]  # `sec`, `nanosec` alone
     if not rest or not (rest == ["t"] or rest[-1] in _TIMES or (long and any(w in _TIMES for w in rest))):
         return None
-    return Clock(unit, tuple(rest), long and SECONDS[unit] in (1.0, 1e-9))
+    return Clock(unit, tuple(rest), long and unit is not None and SECONDS[unit] in (1.0, 1e-9))
 
 
 def _meaning(argument, file, name):

@@ -4,7 +4,7 @@ The command line, sweep files and Python share this table; to add an option, add
 built.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cnclik import errors
 from cnclik.problem.words import (
@@ -30,7 +30,7 @@ class Option(NamedTuple):
 
     kind: str  # NAME, NUMBER, NUMBERS or INTEGER
     help: str
-    default: object = None
+    default: Any = None
     unit: str = "1"  # "q": that of the joints; "J", "w", "x": of a singular value, threshold, point
     must: str = ""  # what each of its numbers must be: a key of `_FITS`
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law import reference as ref
+from cnclik.law.task import Task
 from cnclik.problem import words
 from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.magnitudes import remark_on_places
@@ -19,6 +20,7 @@ from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length
+from cnclik.shapes import Array, Float
 
 
 def as_written(options) -> dict:
@@ -33,8 +35,8 @@ class Scene(NamedTuple):
     """What a path may be filled in from."""
 
     chain: Chain
-    task: object
-    q0: object
+    task: Task
+    q0: Float[Array, " n"]
     here: tuple  # position and rotation of the tip at q0
 
 

@@ -1,15 +1,15 @@
 """Words: every name that an option may have, what makes it, and the options that it takes. Read without loading JAX."""
 
 import importlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Takes(NamedTuple):
     """A name: what makes it, and its options, so that none it needs is left out and none given is silently dropped."""
 
     maker: str = ""  # "module:function"; "" of what is nothing
-    needs: tuple = ()  # options that must be given
-    takes: tuple = ()  # options that may be
+    needs: tuple[str, ...] = ()  # options that must be given
+    takes: tuple[str, ...] = ()  # options that may be
     always: tuple = ()  # (name, value) of arguments that make it this and no other
     tip: str = ""  # of a robot: what its tip is called
 
@@ -27,7 +27,7 @@ class Takes(NamedTuple):
         return self.function()(*args, **dict(self.always), **given)
 
 
-_PLANAR = dict(needs=("lengths",), tip="end of the last link")
+_PLANAR: dict[str, Any] = dict(needs=("lengths",), tip="end of the last link")
 ROBOTS = {
     "panda": Takes("robot.builtin:panda", tip="flange"),
     "ur5": Takes("robot.builtin:ur5", tip="tool flange"),

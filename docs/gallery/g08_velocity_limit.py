@@ -30,6 +30,5 @@ panels[0].set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
 panels[0].legend(loc="center")
 panels[1].axhline(0.6, color="0.5", lw=0.8, ls=":")
 panels[1].set(xlabel="time [s]", ylabel="largest joint speed [rad/s]")
-print(
-    f"after {paced.t[-1]:.3g} s the paced robot is where the path was meant to be after {paced.target_time[-1]:.3g} s"
-)
+late, meant = paced.t[-1], paced.target_time[-1]
+print(f"after {late:.3g} s the paced robot is where the path was meant to be after {meant:.3g} s")
