@@ -33,7 +33,7 @@ from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_val
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.robot.chain import Chain
-from cnclik.shapes import ArrayLike
+from cnclik.shapes import AnyArray, ArrayLike, Float, Number
 
 LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
@@ -50,8 +50,8 @@ class Problem:
     name: str
     law: Law
     reference: Reference
-    q0: np.ndarray
-    Ts: float
+    q0: Float[AnyArray, " n"]
+    Ts: Number
     N: int
     method: Method | Multistep
     stage: Stage

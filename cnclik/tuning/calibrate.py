@@ -1,5 +1,6 @@
 """Calibration: geometry from measured positions, by the descent that `tune` uses."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,6 +12,7 @@ from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, modelled
+from cnclik.shapes import Array, ArrayLike, Float
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
 
@@ -19,10 +21,10 @@ from cnclik.tuning.descent import Descent, descend
 class PositionObjective:
     """Mean squared distance between measured positions and those of a chain built from the parameters' values."""
 
-    parameters: tuple
-    build: object  # (*values) -> Chain
-    q: object  # (K, n)
-    measured: object  # (K, 3)
+    parameters: tuple[pm.Parameter, ...]
+    build: Callable[..., Chain]  # of the values
+    q: Float[Array, "K n"]
+    measured: Float[Array, "K 3"]
 
     def __call__(self, values):
         chain = self.build(*values)
@@ -33,7 +35,7 @@ class PositionObjective:
 class Calibrated(NamedTuple):
     """Values of a calibration, and RMS distances to what was measured before and after [m]."""
 
-    values: tuple
+    values: tuple[np.ndarray, ...]
     rms_before: float
     rms_after: float
     status: str
@@ -42,7 +44,15 @@ class Calibrated(NamedTuple):
 
 @in_float64
 def calibrate(
-    build, start, q, measured, *, lower=None, upper=None, descent=Descent(steps=200, rounds=4), progress=None
+    build: Callable[[Array], Chain],
+    start: ArrayLike,
+    q: Float[ArrayLike, "K n"],
+    measured: Float[ArrayLike, "K 3"],
+    *,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    descent: Descent = Descent(steps=200, rounds=4),
+    progress: Callable | None = None,
 ) -> Calibrated:
     """Geometry from measured positions of the tip; computed in float64 whatever JAX's setting is.
 

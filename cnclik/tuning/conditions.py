@@ -7,6 +7,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.law.law import check_loop
 from cnclik.record import record, stack
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.shapes import ArrayLike
 from cnclik.tuning.parameters import scaled_links
 from cnclik.tuning.rollout import Scenario
 
@@ -26,7 +27,7 @@ class Conditions:
     Raises: ArgumentError for values that do not fit.
     """
 
-    noise: object = 0.0
+    noise: ArrayLike = 0.0
     drive: Drive = Drive()
     model_error: float = 0.0
     draws: int = 1

@@ -6,7 +6,7 @@ the step shortened. So a round is one compiled program of known length, the same
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import record
 from cnclik.robot.model import one_off
+from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 from cnclik.tuning.parameters import values_of
 
 FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a reverse one a few runs and their memory
@@ -39,7 +40,7 @@ class Descent:
     Raises: ArgumentError for values that do not fit.
     """
 
-    optimizer: object = None
+    optimizer: Any = None
     steps: int = 100
     rounds: int = 5
     starts: int = 1
@@ -73,25 +74,25 @@ def gradient_mode(count: int, mode="auto") -> str:
 class Carry(NamedTuple):
     """Where a descent stands."""
 
-    u: jax.Array  # (p,)
-    merit: jax.Array  # augmented Lagrangian there; inf: not yet known
-    grad: jax.Array
-    loss: jax.Array
-    constraints: jax.Array  # (c,)
-    direction: jax.Array
-    size: jax.Array
-    failures: jax.Array
-    state: object  # the optimizer's
-    best: jax.Array  # u of the lowest loss seen with all constraints kept
-    best_loss: jax.Array
+    u: Float[Array, " p"]
+    merit: Float[Array, ""]  # augmented Lagrangian there; inf: not yet known
+    grad: Float[Array, " p"]
+    loss: Float[Array, ""]
+    constraints: Float[Array, " c"]
+    direction: Float[Array, " p"]
+    size: Float[Array, ""]
+    failures: Int[Array, ""]
+    state: Any  # the optimizer's
+    best: Float[Array, " p"]  # u of the lowest loss seen with all constraints kept
+    best_loss: Float[Array, ""]
 
 
 class History(NamedTuple):
     """What a round passed through, one entry per evaluated point."""
 
-    loss: jax.Array
-    violation: jax.Array  # largest constraint; at most 0 where all are kept
-    accepted: jax.Array
+    loss: Float[AnyArray, " *steps"]
+    violation: Float[AnyArray, " *steps"]  # largest constraint; at most 0 where all are kept
+    accepted: Bool[AnyArray, " *steps"]
 
 
 def begin(optimizer, u, constraints: int) -> Carry:

@@ -12,7 +12,9 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.robot.rotations import safe_sqrt
+from cnclik.shapes import Array, Float
 from cnclik.tuning.linear import driven_map
 
 
@@ -28,12 +30,12 @@ class View(NamedTuple):
       maps: (K, m, m) one-step maps of the error at rest along the path.
     """
 
-    run: object
-    weight: object
-    Ts: object
-    horizon: object
-    tolerance: object
-    maps: object
+    run: Trajectory
+    weight: Float[Array, " N"]
+    Ts: Float[Array, ""]
+    horizon: Float[Array, ""]
+    tolerance: Float[Array, ""]
+    maps: Float[Array, "K m m"]
 
 
 def _squares(rows):

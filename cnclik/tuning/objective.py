@@ -1,6 +1,7 @@
 """Objective: loss and constraints of a loop over its scenarios, as a function of what is tuned."""
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -9,13 +10,16 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import after
-from cnclik.integrate.drive import check_drive
-from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.stage import picard
+from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.method import DEFAULT, Method
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage, picard
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop
 from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.model import one_off
+from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 from cnclik.stability.driven import delay_margin, each_drive, noise_gain, radius
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
@@ -23,7 +27,7 @@ from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, scenarios
 from cnclik.tuning.losses import View, terms
-from cnclik.tuning.rollout import rollout
+from cnclik.tuning.rollout import Scenario, rollout
 
 INTERVALS = 8  # along each path: at their ends the spectral radius is asked for
 TOGETHER = 16  # values judged in one go: one shape, one program
@@ -51,14 +55,14 @@ class Goal:
       conditions: noise, delay and model error it is judged under, see `Conditions`.
     """
 
-    over: object = ("alpha",)
-    bounds: dict | None = None
-    loss: object = "tracking"
+    over: str | pm.Parameter | Sequence[str | pm.Parameter] = ("alpha",)
+    bounds: dict[str, tuple[ArrayLike, ArrayLike]] | None = None
+    loss: str | dict[str, float] | Callable[[View], Array] = "tracking"
     delay_margin: float = 1.0
     noise_gain: float = 0.5
     ringing: bool = False
     margin: float | None = None
-    velocity_limit: object = "chain"
+    velocity_limit: ArrayLike | None = "chain"
     conditions: Conditions = dataclasses.field(default_factory=Conditions)
 
     def __post_init__(self):
@@ -77,48 +81,50 @@ class Goal:
 class Judged(NamedTuple):
     """What values lead to: largest numbers along the runs, as in `Performance`; inf for what is not finite."""
 
-    loss: object
-    radius: object
-    null_radius: object
-    correction: object
-    speed: object
-    excess: object  # (4,) by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
-    postures: object  # (B·K, n) where these were measured
-    growths: object  # (B·K, n, n) projections on motions of the null space that grow there by themselves
-    run: object  # `Trajectory` of the first scenario
+    loss: Float[np.ndarray, ""]
+    radius: Float[np.ndarray, ""]
+    null_radius: Float[np.ndarray, ""]
+    correction: Float[np.ndarray, ""]
+    speed: Float[np.ndarray, ""]
+    excess: Float[
+        np.ndarray, "4"
+    ]  # by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
+    postures: Float[np.ndarray, "BK n"]  # where these were measured
+    growths: Float[np.ndarray, "BK n n"]  # projections on motions of the null space that grow there by themselves
+    run: Trajectory  # of the first scenario
 
     @property
-    def violation(self):
+    def violation(self) -> float:
         """By how much the worst constraint is exceeded; at most 0 where all are kept."""
         return float(np.max(self.excess))
 
     @property
-    def kept(self):
+    def kept(self) -> bool:
         """Whether all constraints are kept, but for rounding."""
-        return self.violation <= CONSTRAINT_TOLERANCE
+        return bool(self.violation <= CONSTRAINT_TOLERANCE)
 
 
 @record
 class LoopObjective:
     """Loss and constraints of a loop over B scenarios, as a function of its parameters' values."""
 
-    loop: object  # `Adjustable`
-    parameters: tuple
-    scenarios: object  # `Scenario` with a leading axis B
-    postures: object  # (B·K, n) where the spectral radius is asked for
-    growths: object  # (B·K, n, n) motions of the null space there that grow by themselves, see `growing`
-    moments: object  # (B·K,) of the horizon, for a gain schedule
-    losses: tuple  # (function, weight) pairs
-    margin: object
-    largest_correction: object  # largest share of an error that a step may remove; inf: any
-    limits: object  # (j,) joint velocity limits, and which joints have them
-    joints: tuple
-    horizon: object
-    tolerance: object
+    loop: pm.Adjustable
+    parameters: tuple[pm.Parameter, ...]
+    scenarios: Scenario  # with a leading axis B
+    postures: Float[AnyArray, "BK n"]  # where the spectral radius is asked for
+    growths: Float[AnyArray, "BK n n"]  # motions of the null space there that grow by themselves, see `growing`
+    moments: Float[AnyArray, " BK"]  # of the horizon, for a gain schedule
+    losses: tuple[tuple[Callable, AnyArray], ...]  # (function, weight) pairs
+    margin: Float[AnyArray, ""]
+    largest_correction: Float[AnyArray, ""]  # largest share of an error that a step may remove; inf: any
+    limits: Float[AnyArray, " j"] | None  # joint velocity limits, and which joints have them
+    joints: tuple[int, ...]
+    horizon: Float[AnyArray, ""]
+    tolerance: Float[AnyArray, ""]
     N: int
-    drive: object  # where joints differ, each drive counts as one for all joints
-    method: object
-    stage: object
+    drive: Drive  # where joints differ, each drive counts as one for all joints
+    method: Method | Multistep
+    stage: Stage
     contracts: bool  # whether the margin asks for more than the bound on corrections gives
 
     @property
@@ -236,7 +242,12 @@ class LoopObjective:
         speed = told(seen["speed"])
         with np.errstate(divide="ignore", invalid="ignore"):  # no correction is small enough where none is stable
             ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
-        asked = (True, np.isfinite(self.largest_correction), callable(self.loop.law.null_velocity), bool(self.joints))
+        asked = (
+            True,
+            bool(np.isfinite(self.largest_correction)),
+            callable(self.loop.law.null_velocity),
+            bool(self.joints),
+        )
         excess = np.where(asked, np.stack(ratios, -1) - 1.0, -np.inf)
         postures, run = seen["postures"], seen["run"]
         return Judged(told(seen["loss"]), radius, null_radius, correction, speed, excess, postures, growths, run)
@@ -273,6 +284,7 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
     """The objective that `tune` descends, for judging values found in other ways. In float64. Args: as for `tune`."""
     check_loop(law)
     goal = Goal(**goal)
+    assert goal.margin is not None  # `Goal` has filled it in
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=2)

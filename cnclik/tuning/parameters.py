@@ -4,6 +4,8 @@ An optimizer moves free numbers u; what they stand for can't leave its bounds, w
 function, symmetric positive definite gains by one of their eigenvalues.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +13,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
+from cnclik.law.law import Law
 from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import record, replace
 from cnclik.robot.fixed import Offset, scale
+from cnclik.shapes import AnyArray, Float
 from cnclik.stability.spectrum import largest_rate
 
 BOX, SPD = "box", "spd"
@@ -36,10 +40,10 @@ class Parameter:
 
     name: str
     kind: str
-    start: object
-    lower: object
-    upper: object
-    put: object
+    start: AnyArray
+    lower: AnyArray
+    upper: AnyArray
+    put: Callable
     unit: str = "1"
 
 
@@ -134,9 +138,9 @@ class Adjustable:
         alpha is scaled to (its largest rate); or None: alpha as it is.
     """
 
-    law: object
-    Ts: object
-    schedule: object = None
+    law: Law
+    Ts: Float[AnyArray, ""]
+    schedule: Float[AnyArray, " K"] | None = None
 
 
 def put(loop: Adjustable, parameters, values) -> Adjustable:

@@ -1,11 +1,19 @@
 """Result: what a tuning found, as a record, as plain numbers for a file, and in words."""
 
+from collections.abc import Sequence
+
 import jax
 import numpy as np
 
+from cnclik.integrate.method import Method
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory, truncate
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference
 from cnclik.measure.files import plain
 from cnclik.record import in_words, record
+from cnclik.shapes import Float
 from cnclik.stability import rebased
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions
@@ -96,27 +104,27 @@ class Tuned:
       evaluations: runs with their gradient, all starts together.
     """
 
-    law: object
-    reference: object
-    q0: object
+    law: Law
+    reference: Reference | Sequence[Reference]
+    q0: Float[np.ndarray, "*B n"]
     Ts: float
     N: int
-    method: object
-    stage: object
-    schedule: object
+    method: Method | Multistep
+    stage: Stage
+    schedule: Float[np.ndarray, " K"] | None
     conditions: Conditions
-    parameters: tuple
-    values: dict
+    parameters: tuple[pm.Parameter, ...]
+    values: dict[str, np.ndarray]
     loss: str
     margin: float
     ringing: bool
-    front: dict
+    front: dict[str, np.ndarray]
     path_speed: float
     before: Performance
     after: Performance
     status: str
-    history: dict
-    starts: object
+    history: dict[str, np.ndarray]
+    starts: Float[np.ndarray, " S"]
     gradient: str
     evaluations: int
 
@@ -129,7 +137,7 @@ class Tuned:
     @property
     def satisfied(self) -> bool:
         """Whether all constraints are kept, as measured along the tuned run."""
-        return self.after.violation <= CONSTRAINT_TOLERANCE
+        return bool(self.after.violation <= CONSTRAINT_TOLERANCE)
 
     @property
     def why(self) -> str:

@@ -3,7 +3,10 @@
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.trajectory import Trajectory
+from cnclik.law.reference import Reference
 from cnclik.record import cast, record, replace
+from cnclik.robot.chain import Chain
+from cnclik.shapes import AnyArray, Array, Float, Int
 from cnclik.tuning.parameters import Adjustable, scheduled
 
 
@@ -16,11 +19,11 @@ class Scenario:
       noise, plant: as for `simulate`. seed: of the drive's joint noise.
     """
 
-    reference: object
-    q0: object
-    noise: object = None
-    plant: object = None
-    seed: object = 0
+    reference: Reference
+    q0: Float[Array, " n"]
+    noise: Float[AnyArray, "N m"] | None = None
+    plant: Chain | None = None
+    seed: int | Int[AnyArray, ""] = 0
 
 
 def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, drive=Drive(), horizon=None) -> Trajectory:

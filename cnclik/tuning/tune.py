@@ -7,15 +7,20 @@ While it descends, eigenvalues are bounded by smooth functions; at the end they 
 was found.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.stage import picard
+from cnclik.integrate.method import DEFAULT, Method
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage, picard
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference
 from cnclik.precision import in_float64
 from cnclik.record import replace
+from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
 from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
@@ -34,17 +39,17 @@ class Candidate(NamedTuple):
 
 @in_float64
 def tune(
-    law,
-    reference,
-    q0,
+    law: Law,
+    reference: Reference | Sequence[Reference],
+    q0: Float[ArrayLike, "*B n"],
     *,
-    Ts,
-    N,
-    method=DEFAULT,
-    stage=picard(5),
-    descent=Descent(),
-    progress=None,
-    **goal,
+    Ts: Number,
+    N: int,
+    method: Method | Multistep | str = DEFAULT,
+    stage: Stage = picard(5),
+    descent: Descent = Descent(),
+    progress: Callable | None = None,
+    **goal: Any,
 ) -> Tuned:
     """Tune a loop's gains by gradient: loss → min, no overshoot with a sample of dead time to spare, |q̇| ≤ limit.
 
