@@ -19,7 +19,7 @@ MOST_BYTES = 1 << 30  # of all programs kept; what was used longest ago goes fir
 LEAST_SECONDS = 0.0  # of compiling, for a program to be kept: a hundred small ones take longer than a large one
 
 
-def use_cache(folder=None, *, most_bytes=MOST_BYTES) -> pathlib.Path | None:
+def use_cache(folder: str | os.PathLike | None = None, *, most_bytes: int = MOST_BYTES) -> pathlib.Path | None:
     """Keep compiled programs in a folder, and take them from there; the command line calls this.
 
     The environment has the last word: JAX_ENABLE_COMPILATION_CACHE=0 switches it off, and where

@@ -22,7 +22,7 @@ _lanes = jax.make_user_context(default_value=0)  # how many are around what is t
 SWITCHES = [_context]  # that decide on programs: this room's, and the engine's
 
 
-def use_hints(on: bool):
+def use_hints(on: bool) -> contextlib.AbstractContextManager:
     """Context manager: turn every compiler hint and option of cnclik on or off. Part of JAX's cache keys."""
     return _context(bool(on))
 

@@ -86,7 +86,7 @@ def record(cls=None, *, kw_only: bool = True):
 
     cls.__post_init__ = frozen
     if cls.__repr__ is object.__repr__:
-        cls.__repr__ = _in_short  # type: ignore[assignment]
+        cls.__repr__ = _in_short
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
     names = tuple(f.name for f in dataclasses.fields(cls))
 
@@ -123,7 +123,7 @@ def record(cls=None, *, kw_only: bool = True):
                 value.flags.writeable = False
             self.__dict__[name] = value
 
-    cls.__getstate__, cls.__setstate__ = fields_alone, read_only
+    cls.__getstate__, cls.__setstate__ = fields_alone, read_only  # type: ignore[assignment]
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
 

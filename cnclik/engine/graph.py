@@ -6,6 +6,8 @@ so that what does not change in a loop is computed before it; nothing is moved o
 is a row: one scalar at N instants, such as what a scan stacks up.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
@@ -48,7 +50,7 @@ class Block:
 class Region:
     """What holds blocks of its own: a `Scan`, `While` or `Cond`."""
 
-    blocks = ()
+    blocks: Sequence = ()
 
 
 class Scan(Region):

@@ -6,6 +6,7 @@ whose transpose is read from JAX's own vjp: `jit`, `vmap`, `jvp`, `grad` and `la
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from cnclik.engine.to_jax import Derived
 _registered = {}  # {name of a library: the program}: XLA may call it as long as the process lives
 
 
-def native(fn):
+def native(fn: Callable) -> Callable:
     """The same function as C, for use inside a JAX program of your own: native(fn)(*args) = fn(*args), to rounding.
 
     It stays so under `jax.jit`, `vmap`, `jvp`, `grad` and `lax.scan`, in any order and nested: jax.vmap(native(fn)) is
@@ -55,7 +56,7 @@ def native(fn):
             return fn(*args, **named)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
 
-    call.of = of
+    call.of = of  # type: ignore[attr-defined]
     return call
 
 

@@ -1,5 +1,7 @@
 """Plan: which engine runs which call."""
 
+from contextlib import AbstractContextManager
+
 import jax
 
 from cnclik import errors
@@ -11,7 +13,7 @@ _engine = jax.make_user_context(default_value=None)
 SWITCHES.append(_engine)
 
 
-def use_engine(name):
+def use_engine(name: str | None) -> AbstractContextManager:
     """Context manager: what runs the batches and functions called inside; None: the quickest.
 
     "native": C; "xla": the engine's scalars as XLA compiles them; "plain": the source as it is, by XLA. All give the

@@ -137,7 +137,8 @@ class Programs:
 
 def key_of(avals) -> tuple:
     """What tells the programs of a function apart: the types of its arguments, and whether JAX is in 64 bits."""
-    return jax.config.jax_enable_x64, *((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
+    types = ((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
+    return jax.config.jax_enable_x64, *types  # type: ignore[attr-defined]
 
 
 def lane_avals(leaves, *, batched=True) -> list:

@@ -11,7 +11,7 @@ import numpy as np
 from jax.extend.random import threefry_prng_impl as of_keys
 
 from cnclik.engine.cells import MOVES, array_of
-from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.graph import Node, UnsupportedError
 from cnclik.engine.operations import TYPES
 
 MOST = 64  # numbers drawn at once: each is a hundred operations, written out
@@ -29,8 +29,8 @@ _DRAWN = {
 class Key(NamedTuple):
     """A cell that is a key."""
 
-    one: object
-    other: object
+    one: Node
+    other: Node
 
     known = False
 

@@ -4,7 +4,7 @@ What is small is taken apart into scalars, so that moving data about costs nothi
 (`stacks`); loops stay loops (`regions`). A primitive that has no rule raises UnsupportedError, which names it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +47,7 @@ def params_of(eqn):
 class Opaque(NamedTuple):
     """What is known and no array of numbers: a key of random numbers."""
 
-    value: object
+    value: Any
 
 
 class Reader:
@@ -76,7 +76,8 @@ class Reader:
         """Results of one equation."""
         name = eqn.primitive.name
         if name in CALLS:
-            return self.run(*called(eqn.params), inputs)
+            jaxpr, consts = called(eqn.params)
+            return self.run(jaxpr, consts, inputs)
         if name in _PASSED_ON or (name == "reduce_precision" and _keeps(eqn)):
             return list(inputs)
         if name == model_p.name:

@@ -1,7 +1,8 @@
 """Routine: a traced function whose arguments and results have names, for C that is called by other C."""
 
 import functools
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ class Field(NamedTuple):
     shape: tuple = ()
     kind: str = REAL
     about: str = ""
-    value: object = None  # where nothing else is given
+    value: Any = None  # where nothing else is given
 
     @property
     def size(self) -> int:
@@ -35,9 +36,9 @@ class Routine(NamedTuple):
     inputs: dict  # {group: [Field]}
     outputs: dict  # {group: [Field]}
     graph: Graph | None = None
-    given: list = ()  # its input nodes, field by field
-    outs: list = ()  # its results, field by field
-    fn: object = None  # of flat arrays, those that are compiled in among them
+    given: Sequence = ()  # its input nodes, field by field
+    outs: Sequence = ()  # its results, field by field
+    fn: Callable | None = None  # of flat arrays, those that are compiled in among them
     fixed: dict | None = None  # {number of an argument of `fn`: its value, which is compiled in}
 
     def places(self, place) -> tuple:

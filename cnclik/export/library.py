@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import json
 import operator
+import os
 import tempfile
 from typing import NamedTuple
 
@@ -19,12 +20,15 @@ from cnclik.export.batch import Batch
 from cnclik.export.write import MANIFEST, c, digest, digest_of
 from cnclik.integrate.advance import Step
 from cnclik.integrate.trajectory import INSTANTS, Trajectory
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference
 from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
+from cnclik.robot.chain import Chain
 from cnclik.robot.kinematics import Pose
 
 
-def load(folder, **parameters):
+def load(folder: str | os.PathLike, **parameters) -> "Compiled":
     """What `export.c` wrote, built and ready to be called.
 
     Args:
@@ -57,7 +61,7 @@ def _manifest(folder) -> dict:
 _TO_READ = ("README.md", "example.c")  # of an export, which nothing is built from
 
 
-def compiled(law, reference=None, **options):
+def compiled(law: Law | Chain, reference: Reference | None = None, **options) -> "Compiled":
     """`c` and `load` in one: the step as a native function, in a temporary folder that lives as long as it does.
 
     Args: those of `c` but `out`.
@@ -221,7 +225,7 @@ _NAMES = tuple(field.name for field in dataclasses.fields(Step))
 jax.tree_util.register_pytree_node(
     NativeStep,
     lambda made: ([getattr(made, name) for name in _NAMES], None),
-    lambda _, values: Step(**dict(zip(_NAMES, values, strict=True))),
+    lambda _, values: Step(**dict(zip(_NAMES, values, strict=True))),  # type: ignore
 )
 
 

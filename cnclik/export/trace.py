@@ -10,10 +10,13 @@ from cnclik.engine.constants import of_the_model
 from cnclik.engine.routine import INT, REAL, Field, Routine, read
 from cnclik.export import fields
 from cnclik.integrate.history import blank
+from cnclik.integrate.method import Method
+from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.solve import step_and_least
+from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import growing
 from cnclik.law.curves import Hold
-from cnclik.law.law import observe
+from cnclik.law.law import Law, observe
 from cnclik.law.reference import Reference, tangent
 from cnclik.record import cast, replace
 from cnclik.robot.model import frames, jacobian_rows, modelled
@@ -24,13 +27,13 @@ WHAT = ("step", "solve", "reach", "fk", "jacobian")
 class Asked(NamedTuple):
     """What is to be exported."""
 
-    law: object
-    reference: object  # None: the target is an argument
-    method: object
-    stage: object
+    law: Law
+    reference: Reference | None  # None: the target is an argument
+    method: Method | Multistep
+    stage: Stage
     dtype: np.dtype
     what: str
-    runtime: object  # names of parameters that stay arguments; None for all
+    runtime: tuple[str, ...] | None  # names of parameters that stay arguments; None for all
 
 
 def trace(asked: Asked) -> Routine:

@@ -2,7 +2,10 @@
 
 import hashlib
 import json
+import os
+import pathlib
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,9 +20,11 @@ from cnclik.export.reach_trace import SEEDS, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import WHAT, Asked, trace
-from cnclik.integrate.method import DEFAULT, evaluations_of, named
-from cnclik.integrate.stage import picard
+from cnclik.integrate.method import DEFAULT, Method, evaluations_of, named
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law, check_loop
+from cnclik.law.reference import Reference
 from cnclik.record import brief
 from cnclik.robot.chain import Chain
 from cnclik.version import __version__
@@ -29,20 +34,20 @@ MANIFEST = "export.json"
 
 
 def c(
-    law,
-    reference=None,
+    law: Law | Chain,
+    reference: Reference | None = None,
     *,
-    out,
-    what="step",
-    method=DEFAULT,
-    stage=None,
-    dtype="float64",
-    name="clik_step",
-    runtime=None,
-    batch=False,
-    seeds=None,
-    overwrite=False,
-):
+    out: str | os.PathLike,
+    what: str = "step",
+    method: Method | Multistep | str = DEFAULT,
+    stage: Stage | None = None,
+    dtype: str = "float64",
+    name: str = "clik_step",
+    runtime: Sequence[str] | None = None,
+    batch: bool | Sequence[str] = False,
+    seeds: int | None = None,
+    overwrite: bool = False,
+) -> pathlib.Path:
     """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
 
     What is an array in the law's records (the gain, damping, an array of link lengths) is a field of `parameters` at
