@@ -92,7 +92,7 @@ def without(wanted, drift):
     return WithoutDrift(wanted, drift)
 
 
-def posture(rest: ArrayLike, rate: Number = 1.0) -> Posture:
+def posture(rest: Float[ArrayLike, " n"], rate: Number = 1.0) -> Posture:
     """Draw the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q).
 
     Args:

@@ -131,7 +131,7 @@ def check(reference: Reference, task: Task) -> None:
         errors.array("feedforward", reference.feedforward, (task.m,))
 
 
-def with_feedforward(reference: Reference, velocity: ArrayLike) -> Reference:
+def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
     """The same path with an explicit task velocity (m,) in place of its own, constant in time.
 
     For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
@@ -202,11 +202,11 @@ def line(
 
 
 def circle(
-    center: ArrayLike,
+    center: Float[ArrayLike, " d"],
     radius: Number,
     *,
     period: Number,
-    normal: ArrayLike | None = None,
+    normal: Float[ArrayLike, "3"] | None = None,
     phase: Number = 0.0,
     rotation: ArrayLike | None = None,
 ) -> Reference:
@@ -249,12 +249,12 @@ def circle(
 
 
 def lissajous(
-    center: ArrayLike,
-    amplitude: ArrayLike,
+    center: Float[ArrayLike, " d"],
+    amplitude: Float[ArrayLike, " d"],
     *,
     period: Number,
-    frequency: ArrayLike | None = None,
-    phase: ArrayLike | None = None,
+    frequency: Float[ArrayLike, " d"] | None = None,
+    phase: Float[ArrayLike, " d"] | None = None,
     rotation: ArrayLike | None = None,
 ) -> Reference:
     """Lissajous figure x_d(t) = center + amplitude · sin(2π frequency t/period + phase), per axis.
@@ -284,7 +284,11 @@ def lissajous(
 
 
 def waypoints(
-    times: ArrayLike, positions: ArrayLike | None = None, rotations: ArrayLike | None = None, *, closed: bool = False
+    times: Float[ArrayLike, " K"],
+    positions: Float[ArrayLike, "K d"] | None = None,
+    rotations: Float[ArrayLike, "K ..."] | None = None,
+    *,
+    closed: bool = False,
 ) -> Reference:
     """C² path through waypoints: velocity and acceleration are continuous.
 

@@ -6,15 +6,15 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.curves import Spline, quaternions_of
 from cnclik.law.reference import Reference
-from cnclik.shapes import ArrayLike, Number
+from cnclik.shapes import ArrayLike, Float, Number
 
 KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # and how late each is at least [longest periods]
 
 
 def resampled(
-    times: ArrayLike,
-    positions: ArrayLike | None = None,
-    rotations: ArrayLike | None = None,
+    times: Float[ArrayLike, " K"],
+    positions: Float[ArrayLike, "K d"] | None = None,
+    rotations: Float[ArrayLike, "K ..."] | None = None,
     *,
     kind: str = "spline",
     delay: Number | None = None,

@@ -52,7 +52,7 @@ class Task:
         return f"Task: {', '.join(parts)}" + ("" if self.weights is None else f", weights {brief(self.weights)}")
 
 
-def position(axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
+def position(axes: str = "xyz", *, weights: Float[ArrayLike, " m"] | None = None) -> Task:
     """Position of the tip along some of the base axes [m].
 
     Args:
@@ -62,7 +62,7 @@ def position(axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
     return _task(_letters("axes", axes), "", weights)
 
 
-def orientation(axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
+def orientation(axes: str = "xyz", *, weights: Float[ArrayLike, " m"] | None = None) -> Task:
     """Orientation of the tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
 
     Args:
@@ -72,7 +72,7 @@ def orientation(axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
     return _task("", _letters("axes", axes), weights)
 
 
-def pose(axes: str = "xyz", rotation_axes: str = "xyz", *, weights: ArrayLike | None = None) -> Task:
+def pose(axes: str = "xyz", rotation_axes: str = "xyz", *, weights: Float[ArrayLike, " m"] | None = None) -> Task:
     """Position [m] and orientation [rad] of the tip; `pose("xy", "z")` is the whole pose in a plane."""
     return _task(_letters("axes", axes), _letters("rotation_axes", rotation_axes), weights)
 

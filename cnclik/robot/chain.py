@@ -17,7 +17,7 @@ from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, rotatio
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import MOST
-from cnclik.shapes import ArrayLike, Number
+from cnclik.shapes import ArrayLike, Float, Number
 
 Names = Sequence[str] | None
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
@@ -100,7 +100,7 @@ def _is_whole(number) -> bool:
     return is_number(number) and float(number).is_integer()
 
 
-def planar_arm(lengths: ArrayLike, *, clockwise: bool = False, joint_names: Names = None) -> Chain:
+def planar_arm(lengths: Float[ArrayLike, " n"], *, clockwise: bool = False, joint_names: Names = None) -> Chain:
     """Planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).
 
     Joint i sits at (0, l₁ + … + lᵢ₋₁, 0), the tip at (0, l₁ + … + lₙ, 0).
@@ -124,19 +124,19 @@ def planar_arm(lengths: ArrayLike, *, clockwise: bool = False, joint_names: Name
 
 
 def from_dh(
-    a: ArrayLike,
-    alpha: ArrayLike,
-    d: ArrayLike,
-    theta: ArrayLike | None = None,
+    a: Float[ArrayLike, " n"],
+    alpha: Float[ArrayLike, " n"],
+    d: Float[ArrayLike, " n"],
+    theta: Float[ArrayLike, " n"] | None = None,
     *,
     convention: str = "standard",
     kinds: str | None = None,
     base: PoseLike | None = None,
     tool: PoseLike | None = None,
     joint_names: Names = None,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    velocity_limit: ArrayLike | None = None,
+    lower: Float[ArrayLike, " n"] | None = None,
+    upper: Float[ArrayLike, " n"] | None = None,
+    velocity_limit: Float[ArrayLike, " n"] | None = None,
 ) -> Chain:
     """Chain from Denavit-Hartenberg parameters.
 
@@ -183,15 +183,15 @@ def from_dh(
 
 
 def from_screws(
-    points: ArrayLike,
-    axes: ArrayLike,
+    points: Float[ArrayLike, "n 3"],
+    axes: Float[ArrayLike, "n 3"],
     home: PoseLike,
     *,
     kinds: str | None = None,
     joint_names: Names = None,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    velocity_limit: ArrayLike | None = None,
+    lower: Float[ArrayLike, " n"] | None = None,
+    upper: Float[ArrayLike, " n"] | None = None,
+    velocity_limit: Float[ArrayLike, " n"] | None = None,
 ) -> Chain:
     """Chain from a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
 
@@ -221,9 +221,9 @@ def assemble(
     tip: Offset | None = None,
     *,
     joint_names: Names = None,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    velocity_limit: ArrayLike | None = None,
+    lower: Float[ArrayLike, " n"] | None = None,
+    upper: Float[ArrayLike, " n"] | None = None,
+    velocity_limit: Float[ArrayLike, " n"] | None = None,
 ) -> Chain:
     """Chain from joints built one by one, with limits checked against the number of coordinates."""
     joints = tuple(joints)

@@ -1,5 +1,7 @@
 """Where the tip is and how it moves: pose, geometric Jacobian, manipulability."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,7 +53,7 @@ def _jacobian(chain, q):
     return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
 
 
-def forward(chain: Chain, q: ArrayLike) -> Pose:
+def forward(chain: Chain, q: Float[ArrayLike, " n"]) -> Pose:
     """Pose of the tip in the base frame, g(q) of Drexler (2016), Section II.
 
     Args:
@@ -63,7 +65,7 @@ def forward(chain: Chain, q: ArrayLike) -> Pose:
     return Pose(position=position, rotation=rotation)
 
 
-def jacobian(chain: Chain, q: ArrayLike) -> Float[Array, "6 n"]:
+def jacobian(chain: Chain, q: Float[ArrayLike, " n"]) -> Float[Array, "6 n"]:
     """Geometric Jacobian J(q), (6, n): tip velocity (v, ω) = J q̇ in the base frame, linear rows first.
 
     Column i is (aᵢ × (p − pᵢ), aᵢ) for a revolute joint and (aᵢ, 0) for a prismatic one (Siciliano et al.
@@ -76,7 +78,7 @@ def jacobian(chain: Chain, q: ArrayLike) -> Float[Array, "6 n"]:
     return _jacobian(chain, as_joint_values(chain, q))[0]
 
 
-def manipulability(chain: Chain, q: ArrayLike, task=None) -> Float[Array, ""]:
+def manipulability(chain: Chain, q: Float[ArrayLike, " n"], task: Any = None) -> Float[Array, ""]:
     """Yoshikawa's measure w = √det(J Jᵀ), 0 at a singularity (Yoshikawa 1985, eq. 9).
 
     Args:
