@@ -22,7 +22,7 @@ class Task:
 
     position: str
     orientation: str
-    weights: Float[Array, " m"] | None = None
+    weights: Float[Array, " m"] | None = None  # of the coordinates, in the least-squares sense
 
     @property
     def m(self) -> int:

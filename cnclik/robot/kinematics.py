@@ -20,7 +20,7 @@ class Pose:
     """Where the tip is, in the base frame."""
 
     position: Float[Array, "3"]  # [m]
-    rotation: Float[Array, "3 3"]
+    rotation: Float[Array, "3 3"]  # the columns are the tip's axes
 
 
 def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float[Array, " n"]:
