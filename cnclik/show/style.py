@@ -2,7 +2,7 @@
 
 import contextlib
 import pathlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import matplotlib.pyplot as plt
@@ -59,7 +59,7 @@ METHODS = {
 }
 OTHER = Line(BLACK, DASH, "o", 3.0)  # of a method without one of its own
 
-GUIDE = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
+GUIDE: dict[str, Any] = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
 OUTLINED = {  # a boundary over colours: black with a white edge, seen on any of them
     "color": BLACK,
     "linewidth": 1.1,
