@@ -79,13 +79,6 @@ def _present(written) -> str:
     return "by default" if unless_given(written, "alpha") else "now"
 
 
-def escaped(text):
-    """Rich takes [s] for strikethrough."""
-    from rich.markup import escape
-
-    return escape(text)
-
-
 def or_any(value) -> str:
     return "none" if value == 0 else f"{value:.4g}" if value < math.inf else "any"
 

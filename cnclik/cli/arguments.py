@@ -40,7 +40,7 @@ class _Option(typing.NamedTuple):
 
     name: str
     field: str
-    hint: object
+    kind: "_Kind"
     default: object
     unit: str
     metavar: str
@@ -48,14 +48,24 @@ class _Option(typing.NamedTuple):
     positional: bool
 
     @property
-    def many(self):
-        """Whether it may be given again and again, one value each time."""
-        return typing.get_origin(self.hint) is list
+    def switch(self) -> bool:
+        """Whether it stands without a value."""
+        return self.kind.base is bool
+
+
+class _Kind(typing.NamedTuple):
+    """The type of an option's values, and how many it has."""
+
+    base: type
+    choices: tuple = ()
+    held_in: type | None = None  # tuple, or list: of an option that may be given again and again, one value each time
+    count: int | None = 1  # None: any number; 0: it stands without a value
+    optional: bool = False
 
     @property
-    def switch(self):
-        """Whether it stands without a value."""
-        return _most(self.hint) == 0
+    def numeric(self) -> bool:
+        """Whether all values are numbers."""
+        return self.base in (int, float)
 
 
 def parse(Args, argv, *, prog, description):
@@ -75,15 +85,15 @@ def parse(Args, argv, *, prog, description):
     if len(loose) > len(places):
         alone = " and ".join(one.name for one in places) or "nothing"
         raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
-    made = {one.field: _value(one.hint, [word]) for one, word in zip(places, loose, strict=False)}
+    made = {one.field: _value(one.kind, [word]) for one, word in zip(places, loose, strict=False)}
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
     for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
         values, written[one.name[2:].replace("-", "_")] = _in_own_units(one, typed, Ts)
-        if not _fits(one.hint, values):
+        if not _fits(one.kind, values):
             found = f"{' '.join(typed)!r}" + (f", {' '.join(values)} {one.unit}" if values != typed else "")
-            raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.hint)}, but is {found}.")
-        value = _value(one.hint, values)
-        made[one.field] = [*made.get(one.field, []), *value] if one.many else value
+            raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but is {found}.")
+        value = _value(one.kind, values)
+        made[one.field] = [*made.get(one.field, []), *value] if one.kind.held_in is list else value
         Ts = value if one.field == "Ts" else Ts
     for one in every:
         if one.field not in made and one.default is dataclasses.MISSING:
@@ -100,9 +110,10 @@ def _options(Args) -> list:
     for field in dataclasses.fields(Args):
         marks, lazy = field.metadata, field.default_factory is not dataclasses.MISSING
         positional, name = marks.get("positional", False), marks.get("name") or field.name
-        metavar = marks.get("metavar") or (name.upper() if positional else _metavar(hints[field.name]))
+        kind = _kind(hints[field.name])
+        metavar = marks.get("metavar") or (name.upper() if positional else _metavar(kind))
         every.append(_Option(
-            metavar if positional else "--" + name.replace("_", "-"), field.name, hints[field.name],
+            metavar if positional else "--" + name.replace("_", "-"), field.name, kind,
             field.default_factory() if lazy else field.default, marks.get("unit", "1"), metavar,
             marks.get("about") or about.get(field.name, ""), positional,
         ))  # fmt: skip
@@ -142,8 +153,8 @@ def _split(named, argv):
             raise _unknown(named, typed)
         values = [value] if equals else _values(one, queue)
         queue = queue if equals else queue[len(values) :]
-        if not values and _least(one.hint):
-            raise errors.ArgumentError(f"Option `{name}` must be given {_words(one.hint)}, but has no value.")
+        if not values and not one.switch:
+            raise errors.ArgumentError(f"Option `{name}` must be given {_words(one.kind)}, but has no value.")
         if one.switch and values in ([], ["True"], ["False"]):
             values = [str((values != ["False"]) is (name not in off))]
         given.append((one, values))
@@ -153,7 +164,7 @@ def _split(named, argv):
 def _values(one, queue) -> list:
     """The values at the head of a queue that an option takes, a unit that stands apart among them."""
     values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
-    most = 1 if one.many else _most(one.hint)
+    most = 1 if one.kind.held_in is list else one.kind.count
     if most is not None and values[most : most + 1] and values[most] in quantities.units(one.unit):
         most += 1
     return values[:most]
@@ -161,12 +172,12 @@ def _values(one, queue) -> list:
 
 def _in_own_units(one, values, Ts):
     """(values as numbers without units, the units that they had); what is no number passes, and fits nothing."""
-    if not _is_numeric(one.hint) or values == ["None"] or not values:
+    if not one.kind.numeric or values == ["None"] or not values:
         return values, ()
     try:
         found = quantities.read(" ".join(values), one.unit, Ts)
     except ValueError as error:
-        raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.hint)}, but {error}.") from None
+        raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but {error}.") from None
     if not any(found.written) and len(found) == len(values):
         return values, found.written
     return [f"{v:.0f}" if v.is_integer() and abs(v) < 1e15 else repr(v) for v in found], found.written
@@ -186,96 +197,62 @@ def _unknown(named, found):
 # --- types --------------------------------------------------------------------------------------------
 
 
-def _parts(hint):
-    """(origin, arguments) of a type, None left out of a union; of a plain type (None, (type,))."""
-    origin = typing.get_origin(hint)
-    return origin, tuple(a for a in typing.get_args(hint) if a is not type(None)) if origin else (hint,)
-
-
-def _most(hint):
-    """How many values an option may take."""
-    origin, inner = _parts(hint)
-    if hint is bool:
-        return 0
+def _kind(hint) -> _Kind:
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Literal:
+        return _Kind(str, choices=inner)
     if origin in (tuple, list):
-        return len(inner) if origin is tuple and ... not in inner else None
-    return 1 if origin is typing.Literal or not origin else _most(inner[0])
+        return _kind(inner[0])._replace(held_in=origin, count=None if origin is list or ... in inner else len(inner))
+    if origin:  # such as `float | None`
+        return _kind(inner[0])._replace(optional=True)
+    return _Kind(hint, count=0 if hint is bool else 1)
 
 
-def _least(hint):
-    """How many it must be given."""
-    most = _most(hint)
-    return 1 if most is None else most
-
-
-def _fits(hint, values) -> bool:
-    origin, inner = _parts(hint)
-    if hint is bool:
+def _fits(kind, values) -> bool:
+    if kind.optional and values == ["None"]:
+        return True
+    if kind.base is bool:
         return values in (["True"], ["False"])
-    if origin is typing.Literal:
-        return values[0] in map(str, inner)
-    if origin in (tuple, list):
-        each = inner if _most(hint) else inner[:1] * len(values)
-        return len(each) == len(values) and all(_fits(kind, [v]) for kind, v in zip(each, values, strict=True))
-    if origin:  # a union, such as `float | None`
-        return values == ["None"] or any(_fits(kind, values) for kind in inner)
-    if hint is int:
-        return re.fullmatch("[+-]?[0-9]{1,999}", values[0]) is not None
-    return hint is not float or quantities.number(values[0]) is not None
+    return kind.count in (None, len(values)) and all(_is_one(kind, v) for v in values)
 
 
-def _value(hint, values):
-    """Values that fit a type, of it."""
-    origin, inner = _parts(hint)
-    if hint is bool:
+def _is_one(kind, value) -> bool:
+    if kind.choices:
+        return value in kind.choices
+    if kind.base is int:
+        return re.fullmatch("[+-]?[0-9]{1,999}", value) is not None
+    return kind.base is not float or quantities.number(value) is not None
+
+
+def _value(kind, values):
+    """Values that fit a kind, of it."""
+    if kind.optional and values == ["None"]:
+        return None
+    if kind.base is bool:
         return values == ["True"]
-    if origin is typing.Literal:
-        return next(a for a in inner if str(a) == values[0])
-    if origin in (tuple, list):
-        each = inner if _most(hint) else inner[:1] * len(values)
-        return origin(_value(kind, [v]) for kind, v in zip(each, values, strict=True))
-    if origin:
-        return None if values == ["None"] else _value(next(a for a in inner if _fits(a, values)), values)
-    return hint(values[0])
+    made = [kind.base(v) for v in values]
+    return kind.held_in(made) if kind.held_in else made[0]
 
 
-def _is_numeric(hint) -> bool:
-    """Whether all that an option takes are numbers."""
-    origin, inner = _parts(hint)
-    if origin is typing.Literal:
-        return False
-    return all(map(_is_numeric, (a for a in inner if a is not ...))) if origin else hint in (int, float)
-
-
-def _words(hint) -> str:
-    """A type in words: "an integer", "one of a, b", "3 numbers"."""
+def _words(kind) -> str:
+    """A kind in words: "an integer", "one of a, b", "3 numbers"."""
+    if kind.choices:
+        return f"{'some' if kind.held_in else 'one'} of {', '.join(kind.choices)}"
+    if kind.held_in:
+        each = {int: "integers", float: "numbers"}.get(kind.base, "values")
+        return f"{kind.count} {each}" if kind.count else each
     words = {int: "an integer", float: "a number", str: "a text", bool: "True or False"}
-    origin, inner = _parts(hint)
-    if hint in words:
-        return words[hint]
-    if origin is typing.Literal:
-        return "one of " + ", ".join(map(str, inner))
-    if origin in (tuple, list):
-        if typing.get_origin(inner[0]) is typing.Literal:
-            return f"some of {', '.join(map(str, typing.get_args(inner[0])))}"
-        each = {int: "integers", float: "numbers"}.get(inner[0], "values")
-        return f"{len(inner)} {each}" if _most(hint) else each
-    if origin:
-        return " or ".join(_words(a) for a in inner)
-    return f"a {getattr(hint, '__name__', hint)}".lower()
+    return words.get(kind.base, f"a {kind.base.__name__}".lower())
 
 
 # --- help ---------------------------------------------------------------------------------------------
 
 
-def _metavar(hint) -> str:
-    """What stands for an option's values in the help: "X", "INT INT", "NAME ...", "one,two"."""
-    origin, inner = _parts(hint)
-    if origin is typing.Literal:
-        return "{" + ",".join(map(str, inner)) + "}"
-    if origin in (tuple, list):
-        return " ".join(map(_metavar, inner)) if _most(hint) else f"{_metavar(inner[0])} ..."
-    return _metavar(inner[0]) if origin else {int: "INT", float: "X", str: "NAME"}.get(hint, "PATH")
+def _metavar(kind) -> str:
+    """What stands for an option's values in the help: "X", "INT INT", "NAME ...", "{one,two}"."""
+    one = {int: "INT", float: "X", str: "NAME"}.get(kind.base, "PATH")
+    one = "{" + ",".join(kind.choices) + "}" if kind.choices else one
+    return " ".join([one] * kind.count) if kind.count else f"{one} ..."
 
 
 def _parser(every, prog, description):

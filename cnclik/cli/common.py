@@ -45,6 +45,14 @@ class ReportOption:
                 raise
             self.undrawn = error
 
+    def motions(self, law, *runs) -> list:
+        """Runs of the loop as the report's moving robot. Args: runs: (trajectory, what `motion_of` shall say of it)."""
+        from cnclik.show.viewer.files import robot_of
+        from cnclik.show.viewer.motion import motion_of
+
+        _, name, links = robot_of(self.robot, self.tip, self.base, self.lengths)
+        return [motion_of(run, law, links=links, **({"name": name} | said)) for run, said in runs]
+
     def write_report(self, title, answer, **parts) -> None:
         """Write the page where one is asked for, and say so; see `cnclik.show.report.Report`."""
         if self.report is None:
@@ -62,6 +70,21 @@ class ReportOption:
             print(f"Wrote {self.report}.")
         if self.undrawn:
             raise self.undrawn
+
+
+def print_table(rows, header=(), *, title=None, left=1, **look) -> None:
+    """Print rows of texts as a table; the first `left` columns are set left."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    title = title and Text(title, style="table.title")
+    shown = Table(title=title, title_justify="left", show_header=bool(header), **look)
+    for i, name in enumerate(header):
+        shown.add_column(Text(name), justify="left" if i < left else "right")
+    for row in rows:
+        shown.add_row(*map(Text, row))
+    Console().print(shown)
 
 
 _OPTIONS = {  # what the library's remedies speak of, as it is written on the command line

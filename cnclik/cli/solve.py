@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, ReportOption, as_options
+from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
 from cnclik.cli.heading import robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
@@ -28,8 +28,6 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 
 
 def run(args: Args) -> None:
-    from rich.console import Console
-
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain, save_csv, save_netcdf
@@ -67,7 +65,7 @@ def run(args: Args) -> None:
         print_json(asked_of | {"verdict": plain(told) | {"sentence": answer}, "out": str(args.out)})
     else:
         print("\n".join([title, loop, *where]))
-        Console().print(_shown(facts))
+        print_table(facts, box=None, padding=(0, 2, 0, 0))
         print(answer)
     figures = _figures(data, made) if args.figures or args.report else {}
     if args.figures:
@@ -81,7 +79,7 @@ def run(args: Args) -> None:
         facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
         figures=figures,
         captions=_CAPTIONS,
-        motions=functools.partial(_motions, args, made, trajectory, answer, told.radius),
+        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": told.radius})),
         dtype=str(trajectory.q.dtype),
     )
 
@@ -93,14 +91,6 @@ _CAPTIONS = {
     "status": "What was wrong in each step; an empty line is good.",
     "tip": "Path of the tip, and of its target, in the base frame.",
 }
-
-
-def _motions(args, made, trajectory, answer, radius):
-    from cnclik.show.viewer.files import robot_of
-    from cnclik.show.viewer.motion import motion_of
-
-    _, name, links = robot_of(args.robot, args.tip, args.base, args.lengths)
-    return [motion_of(trajectory, made.law, name=name, note=answer, links=links, radius=radius)]
 
 
 def _loop(made, written) -> str:
@@ -117,37 +107,26 @@ def _loop(made, written) -> str:
 
 
 def _march(made, report):
-    """The whole trajectory, in pieces that tell of progress, and the time per step once compiled [s]."""
+    """The whole trajectory, in pieces that tell of progress, and the time per step once compiled [s].
+
+    Through drives or at a pace it is one piece: what is under way would begin anew with every other.
+    """
     import jax
 
     from cnclik.integrate.pieces import in_pieces, joined, piece_of
 
-    if not made.alone:
-        return _whole(made, report)
-    size = piece_of(made.method, made.N)
+    size = piece_of(made.method, made.N) if made.alone else made.N
+
+    def run():
+        return in_pieces(*made.loop, size=size) if made.alone else iter([made.run()])
+
     report(0, made.N)
-    next(in_pieces(*made.loop, size=size))  # compiles
-    parts, seconds, begun = [], 0.0, time.perf_counter()
-    for part in in_pieces(*made.loop, size=size):
+    jax.block_until_ready(next(run()))  # compiles
+    parts, begun = [], time.perf_counter()
+    for part in run():
         parts.append(jax.block_until_ready(part))
-        seconds += time.perf_counter() - begun
         report(min(len(parts) * size, made.N), made.N)
-        begun = time.perf_counter()
-    return joined(parts, made.N), seconds / (len(parts) * size)
-
-
-def _whole(made, report):
-    """The same through drives or at a pace, in one piece: what is under way would begin anew with every piece."""
-    import jax
-    import numpy as np
-
-    report(0, made.N)
-    for again in range(2):  # the first compiles
-        begun = time.perf_counter()
-        found = jax.block_until_ready(made.run())
-        seconds = time.perf_counter() - begun
-        report((again + 1) * made.N // 2, made.N)
-    return jax.tree.map(np.asarray, found), seconds / made.N
+    return joined(parts, made.N), (time.perf_counter() - begun) / (len(parts) * size)
 
 
 def _rows(data):
@@ -173,16 +152,6 @@ def _figures(data, made) -> dict:
         )
         for kind in _CAPTIONS
     }
-
-
-def _shown(rows):
-    """Rows of names and texts, for a terminal."""
-    from rich.table import Table
-
-    shown = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for row in rows:
-        shown.add_row(*row)
-    return shown
 
 
 def _summary(made, trajectory, seconds):

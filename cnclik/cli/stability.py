@@ -12,7 +12,6 @@ from cnclik.cli import progress
 from cnclik.cli.advice import (
     COLUMNS,
     NOT_KNOWN,
-    escaped,
     exact,
     gains_of,
     lines_of,
@@ -22,7 +21,7 @@ from cnclik.cli.advice import (
     without_largest,
 )
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions, ReportOption, print_table
 from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import (
     DriveOptions,
@@ -149,22 +148,11 @@ def _tell(args, advised):
     if args.json:
         print_json(_as_table(*advised))
         return
-    from rich.console import Console
-    from rich.table import Table
-
     found, said = advised
-    console = Console()
-    shown = Table(title=escaped(title_of(found)), title_justify="left")
-    for column in COLUMNS:
-        shown.add_column(escaped(column), justify="left" if column == "gain" else "right")
-    for row in gains_of(found, said, args.written):
-        shown.add_row(*row)
     asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
-    for note in (*asked, *filter(None, [said.assumption]), *said.notes):  # what the numbers can't say comes before them
-        console.print(note, highlight=False, markup=False, soft_wrap=True)
-    console.print(shown)
-    for line in lines_of(found, said, args.written):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")  # what the numbers can't say comes before
+    print_table(gains_of(found, said, args.written), COLUMNS, title=title_of(found))
+    print(*lines_of(found, said, args.written), sep="\n")
 
 
 def _as_table(found, said) -> dict:
@@ -186,9 +174,6 @@ def _as_table(found, said) -> dict:
 
 
 def _plane(args, out):
-    from rich.console import Console
-    from rich.table import Table
-
     from cnclik.measure.dataset import as_json, provenance
     from cnclik.measure.files import save_netcdf
     from cnclik.stability.plane import limit_tables, plane, plane_page
@@ -200,12 +185,7 @@ def _plane(args, out):
     out.write("plane.nc", functools.partial(save_netcdf, data))
     out.write_text("plane.md", plane_page(data))
     for title, header, rows in limit_tables(data):
-        shown = Table(title=title, title_justify="left")
-        for name in header:
-            shown.add_column(name, justify="left" if name in ("method", "stage") else "right")
-        for row in rows:
-            shown.add_row(*row)
-        Console().print(shown)
+        print_table(rows, header, title=title, left=1 + ("stage" in header))
     from cnclik.show.output import drawn_by
 
     return {"plane.png": (functools.partial(drawn_by("stability", "plane"), data), {"Title": "stability regions"})}
@@ -308,19 +288,15 @@ def _report(args, figures, advised):
 
 def _runs(args, found, said) -> list:
     """A step to the target with the recommended gain, and with one that is too large, or if there is none that now."""
-    from cnclik.show.viewer.files import robot_of
     from cnclik.show.viewer.look import look, loop_of
-    from cnclik.show.viewer.motion import motion_of
 
-    links = robot_of(args.robot, args.tip, args.base, args.lengths)[2]
     now = loop_of(found)
     most = said.largest_stable_alpha
     other = (now.alpha, "now") if math.isinf(most) else (1.1 * most, "a tenth beyond the largest stable")
     settled = said.recommended.settling_time
     N = min(max(math.ceil(2 * settled / found.Ts), 40), 400) if math.isfinite(settled) else 400
-    made, motions = dataclasses.replace(found, N=N), []
+    made, runs = dataclasses.replace(found, N=N), []
     for alpha, name in ((said.recommended_alpha, "recommended"), other):
         seen = look(made, now._replace(alpha=min(alpha, 1e3 * now.alpha)))
-        name = f"alpha = {alpha:.3g} 1/s ({name})"
-        motions.append(motion_of(seen.run, found.law, name=name, links=links, radius=seen.radius))
-    return motions
+        runs.append((seen.run, {"name": f"alpha = {alpha:.3g} 1/s ({name})", "radius": seen.radius}))
+    return args.motions(found.law, *runs)

@@ -1,7 +1,6 @@
 """`cnclik tune`: gains by gradient under a stability margin, with what a controller needs of them."""
 
 import dataclasses
-import functools
 import json
 import sys
 import time
@@ -112,20 +111,12 @@ def run(args: Args) -> None:
         facts=[("asked", " ".join(heading)), *facts],
         figures=figures,
         captions=CAPTIONS,
-        motions=functools.partial(_motions, args, found),
+        motions=lambda: args.motions(
+            found.law, (found.after.run, {"name": "as tuned"}), (found.before.run, {"name": "before"})
+        ),
     )
     if not found.satisfied:
         sys.exit(1)
-
-
-def _motions(args, found):
-    """The loop as tuned and as it was."""
-    from cnclik.show.viewer.files import robot_of
-    from cnclik.show.viewer.motion import motion_of
-
-    links = robot_of(args.robot, args.tip, args.base, args.lengths)[2]
-    runs = (("as tuned", found.after.run), ("before", found.before.run))
-    return [motion_of(run, found.law, name=name, links=links) for name, run in runs]
 
 
 def _asked(args, made) -> dict:
