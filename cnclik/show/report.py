@@ -64,7 +64,7 @@ def page(report: Report, failed=None) -> str:
     short, long = ([t for t in report.tables if (len(t[2]) <= SHORT) == kind] for kind in (True, False))
     parts += [_table(*one) for one in short]
     parts.append(_moving(report, failed))
-    drawn = [_figure(i, file, *made, report.captions, failed) for i, (file, made) in enumerate(report.figures.items())]
+    drawn = [_figure(file, *made, report.captions, failed) for file, made in report.figures.items()]
     if drawn:
         parts.append(f'<h2>Figures</h2><div class="figures">{"".join(drawn)}</div>')
     parts += [_table(*one) for one in long]
@@ -89,13 +89,13 @@ def _table(caption, header, rows) -> str:
     return f"<h2>{escaped(caption)}</h2>{_wide(table(header, rows[:MOST_ROWS]))}{more}"
 
 
-def _figure(number, file, make, about, captions, failed) -> str:
+def _figure(file, make, about, captions, failed) -> str:
     from cnclik.show.report_figures import picture
 
     name = pathlib.Path(file).stem
     caption = escaped(captions.get(name, name.replace("_", " ")))
     try:
-        drawn = picture(make, escaped(name), about, number)
+        drawn = picture(make, escaped(name), about)
     except Exception as error:  # whatever a figure may meet: it costs itself alone
         failed[name] = errors.in_a_line(error)
         drawn = f"<p>Not drawn: {escaped(failed[name])}</p>"
@@ -167,9 +167,9 @@ figure{margin:0;max-width:100%}
 figcaption{max-width:24rem}
 ul{padding-left:1.2rem}
 li{margin:.3rem 0}
-figure svg,figure img{display:block;max-width:100%;height:auto;background:#fff;
+figure img{display:block;max-width:100%;height:auto;background:#fff;
 border:1px solid var(--edge);border-radius:.3rem}
-figure img{width:43rem}
+figure .pixels{width:43rem}
 @media(max-width:40rem){iframe{height:22rem}body{font-size:15px}}
 @media print{.moving{display:none}main{max-width:none;padding:0}figure,tr{break-inside:avoid}.wide{overflow:visible}
 :root{--ink:#000;--paper:#fff;--soft:#444;--edge:#bbb}}

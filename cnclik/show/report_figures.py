@@ -1,8 +1,7 @@
-"""Figures of a report: as SVG that stands in a page beside others, small whatever is drawn."""
+"""Figures of a report: as pictures that stand in a page, small whatever is drawn."""
 
 import base64
 import pathlib
-import re
 import tempfile
 
 import matplotlib.pyplot as plt
@@ -13,41 +12,24 @@ from matplotlib.lines import Line2D
 from cnclik.show import style
 
 MOST_POINTS = 2500  # of a line or a collection that is drawn as paths; what has more becomes pixels
-MOST_BYTES = 250_000  # of an SVG; a larger one becomes a picture
-
-_ID = re.compile(r'\bid="([^"]+)"')
-_REFERENCE = re.compile(r'(xlink:href="#|href="#|url\(#)')
-_HEAD = re.compile(r"^.*?(?=<svg)", re.S)
-_ABOUT = re.compile(r"<metadata>.*?</metadata>\s*", re.S)
-_SHEET = re.compile(r"\*\s*\{([^}]*)\}")
+MOST_BYTES = 250_000  # of an SVG; in place of a larger one stands a PNG
 
 
-def picture(make, name: str, about: dict, number: int) -> str:
-    """A figure as an element of a page: SVG, or PNG where that is large.
+def picture(make, name: str, about: dict) -> str:
+    """A figure as an element of a page: an image in SVG, or in PNG where that is large.
 
     Args:
-      make: makes the figure; it may be called twice. about: what the file says of itself. number: of it on the page.
+      make: makes the figure; it may be called twice. about: what the file says of itself.
     """
     with tempfile.TemporaryDirectory() as place, style.style():
-        vector, pixels = pathlib.Path(place, "figure.svg"), pathlib.Path(place, "figure.png")
+        file, kind, look = pathlib.Path(place, "figure.svg"), "svg+xml", ""
         figure = make()
         _rasterise(figure)
-        style.save(figure, vector, about)
-        text = vector.read_text(encoding="utf-8")
-        if len(text) <= MOST_BYTES:
-            return inline(text, f"f{number}-", name)
-        style.save(make(), pixels, about)
-        data = base64.b64encode(pixels.read_bytes()).decode()
-    return f'<img alt="{name}" src="data:image/png;base64,{data}">'
-
-
-def inline(svg: str, prefix: str, name: str) -> str:
-    """An SVG file's text for a page that holds others: no head, every id its own, its sheet for itself alone."""
-    svg = _ABOUT.sub("", _HEAD.sub("", svg, count=1))
-    svg = _ID.sub(lambda m: f'id="{prefix}{m[1]}"', svg)
-    svg = _REFERENCE.sub(lambda m: m[1] + prefix, svg)
-    svg = _SHEET.sub(lambda m: f"#{prefix}figure *{{{m[1]}}}", svg, count=1)
-    return svg.replace("<svg ", f'<svg id="{prefix}figure" role="img" aria-label="{name}" ', 1).strip()
+        style.save(figure, file, about)
+        if file.stat().st_size > MOST_BYTES:
+            file, kind, look = file.with_suffix(".png"), "png", ' class="pixels"'
+            style.save(make(), file, about)
+        return f'<img alt="{name}"{look} src="data:image/{kind};base64,{base64.b64encode(file.read_bytes()).decode()}">'
 
 
 def _rasterise(figure) -> None:
