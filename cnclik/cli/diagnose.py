@@ -123,27 +123,16 @@ def _tell(found, names):
 
 
 def _fields(found) -> dict:
-    plain = (
-        "period",
-        "growth",
-        "z",
-        "delay",
-        "lag",
-        "phase_delay",
-        "confidence",
-        "pure",
-        "cause",
-        "angle",
-        "stable",
-        "monotone",
-        "recommended",
-    )
-    made = {"kind": str(found.kind), "Ts": found.Ts, "rings": found.rings}
-    made |= {name: getattr(found, name) for name in (*plain, "factor", "alpha", "recommended_alpha")}
-    made |= {"period_seconds": found.period_seconds, "delay_seconds": found.delay_seconds}
+    made = {"kind": str(found.kind)} | {name: getattr(found, name) for name in _PLAIN.split()}
     made |= {"factors": [[float(f.real), float(f.imag)] for f in found.factors]}
     made |= {"axis": None if found.axis is None else list(found.axis)}
     return made | {"amplitude": list(found.amplitude), "noise": list(found.noise), "note": found.note}
+
+
+_PLAIN = """
+    Ts rings period growth z delay lag phase_delay confidence pure cause angle stable monotone recommended factor alpha
+    recommended_alpha period_seconds delay_seconds
+"""
 
 
 def _step(args, names, table, left_out, of):

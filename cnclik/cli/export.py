@@ -51,16 +51,10 @@ def run(args: Args) -> None:
         folder = c(
             made.law,
             reference,
-            out=args.out,
-            what=args.what,
             method=made.method,
             stage=made.stage,
-            dtype=args.dtype,
-            name=args.name,
             runtime=() if args.compiled_in else args.runtime,
-            batch=args.batch,
-            seeds=args.seeds,
-            overwrite=args.overwrite,
+            **{name: getattr(args, name) for name in ("out", "what", "dtype", "name", "batch", "seeds", "overwrite")},
         )
     where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
     of = f", {made.method} {where}" if args.what in ("step", "solve") else ""

@@ -8,30 +8,11 @@ import textwrap
 import time
 
 from cnclik import errors
-from cnclik.cli import progress
-from cnclik.cli.advice import (
-    COLUMNS,
-    NOT_KNOWN,
-    exact,
-    gains_of,
-    lines_of,
-    name_of,
-    or_any,
-    title_of,
-    without_largest,
-)
+from cnclik.cli import advice, progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption, print_table
 from cnclik.cli.heading import dead_time, start_and_target
-from cnclik.cli.problem import (
-    DriveOptions,
-    LoopOptions,
-    RobotOptions,
-    TaskOptions,
-    drive_words,
-    problem,
-    table,
-)
+from cnclik.cli.problem import DriveOptions, LoopOptions, RobotOptions, TaskOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.problem.options import DRIVE
 
@@ -151,8 +132,8 @@ def _tell(args, advised):
     found, said = advised
     asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
     print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")  # what the numbers can't say comes before
-    print_table(gains_of(found, said, args.written), COLUMNS, title=title_of(found))
-    print(*lines_of(found, said, args.written), sep="\n")
+    print_table(advice.gains_of(found, said, args.written), advice.COLUMNS, title=advice.title_of(found))
+    print(*advice.lines_of(found, said, args.written), sep="\n")
 
 
 def _as_table(found, said) -> dict:
@@ -166,7 +147,7 @@ def _as_table(found, said) -> dict:
     about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
-    told = told if exact(found.drive) else without_largest(told) | {"not_known": NOT_KNOWN}
+    told = told if advice.exact(found.drive) else advice.without_largest(told) | {"not_known": advice.NOT_KNOWN}
     return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}
 
 
@@ -223,7 +204,7 @@ def _map(args, out, found, rest):
     out.write("map.nc", functools.partial(save_netcdf, data))
     from cnclik.show.output import drawn_by
 
-    title = "\n".join(filter(None, (f"{name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
+    title = "\n".join(filter(None, (f"{advice.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
     about = {"Title": f"stability map, {found.name}", "Description": config}
     point = (rate, found.Ts, now.margin)
     drawn = functools.partial(drawn_by("stability", "stability_map"), data, title=title, operating=point)
@@ -265,7 +246,7 @@ def _report(args, figures, advised):
         args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
         return
     found, said = advised
-    answer = f"Recommended: alpha = {or_any(said.recommended_alpha)} 1/s: {said.reason}."
+    answer = f"Recommended: alpha = {advice.or_any(said.recommended_alpha)} 1/s: {said.reason}."
     with progress.bar("runs"):
         motions = _runs(args, found, said)
     if not figures:
@@ -273,12 +254,12 @@ def _report(args, figures, advised):
 
         figures = {"errors.svg": (lambda: errors_beside(motions), {"Title": "errors"})}
     args.write_report(
-        title_of(found),
+        advice.title_of(found),
         answer,
-        tables=[("Gains", COLUMNS, gains_of(found, said, args.written))],
+        tables=[("Gains", advice.COLUMNS, advice.gains_of(found, said, args.written))],
         lines=[
             *said.notes,
-            *(line for line in lines_of(found, said, args.written) if not line.startswith("Recommended")),
+            *(line for line in advice.lines_of(found, said, args.written) if not line.startswith("Recommended")),
         ],
         figures=figures,
         captions={"errors": "The error of a step to the target."},

@@ -85,11 +85,9 @@ def _report(args, spec, data, grid, seconds) -> None:
     """The page: the question, its numbers and figures, and the best and the worst loop on their robots."""
     from cnclik.show.sweeps import drawings
     from cnclik.show.viewer.swept import loops_of
-    from cnclik.sweeps.summary import table
+    from cnclik.sweeps.summary import texts
 
-    rows = table(data)
-    header = list(dict.fromkeys(name for row in rows for name in row))
-    cells = [[f"{v:.4g}" if isinstance(v, float) else v for v in (row.get(n, "") for n in header)] for row in rows]
+    header, *cells = texts(data, digits=4)
     figures = {f"{name}.png": (make, {"Title": name}) for name, make in drawings(data, spec.figures).items()}
     args.write_report(
         f"{spec.name}: {spec.question}",

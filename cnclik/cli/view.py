@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import os
 import signal
 import threading
 from pathlib import Path
@@ -62,19 +61,9 @@ def _shown(args):
 
     if files.is_result(args.robot):
         named = [args.robot] if args.file is None else [args.robot, args.file]
-        return [motion for one in named for motion in _played(one)][: front.MOST], None
+        return [motion for one in named for motion in files.read_motions(one)][: front.MOST], None
     robot = (args.robot, args.tip, args.base, args.lengths)
     if args.file is not None:
-        return _played(args.file, files.robot_of(*robot)), None
+        return files.read_motions(args.file, files.robot_of(*robot)), None
     made = problem(args)
     return [], Live(made, links=files.robot_of(*robot)[2])
-
-
-def _played(path, robot=None):
-    from cnclik.show.viewer import files
-
-    if os.path.exists(Path(path) / files.STORE):  # of a name that is too long, too
-        from cnclik.show.viewer.swept import best_and_worst
-
-        return best_and_worst(Path(path))
-    return files.read_motions(path, robot)

@@ -1,6 +1,5 @@
 """Axes as a spec writes them: lists, linspace, geomspace, range, samples."""
 
-import difflib
 import math
 
 import numpy as np
@@ -115,10 +114,9 @@ def known_keys(where, table, names):
 
 def unknown_key(where, key, names):
     """The error for it."""
-    return errors.ArgumentError(f"Argument `{where}` must hold known keys, but holds {key!r} ({meant(key, names)}).")
+    return errors.ArgumentError(f"Argument `{where}` must hold known keys, but holds {key!r}{meant(key, names)}.")
 
 
 def meant(found, names) -> str:
-    """What an unknown name may have been meant to be, in words."""
-    near = difflib.get_close_matches(found, list(names), n=1, cutoff=0.4)
-    return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
+    """What an unknown name may have been meant to be, to stand behind it."""
+    return errors.nearest(found, names) or f" (known are {', '.join(names)})"

@@ -169,7 +169,7 @@ def _check_names(fixed, axes, bundles):
             used |= needs
             for need in needs - everywhere - (set(table) if table is not fixed else set()):
                 hint = meant(need, sorted(everywhere | set(table)))
-                raise errors.fail(name, "use names that have a value", f"uses {need!r} ({hint})")
+                raise errors.fail(name, "use names that have a value", f"uses {need!r}{hint}")
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
             if name not in OPTIONS and name not in used:

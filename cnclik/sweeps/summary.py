@@ -41,15 +41,20 @@ def _statistics(values):
     return found | {"mean": float(known.mean()) if known.size else np.nan, "finite": float(finite.mean())}
 
 
-def write(data, folder) -> list:
-    """Write summary.csv and config.json into an output folder; returns their names."""
+def texts(data, digits=6) -> list:
+    """The table as rows of texts, its header first."""
     rows = table(data)
     names = list(dict.fromkeys(name for row in rows for name in row))
-    cells = [[f"{v:.6g}" if isinstance(v, float) else v for v in (row.get(n, "") for n in names)] for row in rows]
+    found = ([row.get(name, "") for name in names] for row in rows)
+    return [names, *([f"{v:.{digits}g}" if isinstance(v, float) else v for v in row] for row in found)]
+
+
+def write(data, folder) -> list:
+    """Write summary.csv and config.json into an output folder; returns their names."""
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
     numbers, settings = FILES
-    folder.write(numbers, functools.partial(save_csv, [names, *cells]))
+    folder.write(numbers, functools.partial(save_csv, texts(data)))
     folder.write_text(settings, json.dumps(config, indent=1, ensure_ascii=False) + "\n")
     return list(FILES)
 

@@ -14,6 +14,7 @@ from cnclik.problem.tables import read_columns
 from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
 from cnclik.show.viewer.motion import BAD, GOOD, WARNING, Motion, from_arrays
+from cnclik.show.viewer.swept import best_and_worst
 
 ENDINGS = (".nc", ".csv", ".npz")
 RUN, STORE = "trajectory.nc", "data.zarr"
@@ -28,16 +29,18 @@ def is_result(text) -> bool:
 
 
 def read_motions(path, robot=None) -> list:
-    """The motions in a file, or in a folder of `solve`.
+    """The motions in a file, or in a folder of `solve` or `sweep`.
 
     Args:
       path: trajectory.nc, trajectory.csv, answers of reach (.nc, .csv, .npz), or .npz with t, q and where they are
-        known x, e, status and axes.
+        known x, e, status and axes; of a folder of `sweep` the best and the worst loop.
       robot: (chain, name, links), for files that don't say; see `robot_of`.
 
     Raises: ArgumentError for what is none of these, or says nothing of its robot.
     """
     path = pathlib.Path(path)
+    if os.path.exists(path / STORE):  # which no name is too long for
+        return best_and_worst(path)
     path = path / RUN if os.path.exists(path / RUN) else path
     ending = errors.ending("FILE", path, *ENDINGS)
     found = {".nc": _netcdf, ".npz": _arrays, ".csv": _table}[ending](path)
