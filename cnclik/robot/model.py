@@ -39,7 +39,7 @@ class Model:
     velocity_limit: Float[Array, " n"]
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
-    standing: object = None  # (`Frames`, their derivatives by q) of `standing`; None: they follow the joint values
+    standing: "tuple[Frames, Frames] | None" = None  # and their derivatives by q, of `standing`; None: q moves them
 
 
 @record
