@@ -1,5 +1,7 @@
 """advance: one step of the loop, by any method."""
 
+from __future__ import annotations
+
 import jax
 import jax.numpy as jnp
 

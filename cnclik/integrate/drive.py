@@ -5,6 +5,8 @@ second-order servo does. Each joint has its own. What is sampled here is exact f
 the same matrices.
 """
 
+from __future__ import annotations
+
 import contextlib
 import math
 from typing import NamedTuple, Self

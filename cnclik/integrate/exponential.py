@@ -3,6 +3,8 @@
 See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedback` for what the feedback asks.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax.numpy as jnp

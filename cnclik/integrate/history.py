@@ -5,6 +5,8 @@ jump of the target, another sampling time, a step that a limit changed, or where
 no evaluation.
 """
 
+from __future__ import annotations
+
 import functools
 from typing import NamedTuple
 

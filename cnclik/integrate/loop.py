@@ -7,6 +7,8 @@ What is measured of the task acts through one number per step: the error that is
 away from what the law's own chain would say. A step holds w[k], as a controller does that measures once per sample.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 from collections.abc import Callable

@@ -13,6 +13,8 @@ Where no share keeps the limits of acceleration and jerk, as after a jump of the
 path: each brakes, within its limits, towards the velocity that the law wants. The loop sees where it is and comes back.
 """
 
+from __future__ import annotations
+
 import jax.numpy as jnp
 import numpy as np
 

@@ -12,6 +12,8 @@ J# has become another one since the last: far from the target at a large gain, o
 foretells nothing.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax

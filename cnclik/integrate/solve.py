@@ -4,6 +4,8 @@
 jvp and grad go through for alpha, Ts, targets, q0, geometry and damping.
 """
 
+from __future__ import annotations
+
 import functools
 
 import jax

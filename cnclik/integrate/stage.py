@@ -5,6 +5,8 @@ called with g and what is known at the step's start, runs a fixed number of pass
 differentiable, the same length in every lane) and returns the slope with what is known of its convergence.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple, Protocol
 
 import jax

@@ -1,5 +1,7 @@
 """Status: what happened in each step, as bits; and the way to insist that nothing did."""
 
+from __future__ import annotations
+
 import enum
 
 import jax.numpy as jnp

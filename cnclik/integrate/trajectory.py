@@ -1,5 +1,7 @@
 """Trajectory: what a loop did, instant by instant; put together, cut short, joined."""
 
+from __future__ import annotations
+
 import jax
 import jax.numpy as jnp
 import numpy as np

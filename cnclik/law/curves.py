@@ -4,6 +4,8 @@ They are records, so that points, periods and durations are parameters; `cnclik.
 Targets are arrays: positions (d,), rotations (3, 3).
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 
@@ -55,7 +57,7 @@ class Line:
     start: Float[Array, " d"] | None
     end: Float[Array, " d"] | None
     rotation: Rotation
-    turn: Float[Array, "3"] | None  # rotation vector from the first to the last orientation, in the base frame
+    turn: Float[Array, " 3"] | None  # rotation vector from the first to the last orientation, in the base frame
     duration: Float[Array, ""]
 
     def __call__(self, t):
@@ -140,7 +142,7 @@ class Tangent:
     position: Float[Array, " d"]
     velocity: Float[Array, " d"]
     rotation: Rotation
-    spin: Float[Array, "3"] | None  # angular velocity in the base frame
+    spin: Float[Array, " 3"] | None  # angular velocity in the base frame
 
     def __call__(self, t):
         on = t - self.t

@@ -12,6 +12,8 @@ This is the law's solution where the controller is told the target's own velocit
 Else the error is taken as measured at the step's start, and what isn't told of the target's motion is not foreseen.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax.numpy as jnp

@@ -4,6 +4,8 @@ An inverse is a record that, called with the rows of J, factors them once and re
 function to apply J# to any number of task velocities, and what the factorisation says of singularity.
 """
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Callable
 from typing import NamedTuple

@@ -5,6 +5,8 @@ with K the gain and q̇₀ an optional joint velocity in the null space of the t
 eq. 3.54).
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
@@ -58,7 +60,7 @@ class Law:
     limits: Callable[..., Limited] | None = None
     null_velocity: Callable[[Array], Array] | ArrayLike | None = None
     feedforward: Number = 1.0
-    error_clamp: tuple[Number, Number] | Float[Array, "2"] | None = None
+    error_clamp: tuple[Number, Number] | Float[Array, " 2"] | None = None
     near_singular: Number = 0.01
 
     def __post_init__(self):

@@ -4,6 +4,8 @@ A limits record is called with the inverse, the chain, q, the rows of the task J
 the null-space velocity, and returns a `Limited`.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -4,6 +4,8 @@ A term is a record that maps q (n,) to a joint velocity q̇₀ (n,); the law pro
 (I − J# J) q̇₀ (Liégeois 1977; Siciliano et al. 2009, eq. 3.55).
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable
 

@@ -4,6 +4,8 @@ A curve is a function of time that returns a target: a position (d,), a rotation
 from `jax.jvp`, so path and feed-forward can't disagree, unless an explicit feed-forward overrides it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import jax
@@ -206,7 +208,7 @@ def circle(
     radius: Number,
     *,
     period: Number,
-    normal: Float[ArrayLike, "3"] | None = None,
+    normal: Float[ArrayLike, " 3"] | None = None,
     phase: Number = 0.0,
     rotation: ArrayLike | None = None,
 ) -> Reference:

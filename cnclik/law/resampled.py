@@ -1,5 +1,7 @@
 """Resampled: targets that come more slowly than the loop runs, as a path of which nothing is used before it comes."""
 
+from __future__ import annotations
+
 import jax.numpy as jnp
 import numpy as np
 

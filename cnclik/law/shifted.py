@@ -1,5 +1,7 @@
 """Shifted: a reference moved by a vector in the task's coordinates."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import jax.numpy as jnp

@@ -4,6 +4,8 @@ x are the task coordinates, e = x_d − x their error: positions along chosen ax
 vector [rad] that turns the tip into the desired orientation, in the base frame.
 """
 
+from __future__ import annotations
+
 import jax.numpy as jnp
 import numpy as np
 

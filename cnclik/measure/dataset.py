@@ -1,5 +1,7 @@
 """Trajectories as labelled data: named dimensions, units on every variable, the configuration in the attributes."""
 
+from __future__ import annotations
+
 import functools
 import json
 import subprocess
@@ -30,7 +32,7 @@ def to_dataset(
     dims: Iterable[str] = (),
     coords: Mapping[str, ArrayLike] | None = None,
     config: Any = None,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """A trajectory, or a batch of them, as an `xarray.Dataset`.
 
     Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from

@@ -1,5 +1,7 @@
 """Kept: how much of its limits of velocity, acceleration and jerk a motion takes, joint by joint."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from cnclik import errors

@@ -6,6 +6,8 @@ that is not finite counts as infinitely large, so that a diverged loop is never 
 NaN means "not defined", and only where a metric's line says so.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

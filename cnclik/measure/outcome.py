@@ -4,6 +4,8 @@ A loop is judged by its last quarter, not by its last instant: a nonlinear map c
 pass close to the target on its way.
 """
 
+from __future__ import annotations
+
 import enum
 from typing import NamedTuple
 

@@ -1,5 +1,7 @@
 """A problem in plain names: what the command line, sweep files and Python say, turned into records."""
 
+from __future__ import annotations
+
 import dataclasses
 import os
 

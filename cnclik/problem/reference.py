@@ -1,5 +1,7 @@
 """References by name, with what is left out filled in from the tip's pose at the start."""
 
+from __future__ import annotations
+
 import pathlib
 from typing import NamedTuple
 

@@ -5,6 +5,8 @@ A joint is a fixed offset from the frame before it, then a rotation about (revol
 as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik.record`.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Sequence
 

@@ -4,6 +4,8 @@ Vectors are tuples of scalars and matrices tuples of rows. A product with a Pyth
 arm whose link lengths are parameters the rest of the geometry stays known; `robot.model` makes arrays of it.
 """
 
+from __future__ import annotations
+
 import functools
 
 from cnclik.record import record

@@ -1,5 +1,7 @@
 """Where the tip is and how it moves: pose, geometric Jacobian, manipulability."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import jax
@@ -19,7 +21,7 @@ from cnclik.shapes import Array, ArrayLike, Float
 class Pose:
     """Where the tip is, in the base frame."""
 
-    position: Float[Array, "3"]  # [m]
+    position: Float[Array, " 3"]  # [m]
     rotation: Float[Array, "3 3"]  # the columns are the tip's axes
 
 

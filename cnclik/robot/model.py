@@ -5,6 +5,8 @@ Joint i's transform is affine in the sine and cosine of its value and in the val
   Tᵢ(v) = Aᵢ + sin(v) Bᵢ + cos(v) Cᵢ + v Dᵢ  (4×4).
 """
 
+from __future__ import annotations
+
 import functools
 import itertools
 import math
@@ -39,14 +41,14 @@ class Model:
     velocity_limit: Float[Array, " n"]
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
-    standing: "tuple[Frames, Frames] | None" = None  # and their derivatives by q, of `standing`; None: q moves them
+    standing: tuple[Frames, Frames] | None = None  # and their derivatives by q, of `standing`; None: q moves them
 
 
 @record
 class Frames:
     """The tip's pose, and for each joint its axis and a point on it, in the base frame."""
 
-    position: Float[Array, "3"]  # [m]
+    position: Float[Array, " 3"]  # [m]
     rotation: Float[Array, "3 3"]
     axes: Float[Array, "j 3"]
     points: Float[Array, "j 3"]  # [m]

@@ -3,6 +3,8 @@
 A rotation may be as rough as three decimals; what is known is then made a rotation exactly, in float64.
 """
 
+from __future__ import annotations
+
 from typing import Any, Protocol
 
 import jax

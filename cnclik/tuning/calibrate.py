@@ -1,5 +1,7 @@
 """Calibration: geometry from measured positions, by the descent that `tune` uses."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -1,5 +1,7 @@
 """Conditions: under what a loop is judged: noise, drives, a wrong model, and how many draws of them."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from cnclik import errors

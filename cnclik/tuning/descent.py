@@ -5,6 +5,8 @@ rounds of steps. Every step evaluates one trial point; one that is not finite, o
 the step shortened. So a round is one compiled program of known length, the same for every start, and can be vmapped.
 """
 
+from __future__ import annotations
+
 import functools
 from typing import Any, NamedTuple
 

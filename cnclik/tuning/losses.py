@@ -4,6 +4,8 @@ A loss maps a `View` to a number in the unit its line names; weighted sums of th
 horizon have weight 0, so that loops with different sampling times are judged over the same time.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax

@@ -1,5 +1,7 @@
 """Objective: loss and constraints of a loop over its scenarios, as a function of what is tuned."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -87,7 +89,7 @@ class Judged(NamedTuple):
     correction: Float[np.ndarray, ""]
     speed: Float[np.ndarray, ""]
     excess: Float[
-        np.ndarray, "4"
+        np.ndarray, " 4"
     ]  # by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
     postures: Float[np.ndarray, "BK n"]  # where these were measured
     growths: Float[np.ndarray, "BK n n"]  # projections on motions of the null space that grow there by themselves

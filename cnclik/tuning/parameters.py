@@ -4,6 +4,8 @@ An optimizer moves free numbers u; what they stand for can't leave its bounds, w
 function, symmetric positive definite gains by one of their eigenvalues.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import jax

@@ -1,5 +1,7 @@
 """Result: what a tuning found, as a record, as plain numbers for a file, and in words."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import jax

@@ -1,5 +1,7 @@
 """Rollout: one run that a tuning looks at, with what is measured and the gain as a schedule has it."""
 
+from __future__ import annotations
+
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.trajectory import Trajectory

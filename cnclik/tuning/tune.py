@@ -7,6 +7,8 @@ While it descends, eigenvalues are bounded by smooth functions; at the end they 
 was found.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
