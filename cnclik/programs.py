@@ -8,6 +8,7 @@ A program of what can't be told so, as of a function of the user's, is left to J
 
 import collections
 import contextlib
+import contextvars
 import dataclasses
 import functools
 import hashlib
@@ -39,6 +40,7 @@ ENDING = "-cache"  # of files' names, as JAX's own
 _place = None  # where programs are kept; None: nowhere
 _held = collections.OrderedDict()
 _one = threading.Lock()
+_needed = contextvars.ContextVar("what the program that is being made needs", default=None)
 
 
 class _UnknownError(Exception):
@@ -175,7 +177,12 @@ def _made(key, leaves, make, options):
         return arrays
 
     flat.__name__ = f"kept_{key}"  # a name that JAX's own cache doesn't know: what comes from there can't be kept again
-    lowered = jax.jit(flat, compiler_options=options or None).lower(*leaves)
+    before = _needed.set([])
+    try:
+        lowered = jax.jit(flat, compiler_options=options or None).lower(*leaves)
+        needed = _needed.get()
+    finally:
+        _needed.reset(before)
     from jax._src.config import persistent_cache_min_compile_time_secs as kept_by_jax_from
 
     with kept_by_jax_from(float("inf")):
@@ -183,8 +190,17 @@ def _made(key, leaves, make, options):
     results = outcome["results"]
     from jax.experimental import serialize_executable
 
-    remember(key, lambda: (serialize_executable.serialize(program), results))
+    remember(key, lambda: (serialize_executable.serialize(program), results, needed))
     return program, results
+
+
+def needs(*call) -> None:
+    """Tell that the program that is being made calls what another process has first to make ready, by this call.
+
+    Args: call: a function of this package, and arguments that can be pickled.
+    """
+    if (needed := _needed.get()) is not None:
+        needed.append(call)
 
 
 def remember(key, value):
@@ -224,7 +240,9 @@ def _read(key):
         from jax.experimental import serialize_executable
 
         _know_lapack()
-        serialized, results = recalled(key)
+        serialized, results, needed = recalled(key)
+        for ready, *args in needed:
+            ready(*args)
         program = serialize_executable.deserialize_and_load(*serialized)
     except Exception:  # whatever is wrong with it, there is another way
         return None

@@ -1,6 +1,8 @@
 """Programs kept whole: the same question finds its program again, any other one does not, and results are the same."""
 
 import functools
+import subprocess
+import sys
 import types
 
 import jax
@@ -182,6 +184,26 @@ def test_many_programs_of_one_function_stand_side_by_side(folder):
     for _ in range(2):
         for N, q in wanted.items():
             np.testing.assert_array_equal(asked(N=N).q, q)
+
+
+_JUDGED = """
+import sys, numpy as np, cnclik as ck
+from cnclik import programs
+from cnclik.tuning.objective import judge, loop_objective
+programs.keep(ck.use_cache(sys.argv[1]))
+made, make = [], programs._made
+programs._made = lambda *given: made.append(given) or make(*given)
+law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=5.0)
+objective = loop_objective(law, ck.hold([1.2, 0.9]), np.array([0.3, 1.1]), Ts=0.1, N=4, method="EE")
+print(judge(objective, [(np.asarray(5.0),)])[0].loss, len(made))
+"""
+
+
+def test_a_program_that_calls_c_is_found_by_another_process(tmp_path):
+    command = [sys.executable, "-c", _JUDGED, str(tmp_path)]
+    first, again = (subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() for _ in "12")
+    assert first[0] == again[0] and int(first[1]) > 0
+    assert again[1] == "0"
 
 
 def test_nothing_is_kept_where_nobody_asked(tmp_path):

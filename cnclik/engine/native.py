@@ -19,6 +19,8 @@ from cnclik.engine.plan import in_c, in_scalars
 from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
 from cnclik.engine.to_jax import Derived
+from cnclik.engine.tracing import to_be_read
+from cnclik.programs import needs
 
 _registered = {}  # {name of a library: the program}: XLA may call it as long as the process lives
 
@@ -95,7 +97,8 @@ class Function:
                 return program.shapes, self.trees[key]
         if key not in self.shapes:
             given = [_aval(a.shape, a) for a in avals]
-            closed, shapes = jax.make_jaxpr(self.fn, return_shape=True)(*given)
+            with to_be_read():  # as its programs trace it, for whom JAX then remembers most of it
+                closed, shapes = jax.make_jaxpr(self.fn, return_shape=True)(*given)
             self.itself |= bool(closed.effects) or closes_over_traced(closed)
             self.shapes[key] = jax.tree.flatten(shapes)
         return self.shapes[key]
@@ -198,11 +201,22 @@ def _called(*args, function, batched):
     if not isinstance(program, Program) or size == 0:
         return _plain(*args, function=function, batched=batched)
     if program.path not in _registered:
-        jax.ffi.register_ffi_target(program.path, jax.ffi.pycapsule(program.library.call), platform="cpu")
-        _registered[program.path] = program
+        _register(program)
+    needs(_ready, program.path)
     shape = () if size is None else (size,)
     outs = [jax.ShapeDtypeStruct((*shape, *s.shape), s.dtype) for s in program.shapes]
     return jax.ffi.ffi_call(program.path, outs)(*args)
+
+
+def _register(program):
+    jax.ffi.register_ffi_target(program.path, jax.ffi.pycapsule(program.library.call), platform="cpu")
+    _registered[program.path] = program
+
+
+def _ready(path):
+    """Let XLA call the library of this name, which another process has built."""
+    if path not in _registered:
+        _register(Program.kept((), path, ()))
 
 
 mlir.register_lowering(native_p, mlir.lower_fun(_plain, multiple_results=True))
