@@ -11,8 +11,8 @@ from cnclik.export.cost import operations
 from cnclik.export.reach_trace import Reaching
 from cnclik.export.source import Names, body, signature, struct
 from cnclik.reaching.seeds import TURN
-from cnclik.reaching.single import ROUNDS_FAR, STEPS, TOGETHER
 
+STEPS, TOGETHER, ROUNDS_FAR = 40, 8, 3  # steps of a try; tries where the target is farther off than the arm is long
 MORE = 5  # times as many steps from the nearest pose found, where none is an answer
 
 

@@ -11,16 +11,14 @@ from cnclik.precision import as_numbers
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.seeds import turned
 from cnclik.reaching.step import STATIONARY
+from cnclik.reaching.strategy import LONGER, SURE
 from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import in_units, of_joints
-from cnclik.record import kept, leaf, record, replace
+from cnclik.record import kept, leaf, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
-FREE = 128  # tries of the search without limits
-SURE = 256  # tries, at least, before it is said that there is no answer
-CLOSE, LONGER = (0.1, 1e-3), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
 MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # which all tries of a target are a multiple of, as int32
 FEW, DOUBT = 3, 1e-2  # with more joints than that, a target missed by less [rad, units] may have an answer all the same
 MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
@@ -44,23 +42,10 @@ class Asked:
     limits: bool
     explain: bool  # why there is no answer
 
-    def unweighted(self, xp=np):
-        """The task without weights, by which answers are searched for, and the weights' roots (m,), or None."""
-        weights = self.task.weights
-        return replace(self.task, weights=None), None if weights is None else xp.sqrt(xp.asarray(weights, float))
-
     def limited(self):
         """Lower and upper limits (n,), infinite where they are not to be kept."""
         lower, upper = np.array(self.chain.lower, float), np.array(self.chain.upper, float)
         return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))
-
-    def bounds(self, near, xp=np):
-        """Where joints are searched for: within the limits, and within `jump` of `near` (B, n)."""
-        lower, upper = self.limited()
-        if self.jump is None:
-            return lower, upper
-        low, high = xp.maximum(lower, near - self.jump), xp.minimum(upper, near + self.jump)
-        return xp.minimum(low, upper), xp.maximum(high, lower)  # outside the limits: what is nearest to `near`
 
     @property
     def downhill(self) -> bool:
@@ -81,31 +66,9 @@ class Asked:
         """Which targets (..., 12), and what is near them, hold numbers alone."""
         return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
-    def beyond(self):
-        """Where the searches go that tell why there is no answer, one after the other: without `jump`, without limits.
-
-        Returns: for each the status that an answer there means, its bounds, and how many tries it has at most.
-        """
-        lower, upper = self.limited()
-        some = []
-        if self.jump is not None:
-            some.append((ReachStatus.JUMP, (lower, upper), LONGER[0] * self.seeds))
-        if (np.isfinite(lower) | np.isfinite(upper)).any():
-            some.append((ReachStatus.AT_LIMIT, (np.full_like(lower, -np.inf), np.full_like(upper, np.inf)), FREE))
-        return tuple(some) if self.explain else ()
-
     def sure(self, looks):
         """Whether so many looks (...,) at tries within the bounds were enough to say that there is no answer."""
         return (self.seeds >= SURE) & (looks < self.budget)
-
-    def close(self, squares, less=CLOSE[0]):
-        """Whether what is missed (..., 2) is so little that there may be an answer which is hard to find."""
-        return (squares.sum(axis=-1) < less**2) & (self.seeds >= SURE)
-
-    def longer(self):
-        """The searches that go on where there is no answer: (what is missed by less, tries before, tries in all)."""
-        tries = [times * self.seeds for times in (1, *LONGER)]
-        return tuple(zip(CLOSE, tries[:-1], tries[1:], strict=True)) if self.explain else ()
 
     def within(self, squares, times, xp=np):
         """Whether errors, as squares (..., 2), are within so many tolerances, or are small next to a singularity."""
@@ -141,7 +104,7 @@ class Asked:
         at_limit = (q <= lower + TOUCHING) | (q >= upper - TOUCHING)
         rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
         status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
-        certain = (self.chain.n <= FEW) | ~self.close(squares, DOUBT)
+        certain = (self.chain.n <= FEW) | (self.seeds < SURE) | (squares.sum(axis=-1) >= DOUBT**2)
         told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1) & certain
         status = xp.where(told & sure & missed, why, status)
         if self.accept is not None:

@@ -12,9 +12,10 @@ import numpy as np
 from cnclik.engine.routine import INT, Field, read
 from cnclik.engine.source import vectors
 from cnclik.engine.to_c import Writer
+from cnclik.reaching import strategy
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
-from cnclik.reaching.search import AROUND, CAREFUL, COARSE, NEARBY, PLACES, PLAIN, SELDOM, SLOW, STEPS, STUCK
+from cnclik.reaching.search import SCATTER
 from cnclik.reaching.seeds import SETS, SIZE, STRETCHES
 from cnclik.reaching.step import Search, iterate
 from cnclik.record import cast
@@ -23,28 +24,24 @@ from cnclik.robot.model import modelled
 SEARCH = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="utf-8")
 
 
-def native_source(chain, task, weighted) -> str:
-    """The text: `search` for the targets `first` to `last` - 1 of what `asked` points to, and `along` for a path's.
-
-    Args: weighted: whether the nearest pose is the nearest by weights of the task's coordinates.
-    """
-    program, real = _look(chain, task, weighted), np.dtype(np.float64)
+def native_source(chain, task) -> str:
+    """The text: `search` for the targets `first` to `last` - 1 of what `asked` points to, and `along` for a path's."""
+    program, real = _look(chain, task), np.dtype(np.float64)
     writer = Writer(program.graph, program.given, program.outs, real, *program.places(lambda _, f: f"s->{f.name}"))
     look = ["static void look(Lanes *s)", "{", *writer.statements(), "}"]
     fields = [
         f"{'S32' if f.kind == INT else 'F64'} {f.name}{f'[{f.size}]' * bool(f.shape)};" for f in program.inputs["lanes"]
     ]
-    numbers = {"N": chain.n, "M": task.m, "SETS": SETS, "SIZE": SIZE, "PLAIN": PLAIN, "STEPS": STEPS, "SLOW": SLOW}
-    numbers |= {"CAREFUL": CAREFUL, "PLACES": PLACES, "AROUND": AROUND, "NEARBY": NEARBY}
-    numbers |= {"SELDOM": SELDOM, "STUCK": STUCK, "STRETCHES": len(STRETCHES)}
-    numbers |= {"COARSE": COARSE, "TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
+    numbers = {"N": chain.n, "M": task.m, "SETS": SETS, "SIZE": SIZE, "STRETCHES": len(STRETCHES), "SCATTER": SCATTER}
+    numbers |= {"TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
+    numbers |= {name: getattr(strategy, name) for name in strategy.NUMBERS}
     defined = [f"#define {name} {value}" for name, value in numbers.items()]
     defined += [f"static const double stretches[] = {{{', '.join(map(str, STRETCHES))}}};"]
     lanes = ["typedef struct {", *fields, "} Lanes;"]
     return "\n".join([vectors(writer, real), *writer.tables, *lanes, *look, *defined, SEARCH])
 
 
-def _look(chain, task, weighted):
+def _look(chain, task):
     """A look at a posture with the step from it; what a lane holds comes in and goes out."""
     n, dtype = chain.n, np.dtype(np.float64)
     state = [Field("q", (n,)), Field("best", (n,)), Field("squares", (2,))]
@@ -56,7 +53,7 @@ def _look(chain, task, weighted):
         zero = jnp.zeros((), dtype)
         at = Search(q, best, squares, cost, steep, trust, zero, arrived != 0)
         of, pose, bounds = cast(modelled(chain), dtype), (position, rotation), (low, high)
-        made = iterate(of, task, at, pose, bounds, tolerance, careful != 0, roots if weighted else None)
+        made = iterate(of, task, at, pose, bounds, tolerance, careful != 0, None if task.weights is None else roots)
         return [made.q, made.best, made.squares, made.cost, made.steep, made.trust, made.arrived.astype(jnp.int32)]
 
     return read(one, {"lanes": [*state, *own]}, {"lanes": state}, dtype=dtype)

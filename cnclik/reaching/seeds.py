@@ -16,7 +16,6 @@ from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import arm_length, evenly
 
 SETS, SIZE = 16, 256
-ROWS = 64  # of a product: so few that distances stay in the cache, and that BLAS starts no threads beside ours
 STRETCHES = 1.0, 4.0, 1.0, 2.0  # of tries beyond the sets, by their number: half begin with most joints at limits
 TURN = 0.2  # of an arm's length, that a radian or so of orientation counts for when seeds are compared
 
@@ -111,19 +110,8 @@ def _compared(found, task):
     return Compared(features=features, factors=factors.astype(np.float32))
 
 
-def nearest(to: Compared, targets, number) -> np.ndarray:
-    """Index (B,) of the seed of set `number` that is nearest to each of (B, 12) targets, in float32."""
-    asked = np.ones((len(targets), 13), np.float32)
-    asked[:, :12] = targets * to.factors
-    out = np.empty(len(targets), np.intp)
-    for i in range(0, len(targets), ROWS):
-        out[i : i + ROWS] = np.argmin(asked[i : i + ROWS] @ to.features[number % SETS], axis=1)
-    return out + SIZE * (number % SETS)
-
-
-def nearest_each(to: Compared, target, count: int, number):
-    """Index (count,) of the nearest seed to one target (12,), of each of the sets from `number` on; traced."""
+def nearest(to: Compared, target, number):
+    """Index of the seed of set `number` that is nearest to a target (12,), in float32; traced."""
     asked = jnp.concatenate([target * to.factors, jnp.ones(1, target.dtype)]).astype(np.float32)
-    sets = (jnp.arange(count) + number) % SETS
-    distances = jnp.einsum("kij,i->kj", jnp.asarray(to.features)[sets], asked, precision="highest")
-    return jnp.argmin(distances, axis=1) + SIZE * sets
+    distances = jnp.einsum("ij,i->j", jnp.asarray(to.features)[number], asked, precision="highest")
+    return jnp.argmin(distances) + SIZE * number

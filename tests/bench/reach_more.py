@@ -12,7 +12,7 @@ import scipy.optimize
 import scipy.spatial
 
 import cnclik as ck
-from cnclik.reaching import many, native_source, step
+from cnclik.reaching import many, native_source, step, strategy
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.result import count as counts
 from cnclik.robot.model import frames, modelled
@@ -159,9 +159,9 @@ PARTS = {  # what is another in the C source, or in the traced step
     "as it is": {},
     "seeds at random, not the nearest": {(native_source, "SEARCH"): AT_RANDOM},
     "joints at limits clipped only, not taken out": {(step, "_step"): _clipped},
-    "later tries plain, too": {(native_source, "PLAIN"): 1000},
-    "all tries careful": {(native_source, "PLAIN"): 0},
-    "first tries of 24 steps, not 9": {(native_source, "STEPS"): 24},
+    "later tries plain, too": {(strategy, "PLAIN"): 1000},
+    "all tries careful": {(strategy, "PLAIN"): 0},
+    "first tries of 24 steps, not 9": {(strategy, "STEPS"): 24},
     "by JAX, not as C": {(many, "native_for"): lambda *_: None},
 }
 

@@ -5,13 +5,13 @@ Searches are native, but where a test says otherwise: `jax_alone` are those of m
 
 import pytest
 
-from cnclik.reaching import many, native
+from cnclik.reaching import many, native, single
 
 
 @pytest.fixture(autouse=True)
 def way(request, monkeypatch):
     """How targets are searched for."""
-    monkeypatch.setattr(many, "ONE_BY_ONE", 8)
+    monkeypatch.setattr(single, "ONE_BY_ONE", 8)
     monkeypatch.setattr(native, "AT_ONCE", 1000)
     if getattr(request, "param", "native") == "jax":
         monkeypatch.setattr(many, "native_for", lambda *_: None)

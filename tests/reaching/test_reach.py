@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching import many, programs
+from cnclik.reaching import single
 from cnclik.reaching.map import turns_evenly
 from cnclik.reaching.seeds import spans
 from tests.integrate.test_real_robots import ROBOTS, folder
@@ -90,10 +90,10 @@ def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
 def test_another_number_of_targets_compiles_nothing():
     targets = tips(WRIST, drawn(WRIST, 300))
     ck.reach(WRIST, targets[:20])
-    before = programs._search._cache_size()
+    before = single._many._cache_size()
     for count in (9, 33, 150, 300):
         ck.reach(WRIST, targets[:count])
-    assert programs._search._cache_size() == before
+    assert single._many._cache_size() == before
 
 
 @pytest.mark.slow
@@ -108,7 +108,7 @@ def test_one_by_one_or_in_batches(monkeypatch):
     near = drawn(held, 70, seed=3) + 0.01
     made, told = {}, []
     for most in (8, 1000):
-        monkeypatch.setattr(many, "ONE_BY_ONE", most)
+        monkeypatch.setattr(single, "ONE_BY_ONE", most)
         first = ck.reach(held, targets, progress=lambda *done: told.append(done))
         made[most] = first, ck.reach(held, within, near=near, jump=0.1)
     for batch, one_by_one in zip(*made.values(), strict=True):

@@ -1,19 +1,50 @@
-"""The search in batches: where it starts."""
+"""The search as a pure function: where it starts, and that it is the one that C makes."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import cnclik as ck
+from cnclik.engine.compiler import can_build
 from cnclik.law.task import pose
-from cnclik.reaching import search
+from cnclik.reaching import native, search, strategy
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.seeds import SETS
+from cnclik.reaching.seeds import SETS, compared, seeds
+from cnclik.reaching.single import Programs
+from tests.reaching.test_reach import WRIST, drawn, tips
+
+
+def asked(chain):
+    return asked_of(chain, pose(), (1e-6, 1e-6), None, None, 64, 4000, 0, True, True)
 
 
 def test_tries_beyond_the_sets_start_elsewhere():
-    """Also where so many targets are left that each gets one seed at a time."""
     chain = ck.panda()
-    setup = search.setup_of(asked_of(chain, pose(), (1e-6, 1e-6), None, None, 64, 4000, 0, True, True))
-    targets = search.Targets(np.tile(np.eye(1, 12), (3, 1)), (np.array(chain.lower), np.array(chain.upper)), None)
-    places = np.zeros((3, search.PLACES, chain.n))
-    tried = np.array([search._starts(setup, targets, done, 1, places)[0] for done in range(3 * SETS)])
-    assert len(np.unique(tried.round(9), axis=0)) == len(tried)
+    to, phase = compared(seeds(chain), pose()), strategy.phases(asked(chain))[1]
+    of = search.given(asked(chain), seeds(chain).postures, to, np.float64)
+    made, bounds = search.nothing((), chain.n, float, jnp), (np.array(chain.lower), np.array(chain.upper))
+
+    def start(k):
+        return search.start(of, phase, made, np.eye(1, 12)[0], None, bounds, k)[0]
+
+    tried = jax.vmap(start)(np.arange(3 * SETS))
+    assert len(np.unique(np.asarray(tried).round(9), axis=0)) == len(tried)
+
+
+@pytest.mark.skipif(not can_build(), reason="there is no C compiler")
+@pytest.mark.parametrize("near", [False, True])
+def test_each_try_comes_to_what_it_comes_to_in_c(near):
+    """Plain and careful ones, from seeds and about `near`, within the limits and free of them: to rounding."""
+    one, other = native.native_for(asked(WRIST), True), Programs(asked(WRIST))
+    there = tips(WRIST, drawn(WRIST, 40))
+    there = np.concatenate([there[:, :3, 3], there[:, :3, :3].reshape(-1, 9)], axis=1)
+    at = drawn(WRIST, 40, seed=1) if near else None
+    for k in (0, 1, 4, 5, 15, 16, 17, 40, 200):
+        for wide in (False, True):
+            found = [made.tried(there, at, np.full(40, k), wide) for made in (one, other)]
+            same = [np.isclose(*v, rtol=1e-6, atol=1e-9).reshape(40, -1).all(axis=1) for v in zip(*found, strict=True)]
+            assert np.mean(np.all(same[5:], axis=0)) >= 0.95, (k, wide)  # a rounding may cost a look
+            assert (found[0].found == found[1].found).mean() >= 0.95
+    again = [made.descended(there, at, drawn(WRIST, 40, seed=2)) for made in (one, other)]
+    assert (again[0].found == again[1].found).mean() >= 0.95 and again[0].found.sum() > 10

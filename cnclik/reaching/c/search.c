@@ -1,6 +1,6 @@
 /* The search for many targets, around `look`, which `native_source` writes for a chain and a task with `Lanes`, what it
    reads and writes; N and the other numbers in capitals are defined there, too. */
-typedef struct { /* what a search comes to for a target; `native.Native` has the same as a dtype */
+typedef struct { /* what a search comes to for a target; `search.Found` in Python */
   double q[N], squares[2], cost, steep; /* the best posture found, its errors' squares; see `step.Search` */
   double looks, found;
   double places[PLACES][N], costs[PLACES]; /* the best places of tries that did not arrive */
@@ -19,7 +19,7 @@ typedef struct { /* of B targets; the same as `native._Call` */
   const double *roots; /* (M) of weights */
   double tolerance[2];
   int64_t done, tries, budget, seed; /* tries before; in all */
-  int64_t downhill, steps; /* whether from the places to the nearest pose, and in how many steps */
+  int64_t downhill; /* steps from each of the places to the nearest pose, or 0: tries from seeds */
 } Asked;
 
 typedef struct { /* of one lane */
@@ -92,7 +92,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   } else if (k < SETS) {
     start = a->postures + nearest(a, a->pose + 12 * target, number % SETS) * N;
   } else {
-    const uint64_t any = (uint64_t)number * 0x9E3779B97F4A7C15u, some = (any >> 56) % PLACES;
+    const uint32_t any = (uint32_t)number * SCATTER, some = (any >> 16) % PLACES;
     start = a->postures + (any >> 20) % (SETS * SIZE) * N;
     place = number % SELDOM == 0 && made->costs[some] < INFINITY ? made->places[some] : NULL;
   }
@@ -116,7 +116,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   s->arrived[i] = 0;
   s->careful[i] = !plain;
   own->step = 0;
-  own->most = a->downhill ? (int)a->steps : plain ? STEPS : CAREFUL;
+  own->most = a->downhill ? (int)a->downhill : plain ? STEPS : CAREFUL;
   return 1;
 }
 
@@ -138,9 +138,10 @@ static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
   for (int j = 0; j < 9; ++j) s->rotation[j][i] = a->pose[12 * target + 3 + j];
   own->target = target;
   own->number = a->done;
+  if (a->done == 0) made->cost = INFINITY;
   if (a->done == 0 && !a->downhill) {
     made->looks = made->found = 0;
-    made->squares[0] = made->squares[1] = made->cost = INFINITY;
+    made->squares[0] = made->squares[1] = INFINITY;
     made->steep = NAN;
     for (int j = 0; j < N; ++j) made->q[j] = 0;
     for (int k = 0; k < PLACES; ++k) made->costs[k] = INFINITY;

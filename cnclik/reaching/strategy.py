@@ -1,0 +1,109 @@
+"""The strategy: how a search goes on, in numbers, and the phases that a target without an answer goes through.
+
+A try begins at a seed, or about `near`, and ends where it arrives, gets stuck or has had its steps. The first tries
+start from the nearest seeds and end early; later ones step carefully. Where no try arrives, the search goes downhill
+from the best places found, to the nearest pose, tries on where that is close, and then without `jump` and limits, to
+tell why there is no answer. `search` and c/search.c make the tries, of one phase at a time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik.reaching.result import ReachStatus
+
+PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
+CAREFUL, SLOW = 24, 30  # steps of later ones, and how many more those get that are close
+COARSE = 2e-5  # [m, rad] of the target: close
+STUCK = 1e-5  # of `step.Search.steep`: a try whose error falls as slowly as that ends
+PLACES = 4  # the best places of tries that did not arrive are kept
+AROUND = 0.5  # of the range of seeds, about `near`: where the last plain tries start; the first starts there
+NEARBY, SELDOM = 0.35, 4  # of the range of seeds, about a place found; one try in so many starts there
+DOWNHILL = 150  # steps from a place to the nearest pose
+FIRST = 16  # tries of all targets, also of those farther off than the arm is long; nearly all need no more
+ENDLESS = (1 << 30) - 1  # looks
+FAR = np.asarray(1e3)  # [rad, m] of no jump
+FREE = 128  # tries of the search without limits
+SURE = 256  # tries, at least, before it is said that there is no answer
+CLOSE, LONGER = (0.1, 1e-3), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
+NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "AROUND", "NEARBY", "SELDOM"  # C has, too
+
+
+class Phase(NamedTuple):
+    """Some tries of a search, and the targets they are for."""
+
+    low: object  # (n,) where joints are searched for
+    high: object
+    jump: object  # (n,) and how far from `near`; infinite, where no jump is asked for
+    roots: object  # of the task's weights (m,)
+    done: object  # tries before
+    tries: object  # in all
+    budget: object  # looks
+    downhill: object  # how many steps downhill from each of the best places, or 0: tries from seeds
+    status: object  # what an answer means, of a search beyond `jump` or the limits; else 0
+    less: object  # for targets missed by less
+    far: object  # also for those farther off than the arm is long
+    sure: object  # for those alone of which is known that no more tries were asked for
+
+
+TOLD = Phase._fields[:8]  # what the search itself is told
+
+
+def phases(asked, xp=np) -> list:
+    """The phases of what is asked, in order."""
+    n, m, downhill = asked.chain.n, asked.task.m, asked.downhill
+    endless, ones, (lower, upper) = np.full(n, np.inf), np.ones(m), asked.limited()
+    roots = ones if asked.task.weights is None else xp.sqrt(xp.asarray(asked.task.weights, float))
+    jump = xp.broadcast_to(xp.asarray(np.inf if asked.jump is None else asked.jump, float), n)
+    first, no = xp.minimum(FIRST, asked.seeds), np.bool_(False)
+    own = Phase(lower, upper, jump, ones, 0, first, asked.budget, 0, 0, np.inf, np.bool_(downhill), no)
+    made = [own, own._replace(done=FIRST, tries=asked.seeds, far=no)]
+    if downhill:
+        made.append(own._replace(roots=roots, tries=PLACES, downhill=DOWNHILL, far=~no))
+    if not asked.explain:
+        return made
+    more = own._replace(budget=ENDLESS, far=no, sure=~no)
+    for less, before, times in zip(CLOSE, (1, *LONGER), LONGER, strict=False):
+        made.append(more._replace(done=before * asked.seeds, tries=times * asked.seeds, less=less))
+    wide = []
+    if asked.jump is not None:
+        wide.append(more._replace(tries=LONGER[0] * asked.seeds, status=int(ReachStatus.JUMP)))
+    if (np.isfinite(lower) | np.isfinite(upper)).any():
+        free = more._replace(low=-endless, high=endless, tries=FREE, status=int(ReachStatus.AT_LIMIT))
+        wide.append(free)
+    for phase in wide:
+        phase = phase._replace(jump=endless)
+        made += [phase, phase._replace(tries=PLACES, downhill=DOWNHILL, less=CLOSE[0])]
+    return made
+
+
+def alone(phase: Phase, wide=False) -> Phase:
+    """A phase of which a try is asked for by itself; `wide`: free of all bounds."""
+    everywhere = np.full(len(phase.low), np.inf)
+    return phase._replace(low=-everywhere, high=everywhere, jump=everywhere) if wide else phase
+
+
+def narrowed(low, high, jump, near, xp=np):
+    """Where the joints of a target are searched for (n,); outside the limits, what is nearest to `near`."""
+    if near is None:
+        return low, high
+    about = xp.where(xp.isinf(jump), 0.0, near)
+    return xp.minimum(xp.maximum(low, about - jump), high), xp.maximum(xp.minimum(high, about + jump), low)
+
+
+class Told(NamedTuple):
+    """What is known of targets (...,) between phases."""
+
+    made: object  # `search.Found` within the bounds
+    beyond: object  # and of the last search beyond them
+    sure: object  # whether what was tried is enough to say that there is no answer
+    why: object  # what the searches beyond say, see `Asked.meaning`
+
+
+def wanted(asked, phase, told: Told, known, far, xp=np):
+    """Which targets a phase is for, of those (...,) that are `known` to be finite."""
+    beyond = phase.status > 0
+    missed = xp.where(beyond & (phase.downhill > 0), told.beyond.costs.min(axis=-1), told.made.squares.sum(axis=-1))
+    near = xp.isinf(phase.less) | (missed < phase.less**2)
+    open_ = known & (told.made.found == 0) & (told.why == 0)
+    return open_ & near & (phase.far | ~far) & (told.sure | ~phase.sure)
