@@ -95,9 +95,9 @@ def end(sent, _) -> None:
     from cnclik.writing import remove_begun
 
     remove_begun()
-    cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # which a progress bar hides
     with contextlib.suppress(OSError):
-        os.write(2, f"{cursor}cnclik: {STOPS[sent]}; what was complete is kept.\n".encode())
+        bar = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # its line goes, and the cursor that it hides comes back
+        os.write(2, f"{bar}cnclik: {STOPS[sent]}; what was complete is kept.\n".encode())
     with contextlib.suppress(Exception):  # what was printed before it, unless the signal came in the middle of that
         sys.stdout.flush()
     os._exit(128 + sent)

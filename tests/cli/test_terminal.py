@@ -105,6 +105,19 @@ def test_signals_leave_no_half_results(tmp_path, sent, code, says):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_interrupt_leaves_no_bar_and_a_cursor(tmp_path):
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    process = command(tmp_path, 30, stdout=subprocess.DEVNULL, stderr=theirs)
+    os.close(theirs)
+    with open(ours, "rb", buffering=0) as terminal:
+        shown = terminal.read(100)
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 130
+        shown += terminal.read(100)
+    assert b"\r\x1b[2K\x1b[?25hcnclik: Interrupted; what was complete is kept.\r\n" in shown
+
+
 def test_a_signal_that_is_ignored_stays_ignored(tmp_path):
     """As a shell has it for what a script runs behind `&`: Ctrl-C is for the script."""
     process = command(tmp_path, 1, "signal.SIG_IGN", stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
