@@ -40,8 +40,8 @@ def run(args: Args) -> None:
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    drawn, written = [f"{kind}.png" for kind in _CAPTIONS], ["trajectory.nc", *["trajectory.csv"] * args.csv]
-    whole = dict(files=[*written, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
+    data_files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
+    whole = dict(files=[*data_files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
     with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
         with progress.bar("steps") as report:
             trajectory, seconds = _march(made, report)
@@ -68,11 +68,11 @@ def run(args: Args) -> None:
         print_table(facts, box=None, padding=(0, 2, 0, 0))
         print(answer)
     figures = _figures(data, made) if args.figures or args.report else {}
-    if args.figures:
-        with args.figures_first(), progress.bar("figures") as report:
-            written += draw(figures, args.out, progress=report, overwrite=args.overwrite)
+    written = []
+    with args.figures_first(), progress.bar("figures") as report:
+        written = draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
     if not args.json:
-        print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
+        print(f"Wrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
     args.write_report(
         title,
         answer,

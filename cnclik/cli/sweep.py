@@ -57,17 +57,9 @@ def run(args: Args) -> None:
     grid = spec.grid()
     print(f"{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
     begun = time.perf_counter()
-
-    def ready(data):
-        """Figures in the way are named before the loops run."""
-        if args.figures and not args.overwrite:
-            from cnclik.show import sweeps
-
-            check_free("out", out, [f"{name}.png" for name in sweeps.names(data, spec.figures)])
-
     if not args.overwrite:
         check_free("out", out, [*summary.FILES, *([f"data.{args.export}"] if args.export else [])])
-    own = dict(fresh=args.fresh, overwrite=args.overwrite, ready=ready)
+    own = dict(fresh=args.fresh, overwrite=args.overwrite)
     with progress.bar("loops", quiet=place["process"] != 0) as report:
         whole = store.run(spec, out, progress=report, **own, **place)
     if not whole:
@@ -113,12 +105,10 @@ def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:
 
     data = store.read(out)
     with output_folder(out, overwrite=overwrite) as folder:
-        made = summary.write(data, folder)
-    if export:
-        with output_folder(out, overwrite=overwrite) as folder:
+        summary.write(data, folder)
+        if export:
             folder.write(f"data.{export}", lambda path: summary.export(data, path.parent, export))
-        made.append(f"data.{export}")
-    for file in made:
+    for file in folder.made:
         print(f"Wrote {out / file}")
     if figures is not None:
         draw(data, out, tables=figures, overwrite=overwrite)

@@ -81,12 +81,11 @@ def run(args: Args) -> None:
         seconds = time.perf_counter() - begin
         data = {"cnclik": __version__} | tuning.to_json(found, config=_config(args))
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
-    drawn = {}
-    if args.figures or args.report:
-        from cnclik.show.tuning import drawings
+        drawn = {}
+        if args.figures or args.report:
+            from cnclik.show.tuning import drawings
 
-        drawn = drawings(found)
-    with output_folder(args.out, overwrite=args.overwrite) as folder:
+            drawn = drawings(found)
         name, shown = name_and_tip(made.name, made.tip), tuple(drawn) if args.figures else ()
         text = tuning.page(found, name, seconds=seconds, figures=shown)
         folder.write_text("summary.md", text)
@@ -99,10 +98,10 @@ def run(args: Args) -> None:
     print(text.split("\n## Figures")[0].rstrip().replace(found.why, common.as_options(found.why)))
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
-    written = ["tuned.json", "summary.md"]
+    written = []
     with args.figures_first(), progress.bar("figures") as report:
-        written += draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
-    print(f"\nWrote {', '.join(sorted(written))} to {args.out}/.")
+        written = draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
+    print(f"\nWrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
     facts = page_rows(found, seconds)
     values = "; ".join(f"{name} = {text}" for name, text in facts[: len(found.parameters)])
     args.write_report(

@@ -260,9 +260,7 @@ def _short(value):
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def run(
-    spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None, ready=None
-) -> bool:
+def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None) -> bool:
     """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
 
     Args:
@@ -271,7 +269,7 @@ def run(
       process, processes: this process's number among all that run this together.
       meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
         they need each other no more.
-      progress: called with (points done, points this process has to do). ready: with the store's data, before that.
+      progress: called with (points done, points this process has to do).
 
     Returns: whether the whole sweep is now done (other processes may still be at it).
     Raises: ArgumentError for a store of another spec, a folder that can't be written, a full disk, or another
@@ -288,8 +286,6 @@ def run(
                     create(folder, spec, of, first.outputs)
                 store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of another process that was quicker
                 first = first if store.lanes == of.lanes else None
-            if ready is not None:
-                ready(store.opened())
     with _together(meet, last=True):
         store = store or prepare(spec, folder)
         if store is None:

@@ -49,14 +49,13 @@ def texts(data, digits=6) -> list:
     return [names, *([f"{v:.{digits}g}" if isinstance(v, float) else v for v in row] for row in found)]
 
 
-def write(data, folder) -> list:
-    """Write summary.csv and config.json into an output folder; returns their names."""
+def write(data, folder) -> None:
+    """Write summary.csv and config.json into an output folder."""
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
     numbers, settings = FILES
     folder.write(numbers, functools.partial(save_csv, texts(data)))
     folder.write_text(settings, json.dumps(config, indent=1, ensure_ascii=False) + "\n")
-    return list(FILES)
 
 
 def export(data, folder, kind: str) -> pathlib.Path:

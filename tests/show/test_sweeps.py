@@ -118,9 +118,7 @@ def test_selections_suffixes_and_middles():
     assert set(parts) == {f"_{m}_{robot}" for m in range(3) for robot in ("arms-z1.urdf", "ur5")}
     assert all(str(v.case.values) == "b" for v in parts.values())
     tables = [table, table | {"x": "alpha"}]  # two of the same names
-    assert (
-        sweeps.names(found, tables) == list(sweeps.drawings(found, tables)) and len(sweeps.names(found, tables)) == 12
-    )
+    assert len(sweeps.drawings(found, tables)) == 12
     ((_, view),) = views(found.isel(robot=0, M=0), arrange(found.isel(robot=0, M=0), table | {"x": "alpha"}))
     assert set(view.max_error.dims) == {"method", "stage", "alpha", "Ts"}
     near = {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}

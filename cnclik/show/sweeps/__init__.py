@@ -8,9 +8,9 @@ import functools
 import json
 
 from cnclik.show.sweeps import curves, planes
-from cnclik.show.sweeps.layout import arrange, defaults, places, views
+from cnclik.show.sweeps.layout import arrange, defaults, views
 
-__all__ = ["defaults", "drawings", "figures", "names"]
+__all__ = ["defaults", "drawings", "figures"]
 
 KINDS = {
     "heat": planes.heat,
@@ -29,24 +29,14 @@ def drawings(data, tables=None) -> dict:
     """
     if tables is None:
         tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
-    return _named(data, tables or defaults(data), views)
-
-
-def names(data, tables) -> list:
-    """The names of all figures that there may be, of a sweep that has no numbers yet."""
-    return list(_named(data, tables or defaults(data, done=False), places))
-
-
-def _named(data, tables, parts) -> dict:
-    """{name: function of no arguments}: one for each (suffix, part) that `parts` makes of a table's layout."""
     out = {}
-    for table in tables:
+    for table in tables or defaults(data):
         name = table.get("name") or "_".join([table["kind"], *filter(None, [table.get("value")])])
         try:
             layout = arrange(data, table)
             name = table.get("name") or f"{layout.kind}_{layout.value}"
-            for suffix, part in parts(data, layout):
-                out[_unused(name + suffix, out)] = functools.partial(KINDS[layout.kind], part, layout)
+            for suffix, view in views(data, layout):
+                out[_unused(name + suffix, out)] = functools.partial(KINDS[layout.kind], view, layout)
         except Exception as error:
             out[_unused(name, out)] = functools.partial(_raise, error)
     return out

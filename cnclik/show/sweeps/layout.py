@@ -60,15 +60,11 @@ def _main_value(data):
     return next((n for n in names if n.endswith("error")), names[0] if names else None)
 
 
-def defaults(data, done=True) -> list:
-    """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec.
-
-    Args: done: whether the data have numbers already; else all figures that there may be.
-    """
+def defaults(data) -> list:
+    """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
     axes, starts, value = numeric(data), samples(data), _main_value(data)
-    methods, costs = data.sizes.get("method", 1), np.zeros(1)
-    if "Ts" in data.dims and "evaluations" in scalars(data):
-        costs = data["evaluations"].values if done else np.arange(methods + 1)
+    methods = data.sizes.get("method", 1)
+    costs = data["evaluations"].values if "Ts" in data.dims and "evaluations" in scalars(data) else []
     out = []
     if len(axes) >= 2:
         kinds = ("heat", "best") if methods > 1 else ("heat",)
@@ -163,16 +159,11 @@ def views(data, layout: Layout) -> list:
         if layout.reduce == "mean" and words.startswith("1 if "):  # a verdict
             view[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
     view = view.isel({d: view.sizes[d] // 2 for d in layout.middle})
-    return [(suffix, view.isel(place)) for suffix, place in places(data, layout)]
-
-
-def places(data, layout: Layout) -> list:
-    """Which place along the dimensions that get figures of their own has which suffix in the file's name."""
     out = []
     for place in itertools.product(*(range(data.sizes[d]) for d in layout.apart)):
         labels = (text(data[d].values.tolist()[i]) for d, i in zip(layout.apart, place, strict=True))
         suffix = "".join("_" + re.sub(r"[^\w.+,-]+", "-", label) for label in labels)
-        out.append((suffix, dict(zip(layout.apart, place, strict=True))))
+        out.append((suffix, view.isel(dict(zip(layout.apart, place, strict=True)))))
     return out
 
 
