@@ -23,10 +23,10 @@ OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do th
 HALF_TURN = 3.5  # radians of an oscillation that must be seen, to be none of a path
 FOLDS = 3.0  # by e, over which what grows or shrinks is seen
 WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
+PATH = "A path may have this period, too (--longest-period)."
 UNLESS = (
     "Where position commands begin at the measured joints a smaller gain may not help: begin each at the last command."
 )
-BOTH = "--alpha or a recorded step (--step) decides"
 
 
 def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
@@ -36,94 +36,102 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
       kind: what its oscillation does. shape: (k,) complex, of the columns. y: (N, k) the recording without its path.
     Returns: beside the fields, "whole": whether the loop explains the recording.
     """
-    turned = turned_of(shape, factor) if len(shape) > 1 else None
-    if turned is not None:
-        return _said_turned(kind, factor, turned, together(shape), alpha, Ts)
-    gain = None if alpha is None or kind is Kind.SUSTAINED else alpha * Ts
-    loops, whole = loops_of(factor, y, trend(len(y)), noise, Ts, gain)
+    if turned := turned_of(shape, factor):
+        return _turned_frames(kind, factor, turned, shape, alpha, Ts)
+    known = None if alpha is None or kind is Kind.SUSTAINED else alpha * Ts
+    loops, whole = loops_of(factor, y, trend(len(y)), noise, Ts, known)
     best = loops[0]
     if whole and kind is not Kind.SUSTAINED:
         own = best.slowest(Ts)
         if np.angle(own):  # else a loop so calm doesn't swing, and the recording does
             factor, kind = own, Kind.GROWING if np.abs(own) > 1 else Kind.RINGING
-    made = _about(kind, factor, phase_delay(factor)) | {
-        "delay": best.delay,
-        "whole": whole,
-        "pure": whole and not best.lag,
-    }
-    made |= {"confidence": _confidence(loops, whole)}
+    made = _oscillation(kind, factor) | {"phase_delay": phase_delay(factor), "delay": best.delay}
+    made |= {"whole": whole, "pure": whole and not best.lag, "confidence": _confidence(loops, whole)}
     if best.delay > LATEST:
         return made | {"z": gain_of(factor, best.delay), "note": "So late is no robot: this may be a path."}
-    made |= {"cause": "lag" if best.lag else "dead time"} | ({"lag": best.lag} if best.lag else {})
+    made |= _cause(best)
     limits, notes, z = limits_of(best, Ts), [], best.z
-    likely = [one for one in loops if one.share > LIKELY * best.share or not whole]
-    share = _careful(likely, Ts) if gain is None or not whole else limits.recommended / z
+    likely = [loop for loop in loops if loop.share > LIKELY * best.share or not whole]
+    share = _careful(likely, Ts) if known is None or not whole else limits.recommended / z
+    may_be_path = _turns_less(HALF_TURN, factor)  # bends of a path do as much
     if kind is Kind.SUSTAINED and whole and z < BELOW * limits.stable:
         made["kind"] = Kind.RINGING
         notes.append("It is excited again and again.")
     elif kind is Kind.SUSTAINED:
-        share, z = share * z / limits.stable, limits.stable
-        made["confidence"] = min(made["confidence"], OTHER)
+        share, z, may_be_path = share * z / limits.stable, limits.stable, True
         notes.append("What keeps its size is clipped, by a limit of speed or by friction: z may be larger.")
-    if made["period"] > SLOW and (gain is None or not 1 / NEAR < gain / z < NEAR):
-        made["confidence"] = min(made["confidence"], OTHER)
-        notes.append("A path may have this period, too (--longest-period).")
-    if np.abs(np.angle(factor)) * FOLDS < HALF_TURN * np.abs(np.log(np.abs(factor))):  # bends of a path do as much
-        made["confidence"] = min(made["confidence"], OTHER)
+    if made["period"] > SLOW and (known is None or _apart(known, z)):
+        may_be_path = True
+        notes.append(PATH)
     if made["period"] < 2.01:
         notes.append("Values return every second sample: z is above 1.")
-    notes += _alike(likely, best, whole, gain, Ts)
+    notes += _alike(likely, best, whole, known, Ts)
+    made["confidence"] = min(made["confidence"], OTHER if may_be_path else 1.0)
     if len(shape) > 1 and together(shape) < APART:
         made["confidence"] *= together(shape)
         notes.append(
             "The columns do not swing together: frames of error and Jacobian that are turned against each other do "
             "this, too. Move the target along one axis at a small gain: if another axis moves first, they are."
         )
-    if gain is not None and not 1 / NEAR < gain / z < NEAR:
-        notes.append(f"alpha·Ts is {gain:.4g}: what is measured or driven changes the gain by {z / gain:.3g}.")
-    doubtful = made["confidence"] < SURE and not (whole or len(likely) > 1)
-    apart = alpha is not None and not 1 / APART_Z < z / (alpha * Ts) < APART_Z
-    if doubtful or apart:
-        why = f"alpha·Ts is {alpha * Ts:.4g}, far from this z, so " if apart else ""
-        note = (
-            f"No gain is named: {why}this may be the motion of a path, or of another loop. Record the loop at rest, "
-            "pushed."
-        )
-        return made | {"z": z, "note": note}
-    made |= {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": share * z, "factor": share}
-    made |= {"note": " ".join([*notes, UNLESS])}
-    return made | ({} if alpha is None else {"recommended_alpha": alpha * share})
+    notes += _changed(known, z)
+    other = alpha is not None and _apart(alpha * Ts, z, APART_Z)
+    if other or (made["confidence"] < SURE and not (whole or len(likely) > 1)):
+        why = f"alpha·Ts is {alpha * Ts:.4g}, far from this z, so " if other else ""
+        note = f"No gain is named: {why}this may be the motion of a path, or of another loop."
+        return made | {"z": z, "note": f"{note} Record the loop at rest, pushed."}
+    return made | _gains(z, limits, share, alpha) | {"note": " ".join([*notes, UNLESS])}
 
 
 def advice_excited(loops, alpha, Ts) -> dict:
     """Fields of a `Diagnosis` of a loop that noise keeps swinging."""
     best, factor = loops[0], loops[0].slowest(Ts)
-    made = _about(Kind.RINGING, factor, phase_delay(factor))
-    limits, share = limits_of(best, Ts), _careful(loops, Ts)
+    made = _oscillation(Kind.RINGING, factor) | _cause(best)
+    made |= {"phase_delay": phase_delay(factor), "delay": best.delay, "pure": not best.lag}
     notes = ["Noise excites it again and again.", *_alike(loops, best, False, None, Ts)]
-    if alpha is not None and not 1 / NEAR < alpha * Ts / best.z < NEAR:
-        notes.append(f"alpha·Ts is {alpha * Ts:.4g}: what is measured or driven changes the gain by "
-                     f"{best.z / (alpha * Ts):.3g}.")  # fmt: skip
-    made |= {"delay": best.delay, "z": best.z, "pure": not best.lag, "cause": "lag" if best.lag else "dead time"}
-    made |= {"lag": best.lag or None}
-    made |= {"stable": limits.stable, "monotone": limits.monotone, "recommended": share * best.z, "factor": share}
-    sure = min(_confidence(loops, True), WHOLE)
+    notes += _changed(None if alpha is None else alpha * Ts, best.z)
+    made["confidence"] = min(_confidence(loops, True), WHOLE)
     if made["period"] > SLOW:
-        sure = min(sure, OTHER)
-        notes.append("A path may have this period, too (--longest-period).")
-    made |= {"confidence": sure, "note": " ".join([*notes, UNLESS])}
-    return made | ({} if alpha is None else {"recommended_alpha": alpha * share})
+        made["confidence"] = min(made["confidence"], OTHER)
+        notes.append(PATH)
+    made |= _gains(best.z, limits_of(best, Ts), _careful(loops, Ts), alpha)
+    return made | {"note": " ".join([*notes, UNLESS])}
 
 
-def _about(kind, factor, phase) -> dict:
-    turn = 2 * np.pi / np.abs(np.angle(factor))
-    return {"kind": kind, "period": float(turn), "growth": float(np.abs(factor)), "phase_delay": phase}
+def _oscillation(kind, factor) -> dict:
+    return {"kind": kind, "period": float(2 * np.pi / np.abs(np.angle(factor))), "growth": float(np.abs(factor))}
+
+
+def _cause(loop) -> dict:
+    return {"cause": "lag", "lag": loop.lag} if loop.lag else {"cause": "dead time", "lag": None}
+
+
+def _gains(z, limits, share, alpha) -> dict:
+    """Limits of z, and the gain that would end it: `share` times that of now."""
+    made = {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": share * z, "factor": share}
+    return made | {"recommended_alpha": None if alpha is None else alpha * share}
+
+
+def _apart(known, z, by=NEAR) -> bool:
+    """Whether a gain that is known and z differ by more than a factor."""
+    return not 1 / by < z / known < by
+
+
+def _changed(known, z) -> list:
+    """A note where z is not the gain that is known."""
+    if known is None or not _apart(known, z):
+        return []
+    return [f"alpha·Ts is {known:.4g}: what is measured or driven changes the gain by {z / known:.3g}."]
+
+
+def _turns_less(angle, factor) -> bool:
+    """Whether what grows or shrinks by FOLDS turns by less than an angle meanwhile."""
+    return bool(np.abs(np.angle(factor)) * FOLDS < angle * np.abs(np.log(np.abs(factor))))
 
 
 def _careful(likely, Ts) -> float:
     """The factor of the gain that is not too much for most of the likely loops."""
-    factors = np.array([one.calm(Ts) / one.z for one in likely])
-    shares = np.array([one.share for one in likely])
+    factors = np.array([loop.calm(Ts) / loop.z for loop in likely])
+    shares = np.array([loop.share for loop in likely])
     order = np.argsort(factors)
     return float(factors[order][np.argmax(np.cumsum(shares[order]) >= CAREFUL * shares.sum())])
 
@@ -133,58 +141,53 @@ def _confidence(loops, whole) -> float:
     best = loops[0]
     if not whole:
         return best.share
-    near = max(0.5, CLOSE * max(one.delay for one in loops))
-    return float(sum(one.share for one in loops if abs(one.delay - best.delay) <= near))
+    near = max(0.5, CLOSE * max(loop.delay for loop in loops))
+    return float(sum(loop.share for loop in loops if abs(loop.delay - best.delay) <= near))
 
 
-def _alike(likely, best, whole, gain, Ts) -> list:
+def _alike(likely, best, whole, known, Ts) -> list:
     """What else the recording may be of, and what decides."""
-    if gain is not None and whole:
-        if best.lag:
-            return ["Dead time and lag are those that alpha and the oscillation say; a recorded step tells more "
-                    "(--step)."]  # fmt: skip
-        return []
-    late, slow = max(likely, key=lambda one: one.delay), min(likely, key=lambda one: one.delay)
+    if known is not None and whole:
+        told = "Dead time and lag are those that alpha and the oscillation say; a recorded step tells more (--step)."
+        return [told] if best.lag else []
+    late, slow = max(likely, key=lambda loop: loop.delay), min(likely, key=lambda loop: loop.delay)
     if late.delay - slow.delay <= max(0.5, CLOSE * late.delay):
         return []
+    ends = [
+        f"{loop.delay:.3g} samples " + (f"with a lag of {1e3 * loop.lag:.3g} ms" if loop.lag else "alone")
+        for loop in (late, slow)
+    ]
     return [
-        f"Dead time of {_words(late)} and of {_words(slow)} are both possible, and what lies between: the gain suits "
-        f"most, {BOTH}."
+        f"Dead time of {ends[0]} and of {ends[1]} are both possible, and what lies between: the gain suits most, "
+        "--alpha or a recorded step (--step) decides."
     ]
 
 
-def _words(loop) -> str:
-    """A loop's dead time and lag."""
-    return f"{loop.delay:.3g} samples" + (f" with a lag of {1e3 * loop.lag:.3g} ms" if loop.lag else " alone")
-
-
-def _said_turned(kind, factor, turned, round_, alpha, Ts) -> dict:
-    axis = (
-        "xyz"[int(np.argmax(np.abs(turned.axis)))] if np.max(np.abs(turned.axis)) > 0.99 else np.round(turned.axis, 2)
-    )
+def _turned_frames(kind, factor, turned, shape, alpha, Ts) -> dict:
+    axis = np.round(turned.axis, 2)
+    if np.max(np.abs(turned.axis)) > 0.99:
+        axis = "xyz"[int(np.argmax(np.abs(turned.axis)))]
     note = (
         f"Error and Jacobian are in frames that are turned by {abs(turned.degrees):.3g}° against each other, about "
         f"{axis}: no gain mends that. Turn the error by {-turned.degrees:.3g}° before J#, or give both in one frame."
     )
-    if alpha is not None and not 1 / NEAR < alpha * Ts / turned.z < NEAR:
+    off = alpha is not None and _apart(alpha * Ts, turned.z)
+    if off:
         note += f" alpha·Ts is {alpha * Ts:.4g}, and z here {turned.z:.4g}."
-    made = _about(kind, factor, None) | {"cause": "turned frames", "z": turned.z, "delay": 0}
-    sure = WHOLE * (1 - round_ / 4)
-    if np.abs(np.angle(factor)) * FOLDS < 0.5 * np.pi * np.abs(
-        np.log(np.abs(factor))
-    ):  # less than a quarter turn is seen
+    sure = WHOLE * (1 - together(shape) / 4)
+    if _turns_less(0.5 * np.pi, factor):  # less than a quarter turn is seen
         sure = min(sure, OTHER)
-    known = alpha is not None and 1 / NEAR < alpha * Ts / turned.z < NEAR
-    if kind is Kind.SUSTAINED and not known:
-        sure, note = min(sure, OTHER), note + " A path that is a circle looks alike: record the loop at rest, pushed."
+    if kind is Kind.SUSTAINED and (alpha is None or off):
+        sure = min(sure, OTHER)
+        note += " A path that is a circle looks alike: record the loop at rest, pushed."
+    made = _oscillation(kind, factor) | {"cause": "turned frames", "z": turned.z, "delay": 0}
     return made | {"angle": turned.degrees, "axis": turned.axis, "confidence": sure, "note": note}
 
 
 def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
     """Fields of a `Diagnosis` of what grows by a factor a sample and never returns; clear: as no path does."""
-    turned = turned_of(shape, factor) if len(shape) > 1 else None
-    if turned is not None:
-        return _said_turned(Kind.DIVERGING, factor, turned, together(shape), alpha, Ts)
+    if turned := turned_of(shape, factor):
+        return _turned_frames(Kind.DIVERGING, factor, turned, shape, alpha, Ts)
     factor = float(np.abs(factor))
     note = (
         "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain ends "

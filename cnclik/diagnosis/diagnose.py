@@ -1,5 +1,7 @@
 """Diagnose: whether a recording rings, how late the robot is by that, and which gain would end it."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from cnclik import errors
@@ -21,7 +23,7 @@ from cnclik.diagnosis.judge import (
     looked_at,
     spans,
 )
-from cnclik.diagnosis.modes import find_modes, polynomials, shape_of, trend
+from cnclik.diagnosis.modes import Modes, find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
 from cnclik.precision import of_numbers
 from cnclik.quantities import in_samples
@@ -142,60 +144,16 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
     report = progress or (lambda *_: None)
     report(0, 4, "modes")
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
-    scaled = (y - y[0]) / size
-    first, last, found = _found(scaled[:, moving], longest)
-    seen = scaled[first:last, moving]
-    kind, chosen, own = judged(seen, found, longest)
+    scaled = ((y - y[0]) / size)[:, moving]
+    first, last, found = _found(scaled, longest)
+    part = _part(first, scaled[first:last], found, longest)
     report(1, 4, "what it has come to")
-    if kind in (Kind.GROWING, Kind.RINGING) and len(seen) >= 4 * LEAST:  # what it has come to, if that stays
-        half = len(seen) // 2
-        late = find_modes(seen[half:], longest)
-        later, of_late, own_late = judged(seen[half:], late, longest)
-        if later is Kind.SUSTAINED and np.any(spans(late.parts[of_late]) > 0.1 * spans(found.parts)):
-            first, seen, found, kind, chosen, own = first + half, seen[half:], late, later, of_late, own_late
+    part = _come_to(part, longest)
     report(2, 4, "the loop behind it")
-    stays = kind is Kind.GROWING and _moved_before(scaled[:last, moving], first)
-    kind = Kind.SUSTAINED if stays else kind
-    made, whole, periods = given | {"kind": kind, "first": first}, True, None
-    shape = shape_of(seen, found, chosen[0]) * size[moving] if len(chosen) else None
-    if kind in OSCILLATING:
-        loop = seen - found.path - found.parts[~own].sum(0)
-        made |= advice(kind, found.factors[chosen[0]], shape, loop, found.noise, alpha, Ts)
-        whole = made.pop("whole", True)
-        periods = _wandering(scaled[:last, moving], first, longest)
-        alone = made.get("pure") or alpha is not None  # with a lag as well few rows fit many loops
-        sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
-        begins = len(seen) < TURNS * made["period"] and not (sure or periods)
-        if kind is Kind.GROWING and (begins or not likelier(seen, found)):
-            kind, made, whole = Kind.UNDECIDED, given | {"kind": Kind.UNDECIDED, "first": first}, True
-    report(3, 4, "noise")
-    noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
-    if kind is Kind.NOISE or not whole or periods or noisy or stays:
-        driven = _noise_driven(scaled[max(last - MOST, 0) : last, moving], longest, alpha, Ts)
-        if periods and not driven:
-            made = {name: made[name] for name in ("Ts", "alpha", "kind", "first", "period", "growth")}
-            made["note"] = (
-                f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
-                "not of a loop: no gain is named."
-            )
-        if noisy or stays or periods or driven.get("confidence", 0) > made.get("confidence", 0):
-            made |= driven
-    if kind is Kind.DIVERGING:
-        factor = found.factors[chosen[0]]
-        most = np.max(spans(found.parts[chosen]) / np.ptp(seen, axis=0))
-        clear = (
-            most > ALL and len(seen) * np.log(np.abs(factor)) > np.log(MUCH) and found.score < polynomials(seen) - CLEAR
-        )
-        made |= growth_without_end(factor, shape, clear, alpha, Ts)
-    elif kind is Kind.UNDECIDED:
-        made["note"] = UNFINISHED
-    elif made["kind"] in (Kind.QUIET, Kind.NOISE):
-        moved = np.ptp(found.path + found.parts.sum(0), axis=0)
-        made["note"] = SLOW if np.any(moved > ABOVE_NOISE * found.noise + STILL) else ""
-    elif kind is Kind.MONOTONE:
-        made |= _monotone(float(np.abs(found.factors[chosen[0]])), alpha, Ts)
+    made = given | _fields(part, scaled[:last], size[moving], longest, alpha, Ts, report)
+    found, chosen = part.found, part.chosen
     rest = [i for i in range(len(found.factors)) if i not in chosen]
-    most = np.minimum(spans(found.parts[chosen]), spans(found.parts)) if len(chosen) else np.zeros(seen.shape[1])
+    most = np.minimum(spans(found.parts[chosen]), spans(found.parts)) if len(chosen) else np.zeros(moving.sum())
 
     def every(values):  # of all columns, in their units
         full = np.zeros((*values.shape[:-1], y.shape[1]))
@@ -206,10 +164,95 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
         factors=found.factors[[*chosen, *rest]],
         amplitude=every(0.5 * most),
         noise=every(found.noise),
+        first=part.first,
         path=every(found.path) + y[0],
         modes=every(found.parts.sum(0)),
         **made,
     )
+
+
+class _Part(NamedTuple):
+    """The rows that are looked at, from `first` on, and what they show: see `judged`."""
+
+    first: int
+    rows: np.ndarray  # (N, k)
+    found: Modes
+    kind: Kind
+    chosen: np.ndarray
+    own: np.ndarray
+
+    @property
+    def factor(self):
+        """The dominant one."""
+        return self.found.factors[self.chosen[0]]
+
+
+def _part(first, rows, found, longest) -> _Part:
+    return _Part(first, rows, found, *judged(rows, found, longest))
+
+
+def _come_to(part, longest) -> _Part:
+    """The second half of what grows or rings, if it keeps its size there."""
+    half = len(part.rows) // 2
+    if part.kind not in (Kind.GROWING, Kind.RINGING) or len(part.rows) < 4 * LEAST:
+        return part
+    late = _part(part.first + half, part.rows[half:], find_modes(part.rows[half:], longest), longest)
+    stays = late.kind is Kind.SUSTAINED
+    stays = stays and np.any(spans(late.found.parts[late.chosen]) > 0.1 * spans(part.found.parts))
+    return late if stays else part
+
+
+def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
+    """Fields of the `Diagnosis` of a part of a recording (N, k), whose columns were divided by a size (k,)."""
+    kind, found, chosen = part.kind, part.found, part.chosen
+    shape = shape_of(part.rows, found, chosen[0]) * size if len(chosen) else None
+    stays = kind is Kind.GROWING and _moved_before(scaled, part.first)
+    kind = Kind.SUSTAINED if stays else kind
+    made, whole, periods = {"kind": kind}, True, None
+    if kind in OSCILLATING:
+        loop = part.rows - found.path - found.parts[~part.own].sum(0)
+        made = advice(kind, part.factor, shape, loop, found.noise, alpha, Ts)
+        whole = made.pop("whole", True)
+        periods = _wandering(scaled, part.first, longest)
+        if kind is Kind.GROWING and (_begins(part, made, whole, alpha, periods) or not likelier(part.rows, found)):
+            kind, made, whole = Kind.UNDECIDED, {"kind": Kind.UNDECIDED}, True
+    report(3, 4, "noise")
+    noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
+    if kind is Kind.NOISE or not whole or periods or noisy or stays:
+        driven = _noise_driven(scaled[-MOST:], longest, alpha, Ts)
+        if periods and not driven:
+            made = {name: made[name] for name in ("kind", "period", "growth") if name in made}
+            made["note"] = (
+                f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
+                "not of a loop: no gain is named."
+            )
+        if noisy or stays or periods or driven.get("confidence", 0) > made.get("confidence", 0):
+            made |= driven
+    if kind is Kind.DIVERGING:
+        made |= growth_without_end(part.factor, shape, _is_clear(part), alpha, Ts)
+    elif kind is Kind.UNDECIDED:
+        made["note"] = UNFINISHED
+    elif made["kind"] in (Kind.QUIET, Kind.NOISE):
+        moved = np.ptp(found.path + found.parts.sum(0), axis=0)
+        made["note"] = SLOW if np.any(moved > ABOVE_NOISE * found.noise + STILL) else ""
+    elif kind is Kind.MONOTONE:
+        made |= _monotone(float(np.abs(part.factor)), alpha, Ts)
+    return made
+
+
+def _begins(part, made, whole, alpha, periods) -> bool:
+    """Whether growth may be the beginning of a swing: in few periods, and of no loop that is known for sure."""
+    alone = made.get("pure") or alpha is not None  # with a lag as well few rows fit many loops
+    sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
+    return len(part.rows) < TURNS * made["period"] and not (sure or periods)
+
+
+def _is_clear(part) -> bool:
+    """Whether no path grows as this does."""
+    rows, found = part.rows, part.found
+    most = np.max(spans(found.parts[part.chosen]) / np.ptp(rows, axis=0))
+    grown = len(rows) * np.log(np.abs(part.factor)) > np.log(MUCH)
+    return bool(most > ALL and grown and found.score < polynomials(rows) - CLEAR)
 
 
 def _found(y, longest):

@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 
 from cnclik.diagnosis.blocks import triangle
-from cnclik.diagnosis.late import TEMPER, Loop
+from cnclik.diagnosis.late import Loop, by_share
 from cnclik.integrate.drive import Drive, sampled
 
 DEAD = 60  # samples of dead time, at most
@@ -44,25 +44,16 @@ def excited(y, Ts, z=None) -> list:
         for colour, c in _noises(keep, b):
             made = _over_dead_times(y, a, b, c, Loop(part, lag * Ts, 0.0), most, floor)
             # Its gain is a number, and so are a lag and a colour; its dead time is what an order is to the other.
-            least = min(least, min(one.score for one in made) + number * (1 + (lag > 0) + (colour > 0)))
+            least = min(least, min(loop.score for loop in made) + number * (1 + (lag > 0) + (colour > 0)))
             tried += made
     free = min(_autoregression(y, p, most + 3, floor) + number * p for p in FREE if p < min(rows // 4, most + 3))
-    best = min(tried, key=lambda one: one.score)
-    if least > free or best.z <= 0:
+    if least > free or min(tried, key=lambda loop: loop.score).z <= 0:
         return []
-    tried = [one for one in tried if one.z > 0]
-    of_lags = DENSE / (len(LAGS) * len(PARTS))
-    odds = [np.exp(TEMPER * (best.score - one.score)) * one.usual * one.as_known(z) * (of_lags if one.lag else 1.0)
-            for one in tried]  # fmt: skip
-    found = [one._replace(share=float(o)) for one, o in zip(tried, odds / np.sum(odds), strict=True)]
-    found = sorted((one for one in found if one.share > 1e-3), key=lambda one: -one.share)
-    return found if found and _left(found[0].slowest(Ts)) > SWINGS else []
-
-
-def _left(factor) -> float:
-    """Share of an oscillation that is left after a period; 0 of what doesn't swing."""
-    turn = abs(np.angle(factor))
-    return float(np.abs(factor) ** (2 * np.pi / turn)) if turn else 0.0
+    found = by_share([loop for loop in tried if loop.z > 0], DENSE / (len(LAGS) * len(PARTS)), z)
+    slowest = found[0].slowest(Ts)
+    turn = abs(np.angle(slowest))
+    swings = turn and np.abs(slowest) ** (2 * np.pi / turn) > SWINGS
+    return [loop for loop in found if loop.share > 1e-3] if swings else []
 
 
 def _main(y):
@@ -88,10 +79,10 @@ def _drive(lag, part):
     """(e^{−1/lag}, numerator in B without its first B) of the sampled lag after a part of a sample of dead time."""
     if not lag:
         return 0.0, np.array([1.0])
-    one = sampled(Drive(delay=part, lag=lag), 1.0)
-    (_, moves), (_, keep) = one.phi
+    model = sampled(Drive(delay=part, lag=lag), 1.0)
+    (_, moves), (_, keep) = model.phi
     b = np.zeros(3)
-    for at, by in enumerate((one.now, one.late)):
+    for at, by in enumerate((model.now, model.late)):
         if by is not None:
             b[at : at + 2] += by[0], moves * by[1] - keep * by[0]
     return keep, b if part else b[:2]
@@ -111,8 +102,8 @@ def _over_dead_times(y, a, b, c, start, most, floor) -> list:
     power = np.maximum(square + z[:, None] * (2 * both + z[:, None] * own), 0.0)
     scores = len(left) * np.sum(np.log(power + floor), 1)
     return [
-        start._replace(delay=delay + start.delay, z=float(one), score=float(score))
-        for delay, (one, score) in enumerate(zip(z, scores, strict=True))
+        start._replace(delay=delay + start.delay, z=float(gain), score=float(score))
+        for delay, (gain, score) in enumerate(zip(z, scores, strict=True))
     ]
 
 

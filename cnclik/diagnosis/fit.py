@@ -12,7 +12,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.diagnosis.judge import LEAST
 from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
-from cnclik.diagnosis.response import Shape, names_of, response
+from cnclik.diagnosis.response import NUMBERS, Shape, response
 from cnclik.diagnosis.spread import correlated, stable_range
 from cnclik.integrate.drive import COMMANDS, Drive
 from cnclik.precision import of_numbers
@@ -78,12 +78,11 @@ class DriveFit:
             value = _said(getattr(self.drive, name)).replace(" ", ", ")
             said.append(f"{name.replace('_', ' ')} {value} ± {deviation:.1g}{units[name]}")
         left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
-        more = [] if self.largest_stable_alpha is None else [
-            "With measured joints explicit Euler becomes unstable at an alpha of {:.4g} to {:.4g} 1/s.".format(
-                *self.largest_stable_alpha
-            )
-        ]  # fmt: skip
-        return " ".join([f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}.", *more, self.note]).strip()
+        more = ""
+        if self.largest_stable_alpha is not None:
+            low, high = self.largest_stable_alpha
+            more = f"With measured joints explicit Euler becomes unstable at an alpha of {low:.4g} to {high:.4g} 1/s."
+        return " ".join(filter(None, (f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}.", more, self.note)))
 
 
 def _said(value) -> str:
@@ -131,7 +130,7 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
 
 def _best(shapes, log):
     """The simplest fit that none beats by much."""
-    found = sorted((one for shape in shapes for one in _fits(shape, log)), key=lambda one: one.count)
+    found = sorted((fit for shape in shapes for fit in _fits(shape, log)), key=lambda fit: fit.count)
     best = found[0]
     for other in found[1:]:
         if other.score < best.score - BETTER:
@@ -164,14 +163,14 @@ def _made(fit, log, hides) -> DriveFit:
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, or other units"
         raise errors.fail("motion", "move by about what is commanded", found)
     length = np.array([correlated(c) for c in left.T])  # what hangs together tells less
-    deviations = fit.deviations(log) * np.sqrt(length)[:, None]
+    deviations = log.deviations(fit.shape, fit.values, fit.parts, fit.own) * np.sqrt(length)[:, None]
     numbers = [fit.shape.numbers(values) for values in fit.values]
-    same = all(one == numbers[0] for one in numbers)
-    changes = {n: float(numbers[0][n]) if same else np.array([one[n] for one in numbers]) for n in numbers[0]}
+    same = all(row == numbers[0] for row in numbers)
+    changes = {n: float(numbers[0][n]) if same else np.array([row[n] for row in numbers]) for n in numbers[0]}
     drive = replace(fit.shape.start, **changes | {"delay": numbers[0]["delay"]})
     rms = np.sqrt(np.mean(left**2, axis=0))
     structured = hides or bool(np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(motion, axis=0))))
-    scale = np.array([[1.0, *list(one.values())[1:]] for one in numbers])  # of a logarithm the relative deviation
+    scale = np.array([[1.0, *list(row.values())[1:]] for row in numbers])  # of a logarithm the relative deviation
     stable, why = stable_range(fit, deviations, gain, structured, log.command)
     uncertainty = dict(zip(numbers[0], (deviations * scale).max(0).tolist(), strict=True))
     return DriveFit(
@@ -210,13 +209,14 @@ def _notes(gain, structured, k, why, command_kind) -> list:
             f"Motion is {span} times what is commanded{where}, and a loop has as many times its alpha: divide the "
             f"gains that are recommended for this drive by {gain.max():.3g}."
         )
-        said += [NOT_REBASED] * (command_kind == "position")
+        if command_kind == "position":
+            said.append(NOT_REBASED)
     if structured:
         said.append(
             "What is left has a structure: the drive has friction, play, a limit or a higher order, which the numbers "
             "leave out."
         )
-    return [*said, *([why] if why else [])]
+    return [*said, why] if why else said
 
 
 class _Log:
@@ -241,24 +241,36 @@ class _Log:
     def motions(self, shape, values, parts):
         """((N, k) of the fit, gains (k,), drifts (k,) [1/s])."""
         moved, k = self.moved(shape, values), self.motion.shape[1]
-        made, gain, drift = np.empty_like(moved), np.ones(k), np.zeros(k)
+        made, gain, drift = np.empty_like(moved), np.empty(k), np.empty(k)
         for j in range(k):
-            r = moved[:, j] - moved[:, j].mean()
-            fixed = r if "gain" not in parts else 0.0 * r
-            base = [np.ones(len(r))] + [r] * ("gain" in parts) + [self.time] * ("drift" in parts)
-            base = np.stack(base, 1)
+            columns = {"offset": np.ones(len(moved)), "gain": moved[:, j] - moved[:, j].mean(), "drift": self.time}
+            fixed = 0.0 if "gain" in parts else columns["gain"]
+            base = np.stack([columns[name] for name in ("offset", *parts)], 1)
             weights = np.linalg.lstsq(base, self.motion[:, j] - fixed, rcond=1e-12)[0]
             made[:, j] = fixed + base @ weights
-            if "gain" in parts:
-                gain[j] = weights[1]
-            if "drift" in parts:
-                drift[j] = weights[2] * 2 / ((len(r) - 1) * self.Ts)
+            fitted = dict(zip(parts, weights[1:], strict=True))
+            gain[j] = fitted.get("gain", 1.0)
+            drift[j] = fitted.get("drift", 0.0) * 2 / ((len(moved) - 1) * self.Ts)
         return made, gain, drift
 
     def left(self, shape, values, parts):
         """(N, k) of each motion, or of its changes, as shares of its standard deviation."""
         left = self.motion - self.motions(shape, values, parts)[0]
         return np.diff(left, axis=0) / self.change if self.rates else left / self.size
+
+    def deviations(self, shape, values, parts, own):
+        """(k, p) standard deviations of drives' values, of white noise. own: whether each joint has its own."""
+        here = self.left(shape, values, parts)
+        power = np.mean(here**2, axis=0) + EXACT**2
+        slopes = [
+            (self.left(shape, values + step, parts) - here) / (1e-4 * np.sqrt(power))
+            for step in 1e-4 * np.eye(values.shape[1])
+        ]
+        slope = np.stack(slopes, -1)  # (N, k, p)
+        each = np.einsum("nki,nkj->kij", slope, slope)
+        each = each if own else np.broadcast_to(each.sum(0), each.shape)
+        made = np.sqrt(np.abs(np.diagonal(np.linalg.pinv(each), axis1=-2, axis2=-1)))
+        return np.minimum(made, 1e3)  # of a number that hardly acts
 
 
 @record
@@ -272,20 +284,6 @@ class Fit:
     score: float
     count: int  # of numbers
 
-    def deviations(self, log):
-        """(k, p) standard deviations of the values, of white noise."""
-        here = log.left(self.shape, self.values, self.parts)
-        power = np.mean(here**2, axis=0) + EXACT**2
-        slopes = []
-        for i in range(self.values.shape[1]):
-            moved = self.values + 1e-4 * (np.arange(self.values.shape[1]) == i)
-            slopes.append((log.left(self.shape, moved, self.parts) - here) / (1e-4 * np.sqrt(power)))
-        slope = np.stack(slopes, -1)  # (N, k, p)
-        each = np.einsum("nki,nkj->kij", slope, slope)
-        each = each if self.own else np.broadcast_to(each.sum(0), each.shape)
-        made = np.sqrt(np.abs(np.stack([np.diag(np.linalg.pinv(one)) for one in each])))
-        return np.minimum(made, 1e3)  # of a number that hardly acts
-
 
 def _fits(shape, log):
     """The drives of an order: for each of PARTS with numbers of all joints, and with numbers of each where better."""
@@ -298,7 +296,8 @@ def _fits(shape, log):
         fit = _scored(shape, values, log, parts, own=False)
         if own is not None:
             each = [_least(shape, begin, log.joint(j), parts) for j, begin in enumerate(own)]
-            delay = _common(shape, np.array(each), log, parts)
+            certain = 1 / (log.deviations(shape, np.array(each), parts, own=True)[:, 0] ** 2 + 1e-12)
+            delay = float(np.average([values[0] for values in each], weights=certain))  # that of all joints
             own = [[v] for v in each]
             each = [_least(shape, [v], log.joint(j), parts, delay) for j, v in enumerate(each)]
             other = _scored(shape, np.array(each), log, parts, own=True)
@@ -309,16 +308,8 @@ def _fits(shape, log):
         yield fit
 
 
-def _common(shape, values, log, parts) -> float:
-    """Dead time of all joints, by its precision in each."""
-    certain = 1 / (
-        Fit(shape=shape, values=values, parts=parts, own=True, score=0.0, count=0).deviations(log)[:, 0] ** 2 + 1e-12
-    )
-    return float(np.sum(certain * values[:, 0]) / np.sum(certain))
-
-
 def _begin(shape, log, most=2):
-    """The best few of a grid of dead times and of the other numbers: values to begin from."""
+    """The best few of a grid of the other numbers, each with its best dead time: values to begin from."""
     grid = [()] if shape.order == 0 else [(tau,) for tau in np.log(TIMES * log.Ts)]
     if shape.order == 2:
         grid = [(-tau, np.log(zeta)) for (tau,), zeta in itertools.product(grid, RATIOS)]
@@ -334,14 +325,8 @@ def _begin(shape, log, most=2):
             late = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, made[:, j]]), N)[::-1] / log.size[j]
             power = np.sum(late**2, 1) - np.sum(late, 1) ** 2 / N
             left += np.sum(wanted[:, j] ** 2) - (late @ wanted[:, j]) ** 2 / np.maximum(power, 1e-300)
-        tried += [(left[d], d, numbers) for d in range(delays)]
-    tried.sort(key=lambda one: one[0])
-    begun, chosen = set(), []
-    for _, delay, numbers in tried:  # the best dead time of each of the other numbers
-        if numbers not in begun and len(chosen) < most:
-            begun.add(numbers)
-            chosen.append(np.array([delay + 0.3 * (shape.order > 0), *numbers]))
-    return chosen
+        tried.append((left.min(), np.array([np.argmin(left) + 0.3 * (shape.order > 0), *numbers])))
+    return [values for _, values in sorted(tried, key=lambda start: start[0])[:most]]
 
 
 def _latest(command, motion) -> int:
@@ -356,26 +341,26 @@ def _least(shape, starts, log, parts, delay=None):
     from scipy.optimize import least_squares
 
     k = log.motion.shape[1]
-    held = [] if delay is None else [delay]
+    fixed = [] if delay is None else [delay]
     if shape.order == 0 and delay is None:  # between whole samples motion is a straight line of the dead time: no slope
         starts = [[side] for side in sorted({max(v[0] + s, 0.0) for v in starts for s in (-0.5, 0.5)})]
 
     def left(free):
-        return log.left(shape, np.tile([*held, *free], (k, 1)), parts).ravel()
+        return log.left(shape, np.tile([*fixed, *free], (k, 1)), parts).ravel()
 
     made = [
-        least_squares(left, values[len(held) :], method="lm", x_scale=0.1, xtol=1e-8, ftol=1e-9,
+        least_squares(left, values[len(fixed) :], method="lm", x_scale=0.1, xtol=1e-8, ftol=1e-9,
                       max_nfev=EVALUATIONS * len(values))
         for values in starts
     ]  # fmt: skip
-    best = min(made, key=lambda one: one.cost).x
-    return np.concatenate([np.abs([*held, *best][:1]), [*held, *best][1:]])
+    best = min(made, key=lambda end: end.cost).x
+    return np.concatenate([np.abs([*fixed, *best][:1]), [*fixed, *best][1:]])
 
 
 def _scored(shape, values, log, parts, *, own):
     """A `Fit` with its criterion."""
     N, k = log.motion.shape
     power = np.mean(log.left(shape, values, parts) ** 2, axis=0) + EXACT**2
-    numbers = 1 + len(names_of(shape.order)) * (k if own else 1) + k * (1 + len(parts))
+    numbers = 1 + len(NUMBERS[shape.order]) * (k if own else 1) + k * (1 + len(parts))
     score = N * float(np.sum(np.log(power))) + numbers * np.log(N)
     return Fit(shape=shape, values=values, parts=parts, own=own, score=score, count=numbers)

@@ -46,7 +46,7 @@ class Loop(NamedTuple):
     @property
     def drive(self) -> Drive:
         """What lies between command and motion."""
-        return Drive(delay=float(self.delay), lag=float(self.lag)) if self.lag else Drive(delay=float(self.delay))
+        return Drive(delay=float(self.delay), lag=float(self.lag))
 
     @property
     def usual(self) -> float:
@@ -79,6 +79,20 @@ class Loop(NamedTuple):
         fast = np.exp(-Ts / self.lag)
         at = fast + (1 - fast) * np.linspace(0, 1, 402)[1:-1]
         return float(np.max(-Ts / sampled(self._replace(delay=self.delay + 1).drive, Ts).transfer(at)))
+
+
+def by_share(loops, of_lags: float, z=None) -> list:
+    """Loops with their shares of the probability, the likeliest first.
+
+    Args: of_lags: what one with a lag weighs beside one without. z: the loop's gain where it is known.
+    """
+    best = min(loop.score for loop in loops)
+    odds = [
+        np.exp(TEMPER * (best - loop.score)) * loop.usual * loop.as_known(z) * (of_lags if loop.lag else 1.0)
+        for loop in loops
+    ]
+    found = [loop._replace(share=float(o)) for loop, o in zip(loops, odds / np.sum(odds), strict=True)]
+    return sorted(found, key=lambda loop: -loop.share)
 
 
 def phase_delay(factor) -> float:
@@ -117,24 +131,20 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         wide = [d for d in range(min(2 * round(phase) + WIDE, N // 4)) if d not in near and fit.has_room(d)]
         tried += [fit.whole(d, factor, phase) for d in wide]
     if _explained(tried, fit, noise):
-        lagging = sum(1 for one in tried if one.lag)
-        best = min(one.score for one in tried)
-        odds = [np.exp(TEMPER * (best - one.score)) * one.usual / (lagging if one.lag else 1) for one in tried]
-        found = [one._replace(share=float(o)) for one, o in zip(tried, odds / np.sum(odds), strict=True)]
-        found = sorted(found, key=lambda one: -one.share)
+        found = by_share(tried, 1 / max(sum(loop.lag > 0 for loop in tried), 1))
         hardly = found[0].lag < NO_LAG * Ts
-        simple = [one for one in found if not one.lag and (one.share > SIMPLE * found[0].share or hardly)]
-        return [*simple[:1], *(one for one in found if one is not (simple or [None])[0])], True
+        simple = [loop for loop in found if not loop.lag and (loop.share > SIMPLE * found[0].share or hardly)]
+        return [*simple[:1], *(loop for loop in found if loop is not (simple or [None])[0])], True
     alone = Loop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
     lagging = _family(factor, phase, Ts)
-    return [alone, *(one._replace(share=one.as_known(z) * one.usual / len(lagging)) for one in lagging)], False
+    return [alone, *(loop._replace(share=loop.as_known(z) * loop.usual / len(lagging)) for loop in lagging)], False
 
 
 def _explained(loops, fit, noise) -> bool:
     """Whether the likeliest leaves no more than noise, or a small part."""
     if not loops:
         return False
-    left = min(loops, key=lambda one: one.score).power
+    left = min(loops, key=lambda loop: loop.score).power
     return bool(np.all(left <= WORSE * noise**2 + PART * np.var(fit.y, axis=0)))
 
 
@@ -184,10 +194,10 @@ def _with_lags(fit, factor, phase) -> list:
     """Loops with a lag, for a factor that is fitted once more with the best of them."""
     from scipy.optimize import minimize
 
-    tried = [fit.scored(one) for one in _family(factor, phase, fit.Ts) if fit.has_room(one.delay + 1)]
+    tried = [fit.scored(loop) for loop in _family(factor, phase, fit.Ts) if fit.has_room(loop.delay + 1)]
     if not tried:
         return []
-    best = min(tried, key=lambda one: one.score)
+    best = min(tried, key=lambda loop: loop.score)
 
     def at(values):
         lag = max(best.lag * np.exp(values[0]), SHORTEST * fit.Ts)
@@ -206,7 +216,7 @@ def _with_lags(fit, factor, phase) -> list:
     exact = None if fit.z is None else lag_of(factor, fit.z, fit.Ts)
     if exact is not None:
         found.append(Loop(exact.delay, float(exact.lag), fit.z))
-    return [fit.scored(one) for one in found]
+    return [fit.scored(loop) for loop in found]
 
 
 def _family(factor, phase, Ts) -> list:

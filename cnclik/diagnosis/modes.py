@@ -64,9 +64,9 @@ def _best(y, basis):
         _Reduced(factors=factors, owner=owner, r=triangle(np.hstack([own, rest])), y=y, path=basis.shape[1])
         for factors, owner, own in zip(sets, owners, columns, strict=True)
     ]
-    best = min(tried, key=lambda one: one.score)
+    best = min(tried, key=lambda fit: fit.score)
     while len(best.factors):  # what the criterion doesn't miss goes
-        fewer = min((best.without(i) for i in range(len(best.factors))), key=lambda one: one.score)
+        fewer = min((best.without(i) for i in range(len(best.factors))), key=lambda fit: fit.score)
         if fewer.score > best.score:
             break
         best = fewer
@@ -97,8 +97,9 @@ class _Reduced(NamedTuple):
 
     def without(self, i):
         """All but the i-th factor."""
-        kept, owner = self.owner != i, np.delete(self.owner, self.owner == i)
-        r = self.r[:, np.concatenate([kept, np.ones(self.y.shape[1], bool)])]
+        gone = np.flatnonzero(self.owner == i)
+        owner = np.delete(self.owner, gone)
+        r = np.delete(self.r, gone, axis=1)
         return self._replace(factors=np.delete(self.factors, i), owner=owner - (owner > i), r=r)
 
 

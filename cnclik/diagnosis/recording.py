@@ -66,14 +66,14 @@ def clock(names, table):
     places, found, unit = [], None, None
     parts = {}
     for i, name in enumerate(names):
-        told = clock_of(name)
-        if told is None:
+        named = clock_of(name)
+        if named is None:
             continue
         places.append(i)
-        if told.part:
-            parts.setdefault(told.of, {})[told.unit] = i
+        if named.part:
+            parts.setdefault(named.of, {})[named.unit] = i
         if found is None and not np.isnan(table[:, i]).all():
-            found, unit = table[:, i] - table[0, i], told.unit or _unit_of(table[:, i])
+            found, unit = table[:, i] - table[0, i], named.unit or _unit_of(table[:, i])
             found = found * SECONDS[unit]
     for pair in parts.values():
         if {"s", "ns"} <= set(pair):

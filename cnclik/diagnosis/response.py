@@ -5,13 +5,9 @@ import numpy as np
 from cnclik.integrate.drive import MOST, Drive, sampled
 from cnclik.record import record, replace
 
+NUMBERS = ((), ("lag",), ("natural_frequency", "damping_ratio"))  # of a drive besides its dead time, by its order
 _BOUNDS = {"lag": (1e-2, 1e4), "natural_frequency": (1e-4, 10.0), "damping_ratio": (1e-2, 30.0)}  # in samples
 _POWER = {"lag": 1, "natural_frequency": -1, "damping_ratio": 0}
-
-
-def names_of(order) -> tuple:
-    """The numbers of a drive besides its dead time."""
-    return ((), ("lag",), ("natural_frequency", "damping_ratio"))[order]
 
 
 @record
@@ -25,7 +21,7 @@ class Shape:
     def numbers(self, values) -> dict:
         """What a row of values is, by name; no number leaves its bounds."""
         made = {"delay": float(min(abs(values[0]), MOST))}
-        for name, value in zip(names_of(self.order), values[1:], strict=True):
+        for name, value in zip(NUMBERS[self.order], values[1:], strict=True):
             low, high = (np.log(bound) + _POWER[name] * np.log(self.Ts) for bound in _BOUNDS[name])
             made[name] = float(np.exp(np.clip(value, low, high)))
         return made

@@ -31,35 +31,8 @@ def stable_range(fit, deviations, gain, structured, command) -> tuple:
     Args: fit: a `Fit`; deviations (k, p) of its values; gain (k,) of the joints; structured: whether what is left of
       the motion has a structure; command (N, k).
     """
-    if len(gain) == 1:
-        return None, (
-            "The largest stable gain is not known from one joint: joints that move together are heavier. Record a step "
-            "of all joints at once."
-        )
-    if not _at_once(command):
-        return None, (
-            "The largest stable gain is not known, as joints moved one at a time: together they are heavier. Record a "
-            "step of all joints at once."
-        )
-    if len(gain) > TASK:
-        return None, (
-            f"The largest stable gain is not known of more than {TASK} joints: in the null space joints swing against "
-            "each other, which a step of all of them does not show."
-        )
-    if fit.shape.start.command == "velocity" and fit.shape.order == 2:
-        return (
-            None,
-            "The largest stable gain is not known of a velocity drive of second order: it integrates, or filters.",
-        )
-    drives = [fit.shape.drive(values) for values in fit.values]
-    quick = fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts
-    if fit.shape.start.command == "velocity" and (quick or drives[0].delay < 1):
-        return None, (
-            "The largest stable gain is not known: with so little dead time and lag it depends on what the drive does "
-            "within a sample."
-        )
-    if structured:
-        return None, "The largest stable gain is not known."
+    if why := _unknown(fit, gain, structured, command):
+        return None, f"The largest stable gain is not known{why}"
     rng, found = np.random.default_rng(0), []
     for i in range(DRAWN):
         off = deviations * rng.uniform(-WIDE, WIDE, deviations.shape if fit.own else deviations[:1].shape) * (i > 0)
@@ -69,10 +42,27 @@ def stable_range(fit, deviations, gain, structured, command) -> tuple:
     return (float(low * (1 - GAIN_SPREAD)), float(high * (1 + GAIN_SPREAD))), ""
 
 
-def _at_once(command) -> bool:
-    """Whether all joints are commanded to move at the same time."""
+def _unknown(fit, gain, structured, command) -> str:
+    """Why a fit does not know the largest stable gain; "" where it does."""
+    velocity = fit.shape.start.command == "velocity"
+    drives = [fit.shape.drive(values) for values in fit.values]
+    quick = drives[0].delay < 1 or (fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts)
     step = np.abs(np.diff(command, axis=0))
-    return bool(np.sum(step.min(1) > 0) >= TOGETHER * np.sum(step.max(1) > 0))
+    at_once = np.sum(step.min(1) > 0) >= TOGETHER * np.sum(step.max(1) > 0)
+    if len(gain) == 1:
+        return " from one joint: joints that move together are heavier. Record a step of all joints at once."
+    if not at_once:
+        return ", as joints moved one at a time: together they are heavier. Record a step of all joints at once."
+    if len(gain) > TASK:
+        return (
+            f" of more than {TASK} joints: in the null space joints swing against each other, which a step of all of "
+            "them does not show."
+        )
+    if velocity and fit.shape.order == 2:
+        return " of a velocity drive of second order: it integrates, or filters."
+    if velocity and quick:
+        return ": with so little dead time and lag it depends on what the drive does within a sample."
+    return "." if structured else ""
 
 
 def largest_stable(drive, Ts) -> float:

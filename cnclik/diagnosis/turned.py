@@ -35,7 +35,7 @@ def turned_of(shape, factor):
     blocks = [block for block, p in zip(blocks, power, strict=True) if p > 1e-2 * max(power)]
     if not blocks or not factor.imag or max(map(together, blocks)) > ROUND:
         return None
-    block = max(blocks, key=lambda one: np.sum(np.abs(one) ** 2))
+    block = max(blocks, key=lambda block: np.sum(np.abs(block) ** 2))
     block = np.pad(block, (0, 3 - len(block)))
     axis = np.cross(block.real, -block.imag)  # y = Re(v λ^k) turns from Re v to −Im v
     axis = axis / np.linalg.norm(axis)
