@@ -42,7 +42,7 @@ from .law.reference import (
 from .law.resampled import resampled as resampled
 from .law.task import Task as Task, orientation as orientation, pose as pose, position as position
 from .measure.dataset import to_dataset as to_dataset
-from .measure.kept import check_limits as check_limits
+from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .reaching.map import reachability as reachability

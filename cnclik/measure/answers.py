@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cnclik import errors
+from cnclik.measure.dataset import about
 from cnclik.measure.files import save_csv, save_netcdf
 from cnclik.reaching.result import Reached, ReachStatus
 
@@ -22,9 +23,6 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
     dims = ("target", "solution")[: np.ndim(reached.status)]
     units = " or ".join(dict.fromkeys(reached.chain.units))
     flags = {"flag_values": [int(s) for s in ReachStatus], "flag_meanings": " ".join(s.name for s in ReachStatus)}
-
-    def about(name, unit):
-        return {"long_name": name, "units": unit}
 
     variables = {
         "transform": (("target", "row", "column"), transforms, about("target pose", "m, 1")),
@@ -59,13 +57,13 @@ def _rows(data):
     joints = [str(name) for name in data.joint.values]
     numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
     columns = [data[name].values.reshape(shape).tolist() for name in numbers]
-    status, q, held = (data[name].values.reshape(*shape, -1) for name in ("status", "q", "at_limit"))
+    status, q, at_limit = (data[name].values.reshape(*shape, -1) for name in ("status", "q", "at_limit"))
     poses = data.transform.values.reshape(shape[0], 16).tolist()
     entries = [f"t{i}{j}" for i in range(4) for j in range(4)]
     yield ["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *entries]
     for b, k in np.ndindex(shape):
         name = ReachStatus(int(status[b, k, 0])).name
-        limits = " ".join(joint for joint, is_there in zip(joints, held[b, k], strict=True) if is_there)
+        limits = " ".join(np.array(joints)[at_limit[b, k].astype(bool)])
         found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits, *poses[b]]
         yield [b, *[k] * several, name, *(v + 0.0 if isinstance(v, float) else v for v in found)]  # no −0.0
 

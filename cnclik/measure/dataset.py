@@ -61,30 +61,30 @@ def to_dataset(
     instant, step = (*dims, "time"), (*dims, "step")
     flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(str(s.name) for s in Status if s)}
     variables = {
-        "q": ((*instant, "joint"), run.q, _about("joint value", q_unit)),
-        "x": ((*instant, "axis"), run.x, _about("task coordinate", x_unit)),
-        "e": ((*instant, "axis"), run.e, _about("error x_d − x", x_unit)),
-        "qdot": ((*step, "joint"), run.qdot, _about("joint velocity", qdot_unit)),
-        "residual": (step, run.residual, _about("last change of the implicit stage", q_unit)),
-        "contraction": (step, run.contraction, _about("ratio of its last two changes", "1")),
-        "status": (step, run.status, _about("status bits", "1") | flags),
-        "evaluations": (dims, np.broadcast_to(evaluations, lanes), _about("evaluations of f(q, t)", "1")),
+        "q": ((*instant, "joint"), run.q, about("joint value", q_unit)),
+        "x": ((*instant, "axis"), run.x, about("task coordinate", x_unit)),
+        "e": ((*instant, "axis"), run.e, about("error x_d − x", x_unit)),
+        "qdot": ((*step, "joint"), run.qdot, about("joint velocity", qdot_unit)),
+        "residual": (step, run.residual, about("last change of the implicit stage", q_unit)),
+        "contraction": (step, run.contraction, about("ratio of its last two changes", "1")),
+        "status": (step, run.status, about("status bits", "1") | flags),
+        "evaluations": (dims, np.broadcast_to(evaluations, lanes), about("evaluations of f(q, t)", "1")),
     }
     if run.path_time is not None:
-        variables["path_time"] = (instant, run.path_time, _about("time on the path, which waits", "s"))
+        variables["path_time"] = (instant, run.path_time, about("time on the path, which waits", "s"))
     labels = {
-        "joint": ("joint", list(law.chain.joint_names), _about("joint", "1")),
-        "joint_unit": ("joint", list(q_units), _about("unit of the joint's value", "1")),
-        "axis": ("axis", list(law.task.names), _about("task coordinate", "1")),
-        "axis_unit": ("axis", list(x_units), _about("unit of the task coordinate", "1")),
-        "step": ("step", np.arange(N), _about("step", "1")),
+        "joint": ("joint", list(law.chain.joint_names), about("joint", "1")),
+        "joint_unit": ("joint", list(q_units), about("unit of the joint's value", "1")),
+        "axis": ("axis", list(law.task.names), about("task coordinate", "1")),
+        "axis_unit": ("axis", list(x_units), about("unit of the task coordinate", "1")),
+        "step": ("step", np.arange(N), about("step", "1")),
     }
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
-        labels["time"] = ("time", first, _about("time", "s"))
+        labels["time"] = ("time", first, about("time", "s"))
     else:  # lanes with clocks of their own, such as a sweep over Ts
-        variables["t"] = (instant, t, _about("time", "s"))
-    variables = {name: (d, np.asarray(v), about) for name, (d, v, about) in variables.items()}
+        variables["t"] = (instant, t, about("time", "s"))
+    variables = {name: (d, np.asarray(v), words) for name, (d, v, words) in variables.items()}
     found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(run.q.dtype))
     return found if config is None else found.assign_attrs(config=as_json(config))
 
@@ -131,5 +131,6 @@ def _commit() -> str:
         return "unknown"
 
 
-def _about(name, units):
+def about(name, units) -> dict:
+    """Attributes of a variable."""
     return {"long_name": name, "units": units}

@@ -35,8 +35,8 @@ def plain(value):
     A record's `run` and `advice`, which are whole records behind its numbers, are left out.
     """
     if dataclasses.is_dataclass(value):
-        kept = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "advice"))
-        value = {name: getattr(value, name) for name in kept}
+        names = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "advice"))
+        value = {name: getattr(value, name) for name in names}
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

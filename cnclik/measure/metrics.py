@@ -21,8 +21,7 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, check_loop, rows_at, weighted
-from cnclik.measure.ending import ending
-from cnclik.measure.outcome import stable
+from cnclik.measure.outcome import ending, stable
 from cnclik.record import cast
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
@@ -206,13 +205,12 @@ def chatter(qdot):
 
 def _least_singular_value(loop):
     """σ_min, its derivative that of the Rayleigh quotient and not of a decomposition."""
-
     law = modelled(loop.law)
 
-    def one(q):
+    def least(q):
         return safe_sqrt(dense.least_squared(dense.wide_side(weighted(law, rows_at(law, q).rows))))
 
-    sigma = jax.lax.map(one, loop.run.q)  # vmap would be written out posture by posture as C
+    sigma = jax.lax.map(least, loop.run.q)  # vmap would be written out posture by posture as C
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 
@@ -350,7 +348,7 @@ def unit(name: str, law: Law) -> str:
     """The unit of a metric for this law: that of its task and joints where it depends on them."""
     written = METRICS[name].unit
     joints = sorted(set(law.chain.units), reverse=True)
-    mine = {"e": list(dict.fromkeys(law.task.units)), "q": joints, "J": ["m"] if law.task.position else ["1"]}
+    mine = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.position else "1"]}
     head, tail = written[:1], written[1:]
     if head not in mine or tail[:1].isalpha():
         return written

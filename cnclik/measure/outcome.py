@@ -20,7 +20,7 @@ from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status
 from cnclik.record import cast, record
-from cnclik.robot.rotations import safe_norm
+from cnclik.robot.rotations import safe_norm, safe_sqrt
 from cnclik.shapes import Array, Bool, Float, Int
 
 
@@ -39,9 +39,9 @@ GROWTH = 1 + 1e-3  # an error beyond this times the scale has grown
 STALL_RATIO = 0.98  # of the largest errors of two quarters: from here on the loop stands still short of the target
 
 
-def stable(ending):
+def stable(code):
     """Whether endings are those of a stable loop: converged, or slowly on the way."""
-    return (ending == Ending.CONVERGED) | (ending == Ending.SLOW)
+    return (code == Ending.CONVERGED) | (code == Ending.SLOW)
 
 
 def classify(largest, least_before, largest_before, scale, tolerance, singular_first):
@@ -50,6 +50,24 @@ def classify(largest, least_before, largest_before, scale, tolerance, singular_f
     failed = jnp.where(singular_first, Ending.NEAR_SINGULAR, wrong)
     slow = (largest < jnp.minimum(least_before, scale)) & (largest < STALL_RATIO * largest_before)
     return jnp.where(largest <= tolerance * scale, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed))
+
+
+def ending(e, status, tolerance=1e-3):
+    """How a stored run ended: the code of an `Ending` as a float, NaN where the initial error is 0.
+
+    Args:
+      e: (N + 1, m) errors; what begins with one that is not finite has diverged. status: (N,) bits.
+      tolerance: fraction of the initial error that counts as arrived.
+    """
+    size = safe_sqrt(jnp.sum(e * e, axis=-1))
+    N, scale = status.shape[0], jnp.where(jnp.isfinite(size[0]), size[0], jnp.nan)
+    size = jnp.where(jnp.isfinite(size), size, jnp.inf)
+    third, last = size[N - 2 * (N // 4) : N - N // 4], jnp.max(size[N - N // 4 :])
+    grown = jnp.cumsum(~(size[:-1] <= scale * GROWTH)) > 0
+    singular_first = jnp.any(~grown & ((status & int(Status.NEAR_SINGULAR)) != 0))
+    least, largest = jnp.min(third, initial=jnp.inf), jnp.max(third, initial=0.0)
+    code = classify(last, least, largest, scale, tolerance, singular_first)
+    return jnp.where(scale == 0, jnp.nan, code.astype(e.dtype))
 
 
 @record
@@ -76,7 +94,6 @@ class Outcome:
 class _Seen(NamedTuple):
     """What is remembered of a loop while it runs."""
 
-    state: tuple  # of the loop, joint values first
     scale: jax.Array  # the error to compare with
     last_above: jax.Array  # last step with an error above tolerance·scale
     least_before: jax.Array  # least and largest error in the third quarter
@@ -112,37 +129,17 @@ def outcome(
     """
     loop = loop_of(law, reference, q0, Ts, N, named(method), stage, drive=drive, model=model)
     tolerance = cast(tolerance, q0.dtype)
-    tail, before = N - N // 4, N - 2 * (N // 4)
     given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
-    def folded(seen, k):
-        state, made = one(loop, False, seen.state, k)
-        size = safe_norm(made.e)
-        first = jnp.where(jnp.isfinite(size), size, jnp.nan)  # what begins nowhere arrives nowhere
-        scale = jnp.where(k == 0, first, seen.scale) if given is None else seen.scale
-        # A loop that diverges wanders through singularities; one that meets them first is another matter.
-        grown = seen.grown | ~(size <= scale * GROWTH)
-        size = jnp.where(jnp.isfinite(size), size, jnp.inf)
-        status = jnp.where(k < N, made.status.astype(jnp.int32), 0)
-        third = (k >= before) & (k < tail)
-        return _Seen(
-            state=state,
-            scale=scale,
-            last_above=jnp.where(size <= tolerance * scale, seen.last_above, k),
-            least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),
-            largest_before=jnp.where(third, jnp.maximum(seen.largest_before, size), seen.largest_before),
-            largest=jnp.where(k >= tail, jnp.maximum(seen.largest, size), seen.largest),
-            status=seen.status | status,
-            grown=grown,
-            singular_first=seen.singular_first | (~grown & ((status & int(Status.NEAR_SINGULAR)) != 0)),
-        ), None
+    def step(carry, k):
+        state, made = one(loop, False, carry[0], k)
+        return (state, _after(carry[1], k, made, N, tolerance, first=given is None)), None
 
     # The step after the last is made too, only for its error: one more way to evaluate it would cost far more to
     # compile than it costs to run.
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
-    first = _Seen(
-        state=start(loop, q0),
+    before = _Seen(
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,
@@ -152,18 +149,40 @@ def outcome(
         grown=never,
         singular_first=never,
     )
-    seen, _ = lax.scan(folded, first, k)
-    scale, largest = seen.scale, seen.largest
+    (_, seen), _ = lax.scan(step, (start(loop, q0), before), k)
     # Through a drive an error swings, and a loop is on its way where its swings become smaller.
     least = seen.least_before if drive.prompt else seen.largest_before
-    ending = classify(largest, least, seen.largest_before, scale, tolerance, seen.singular_first)
-    converged = ending == Ending.CONVERGED
+    code = classify(seen.largest, least, seen.largest_before, seen.scale, tolerance, seen.singular_first)
     steps = seen.last_above + 1
     return Outcome(
-        ending=ending.astype(jnp.int8),
+        ending=code.astype(jnp.int8),
         steps=steps.astype(jnp.int32),
-        rate=jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan),
-        final=largest,
+        rate=jnp.where(code == Ending.CONVERGED, tolerance ** (1 / jnp.maximum(steps, 1)), jnp.nan),
+        final=seen.largest,
         near_singular=(seen.status & int(Status.NEAR_SINGULAR)) != 0,
         stage_not_converged=(seen.status & int(Status.NOT_CONVERGED)) != 0,
+    )
+
+
+def _after(seen: _Seen, k, made, N, tolerance, *, first) -> _Seen:
+    """What is remembered after step k, `made`. Args: first: whether the first error is the scale."""
+    size = safe_norm(made.e)
+    scale = seen.scale
+    if first:  # what begins nowhere arrives nowhere
+        scale = jnp.where(k == 0, jnp.where(jnp.isfinite(size), size, jnp.nan), scale)
+    # A loop that diverges wanders through singularities; one that meets them first is another matter.
+    grown = seen.grown | ~(size <= scale * GROWTH)
+    size = jnp.where(jnp.isfinite(size), size, jnp.inf)
+    status = jnp.where(k < N, made.status.astype(jnp.int32), 0)
+    last = k >= N - N // 4
+    third = (k >= N - 2 * (N // 4)) & ~last
+    return _Seen(
+        scale=scale,
+        last_above=jnp.where(size <= tolerance * scale, seen.last_above, k),
+        least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),
+        largest_before=jnp.where(third, jnp.maximum(seen.largest_before, size), seen.largest_before),
+        largest=jnp.where(last, jnp.maximum(seen.largest, size), seen.largest),
+        status=seen.status | status,
+        grown=grown,
+        singular_first=seen.singular_first | (~grown & ((status & int(Status.NEAR_SINGULAR)) != 0)),
     )

@@ -6,8 +6,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.measure import metrics
-from cnclik.measure.ending import ending
-from cnclik.measure.outcome import Ending, outcome
+from cnclik.measure.outcome import Ending, ending, outcome
 
 ARM = ck.planar_arm([1.0, 1.0])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=1.0)

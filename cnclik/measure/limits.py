@@ -1,4 +1,4 @@
-"""Kept: how much of its limits of velocity, acceleration and jerk a motion takes, joint by joint."""
+"""Limits: how much of its limits of velocity, acceleration and jerk a motion takes, joint by joint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ROUNDING = 1e-6  # of a limit
 
 
 @record
-class Kept:
+class LimitsTaken:
     """The largest parts of their limits that joints take; see `check_limits`.
 
     Attributes:
@@ -34,7 +34,7 @@ class Kept:
 
     @property
     def ok(self) -> bool:
-        """Whether all are kept."""
+        """Whether no limit is exceeded."""
         return bool(max(np.max(getattr(self, name), initial=0) for name in QUANTITIES) <= 1 + _ROUNDING)
 
     def __repr__(self):
@@ -49,7 +49,7 @@ class Kept:
 @of_numbers
 def check_limits(
     run: Trajectory | Float[ArrayLike, "N+1 n"], pace: Pace, *, chain: Chain | None = None, Ts: Number | None = None
-) -> Kept:
+) -> LimitsTaken:
     """A motion against limits, as a robot's controller sees it: differences of sampled joint values, from rest.
 
     q̇[k] = (q[k+1] − q[k])/Ts, q̈[k] = (q̇[k] − q̇[k−1])/Ts, q⃛[k] = (q̈[k] − q̈[k−1])/Ts, with q̇ and q̈ 0 before. In
@@ -90,4 +90,4 @@ def check_limits(
         at.append(t[part.argmax(axis=0)])
         value = np.diff(value, axis=0, prepend=np.zeros((1, n))) / Ts
     names = tuple(f"joint {i + 1}" for i in range(n)) if chain is None else tuple(chain.joint_names)
-    return Kept(**found, at=np.stack(at), names=names)
+    return LimitsTaken(**found, at=np.stack(at), names=names)
