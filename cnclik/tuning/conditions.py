@@ -1,4 +1,4 @@
-"""Conditions: under what a loop is judged: noise, drives, a wrong model, and how many draws of them."""
+"""Conditions: under what a loop is judged (noise, drives, a wrong model), and the runs that are drawn from them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
+from cnclik.integrate.solve import simulate
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop
-from cnclik.record import record, stack
+from cnclik.law.reference import Reference
+from cnclik.record import cast, record, replace, stack
+from cnclik.robot.chain import Chain
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.shapes import ArrayLike
-from cnclik.tuning.parameters import scaled_links
-from cnclik.tuning.rollout import Scenario
+from cnclik.shapes import AnyArray, Array, ArrayLike, Float, Int
+from cnclik.tuning.parameters import Adjustable, scaled_links, scheduled
 
 
 @record
@@ -46,6 +49,22 @@ class Conditions:
         errors.seed(self.seed)
 
 
+@record
+class Scenario:
+    """One run that a tuning looks at.
+
+    Attributes:
+      reference, q0: as for `solve`.
+      noise, plant: as for `simulate`. seed: of the drive's joint noise.
+    """
+
+    reference: Reference
+    q0: Float[Array, " n"]
+    noise: Float[AnyArray, "N m"] | None = None
+    plant: Chain | None = None
+    seed: int | Int[AnyArray, ""] = 0
+
+
 def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     """All runs that a loss is the mean of, stacked: each path with its start, drawn `draws` times.
 
@@ -63,12 +82,16 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
     rng = np.random.default_rng(int(conditions.seed))
 
+    def perturbed():  # every link's offset longer or shorter by a normal error of the given relative size
+        factors = 1.0 + conditions.model_error * rng.standard_normal(len(law.chain.joints) + 1)
+        return scaled_links(law.chain, [float(f) for f in factors])
+
     def drawn(i, seed):
         return Scenario(
             reference=references[i % len(references)],
             q0=as_joint_values(law.chain, q0[i % len(q0)]),
             noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
-            plant=_perturbed(law.chain, conditions.model_error, rng) if conditions.model_error > 0 else None,
+            plant=perturbed() if conditions.model_error > 0 else None,
             seed=int(seed),
         )
 
@@ -77,7 +100,19 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     return stack(drawn(k // conditions.draws, seed) for k, seed in enumerate(seeds))
 
 
-def _perturbed(chain, relative, rng):
-    """The chain with every link's offset longer or shorter by a normal error of the given relative size."""
-    factors = 1.0 + relative * rng.standard_normal(len(chain.joints) + 1)
-    return scaled_links(chain, [float(f) for f in factors])
+def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, drive=Drive(), horizon=None) -> Trajectory:
+    """Run the loop for N steps. Pure, for jit, vmap and grad.
+
+    Args: N, method, stage: as for `solve`. drive: as for `simulate`. horizon: [s] over which a gain schedule is spread,
+      N·Ts by default.
+    """
+    drive = drive if drive.exact else replace(drive, seed=scenario.seed)
+    horizon = N * loop.Ts if horizon is None else horizon
+    schedule = cast(loop.schedule, scenario.q0.dtype)
+
+    def gained(law, t):
+        return scheduled(replace(loop, law=law, schedule=schedule), t / horizon)
+
+    run = loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage
+    changes = {} if loop.schedule is None else {"gained": gained}
+    return simulate(*run, drive=drive, noise=scenario.noise, plant=scenario.plant, **changes)

@@ -34,7 +34,7 @@ class Descent:
     """How to descend.
 
     Attributes:
-      optimizer: an optax transformation; None: `default_optimizer()`.
+      optimizer: an optax transformation; None: L-BFGS.
       steps: evaluations with gradient per start. rounds: how often the multipliers are updated in that time.
       starts: descents side by side: from the law's own values, and from random ones within the bounds.
       gradient: "forward", "reverse", or "auto" by the number of parameters.
@@ -55,17 +55,14 @@ class Descent:
         errors.one_of("gradient", self.gradient, ("auto", "forward", "reverse"))
 
 
-@functools.cache
-def default_optimizer():
-    """L-BFGS directions (Liu & Nocedal 1989), ten pairs remembered; the line search is that of `descend`."""
+def _known(optimizer):
+    """An optimizer. None is L-BFGS (Liu & Nocedal 1989) with ten pairs, whose line search is that of `descend`: a part
+    of a program that a later process knows again, as what optax makes, functions made anew, is not."""
+    if optimizer is not None:
+        return optimizer
     import optax
 
     return optax.lbfgs(memory_size=10, linesearch=None)
-
-
-def _or_default(optimizer):
-    """None is a part of a program that a later process knows again; what optax makes are functions made anew."""
-    return default_optimizer() if optimizer is None else optimizer
 
 
 def gradient_mode(count: int, mode="auto") -> str:
@@ -97,55 +94,51 @@ class History(NamedTuple):
     accepted: Bool[AnyArray, " *steps"]
 
 
-def begin(optimizer, u, constraints: int) -> Carry:
-    """A descent that has not evaluated anything yet; u (p,)."""
-    u = jnp.asarray(u)
-    zero, inf = jnp.zeros_like(u), jnp.full((), jnp.inf, u.dtype)
-    return Carry(
-        u=u,
-        merit=inf,
-        grad=zero,
-        loss=inf,
-        constraints=jnp.full((constraints,), jnp.inf, u.dtype),
-        direction=zero,
-        size=jnp.ones((), u.dtype),
-        failures=jnp.zeros((), jnp.int32),
-        state=optimizer.init(u),
-        best=u,
-        best_loss=inf,
-    )
+@bounded_jit(static_argnames=("optimizer", "constraints"))
+def _begin(starts, *, optimizer, constraints: int) -> Carry:
+    """Descents from (S, p) that have not evaluated anything yet."""
+
+    def begin(u):
+        zero, inf = jnp.zeros_like(u), jnp.full((), jnp.inf, u.dtype)
+        return Carry(
+            u=u,
+            merit=inf,
+            grad=zero,
+            loss=inf,
+            constraints=jnp.full((constraints,), jnp.inf, u.dtype),
+            direction=zero,
+            size=jnp.ones((), u.dtype),
+            failures=jnp.zeros((), jnp.int32),
+            state=_known(optimizer).init(u),
+            best=u,
+            best_loss=inf,
+        )
+
+    return jax.vmap(begin)(starts)
 
 
 @one_off(as_given=True, static_argnames=("steps", "optimizer", "mode"))
-def round_of_steps(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
-    """`steps` evaluations from each of S starts, with fixed multipliers.
+def _rounds(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
+    """(`Carry`, `History` (S, steps)) of evaluations from each of S starts, where the optimizer's updates are tried.
 
-    Args:
-      objective: a record with `parameters`, called with their values for (loss, constraints (c,)).
-      carry: `Carry` with a leading axis (S,).
-      multipliers: (S, c). weight: (S,) of the quadratic term. scale: (S,) of the loss.
-      optimizer: an optax transformation, or None, as in `Descent`; its updates are what is tried first.
-      mode: "forward" or "reverse".
-    Returns: (`Carry`, `History` (S, steps)).
+    Args: multipliers: (S, c). weight: (S,) of the quadratic term. scale: (S,) of the loss. mode: of the gradient.
     """
-    one = functools.partial(_round, objective, steps=steps, optimizer=optimizer, mode=mode)
-    return jax.vmap(one)(carry, multipliers, weight, scale)
+    of_start = functools.partial(_round, objective, steps=steps, optimizer=optimizer, mode=mode)
+    return jax.vmap(of_start)(carry, multipliers, weight, scale)
 
 
 def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mode):
     def merit(u):
         loss, constraints = objective(values_of(objective.parameters, u))
         beyond = jnp.maximum(constraints + multipliers / weight, 0.0)
-        held = 0.5 * weight * (jnp.sum(beyond**2) - jnp.sum((multipliers / weight) ** 2))
-        value = scale * loss + held
+        value = scale * loss + 0.5 * weight * (jnp.sum(beyond**2) - jnp.sum((multipliers / weight) ** 2))
         return value, (value, loss, constraints)
 
     limits = jnp.finfo(carry.u.dtype)
     derivative = jax.jacfwd(merit, has_aux=True) if mode == "forward" else jax.grad(merit, has_aux=True)
+    optimizer = _known(optimizer)
 
-    optimizer = _or_default(optimizer)
-
-    def one(c: Carry, _):
+    def step(c: Carry, _):
         trial = c.u + c.size * c.direction
         grad, (value, loss, constraints) = derivative(trial)
         finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(grad))
@@ -181,7 +174,7 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
         )
         return new, History(new.loss, jnp.max(new.constraints, initial=-jnp.inf), accepted)
 
-    return lax.scan(one, carry, None, length=steps)
+    return lax.scan(step, carry, None, length=steps)
 
 
 def _shortened(direction):
@@ -191,11 +184,6 @@ def _shortened(direction):
 
 def _where(condition, a, b):
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
-
-
-@bounded_jit(static_argnames=("optimizer", "constraints"))
-def _begin(starts, *, optimizer, constraints):
-    return jax.vmap(lambda u: begin(_or_default(optimizer), u, constraints))(starts)
 
 
 class Descended(NamedTuple):
@@ -235,7 +223,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
     pieces, why = [], "steps"
     before = violation_before = np.full(count, np.inf)
     for i in range(rounds):
-        carry, history = round_of_steps(
+        carry, history = _rounds(
             objective, carry, multipliers, weight, scale, steps=per_round, optimizer=optimizer, mode=mode
         )
         pieces.append(jax.tree.map(np.asarray, history))
@@ -253,8 +241,8 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
         if np.all(done | (stuck & settled)):
             why = "stuck" if np.all(stuck) and not np.any(done) else "converged"
             break
-        held = np.where(np.isfinite(carry.constraints), carry.constraints, 0.0)
-        multipliers = np.maximum(multipliers + weight[:, None] * held, 0.0)
+        excess = np.where(np.isfinite(carry.constraints), carry.constraints, 0.0)
+        multipliers = np.maximum(multipliers + weight[:, None] * excess, 0.0)
         slow = (violation > 1e-4) & (violation > 0.25 * violation_before)
         weight = np.minimum(np.where(slow, 4.0 * weight, weight), 1e7)
         before, violation_before = loss, violation

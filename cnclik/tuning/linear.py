@@ -61,9 +61,9 @@ def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
     See `driven_limits`.
     """
     found = []
-    for one in each_drive(looked_at_drive(drive)):
-        late = replace(one, delay=one.delay + delay_margin)
-        found += [driven_limits("EE", Ts=Ts, drive=late).monotone, noise_limit(noise_gain, one, Ts)]
+    for joints in each_drive(looked_at_drive(drive)):
+        late = replace(joints, delay=joints.delay + delay_margin)
+        found += [driven_limits("EE", Ts=Ts, drive=late).monotone, noise_limit(noise_gain, joints, Ts)]
     return min(found)
 
 
@@ -77,7 +77,7 @@ def radius_bound(matrix):
     themselves have no derivative where they coincide, as all do for exact J# and one gain.
     """
 
-    def one(carry, share):
+    def square(carry, share):
         a, log, dead = carry
         s = safe_sqrt(jnp.sum(a * a))
         dead = dead | (s == 0)
@@ -87,7 +87,7 @@ def radius_bound(matrix):
 
     shares = 0.5 ** jnp.arange(SQUARINGS + 1, dtype=matrix.dtype)
     start = (matrix, jnp.zeros((), matrix.dtype), jnp.zeros((), bool))
-    (_, log, dead), _ = jax.lax.scan(one, start, shares)
+    (_, log, dead), _ = jax.lax.scan(square, start, shares)
     return jnp.where(dead, 0.0, jnp.exp(log))
 
 
@@ -124,6 +124,6 @@ def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
     if drive.order == 0:
         return radius(steps, drive, 1.0)
     found = np.empty(len(steps))
-    for one in np.unique(Ts):
-        found[Ts == one] = radius(steps[Ts == one], drive, float(one))
+    for value in np.unique(Ts):
+        found[Ts == value] = radius(steps[Ts == value], drive, float(value))
     return found

@@ -27,9 +27,8 @@ from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
-from cnclik.tuning.conditions import Conditions, scenarios
+from cnclik.tuning.conditions import Conditions, Scenario, rollout, scenarios
 from cnclik.tuning.losses import View, terms
-from cnclik.tuning.rollout import Scenario, rollout
 
 INTERVALS = 8  # along each path: at their ends the spectral radius is asked for
 TOGETHER = 16  # values judged in one go: one shape, one program
@@ -101,7 +100,7 @@ class Judged(NamedTuple):
         return float(np.max(self.excess))
 
     @property
-    def kept(self) -> bool:
+    def feasible(self) -> bool:
         """Whether all constraints are kept, but for rounding."""
         return bool(self.violation <= CONSTRAINT_TOLERANCE)
 
@@ -154,32 +153,24 @@ class LoopObjective:
 
         return jax.vmap(run)(self.scenarios)
 
+    def _along(self, of, loop, postures):
+        """of(law, q) at postures (B·K, n), with the gain that a schedule has there."""
+        return jax.vmap(lambda q, moment: of(pm.scheduled(loop, moment), q))(postures, self.moments)
+
     def _maps(self, loop, postures):
         """One-step maps at rest, of the error (B·K, m, m) and of the null space (B·K, n, n)."""
-
-        def one(q, moment):
-            return linear.maps_at_rest(pm.scheduled(loop, moment), q, loop.Ts, self.method, self.stage)
-
-        return jax.vmap(one)(postures, self.moments)
-
-    def _flows(self, loop, postures):
-        """`null_flow` at rest at postures (B·K, n)."""
-
-        def one(q, moment):
-            return null_flow(*at_rest(pm.scheduled(loop, moment), None, q), q)
-
-        return jax.vmap(one)(postures, self.moments)
+        return self._along(lambda law, q: linear.maps_at_rest(law, q, loop.Ts, self.method, self.stage), loop, postures)
 
     def _loss(self, loop, runs, maps):
         steps = jnp.arange(self.N, dtype=runs.q.dtype)
         weight = jnp.clip((self.horizon - steps * loop.Ts) / loop.Ts, 0.0, 1.0)
         weight = weight / jnp.sum(weight)
 
-        def one(run, maps):
+        def of_run(run, maps):
             view = View(run, weight, loop.Ts, self.horizon, self.tolerance, maps)
             return sum(w * fn(view) for fn, w in self.losses)
 
-        return jnp.mean(jax.vmap(one)(runs, maps.reshape(len(runs.q), -1, *maps.shape[1:])))
+        return jnp.mean(jax.vmap(of_run)(runs, maps.reshape(len(runs.q), -1, *maps.shape[1:])))
 
     def _speed(self, runs):
         """Largest |q̇| over its limit, per joint that has one (j,)."""
@@ -203,7 +194,7 @@ class LoopObjective:
             constraints.append(self._speed(runs) - 1.0)
         return self._loss(loop, runs, maps), jnp.concatenate(constraints)
 
-    def look(self, values) -> dict:
+    def observe(self, values) -> dict:
         """What `judge` needs of the runs that the values lead to, along which maps are taken. Pure."""
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
@@ -216,21 +207,23 @@ class LoopObjective:
             "finite": jnp.all(jnp.isfinite(runs.q)),
             "maps": maps,
             "across": across,
-            "flows": self._flows(loop, postures) if callable(self.loop.law.null_velocity) else None,
+            "flows": self._along(lambda law, q: null_flow(*at_rest(law, None, q), q), loop, postures)
+            if callable(self.loop.law.null_velocity)
+            else None,
             "speed": jnp.max(self._speed(runs)) if self.joints else jnp.zeros((), runs.q.dtype),
             "postures": postures,
             "run": jax.tree.map(lambda x: x[0], runs),
         }
 
-    def measured(self, seen: dict) -> Judged:
-        """`Judged` of what `look` saw of many values, NumPy arrays with a leading axis.
+    def judged(self, seen: dict) -> Judged:
+        """`Judged` of what `observe` found of many values, NumPy arrays with a leading axis.
 
         Eigenvalues are NumPy's: of two batches of them in one compiled program LAPACK's threads wait for each other.
         """
         maps = seen["maps"]
         finite = np.isfinite(seen["loss"]) & seen["finite"]
 
-        def told(value):
+        def known(value):
             return np.where(finite & np.isfinite(value), value, np.inf)
 
         across, growths = seen["across"], np.zeros_like(seen["across"])
@@ -239,20 +232,20 @@ class LoopObjective:
             growths = np.reshape([*map(growing, flows, rows)], across.shape)
             across = staying(across, growths)
         driven = [linear.driven_map(maps, drive, float(self.loop.Ts)) for drive in each_drive(self.drive)]
-        radius = told(np.max([*map(linear.measured_radius, driven)], axis=0))
-        null_radius, correction = (told(linear.measured_radius(v)) for v in (across, _corrections(maps, np)))
-        speed = told(seen["speed"])
+        radius = known(np.max([*map(linear.measured_radius, driven)], axis=0))
+        null_radius, correction = (known(linear.measured_radius(v)) for v in (across, _corrections(maps, np)))
+        speed = known(seen["speed"])
         with np.errstate(divide="ignore", invalid="ignore"):  # no correction is small enough where none is stable
             ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
-        asked = (
+        counts = (
             True,
             bool(np.isfinite(self.largest_correction)),
             callable(self.loop.law.null_velocity),
             bool(self.joints),
         )
-        excess = np.where(asked, np.stack(ratios, -1) - 1.0, -np.inf)
+        excess = np.where(counts, np.stack(ratios, -1) - 1.0, -np.inf)
         postures, run = seen["postures"], seen["run"]
-        return Judged(told(seen["loss"]), radius, null_radius, correction, speed, excess, postures, growths, run)
+        return Judged(known(seen["loss"]), radius, null_radius, correction, speed, excess, postures, growths, run)
 
 
 def _corrections(maps, xp=jnp):
@@ -261,8 +254,8 @@ def _corrections(maps, xp=jnp):
 
 
 @one_off(as_given=True)
-def _look(objective, values):
-    return jax.vmap(objective.look)(values)
+def _observed(objective, values):
+    return jax.vmap(objective.observe)(values)
 
 
 @in_float64
@@ -276,7 +269,7 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
         part = many[i : i + together]
         padded = [*part, *[part[-1]] * (together - len(part))]
         lanes = tuple(np.stack([v[j] for v in padded]) for j in range(len(objective.parameters)))
-        made = objective.measured(jax.tree.map(np.asarray, _look(objective, lanes)))
+        made = objective.judged(jax.tree.map(np.asarray, _observed(objective, lanes)))
         found += [jax.tree.map(lambda x, j=j: x[j], made) for j in range(len(part))]
     return found
 

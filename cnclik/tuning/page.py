@@ -33,12 +33,11 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     lines = controller_lines(tuned)
     if tuned.satisfied:
         text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
-    if not tuned.satisfied:
-        text += ["## Nothing for a controller", "", f"The constraints are {kept_in_words(tuned)}."]
-    elif lines["pink_mink"].startswith("task"):
-        text += ["pink and mink:", "", "```python", lines["pink_mink"], "```"]
+        line = lines["pink_mink"]
+        can_run = line.startswith("task")
+        text += ["pink and mink:", "", "```python", line, "```"] if can_run else [f"pink and mink: {line}."]
     else:
-        text += [f"pink and mink: {lines['pink_mink']}."]
+        text += ["## Nothing for a controller", "", f"The constraints are {kept_in_words(tuned)}."]
     if figures:
         text += ["", "## Figures", "", *(f"![{CAPTIONS[f]}]({f}.png)\n\n{CAPTIONS[f]}\n" for f in figures)]
     return "\n".join(text).rstrip() + "\n"

@@ -102,11 +102,6 @@ def free(p: Parameter, value):
     return u[np.tril_indices(m)]
 
 
-def total(parameters) -> int:
-    """Free numbers of all parameters together."""
-    return sum(size(p) for p in parameters)
-
-
 def values_of(parameters, u):
     """The parameters' values, one per parameter, from all free numbers in one vector."""
     ends = np.cumsum([size(p) for p in parameters])

@@ -32,7 +32,7 @@ _WHY = {
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
 
-HELD = 0.01  # of a joint's velocity limit, within which a run is held back by it
+AT_LIMIT = 0.01  # of a joint's velocity limit, within which a run is held back by it
 _NEARLY_NO_GAIN = (
     "The gain is nearly zero: an error would not be removed within the whole path. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
@@ -144,15 +144,14 @@ class Tuned:
     @property
     def why(self) -> str:
         """The status in a sentence, and others where what was found is hardly a loop, or may run away."""
-        if astray := rebased.astray(self.conditions.drive, self.Ts):
-            return f"{self._how_it_ended} But {astray}."
-        return self._how_it_ended
+        astray = rebased.astray(self.conditions.drive, self.Ts)
+        return f"{self._how_it_ended} But {astray}." if astray else self._how_it_ended
 
     @property
     def _how_it_ended(self) -> str:
         if self.status != "infeasible":
-            tuned, held = {"alpha", "schedule"} & set(self.values), self.after.speed > 1 - HELD
-            little = _LITTLE_GAIN if not tuned else _HELD_BACK if held else _NEARLY_NO_GAIN
+            tuned, at_limit = {"alpha", "schedule"} & set(self.values), self.after.speed > 1 - AT_LIMIT
+            little = _LITTLE_GAIN if not tuned else _HELD_BACK if at_limit else _NEARLY_NO_GAIN
             return _WHY[self.status] + (f" {little}" if self.N * self.after.correction < 1 else "")
         worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"
         cause = ""
@@ -200,13 +199,10 @@ FRONT = ("z", "loss", "noise_gain", "delay_margin", "violation")
 
 
 def result(objective, values, before, after, others, *, goal, reference, q0, gradient, **ended) -> Tuned:
-    """`Tuned` from the values chosen and what was judged.
+    """`Tuned` from the values chosen, one per parameter, and what was judged.
 
-    Args:
-      objective: `LoopObjective`. values: one per parameter. before, after: `Judged`.
-      others: (values, `Judged`) of gains of other sizes.
-      goal: `Goal`. reference, q0, gradient: as `tune` was given them.
-      ended: path_speed, status, history, starts, evaluations of `Tuned`.
+    Args: others: (values, `Judged`) of gains of other sizes. reference, q0, gradient: as `tune` was given them. ended:
+      path_speed, status, history, starts, evaluations of `Tuned`.
     """
     parameters = objective.parameters
     loop, own = (
@@ -232,7 +228,7 @@ def result(objective, values, before, after, others, *, goal, reference, q0, gra
         front={name: np.array([getattr(p, name) for p in front]) for name in FRONT},
         before=_performance(objective, own, before),
         after=_performance(objective, loop, after),
-        gradient=gradient_in_words(pm.total(parameters), gradient, objective.method, objective.stage),
+        gradient=gradient_in_words(sum(map(pm.size, parameters)), gradient, objective.method, objective.stage),
         **ended,
     )
 

@@ -24,7 +24,7 @@ from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.tuning import parameters as pm
-from cnclik.tuning.descent import Descent, descend
+from cnclik.tuning.descent import Descent, History, descend
 from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
@@ -75,24 +75,19 @@ def tune(
     errors.kind("descent", descent, Descent, "be Descent(...)")
     objective = loop_objective(law, reference, q0, Ts=Ts, N=N, method=method, stage=stage, **goal)
     goal, parameters = Goal(**goal), objective.parameters
-    asked = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)
+    given = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)
     own = tuple(p.start for p in parameters)
     fallbacks = _gains_over_z(objective)
     before, *judged = judge(objective, [own, *fallbacks])
     # The gain, of those spread over z, that keeps the constraints best.
     safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))
     if not np.isfinite(judged[safe].loss):
-        nothing = {name: np.zeros(0) for name in ("loss", "violation", "accepted")}
-        own = _values(objective, pm.free_of(parameters, own))
-        ended = dict(status="non-finite", history=nothing, starts=np.full(1, np.inf), evaluations=0)
-        return result(objective, own, before, judge(objective, [own])[0], [], path_speed=np.inf, **ended, **asked)
-
-    anchor = pm.free_of(parameters, fallbacks[safe])
-    along = judged[safe]
-    objective = replace(objective, postures=along.postures, growths=along.growths)  # constraints along that run
+        return _without_run(objective, own, before, given)
+    anchor, run = pm.free_of(parameters, fallbacks[safe]), judged[safe]
+    objective = replace(objective, postures=run.postures, growths=run.growths)  # constraints along that run
     rng = np.random.default_rng(int(goal.conditions.seed))
     begun = [
-        _nearest_kept(objective, u, anchor)
+        _nearest_feasible(objective, u, anchor)
         for u in (pm.free_of(parameters, own), *rng.uniform(-4, 4, (descent.starts - 1, len(anchor))))
     ]
     sizes = np.array([float(c.judged.loss) for c in begun])
@@ -106,8 +101,8 @@ def tune(
     )
     ends = _judged(objective, [*done.u, *done.best, anchor])
     chosen = _restored(objective, [*ends, *begun])
-    kept = [float(c.judged.loss) if c.judged.kept else np.inf for c in ends[:-1]]
-    starts = np.reshape(kept, (2, descent.starts)).min(0)
+    losses = [float(c.judged.loss) if c.judged.feasible else np.inf for c in ends[:-1]]
+    starts = np.reshape(losses, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
     values = _values(objective, chosen.u)
     return result(
@@ -117,12 +112,20 @@ def tune(
         chosen.judged,
         _front(objective, values),
         path_speed=float(judged[0].speed),
-        status=done.why if chosen.judged.kept else "infeasible",
+        status=done.why if chosen.judged.feasible else "infeasible",
         history={name: history[winner] for name, history in done.history._asdict().items()},
         starts=starts,
         evaluations=done.history.loss.size,
-        **asked,
+        **given,
     )
+
+
+def _without_run(objective, own, before, given) -> Tuned:
+    """What is found where no gain has a finite run."""
+    own = _values(objective, pm.free_of(objective.parameters, own))
+    history = {name: np.zeros(0) for name in History._fields}
+    ended = dict(status="non-finite", history=history, starts=np.full(1, np.inf), evaluations=0)
+    return result(objective, own, before, judge(objective, [own])[0], [], path_speed=np.inf, **ended, **given)
 
 
 def _values(objective, u):
@@ -137,37 +140,34 @@ def _judged(objective, points) -> list:
     return [*map(Candidate, points, judge(objective, [_values(objective, u) for u in points]))]
 
 
+def _gains(objective) -> list:
+    return [p for p in objective.parameters if p.name in ("alpha", "schedule")]
+
+
 def _gains_over_z(objective):
     """Values to fall back on: gains spread over z = alpha·Ts, everything else as it is (inside its bounds)."""
     start = {p.name: _bounded(p, p.start) for p in objective.parameters}
-    gains = [p for p in objective.parameters if p.name in ("alpha", "schedule")]
+    even = {p.name: np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)) for p in _gains(objective)}
     Ts = float(start.get("Ts", objective.loop.Ts))
-
-    def gain(p, rate):
-        value = rate * (np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)))
-        return _bounded(p, value)
-
-    made = [start | {p.name: gain(p, z / Ts) for p in gains} for z in (FALLBACK_Z if gains else (0.0,))]
+    made = [
+        start | {p.name: _bounded(p, z / Ts * even[p.name]) for p in _gains(objective)}
+        for z in (FALLBACK_Z if even else (0.0,))
+    ]
     return [tuple(values.values()) for values in made]
 
 
 def _front(objective, values) -> list:
     """(values, `Judged`) of the tuned gain in other sizes: what a smaller or larger one costs."""
-    gains = [p.name in ("alpha", "schedule") for p in objective.parameters]
-    if not any(gains):
-        return []
-    sizes = np.geomspace(1 / FRONT, FRONT, TOGETHER)
-    made = [
-        tuple(_bounded(p, s * v) if gain else v for p, v, gain in zip(objective.parameters, values, gains, strict=True))
-        for s in sizes
-    ]
+    gains, tuned = _gains(objective), {p.name: v for p, v in zip(objective.parameters, values, strict=True)}
+    sizes = np.geomspace(1 / FRONT, FRONT, TOGETHER) if gains else ()
+    made = [tuple((tuned | {p.name: _bounded(p, s * tuned[p.name]) for p in gains}).values()) for s in sizes]
     return list(zip(made, judge(objective, made), strict=True))
 
 
 # --- candidates ---------------------------------------------------------------------------------------
 
 
-def _on_the_way(objective, far, near, shares):
+def _between(objective, far, near, shares):
     """Candidates on the straight line from far (share 0) to near (1) in the free numbers."""
     return _judged(objective, [far + s * (near - far) for s in shares])
 
@@ -176,10 +176,10 @@ def _least_bad(candidates):
     return min(candidates, key=lambda c: c.judged.violation)
 
 
-def _nearest_kept(objective, u, anchor) -> Candidate:
+def _nearest_feasible(objective, u, anchor) -> Candidate:
     """The point nearest to u on the way to the anchor that keeps the constraints, or the least bad."""
-    way = _on_the_way(objective, u, anchor, np.linspace(0, 1, TOGETHER))
-    return next((c for c in way if c.judged.kept), _least_bad(way))
+    line = _between(objective, u, anchor, np.linspace(0, 1, TOGETHER))
+    return next((c for c in line if c.judged.feasible), _least_bad(line))
 
 
 def _restored(objective, candidates) -> Candidate:
@@ -187,11 +187,11 @@ def _restored(objective, candidates) -> Candidate:
 
     That one may be better than all that were kept.
     """
-    kept = [c for c in candidates if c.judged.kept]
-    if not kept:
+    feasible = [c for c in candidates if c.judged.feasible]
+    if not feasible:
         return _least_bad(candidates)
-    near = min(kept, key=lambda c: c.judged.loss)
-    beyond = [c for c in candidates if not c.judged.kept and c.judged.loss < near.judged.loss]
+    near = min(feasible, key=lambda c: c.judged.loss)
+    beyond = [c for c in candidates if not c.judged.feasible and c.judged.loss < near.judged.loss]
     if not beyond:
         return near
     back = _boundary(objective, min(beyond, key=lambda c: c.judged.loss), near)
@@ -203,9 +203,9 @@ def _boundary(objective, far, near) -> Candidate:
     low, high, last = 0.0, 1.0, near  # shares towards `near`
     for _ in range(3):
         shares = np.linspace(low, high, TOGETHER)
-        way = _on_the_way(objective, far.u, near.u, shares)
-        i = next((i for i, c in enumerate(way) if c.judged.kept), None)
-        last = last if i is None else way[i]
+        line = _between(objective, far.u, near.u, shares)
+        i = next((i for i, c in enumerate(line) if c.judged.feasible), None)
+        last = last if i is None else line[i]
         if not i:  # none of them, or the farthest
             break
         low, high = shares[i - 1], shares[i]

@@ -105,7 +105,7 @@ def rivals(case: str, gain: str, *, method="EE", margin=0.9, steps=100, progress
         (seen,) = judge(objective, [(np.asarray(alpha, float),)])
         numbers = float(seen.radius), float(seen.speed)
         alpha = np.atleast_1d(np.asarray(alpha, float)).tolist()
-        rows.append(Row(case, gain, way, float(seen.loss), seen.kept, *numbers, evaluations, seconds, again, alpha))
+        rows.append(Row(case, gain, way, float(seen.loss), seen.feasible, *numbers, evaluations, seconds, again, alpha))
         if progress is not None:
             progress(rows[-1])
     return rows
@@ -130,7 +130,7 @@ def _by_grid(objective, made, law, steps):
     order = np.argsort(np.where(found.velocity_ratio > 1, np.inf, found.rms_error), kind="stable")
     for i in range(0, len(order), 16):
         few = points[order[i : i + 16]]
-        kept = [alpha for alpha, seen in zip(few, judge(objective, [(a,) for a in few]), strict=True) if seen.kept]
+        kept = [alpha for alpha, seen in zip(few, judge(objective, [(a,) for a in few]), strict=True) if seen.feasible]
         if kept:
             return kept[0], len(points)
     return points[order[0]], len(points)

@@ -12,8 +12,8 @@ from cnclik.stability.attraction import attraction_radius, certified_radius, cur
 from cnclik.stability.maps import outcomes
 from cnclik.stability.recommend import advise
 from cnclik.stability.spectrum import spectrum
+from cnclik.tuning.conditions import Scenario, rollout
 from cnclik.tuning.parameters import Adjustable
-from cnclik.tuning.rollout import Scenario, rollout
 
 EXPONENTIAL = [name for name, m in ck.METHODS.items() if m.exponential]
 ARM, Q = ck.planar_arm([1.0, 0.8, 0.5]), np.array([0.3, 0.7, -0.4])

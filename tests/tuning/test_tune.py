@@ -15,9 +15,8 @@ from cnclik.problem.build import problem_from
 from cnclik.stability.spectrum import spectrum
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
-from cnclik.tuning.conditions import scenarios
+from cnclik.tuning.conditions import rollout, scenarios
 from cnclik.tuning.descent import gradient_mode
-from cnclik.tuning.rollout import rollout
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])  # the tip is at (1, 1)
@@ -177,7 +176,7 @@ def test_float32_as_float64_for_the_pose_of_a_redundant_arm():
 def test_no_two_batches_of_lapack_run_side_by_side():
     """They wait for each other's threads, for ever: `tune` hung where three batches of eigenvalues were due at once."""
     objective = loop_objective(LAW, LINE, Q0, **LOOP)
-    traced = jax.make_jaxpr(jax.vmap(objective.look))((np.full(4, 5.0),))
+    traced = jax.make_jaxpr(jax.vmap(objective.observe))((np.full(4, 5.0),))
     names = [one.primitive.name for one in equations(traced.jaxpr)]
     assert names.count("svd") == 1 and not {"eig", "eigh", "lu", "cholesky", "triangular_solve"} & set(names)
 
@@ -237,7 +236,7 @@ def test_a_null_direction_that_nothing_acts_on_keeps_its_constraint():
     (judged,) = judge(objective, [(law.alpha,)], together=1)
     np.testing.assert_allclose(judged.null_radius, 1.0, rtol=1e-12)
     np.testing.assert_allclose(judged.radius, 0.5, rtol=1e-9)  # not the null space's
-    assert judged.kept and abs(judged.excess[2]) < 1e-12
+    assert judged.feasible and abs(judged.excess[2]) < 1e-12
 
 
 LATE = Conditions(noise=1e-3, drive=Drive(delay=1), model_error=0.01, draws=2, seed=4)
