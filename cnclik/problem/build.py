@@ -104,27 +104,11 @@ def problem_from(robot: str | os.PathLike | Chain, **options) -> Problem:
     chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"])
     task = task_from(v["task"], chain)
     check_units(chain, task, written)
-    inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])
-    if task.m > chain.n and isinstance(inverse, Pseudoinverse):
-        require_free(chain, task)
+    law = _law(chain, task, v, Ts)
     q0 = start_from(chain, task, v["q0"])
-    law = Law(
-        chain,
-        task,
-        alpha=gain_from(v["alpha"]),
-        inverse=inverse,
-        limits=limits_from(v["limits"], Ts, v["limit_rate"]),
-        null_velocity=null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
-        **{name: v[name] for name in _OF_LAW if v[name] is not None},
-    )
     path = {name: v[name] for name in PATH}
-    seed = errors.seed(0 if v["seed"] is None else v["seed"])
-    said = {name: v[name] for name in DRIVE if v[name] is not None}
-    if "damping_ratio" in said and "natural_frequency" not in said:
-        raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
-    kept = {name: v[name] for name in PACE if v[name] is not None}
-    drive = drive_from(chain, seed=seed, **said) if said else None
     reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
+    seed = errors.seed(given.get("seed", 0))
     if errors.one_of("begin", v["begin"], BEGINS) == "on-path":
         q0 = on_path(chain, task, reference, q0)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
@@ -138,32 +122,47 @@ def problem_from(robot: str | os.PathLike | Chain, **options) -> Problem:
         N=N,
         method=named(v["method"]),
         stage=stage_from(v["stage"], v["M"]),
-        drive=drive,
-        pace=pace_from(chain, **kept) if kept else None,
+        drive=_drive(chain, given, seed),
+        pace=_pace(chain, given),
         noise=v["noise"],
         seed=seed,
     )
 
 
-def drive_from(chain, **given) -> Drive:
-    """A `Drive` from its options; several numbers are one per joint."""
-    return Drive(**_per_joint(chain, given))
+def _law(chain, task, v, Ts) -> Law:
+    inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])
+    if task.m > chain.n and isinstance(inverse, Pseudoinverse):
+        require_free(chain, task)
+    return Law(
+        chain,
+        task,
+        alpha=gain_from(v["alpha"]),
+        inverse=inverse,
+        limits=limits_from(v["limits"], Ts, v["limit_rate"]),
+        null_velocity=null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
+        **{name: v[name] for name in _OF_LAW if v[name] is not None},
+    )
 
 
-def pace_from(chain, **given) -> Pace:
-    """A `Pace` from its options, see `drive_from`."""
-    made = _per_joint(chain, given)
+def _drive(chain, given, seed) -> Drive | None:
+    made = _per_joint(chain, given, DRIVE)
+    if "damping_ratio" in made and "natural_frequency" not in made:
+        raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
+    return Drive(**made, seed=seed) if made else None
+
+
+def _pace(chain, given) -> Pace | None:
+    made = _per_joint(chain, given, PACE)
     for name, value in made.items():
         if errors.concrete(value):
             check_values(name, name, np.atleast_1d(errors.array(name, value, (), (chain.n,))))
-    return Pace(**{name.removeprefix("max_"): value for name, value in made.items()})
+    return Pace(**{name.removeprefix("max_"): value for name, value in made.items()}) if made else None
 
 
-def _per_joint(chain, given) -> dict:
-    made = {}
-    for name, value in given.items():
-        value = value[0] if isinstance(value, (tuple, list)) and len(value) == 1 else value
+def _per_joint(chain, given, names) -> dict:
+    """Those options that are given; several numbers are one per joint, a list of one is a number."""
+    made = {name: given[name] for name in names if name in given}
+    for name, value in made.items():
         if isinstance(value, (tuple, list)):
-            value = errors.array(name, value, (chain.n,))
-        made[name] = value
+            made[name] = value[0] if len(value) == 1 else errors.array(name, value, (chain.n,))
     return made

@@ -40,10 +40,10 @@ def meanings(argument: str, file: str, names) -> list:
         is_ = [what for what, _ in found]
     for what in is_:
         if is_.count(what) > 1:
-            both = " and ".join(repr(name) for name, one in zip(names, is_, strict=True) if one == what)
+            both = " and ".join(repr(name) for name, other in zip(names, is_, strict=True) if other == what)
             raise errors.fail(argument, f"name each column once, such as {_listed()}", f"{file} has {both}")
     for some in (QUATERNION, TRANSFORM):
-        lacking = [one for one in some if one not in is_]
+        lacking = [name for name in some if name not in is_]
         if lacking and len(lacking) < len(some):
             raise errors.fail(argument, f"have all of {some[0]} … {some[-1]}", f"{file} lacks {' '.join(lacking)}")
     return found

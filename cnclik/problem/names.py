@@ -124,8 +124,8 @@ def require_free(chain: Chain, task) -> None:
     such = ""
     for count in range(min(task.m - 1, chain.n), 0, -1):
         found = [task_from("".join(names)) for names in itertools.combinations(task.names, count)]
-        most = max(len(one.position) for one in found)
-        best = max((one for one in found if len(one.position) == most), key=apart)
+        most = max(len(task.position) for task in found)
+        best = max((task for task in found if len(task.position) == most), key=apart)
         if apart(best) > _APART:
             such = f", such as {''.join(best.names)}"
             break
@@ -181,7 +181,9 @@ def limits_from(name="none", Ts=None, rate=None):
     rate = 10.0
     if Ts is not None:
         rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
-    return choice.make(*[rate] * bool(choice.takes)) if choice.maker else None
+    if not choice.maker:
+        return None
+    return choice.make(rate) if choice.takes else choice.make()
 
 
 def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):

@@ -24,13 +24,15 @@ from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length
 from cnclik.shapes import Array, Float
 
+_WRITTEN = {"start": "from", "end": "to"}  # `from` is no name in Python
+
 
 def as_written(options) -> dict:
-    """Options by the names that a user writes: `from` is no name in Python, `start` and `end` stand for from and to."""
-    for python, name in (("start", "from"), ("end", "to")):
+    """Options by the names that a user writes: `start` and `end` stand for from and to."""
+    for python, name in _WRITTEN.items():
         if python in options and name in options:
             raise errors.fail(python, f"be left out where `{name}` is given", f"is {options[python]!r}")
-    return {{"start": "from", "end": "to"}.get(name, name): value for name, value in options.items()}
+    return {_WRITTEN.get(name, name): value for name, value in options.items()}
 
 
 class Scene(NamedTuple):
@@ -197,12 +199,12 @@ def _waypoints(scene, file):
     if len(table) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(table)}")
     if columns:
-        axes = [axis for axis in POSITION if axis in columns] if set(POSITION) <= set(columns) else [*task.position]
-        order = [TIME, *(axes if task.position else []), *(QUATERNION if task.orientation and "qw" in columns else ())]
-        lacking = [one for one in order if one not in columns]
+        axes = POSITION if set(POSITION) <= set(columns) else task.position
+        order = [TIME, *(axes if task.position else ()), *(QUATERNION if task.orientation and "qw" in columns else ())]
+        lacking = [column for column in order if column not in columns]
         if lacking:
             raise errors.fail("reference", "have a column for each coordinate", f"{name} lacks {' '.join(lacking)}")
-        table = np.stack([columns[one] for one in order], 1)
+        table = np.stack([columns[column] for column in order], 1)
     points = [_point(f"{name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
     late = ~(table[1:, 0] > table[:-1, 0])  # also where one is not finite
     if late.any():
