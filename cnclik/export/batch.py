@@ -19,16 +19,14 @@ class _Column(ctypes.Structure):
 class Batch:
     """The native function for many lanes; built when it is first asked for."""
 
-    def __init__(self, folder, told, dtype):
-        name = told["name"]
-        if not told.get("batch"):
+    def __init__(self, folder, manifest, dtype):
+        name = f"{manifest['name']}_batch"
+        if not manifest.get("batch"):
             raise errors.fail("batch", "be asked for when exporting, c(..., batch=True)", "is not in this folder")
-        self.inputs, self.outputs, self.dtype = told["batch"]["inputs"], told["batch"]["outputs"], dtype
-        self.library = build(
-            [folder / f"{name}_batch.c"], folder, flags=["-O2"]
-        )  # as quick as -O3, built in half the time
-        self.opened = closed_after(opened(self.library))
-        self.function = getattr(self.opened, f"{name}_batch")
+        self.inputs, self.outputs, self.dtype = manifest["batch"]["inputs"], manifest["batch"]["outputs"], dtype
+        library = build([folder / f"{name}.c"], folder, flags=["-O2"])  # as quick as -O3, built in half the time
+        self.library = closed_after(opened(library))
+        self.function = getattr(self.library, name)
         self.function.restype = None
         self.function.argtypes = (ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, *[ctypes.c_void_p] * 3)
 
@@ -48,10 +46,10 @@ class Batch:
         def part(start):
             self.function(start, min(start + size, lanes), N, columns, into, status)
 
-        size = min(PART, -(-lanes // (16 * cores)) * 16)
+        size = lanes if cores == 1 else min(PART, -(-lanes // (16 * cores)) * 16)
         starts = range(0, lanes, size)
-        if cores == 1 or len(starts) == 1:
-            self.function(0, lanes, N, columns, into, status)
+        if len(starts) == 1:
+            part(0)
         else:
             with side_by_side(cores) as pool:
                 list(pool.map(part, starts))
@@ -73,7 +71,7 @@ class Batch:
 
     def _columns(self, known):
         """What the C function is given, and how many lanes there are."""
-        columns, lanes, kept = (_Column * len(self.inputs))(), set(), []
+        columns, lanes, alive = (_Column * len(self.inputs))(), set(), []
         for column, row in zip(columns, self.inputs, strict=True):
             name, shape = row["name"], tuple(row["shape"])
             value = errors.array(name, known[name], shape, (None, *shape), finite=False)
@@ -81,11 +79,11 @@ class Batch:
             own = value.ndim > len(shape)
             lanes |= {len(value)} if own else set()
             column.data, column.stride = value.ctypes.data, int(np.prod(shape)) if own else 0
-            kept.append(value)
+            alive.append(value)
         if len(lanes) != 1:
-            told = ", ".join(map(str, sorted(lanes))) or "none"
-            raise errors.fail("arguments", "have one leading axis of lanes of the same size", f"have {told}")
-        columns.kept = kept  # alive as long as what points to it
+            found = ", ".join(map(str, sorted(lanes))) or "none"
+            raise errors.fail("arguments", "have one leading axis of lanes of the same size", f"have {found}")
+        columns.alive = alive  # as long as what points to it
         (count,) = lanes
         if not count:
             raise errors.fail("arguments", "hold at least one lane", "hold 0")

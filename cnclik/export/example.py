@@ -25,8 +25,10 @@ def example(asked, program, names) -> str:
     ]
     checks += [f"    wrong += {_is_another(names, f)};" for _, f in outputs if f.kind != "real"]
     begin = [f"    {names.type(g)} {g};" for g in (*(g for g in GROUPS if program.inputs[g]), "output")]
-    begin += [f"    {name}_defaults(&parameters);"] * bool(program.inputs["parameters"])
-    begin += ["    memset(&history, 0, sizeof history);"] * bool(program.inputs["history"])
+    if program.inputs["parameters"]:
+        begin.append(f"    {name}_defaults(&parameters);")
+    if program.inputs["history"]:
+        begin.append("    memset(&history, 0, sizeof history);")
     called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
     near = names.number(TOLERANCE[names.dtype.itemsize])
     compare = _differs(names, near) if any(f.kind == "real" for _, f in outputs) else ""
@@ -98,7 +100,7 @@ outside: `q += Ts * output->qdot`, one step a call, and hand them in rounded.
 """
 
 
-def readme(program, names, told, files, counted) -> str:
+def readme(program, names, configuration, files, counted) -> str:
     """What the files are, how to build them, and what each number means. `counted`: operations at most."""
     ops = ", ".join(f"{n} {what}" for what, n in counted.items())
     groups = {**program.inputs, "output": program.outputs["output"]}
@@ -109,7 +111,7 @@ def readme(program, names, told, files, counted) -> str:
 
 Written by cnclik {__version__}. Do not edit: export again.
 
-{chr(10).join(f"- {line}" for line in told)}
+{chr(10).join(f"- {line}" for line in configuration)}
 
 Build and test: `{build} && ./example` (it prints how many test vectors agree, and returns 0 where all do).
 For speed add `-O3 -march=native -ffp-contract=fast`; leave out `-ffast-math`, with which NaN would pass for a result.

@@ -5,25 +5,16 @@ import numpy as np
 from cnclik.engine.routine import INT
 from cnclik.engine.source import entry, lane, vectors
 from cnclik.engine.to_c import Writer
-from cnclik.export.source import Names, comment
+from cnclik.export.source import Names, guarded
 from cnclik.version import __version__
 
 
 def batch_header(program, names: Names) -> str:
     """The header of the function for many lanes."""
-    guard = f"{names.name.upper()}_BATCH_H"
     given = "\n".join(f"     {i}: {f.name} ({f.size}) {f.about}" for i, f in enumerate(_given(program)))
     found = "\n".join(f"     {i}: {f.name} ({f.size})" for i, f in enumerate(_found(program)))
-    about = comment(f"{names.name}_batch: many loops side by side. Written by cnclik {__version__}.")
-    return f"""{about}#ifndef {guard}
-#define {guard}
-
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
+    about = f"{names.name}_batch: many loops side by side. Written by cnclik {__version__}."
+    text = f"""\
 /* Numbers of each lane: those of lane i begin at data + i * stride; with stride 0 all lanes share them. */
 typedef struct {{
   const {names.real} *data;
@@ -36,14 +27,8 @@ typedef struct {{
    found, lane after lane, one array each or NULL (residual and contraction: the largest; least: the least):
 {found}
    status: the bits of all steps together, one per lane, or NULL. */
-{_signature(names)};
-
-#ifdef __cplusplus
-}}
-#endif
-
-#endif
-"""
+{_signature(names)};"""
+    return guarded(f"{names.name}_batch", about, text)
 
 
 def _given(program) -> list:

@@ -45,17 +45,17 @@ def load(folder: str | os.PathLike, **parameters) -> "Compiled":
 
 
 def _manifest(folder) -> dict:
-    """What is told of the functions in a folder. Raises: ArgumentError where it, or their source, is another."""
-    text, told = read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"), None
+    """The manifest of a folder. Raises: ArgumentError where it, or the source, is not as it was written."""
+    text, found = read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"), None
     with contextlib.suppress(ValueError, RecursionError):
-        told = json.loads(text)
-    if not isinstance(told, dict) or told.pop("digest", None) != digest_of(told):
+        found = json.loads(text)
+    if not isinstance(found, dict) or found.pop("digest", None) != digest_of(found):
         words = f"hold an {MANIFEST} as this version of cnclik.export.c wrote it (export again)"
         raise errors.fail("folder", words, f"{folder.name!r} has another")
-    for file, wanted in told["files"].items():
+    for file, wanted in found["files"].items():
         if file not in _TO_READ and digest(read_bytes("folder", folder / file, "a folder with its source")) != wanted:
             raise errors.fail("folder", "hold the source as it was written (export again)", f"{file} is another")
-    return told
+    return found
 
 
 _TO_READ = ("README.md", "example.c")  # of an export, which nothing is built from
@@ -66,9 +66,9 @@ def compiled(law: Law | Chain, reference: Reference | None = None, **options) ->
 
     Args: those of `c` but `out`.
     """
-    folder = tempfile.TemporaryDirectory(prefix="cnclik-export-")
-    made = load(c(law, reference, out=folder.name, **options))
-    made.folder = folder
+    temporary = tempfile.TemporaryDirectory(prefix="cnclik-export-")
+    made = load(c(law, reference, out=temporary.name, **options))
+    made.temporary = temporary
     return made
 
 
@@ -78,22 +78,22 @@ class Compiled:
     One object has one set of buffers: each thread needs its own.
     """
 
-    def __init__(self, folder, told):
-        self.told, self.folder, self.folder_path, self._batch = told, folder, folder, None
-        self.dtype = np.dtype(told["dtype"])
-        name = told["name"]
+    def __init__(self, folder, manifest):
+        self.manifest, self.folder = manifest, folder
+        self.dtype = np.dtype(manifest["dtype"])
+        name, what = manifest["name"], manifest["what"]
         self.library = build([folder / f"{name}.c"], folder)
-        self.buffers = {group: _Buffer(fields, self.dtype) for group, fields in told["inputs"].items() if fields}
-        self.buffers["output"] = _Buffer(told["outputs"], self.dtype)
-        library = closed_after(opened(self.library, lets_go=told["what"] == "solve"))
+        self.buffers = {group: _Buffer(fields, self.dtype) for group, fields in manifest["inputs"].items() if fields}
+        self.buffers["output"] = _Buffer(manifest["outputs"], self.dtype)
+        library = closed_after(opened(self.library, lets_go=what == "solve"))
         function = getattr(library, name)
         function.library = library  # open for as long as there is who may call it
-        function.restype = ctypes.c_int32 if told["what"] in ("step", "solve", "reach") else None
+        function.restype = ctypes.c_int32 if what in ("step", "solve", "reach") else None
         addresses = [b.address for b in self.buffers.values()]
-        of_loop = [ctypes.c_int32, ctypes.c_void_p] * (told["what"] == "solve")
-        function.argtypes = [ctypes.c_void_p] * len(addresses) + of_loop
+        of_loop = (ctypes.c_int32, ctypes.c_void_p) if what == "solve" else ()
+        function.argtypes = (*[ctypes.c_void_p] * len(addresses), *of_loop)
         self._function = function
-        self._call = _CALLS[told["what"]](self, function, addresses)
+        self._call = {"step": _stepper, "solve": _solver}.get(what, _caller)(self, function, addresses)
 
     @property
     def __call__(self):
@@ -124,28 +124,32 @@ class Compiled:
         Returns: {name: (lanes, ...)}: q, e and x at the end, qdot of the last step, the largest residual and
           contraction, the least singular value on the way, and all steps' status bits together.
         """
-        if self._batch is None:
-            self._batch = Batch(self.folder_path, self.told, self.dtype)
         return self._batch(self.parameters, q, *given, N=N, cores=cores, **named)
+
+    @functools.cached_property
+    def _batch(self) -> Batch:
+        return Batch(self.folder, self.manifest, self.dtype)
+
+    @property
+    def _parameters(self) -> dict:
+        return self.buffers["parameters"].views if "parameters" in self.buffers else {}
 
     @property
     def parameters(self) -> dict:
         """The parameters that may be set, and their values."""
-        return (
-            {k: v.copy() for k, v in self.buffers["parameters"].views.items()} if "parameters" in self.buffers else {}
-        )
+        return {name: view.copy() for name, view in self._parameters.items()}
 
     def set(self, **values) -> None:
         """Set parameters: `step.set(alpha=20.0)`."""
-        views = self.buffers["parameters"].views if "parameters" in self.buffers else {}
+        views = self._parameters
         for name, value in values.items():
             errors.one_of("parameter", name, list(views))
             views[name][...] = errors.array(name, value, views[name].shape)
 
     def __repr__(self):
-        inputs = ", ".join(row["name"] for row in self.told["inputs"]["input"])
-        by = f"{self.told['what']} by {self.told['method']}, {self.told['dtype']}"
-        return f"Compiled {self.told['name']}({inputs}): {by}"
+        about = self.manifest
+        inputs = ", ".join(row["name"] for row in about["inputs"]["input"])
+        return f"Compiled {about['name']}({inputs}): {about['what']} by {about['method']}, {about['dtype']}"
 
 
 class Answer(NamedTuple):
@@ -213,11 +217,11 @@ class NativeStep(Step):
     """A `Step` whose arrays are cut out of the function's numbers when they are asked for."""
 
     def __getattr__(self, name):
-        held = self.__dict__
-        if name not in held.get("_places", ()):
+        fields = self.__dict__
+        if name not in fields.get("_places", ()):
             raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
-        start, end, single = held["_places"][name]
-        found = held[name] = held["_numbers"][start] if single else held["_numbers"][start:end]
+        start, end, single = fields["_places"][name]
+        found = fields[name] = fields["_numbers"][start] if single else fields["_numbers"][start:end]
         return found
 
 
@@ -245,10 +249,10 @@ def _stepper(made, function, addresses):
             past[...] = 0 if history is None else history
         status = function(*addresses)
         made = new()  # no __init__: a record's own checks take longer than the step
-        held = made.__dict__
-        held["_numbers"], held["_places"], held["status"] = copied(), places, status
+        fields = made.__dict__
+        fields["_numbers"], fields["_places"], fields["status"] = copied(), places, status
         if past is not None:
-            held["history"] = past.copy()
+            fields["history"] = past.copy()
         return made
 
     return step
@@ -257,7 +261,7 @@ def _stepper(made, function, addresses):
 def _solver(made, function, addresses):
     buffers = made.buffers
     into, shape, write = _input(buffers)
-    told, history = buffers["output"].views, buffers.get("history")
+    output, history = buffers["output"].views, buffers.get("history")
     names = ("q", "x", "e", "qdot", "residual", "contraction", "status")
 
     def solve(q, *given, N, **named):
@@ -266,12 +270,12 @@ def _solver(made, function, addresses):
         write(given, named)
         if history is not None:
             history.bytes[...] = 0
-        run = {name: np.empty((N + (name in INSTANTS), *told[name].shape), told[name].dtype) for name in names}
+        run = {name: np.empty((N + (name in INSTANTS), *output[name].shape), output[name].dtype) for name in names}
         columns = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
         function(*addresses, N, columns)
         t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
         t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
-        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.told["evaluations"], N)))
+        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.manifest["evaluations"], N)))
 
     return solve
 
@@ -281,38 +285,22 @@ def _counted(first, N) -> int:
     return first[N] if len(first) > N else first[-1] + (N - len(first) + 1) * (first[-1] - first[-2])
 
 
-def _posed(made, function, addresses):
-    (into, shape, _), output = _input(made.buffers), made.buffers["output"]
-
-    def pose(q):
-        into[...] = _joints(q, shape)
-        function(*addresses)
-        return Pose(**{name: view.copy() for name, view in output.views.items()})
-
-    return pose
-
-
-def _jacobian(made, function, addresses):
-    (into, shape, _), view = _input(made.buffers), made.buffers["output"].views["jacobian"]
-
-    def jacobian(q):
-        into[...] = _joints(q, shape)
-        function(*addresses)
-        return view.copy()
-
-    return jacobian
-
-
-def _reacher(made, function, addresses):
+def _caller(made, function, addresses):
     (into, shape, write), views = _input(made.buffers), made.buffers["output"].views
+    result = _RESULTS[made.manifest["what"]]
 
-    def reach(q, *given, **named):
+    def call(q, *given, **named):
         into[...] = _joints(q, shape)
-        write(given, named)
-        status = ReachStatus(function(*addresses))
-        return Answer(status=status, **{name: views[name].copy()[()] for name in Answer._fields if name != "status"})
+        if given or named:
+            write(given, named)
+        status = function(*addresses)
+        return result(status, {name: view.copy()[()] for name, view in views.items()})
 
-    return reach
+    return call
 
 
-_CALLS = {"step": _stepper, "fk": _posed, "jacobian": _jacobian, "solve": _solver, "reach": _reacher}
+_RESULTS = {
+    "fk": lambda _, found: Pose(**found),
+    "jacobian": lambda _, found: found["jacobian"],
+    "reach": lambda status, found: Answer(**found | {"status": ReachStatus(status)}),
+}

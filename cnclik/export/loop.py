@@ -16,7 +16,7 @@ _OVER_TIME = {  # of all steps together: how two are put together, and what is b
 
 
 def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
-    """A loop of `steps` steps: joints, error and coordinates at its end, and what is told of all steps.
+    """A loop of `steps` steps: joints, error and coordinates at its end, and what is known of all steps.
 
     Args: wanted: names of results.
     """
@@ -24,7 +24,7 @@ def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
     parameters, names = step.groups["parameters"], [f.name for f in step.groups["input"]]
     # A column of a batch holds real numbers.
     groups = {"parameters": [f._replace(kind=REAL) for f in parameters], "input": step.groups["input"]}
-    carried = [f for f in step.told if f.name == "q" or (f.name in wanted and f.name not in ("e", "x"))]
+    carried = [f for f in step.outputs if f.name == "q" or (f.name in wanted and f.name not in ("e", "x"))]
 
     def zeros(f):
         return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], asked.dtype if f.kind == REAL else jnp.int32)
@@ -38,21 +38,21 @@ def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
             now = {"q": q, "t": given["t"] + k.astype(asked.dtype) * given["Ts"]}
             return [*known, *(given | now).values()]
 
-        def once(k, state):
-            told, past = state
-            found, past = step.one(*at(told["q"], k), *past)
-            now = {f.name: jnp.asarray(x, zeros(f).dtype) for f, x in zip(step.told, found, strict=True)}
-            now |= {name: _OVER_TIME[name][0](told[name], now[name]) for name in _OVER_TIME if name in told}
-            return {name: now[name] for name in told}, past
+        def advance(k, carry):
+            before, past = carry
+            made, past = step.advance(*at(before["q"], k), *past)
+            now = {f.name: jnp.asarray(x, zeros(f).dtype) for f, x in zip(step.outputs, made, strict=True)}
+            now |= {name: both(before[name], now[name]) for name, (both, _) in _OVER_TIME.items() if name in before}
+            return {name: now[name] for name in before}, past
 
         first = {f.name: zeros(f) for f in carried} | {"q": given["q"]}
-        told, _ = jax.lax.fori_loop(0, steps, once, (first, [zeros(f) for f in step.groups["history"]]))
-        found = told | dict(zip(("e", "x"), step.end(*at(told["q"], steps)), strict=True))
+        last, _ = jax.lax.fori_loop(0, steps, advance, (first, [zeros(f) for f in step.groups["history"]]))
+        found = last | dict(zip(("e", "x"), step.end(*at(last["q"], steps)), strict=True))
         return [found[name] for name in RESULTS if name in wanted]
 
-    by_name = {f.name: f for f in step.told}
-    told = {"output": [by_name[name] for name in RESULTS if name in wanted]}
-    return read_as(asked, loop, groups | {"steps": [Field("steps", (), INT)]}, told)
+    by_name = {f.name: f for f in step.outputs}
+    outputs = {"output": [by_name[name] for name in RESULTS if name in wanted]}
+    return read_as(asked, loop, groups | {"steps": [Field("steps", (), INT)]}, outputs)
 
 
 def trace_growth(asked: Asked) -> Routine:

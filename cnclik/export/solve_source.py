@@ -42,7 +42,8 @@ def solve_source(program, growth, names: Names, n, m) -> tuple:
     lines, functions = statements(growth, names, lambda g, f: ends.get(g, f"{g}->{f.name}").format(f.name))
     used = [g for g in ("parameters", "input") if any(f"{g}->" in line for line in lines)]
     constant = "".join(f"const {names.type(g)} *{g}, " for g in used)
-    lines = [*["  (void)t;"] * (not re.search(r"\bt\[", "".join(lines))), "  int32_t grown;", *lines]
+    unused = [] if re.search(r"\bt\[", "".join(lines)) else ["  (void)t;"]
+    lines = [*unused, "  int32_t grown;", *lines]
     grown = f"static int32_t {names.name}_grown({constant}const {names.real} *t, const {names.real} *e)\n{{\n"
     given = ", ".join([*(g if g != "input" else "&at" for g in GROUPS if program.inputs[g]), "output"])
     kept = keep = restore = ""

@@ -25,7 +25,7 @@ class Names:
         name = PREFIX + name.removeprefix(PREFIX)
         self.name, self.dtype, self.what = name, np.dtype(dtype), what
         self.real = "float" if self.dtype.itemsize == 4 else "double"
-        self.suffix = "f" * (self.dtype.itemsize == 4)
+        self.suffix = "f" if self.real == "float" else ""
         self.entry = f"{name}_step" if what == "solve" else name  # one call
         self.statuses = {"step": Status, "solve": Status, "reach": REACHED}.get(what, ())
 
@@ -51,14 +51,13 @@ def comment(text) -> str:
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"]) + "\n"
 
 
-def header(program, names, told, more="") -> str:
+def header(program, names, configuration, more="") -> str:
     """The header: types, the status bits, and what can be called.
 
     Args:
-      told: the configuration in words, line by line.
+      configuration: the configuration in words, line by line.
       more: what else can be called.
     """
-    guard = f"{names.name.upper()}_H"
     groups = {g: fields for g, fields in program.inputs.items() if fields}
     groups["output"] = program.outputs["output"]
     types = "\n".join(struct(names, group, fields) for group, fields in groups.items())
@@ -73,14 +72,34 @@ def header(program, names, told, more="") -> str:
     if program.inputs["parameters"]:
         calls.insert(0, f"/* The parameters as they were exported. */\n{defaults_signature(names)};\n")
     calls[-1] = f"/* {about} */\n{calls[-1]}"
-    return (
-        comment("\n".join([f"{names.name}: written by cnclik {__version__}. Do not edit: export again.", "", *told]))
-        + f"#ifndef {guard}\n#define {guard}\n\n#include <stdint.h>\n\n"
-        + '#ifdef __cplusplus\nextern "C" {\n#endif\n\n'
-        + f"{bits}{types}\n"
-        + "\n".join([*calls, *["\n" + more] * bool(more)])
-        + "\n\n#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
+    if more:
+        calls.append(f"\n{more}")
+    about = "\n".join(
+        [f"{names.name}: written by cnclik {__version__}. Do not edit: export again.", "", *configuration]
     )
+    return guarded(names.name, about, f"{bits}{types}\n" + "\n".join(calls))
+
+
+def guarded(name, about, text) -> str:
+    """A header of C and C++, with a comment above."""
+    guard = f"{name.upper()}_H"
+    return f"""{comment(about)}#ifndef {guard}
+#define {guard}
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+{text}
+
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
 
 
 def struct(names, group, fields) -> str:
@@ -121,12 +140,12 @@ def source(program, names, more=None, inside=None) -> str:
     ending, also = more or ("", set())
     parts = [
         f"/* Written by cnclik {__version__}; see {names.name}.h. */\n",
-        f'#include "{names.name}.h"\n\n#include <math.h>\n' + "#include <string.h>\n" * bool(inside),
+        f'#include "{names.name}.h"\n\n#include <math.h>\n' + ("#include <string.h>\n" if inside else ""),
         helpers(used | also, f"{names.name}_"),
     ]
     if program.inputs["parameters"]:
         parts.append(_defaults(program, names))
-    return "\n".join([*filter(None, parts), function, *[ending] * bool(ending)])
+    return "\n".join(filter(None, [*parts, function, ending]))
 
 
 def statements(program, names, place=lambda group, field: f"{group}->{field.name}"):

@@ -39,16 +39,16 @@ class Asked(NamedTuple):
 def trace(asked: Asked) -> Routine:
     """The routine of what is asked. Raises: `UnsupportedError` naming what has no C form."""
     if asked.what in ("fk", "jacobian"):
-        return _of_chain(asked, {"fk": _pose, "jacobian": _jacobian}[asked.what])
+        return _of_chain(asked)
     step = Stepping(asked, timed=asked.what == "solve")
-    return read_as(asked, step.one, step.groups, {"output": step.told, "history": step.groups["history"]})
+    return read_as(asked, step.advance, step.groups, {"output": step.outputs, "history": step.groups["history"]})
 
 
-def read_as(asked: Asked, fn, groups, told) -> Routine:
+def read_as(asked: Asked, fn, groups, outputs) -> Routine:
     """The routine of a function in the dtype, and with the parameters at run time, that are asked for."""
     runtime = asked.runtime
     fixed = [f.name for f in groups.get("parameters", ()) if runtime is not None and f.name not in runtime]
-    return read(fn, groups, told, dtype=asked.dtype, fixed=fixed)
+    return read(fn, groups, outputs, dtype=asked.dtype, fixed=fixed)
 
 
 # --- the step -----------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ class Stepping:
         kinds = [REAL if leaf.dtype.kind == "f" else INT for leaf in past]
         history = [Field(word, leaf.shape, kind) for leaf, word, kind in zip(past, words, kinds, strict=True)]
         self.groups = {"parameters": parameters, "input": given, "history": history}
-        self.told = [
+        self.outputs = [
             Field("q", (n,), about=f"joint values after the step [{units}]"),
             Field("qdot", (n,), about="joint velocities to send to the robot [rad/s, m/s]"),
             Field("e", (m,), about="error before the step [m, rad]"),
@@ -97,14 +97,14 @@ class Stepping:
         inputs = {f.name: next(values) for f in self.groups["input"]}
         return law, stage, others[0] if others else _target(law, inputs), inputs, list(values)
 
-    def one(self, *flat):
-        """A step: its results in the order of `told`, and its history."""
+    def advance(self, *flat):
+        """A step: its results in the order of `outputs`, and its history."""
         law, stage, reference, inputs, past = self._apart(flat)
         memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", _start(self.asked.dtype))
         method = self.asked.method
         made, least = step_and_least(law, reference, inputs["q"], t, inputs["Ts"], stage, memory, method=method)
-        told = [made.q, made.qdot, made.e, made.x, made.residual, made.contraction, least, made.status]
-        return told, jax.tree.leaves(made.history)
+        results = [made.q, made.qdot, made.e, made.x, made.residual, made.contraction, least, made.status]
+        return results, jax.tree.leaves(made.history)
 
     def end(self, *flat):
         """Error and task coordinates alone."""
@@ -127,40 +127,29 @@ def _start(dtype):
 
 def _target(law, inputs):
     """The target as an argument: where it is, and how fast it moves."""
-    held = Hold(position=inputs.get("position"), rotation=inputs.get("rotation"))
-    told = tangent(Reference(curve=held, feedforward=inputs["velocity"]), law.task, _start(inputs["q"].dtype))
-    return replace(told, feedforward=None)
+    curve = Hold(position=inputs.get("position"), rotation=inputs.get("rotation"))
+    moving = tangent(Reference(curve=curve, feedforward=inputs["velocity"]), law.task, _start(inputs["q"].dtype))
+    return replace(moving, feedforward=None)
 
 
 # --- geometry alone -----------------------------------------------------------------------------------
 
 
-def _pose(asked):
-    def results(chain, q):
-        at = frames(chain, q)
-        return [at.position, at.rotation]
-
-    position = Field("position", (3,), about="of the tip in the base frame [m]")
-    return results, [position, Field("rotation", (3, 3), about="of the tip, row by row")]
-
-
-def _jacobian(asked):
-    def results(chain, q):
-        return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
-
-    about = "(v, w) = J qdot in the base frame, row by row [m/s, rad/s]"
-    return results, [Field("jacobian", (6, asked.law.chain.n), about=about)]
-
-
-def _of_chain(asked, make) -> Routine:
-    chain = asked.law.chain
-    results, told = make(asked)
+def _of_chain(asked) -> Routine:
+    """Forward kinematics, or the Jacobian."""
+    chain, poses = asked.law.chain, asked.what == "fk"
     parameters, put = fields.parameters(chain, asked.runtime)
 
     def fn(*flat):
         *values, q = flat
-        return results(cast(modelled(put(values)), asked.dtype), q), []
+        chain = cast(modelled(put(values)), asked.dtype)
+        at = frames(chain, q)
+        return [at.position, at.rotation] if poses else [jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))], []
 
+    position = Field("position", (3,), about="of the tip in the base frame [m]")
+    rotation = Field("rotation", (3, 3), about="of the tip, row by row")
+    rows = "(v, w) = J qdot in the base frame, row by row [m/s, rad/s]"
+    outputs = [position, rotation] if poses else [Field("jacobian", (6, chain.n), about=rows)]
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
     groups = {"parameters": parameters, "input": given, "history": []}
-    return read_as(asked, fn, groups, {"output": told, "history": []})
+    return read_as(asked, fn, groups, {"output": outputs, "history": []})

@@ -73,7 +73,7 @@ def c(
     """
     asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
     out = errors.path("out", out)
-    names, told = Names(name, asked.dtype, what), configuration(asked)
+    names, lines = Names(name, asked.dtype, what), configuration(asked)
     name = names.name
     declared, loop = "", None
     if what != "reach" and seeds is not None:
@@ -85,7 +85,7 @@ def c(
         loop = solve_source(program, _read(trace_growth, asked), names, asked.law.chain.n, asked.law.task.m)
     counted = _read(most_operations, reaching) if reaching else _read(operations, program)
     files = {
-        f"{name}.h": header(program, names, told, declared),
+        f"{name}.h": header(program, names, lines, declared),
         f"{name}.c": source(program, names, loop, reach_source(reaching, names) if reaching else None),
         "example.c": example(asked, program, names),
     }
@@ -93,7 +93,7 @@ def c(
     if looped:
         files[f"{name}_batch.h"] = batch_header(looped, names)
         files[f"{name}_batch.c"] = batch_source(looped, names)
-    files["README.md"] = readme(program, names, told, [*files, MANIFEST, "README.md"], counted)
+    files["README.md"] = readme(program, names, lines, [*files, MANIFEST, "README.md"], counted)
     about = {"files": {file: digest(text.encode()) for file, text in files.items()}}
     about |= manifest(asked, program, names, looped)
     files[MANIFEST] = json.dumps({"digest": digest_of(about)} | about, indent=1) + "\n"
@@ -156,7 +156,7 @@ def configuration(asked: Asked) -> list:
     lines.append(f"task: {' '.join(law.task.names)} [{' '.join(law.task.units)}]")
     if asked.what == "reach":
         return lines
-    stage = f" by {asked.stage}" * asked.method.implicit
+    stage = f" by {asked.stage}" if asked.method.implicit else ""
     lines.append(f"method: {asked.method}{stage} ({asked.method.source})")
     lines.append(f"inverse: {brief(law.inverse)}")
     lines.append(f"limits: {brief(law.limits)}; null space: {brief(law.null_velocity)}")

@@ -98,7 +98,7 @@ class Native:
         source = pathlib.Path(folder) / "harness.c"
         source.write_text(_HARNESS, encoding="utf-8")
         self._harness = opened(build([source], folder, flags=["-D_POSIX_C_SOURCE=200809L"]))
-        entry = ctypes.cast(getattr(opened(self.step.library), self.step.told["name"]), ctypes.c_void_p)
+        entry = ctypes.cast(getattr(opened(self.step.library), self.step.manifest["name"]), ctypes.c_void_p)
         places = [ctypes.c_void_p(self.step.buffers[g].address) for g in ("parameters", "input", "output")]
         self._arguments = [entry, *places]
 

@@ -136,7 +136,7 @@ def by_c(combination, given, step=None):
     law, method, stage = combination.parts()
     step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
     rounds, found = SEVERAL if method.steps > 1 else 1, []
-    names = [row["name"] for row in step.told["inputs"]["input"]]
+    names = [row["name"] for row in step.manifest["inputs"]["input"]]
     for q, position, rotation, velocity in zip(*given, strict=True):
         known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
         history = None
