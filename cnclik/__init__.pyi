@@ -52,9 +52,9 @@ from .record import replace as replace
 from .robot.builtin import panda as panda, ur5 as ur5
 from .robot.chain import (
     Chain as Chain, from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
-    with_base as with_base, with_tool as with_tool,
 )
 from .robot.kinematics import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
+from .robot.mounted import join as join, with_base as with_base, with_tool as with_tool
 from .robot.urdf import load_urdf as load_urdf
 from .show.run import plot as plot
 from .stability.linear import stability_limit as stability_limit

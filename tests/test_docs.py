@@ -111,7 +111,7 @@ def fewer(argv):
 
 def prepare(folder, less):
     """What the pages speak of: robots' files, specs, waypoints."""
-    for name, file in (("panda.urdf", "panda"), ("robot.urdf", "ur5")):
+    for name, file in (("panda.urdf", "panda"), ("robot.urdf", "ur5"), ("g1.urdf", "g1")):
         shutil.copy(robot_file(file), folder / name)
     shutil.copytree(ROOT / "sweeps", folder / "sweeps")
     for spec in folder.glob("sweeps/*.toml") if less else ():

@@ -24,7 +24,7 @@ from cnclik.law.null import evaluated
 from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.precision import precise
 from cnclik.record import brief, leaf, record
-from cnclik.robot.chain import Chain
+from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.model import Model, frames, jacobian_rows, modelled
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
@@ -66,6 +66,8 @@ class Law:
     def __post_init__(self):
         m = errors.kind("task", self.task, Task).m
         n = errors.kind("chain", self.chain, (Chain, Model)).n
+        if isinstance(self.chain, Chain):
+            with_one_tip(self.chain)
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")

@@ -17,7 +17,7 @@ from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.law.task import Task
 from cnclik.record import leaf, record, replace
-from cnclik.robot.chain import Chain
+from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.shapes import Array, ArrayLike, Float, Number
 
@@ -112,6 +112,6 @@ def maximize_manipulability(chain: Chain, task: Task, gain: Number = 1.0) -> Max
       chain, task: those of the law.
       gain: [1/s per unit of w].
     """
-    errors.kind("chain", chain, Chain)
+    with_one_tip(chain)
     errors.kind("task", task, Task)
     return MaximizeManipulability(chain=chain, task=task, gain=leaf(errors.number("gain", gain, positive=True)))

@@ -15,7 +15,7 @@ from cnclik.reaching.strategy import LONGER, SURE
 from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import kept, leaf, record
-from cnclik.robot.chain import Chain
+from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.posture import beyond_arm
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
@@ -139,7 +139,7 @@ def asked_of(chain, *rest) -> Asked:
 
     Args: as `Asked` has them. Raises: ArgumentError for those that can't be asked.
     """
-    errors.kind("chain", chain, Chain)
+    with_one_tip(chain)
     key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
     try:
         hash(key)

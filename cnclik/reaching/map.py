@@ -10,7 +10,7 @@ from cnclik.precision import of_numbers
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import Reached
 from cnclik.reaching.seeds import seeds
-from cnclik.robot.chain import Chain
+from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import evenly, start_posture
 from cnclik.robot.rotations import rotation_from_quaternion
@@ -44,7 +44,7 @@ def reachability(
       span: half the width of the grid [m] about the first joint; by default a little more than the arm gets to.
       options: of `cnclik.reach`, such as `tolerance` and `seeds`, 32 here.
     """
-    errors.kind("chain", chain, Chain)
+    with_one_tip(chain)
     errors.one_of("where", where, (*PLANES, "box"))
     errors.one_of("task", task, ("pose", "position"))
     cells = errors.integer("cells", cells, at_least=2)

@@ -37,7 +37,8 @@ def _in_units(chain):
     per = of_joints(chain, 1.0 / unit)
     lower, upper = (tuple(map(fixed.mul, bound, per)) for bound in (chain.lower, chain.upper))
     joints = tuple(_joint(joint, unit, per[joint.coordinate]) for joint in chain.joints)
-    return replace(chain, joints=joints, tip=_offset(chain.tip, unit), lower=lower, upper=upper), unit
+    tips = tuple(replace(tip, offset=_offset(tip.offset, unit)) for tip in chain.tips)
+    return replace(chain, joints=joints, tips=tips, lower=lower, upper=upper), unit
 
 
 def of_joints(chain: Chain, unit):

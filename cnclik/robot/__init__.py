@@ -5,7 +5,8 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "chain": ["Chain", "Joint", "Offset", "assemble", "from_dh", "from_screws", "planar_arm", "with_tool"],
+        "chain": ["Chain", "Joint", "Offset", "assemble", "from_dh", "from_screws", "planar_arm"],
+        "mounted": ["join", "with_base", "with_tool"],
         "kinematics": ["Pose", "forward", "jacobian", "manipulability"],
         "urdf": ["load_urdf"],
         "builtin": ["panda", "ur5"],

@@ -1,6 +1,6 @@
-"""Chain: a robot from base to tip, and the ways to build one.
+"""Chain: a robot from base to tip, or a tree with several tips, and the ways to build one.
 
-A joint is a fixed offset from the frame before it, then a rotation about (revolute) or a translation along
+A joint is a fixed offset from the frame that carries it, then a rotation about (revolute) or a translation along
 (prismatic) an axis through its own origin. Geometry written in Python floats is compiled in; geometry given
 as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik.record`.
 """
@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.robot import poses
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, rotation_about, vsub
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
@@ -35,14 +35,24 @@ class Joint:
     coordinate: int
     multiplier: Number = 1.0
     offset: Number = 0.0
+    parent: int | None = None  # index of the joint that carries it, −1 for the base; None: the one before
+
+
+@record
+class Tip:
+    """A frame that a task can be about."""
+
+    name: str
+    joint: int  # index of the joint that carries it
+    offset: Offset  # where it is, as seen from there
 
 
 @record
 class Chain:
-    """A serial robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]."""
+    """A robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]: an arm, or a tree."""
 
-    joints: tuple[Joint, ...]  # from the base to the tip; mimic joints share a coordinate with the one they follow
-    tip: Offset  # where the tip is, as seen from the last joint
+    joints: tuple[Joint, ...]  # each after the one that carries it; mimic joints share a coordinate with another
+    tips: tuple[Tip, ...]  # an arm has one
     joint_names: tuple[str, ...]  # (n,) of the joint coordinates
     lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
     upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
@@ -62,6 +72,33 @@ class Chain:
         return len(self.joint_names)
 
     @property
+    def parents(self) -> tuple[int, ...]:
+        """Of each joint the index of the one that carries it, −1 for the base."""
+        return tuple(i - 1 if joint.parent is None else joint.parent for i, joint in enumerate(self.joints))
+
+    @property
+    def tip(self) -> Offset:
+        """Where the only tip is, as seen from its joint. Raises: ArgumentError where there are several."""
+        return self.tips[self.tip_number()].offset
+
+    def tip_number(self, tip: str | None = None) -> int:
+        """Which of the tips has this name; None: the only one. Raises: ArgumentError."""
+        names = [t.name for t in self.tips]
+        if tip is not None:
+            return names.index(errors.one_of("tip", tip, names))
+        if len(names) > 1:
+            raise errors.fail("tip", "be given for a robot with several", f"is not; the tips are {', '.join(names)}")
+        return 0
+
+    def way(self, tip: int) -> list[int]:
+        """Indices of the joints from the base to a tip, told by its number."""
+        found, parents, i = [], self.parents, self.tips[tip].joint
+        while i >= 0:
+            found.append(i)
+            i = parents[i]
+        return found[::-1]
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
         kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
@@ -75,11 +112,13 @@ class Chain:
 
     def __repr__(self):
         kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
-        return f"Chain({kinds}, joint_names={list(self.joint_names)})"
+        tips = f", tips={[t.name for t in self.tips]}" if len(self.tips) > 1 else ""
+        return f"Chain({kinds}, joint_names={list(self.joint_names)}{tips})"
 
     def __str__(self):
         """A line per joint: its kind and limits."""
-        lines = [f"Chain of {self.n} joints"]
+        tips = f", tips {', '.join(t.name for t in self.tips)}" if len(self.tips) > 1 else ""
+        lines = [f"Chain of {self.n} joints{tips}"]
         for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
             low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
             kind = REVOLUTE if unit == "rad" else PRISMATIC
@@ -96,6 +135,14 @@ class Chain:
             bounds = (self.lower[i], unit), (self.upper[i], unit), (self.velocity_limit[i], f"{unit}/s")
             rows.append((name, kind, *(f"{v:.5g} {u}" if math.isfinite(v) else "—" for v, u in bounds)))
         return markup.table(("joint", "type", "lower", "upper", "velocity"), rows, left=2)
+
+
+def with_one_tip(chain) -> Chain:
+    """The chain. Raises: ArgumentError unless it is one, and has one tip."""
+    tips = [t.name for t in errors.kind("chain", chain, Chain).tips]
+    if len(tips) > 1:
+        raise errors.fail("chain", "have one tip, as of load_urdf(file, tip=...)", f"has several: {', '.join(tips)}")
+    return chain
 
 
 def _is_whole(number) -> bool:
@@ -165,10 +212,10 @@ def from_dh(
         remark_on_angles(f"An angle of {name}", angles)
     kinds = _kinds(kinds, n)
 
-    joints, before = [], _offset("base", base)
+    joints, before = [], offset_of("base", base)
     for i in range(n):
-        along_x = Offset(position=(a[i], 0.0, 0.0), rotation=_turn((1.0, 0.0, 0.0), alpha[i]))
-        along_z = Offset(position=(0.0, 0.0, d[i]), rotation=_turn((0.0, 0.0, 1.0), theta[i]))
+        along_x = Offset(position=(a[i], 0.0, 0.0), rotation=turn((1.0, 0.0, 0.0), alpha[i]))
+        along_z = Offset(position=(0.0, 0.0, d[i]), rotation=turn((0.0, 0.0, 1.0), theta[i]))
         if convention == "modified":
             before = compose(before, along_x)
         # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
@@ -176,7 +223,7 @@ def from_dh(
         before = along_z if convention == "modified" else compose(along_z, along_x)
     return assemble(
         joints,
-        compose(before, _offset("tool", tool)),
+        compose(before, offset_of("tool", tool)),
         joint_names=joint_names,
         lower=lower,
         upper=upper,
@@ -209,7 +256,7 @@ def from_screws(
     if len(axes) != len(points):
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
     kinds = _kinds(kinds, len(points))
-    tip = _offset("home", home, places=True)
+    tip = offset_of("home", home, places=True)
     joints, last = [], ZERO
     for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
         joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=vsub(point, last)), coordinate=i))
@@ -220,14 +267,17 @@ def from_screws(
 
 def assemble(
     joints: Iterable[Joint],
-    tip: Offset | None = None,
+    tip: Offset | tuple[Tip, ...] | None = None,
     *,
     joint_names: Names = None,
     lower: Float[ArrayLike, " n"] | None = None,
     upper: Float[ArrayLike, " n"] | None = None,
     velocity_limit: Float[ArrayLike, " n"] | None = None,
 ) -> Chain:
-    """Chain from joints built one by one, with limits checked against the number of coordinates."""
+    """Chain from joints built one by one, with limits checked against the number of coordinates.
+
+    Args: tip: an `Offset` from the last joint, or the `Tip`s.
+    """
     joints = tuple(joints)
     if not joints:
         raise errors.fail("joints", "hold at least one joint", "is empty")
@@ -244,7 +294,7 @@ def assemble(
 
     made = Chain(
         joints=joints,
-        tip=tip or Offset(),
+        tips=tip if isinstance(tip, tuple) else (Tip(name="tip", joint=len(joints) - 1, offset=tip or Offset()),),
         joint_names=tuple(given),
         lower=limits("lower", lower, -math.inf),
         upper=limits("upper", upper, math.inf),
@@ -252,25 +302,6 @@ def assemble(
     )
     remark_on_robot(made)
     return made
-
-
-def with_tool(chain: Chain, tool: PoseLike) -> Chain:
-    """The chain with a fixed tool after its tip: a (3,) offset [m], or a pose: a 4×4 transform, [x, y, z, w, x, y, z],
-    a `Pose`, or an object with translation and rotation such as Pinocchio's SE3.
-    """
-    errors.kind("chain", chain, Chain)
-    return replace(chain, tip=compose(chain.tip, _offset("tool", tool, places=True)))
-
-
-def with_base(chain: Chain, base: PoseLike) -> Chain:
-    """The chain where it stands in the world: its base at a (3,) position [m] or a pose, as for `with_tool`.
-
-    Targets, Jacobians and the tip's pose are then in the world's frame.
-    """
-    errors.kind("chain", chain, Chain)
-    first, *rest = chain.joints
-    first = replace(first, origin=compose(_offset("base", base, places=True), first.origin))
-    return replace(chain, joints=(first, *rest))
 
 
 # --- reading arguments --------------------------------------------------------------------------------
@@ -317,7 +348,7 @@ def _kinds(kinds, n):
     return tuple(letters[k] for k in given)
 
 
-def _offset(name, transform, places=False) -> Offset:
+def offset_of(name, transform, places=False) -> Offset:
     """Offset of a pose, see `poses.whole`, or of a position (3,); None is the identity. Nested lists stay literal."""
     if transform is None:
         return Offset()
@@ -350,7 +381,7 @@ def _unit(name, axis):
     return tuple(a / length for a in axis)
 
 
-def _turn(axis, angle):
+def turn(axis, angle):
     """Rotation by a fixed angle; sines of literal multiples of π/2 are made exact, so that they fold."""
     if is_number(angle):
         sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))

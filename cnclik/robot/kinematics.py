@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
@@ -32,70 +33,78 @@ def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
 
 
+def _tip_number(chain, tip) -> int:
+    return chain.tip_number(tip) if isinstance(chain, Chain) else 0
+
+
 def _computed(fn):
     """The arrays of fn(model, q), in a list: by NumPy, which compiles nothing, where all are numbers."""
-    program = bounded_jit(lambda chain, q: fn(cast(modelled(chain), q.dtype), q))
+    program = bounded_jit(lambda chain, q, tip: fn(cast(modelled(chain), q.dtype), q, tip), static_argnames="tip")
 
-    def call(chain, q):
+    def call(chain, q, tip):
+        q, number = as_joint_values(chain, q), _tip_number(chain, tip)
         if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
-            return program(chain, q)
-        return [jax.device_put(v.astype(q.dtype)) for v in fn(modelled(chain), np.asarray(q, float))]
+            return program(chain, q, tip=number)
+        return [jax.device_put(v.astype(q.dtype)) for v in fn(modelled(chain), np.asarray(q, float), number)]
 
     return call
 
 
 @_computed
-def _pose(chain, q):
-    at = frames(chain, q)
+def _pose(chain, q, tip):
+    at = frames(chain, q, tip)
     return at.position, at.rotation
 
 
 @_computed
-def _jacobian(chain, q):
-    return [jacobian_rows(chain, frames(chain, q), (0, 1, 2), (0, 1, 2))]
+def _jacobian(chain, q, tip):
+    return [jacobian_rows(chain, frames(chain, q, tip), (0, 1, 2), (0, 1, 2))]
 
 
-def forward(chain: Chain, q: Float[ArrayLike, " n"]) -> Pose:
-    """Pose of the tip in the base frame, g(q) of Drexler (2016), Section II.
+def forward(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) -> Pose:
+    """Pose of a tip in the base frame, g(q) of Drexler (2016), Section II.
 
     Args:
       q: (n,) joint values [rad, m].
+      tip: its name; None: the only one.
     Returns: `Pose`: position (3,) [m] and rotation (3, 3).
-    Raises: ArgumentError if q does not have shape (n,).
+    Raises: ArgumentError if q does not have shape (n,), and for a tip that is unknown or not named among several.
     """
-    position, rotation = _pose(chain, as_joint_values(chain, q))
+    position, rotation = _pose(chain, q, tip)
     return Pose(position=position, rotation=rotation)
 
 
-def jacobian(chain: Chain, q: Float[ArrayLike, " n"]) -> Float[Array, "6 n"]:
+def jacobian(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) -> Float[Array, "6 n"]:
     """Geometric Jacobian J(q), (6, n): tip velocity (v, ω) = J q̇ in the base frame, linear rows first.
 
     Column i is (aᵢ × (p − pᵢ), aᵢ) for a revolute joint and (aᵢ, 0) for a prismatic one (Siciliano et al.
-    2009, eq. 3.30). Units: m/s and rad/s per unit of q̇.
+    2009, eq. 3.30). Units: m/s and rad/s per unit of q̇. A joint that does not move the tip has zeros.
 
-    Args:
-      q: (n,) joint values [rad, m].
-    Raises: ArgumentError if q does not have shape (n,).
+    Args: q, tip: as for `forward`.
+    Raises: as `forward`.
     """
-    return _jacobian(chain, as_joint_values(chain, q))[0]
+    return _jacobian(chain, q, tip)[0]
 
 
-def manipulability(chain: Chain, q: Float[ArrayLike, " n"], task: Any = None) -> Float[Array, ""]:
+def manipulability(
+    chain: Chain, q: Float[ArrayLike, " n"], task: Any = None, *, tip: str | None = None
+) -> Float[Array, ""]:
     """Yoshikawa's measure w = √det(J Jᵀ), 0 at a singularity (Yoshikawa 1985, eq. 9).
 
     Args:
-      q: (n,) joint values [rad, m].
+      q, tip: as for `forward`.
       task: a task from `cnclik.law`; by default the whole 6-row geometric Jacobian.
     """
     if not (task is None or isinstance(getattr(task, "linear", None), tuple)):  # a task's class is of a room above
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
-    return _manipulability(chain, task, as_joint_values(chain, q))
+    q = as_joint_values(chain, q)
+    return _manipulability(chain, task, q, tip=_tip_number(chain, tip))
 
 
-@one_off
-def _manipulability(chain, task, q):
+@functools.partial(one_off, static_argnames="tip")
+def _manipulability(chain, task, q, *, tip):
     axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
     chain = cast(modelled(chain), q.dtype)
-    rows = jacobian_rows(chain, frames(chain, q), *axes)
+    rows = jacobian_rows(chain, frames(chain, q, tip), *axes)
     rows = rows if len(rows) <= chain.n else rows.T
     return safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))

@@ -8,7 +8,6 @@ Joint i's transform is affine in the sine and cosine of its value and in the val
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 
 import jax
@@ -35,46 +34,58 @@ class Model:
     axes: Float[Array, "j 3"]  # unit vectors in the joints' own frames
     turning: Bool[AnyArray, " j"] | None  # true for revolute joints; None where all are
     mimic: tuple[Float[Array, "j n"], Float[Array, " j"]] | None  # multipliers and offsets of the joint values, if any
-    tip: Float[Array, "4 4"]
+    parents: tuple[int, ...]  # of each joint the index of the one that carries it, −1 for the base
+    tips: tuple[Float[Array, "4 4"], ...]  # as seen from the joints that carry them
+    carriers: tuple[int, ...]  # indices of those
+    supports: Float[np.ndarray, "tips j"] | None  # 1 for the joints that move a tip, else 0; None where all move all
     lower: Float[Array, " n"]  # as in `Chain`
     upper: Float[Array, " n"]
     velocity_limit: Float[Array, " n"]
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
-    standing: tuple[Frames, Frames] | None = None  # and their derivatives by q, of `standing`; None: q moves them
+    standing: tuple[tuple[Frames, Frames], ...] | None = None  # by tips, and their derivatives by q; None: q moves them
 
 
 @record
 class Frames:
-    """The tip's pose, and for each joint its axis and a point on it, in the base frame."""
+    """A tip's pose, and for each joint its axis and a point on it, in the base frame."""
 
     position: Float[Array, " 3"]  # [m]
     rotation: Float[Array, "3 3"]
     axes: Float[Array, "j 3"]
     points: Float[Array, "j 3"]  # [m]
+    support: Float[np.ndarray, " j"] | None = None  # 1 for the joints that move the tip, else 0; None where all do
 
 
 def joint_frames(chain: Model, q):
     """The joints' frames in the base frame (..., j, 4, 4), each after its joint's motion, at q (..., n)."""
-    xp = library(q, chain.tip)
+    xp = library(q, chain.tips[0])
     values = q if chain.mimic is None else q @ chain.mimic[0].T + chain.mimic[1]
     still, sine, cosine, slide = chain.transforms
     own = still + xp.sin(values)[..., None, None] * sine + xp.cos(values)[..., None, None] * cosine
     if slide is not None:
         own = own + values[..., None, None] * slide
-    return xp.stack(list(itertools.accumulate((own[..., i, :, :] for i in range(own.shape[-3])), xp.matmul)), -3)
+    at = []
+    for i, parent in enumerate(chain.parents):
+        at.append(own[..., i, :, :] if parent < 0 else at[parent] @ own[..., i, :, :])
+    return xp.stack(at, -3)
 
 
-def frames(chain: Model, q) -> Frames:
-    """All frames at q (n,), as arrays; NumPy's where all are numbers, and then also of q (..., n)."""
+def frames(chain: Model, q, tip: int = 0) -> Frames:
+    """All frames at q (n,), as arrays; NumPy's where all are numbers, and then also of q (..., n).
+
+    Args: tip: the number of the tip.
+    """
     if chain.standing is not None:
-        return _standing(*chain.standing, q)
-    xp = library(q, chain.tip)
+        return _standing(*chain.standing[tip], q)
+    xp = library(q, chain.tips[tip])
     chain = chain if xp is np else of_the_model(chain)
     at = joint_frames(chain, q)
-    tip = at[..., -1, :, :] @ chain.tip
+    support = None if chain.supports is None else chain.supports[tip]
+    tip = at[..., chain.carriers[tip], :, :] @ chain.tips[tip]
     axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
-    return Frames(position=tip[..., :3, 3], rotation=tip[..., :3, :3], axes=axes, points=at[..., :3, 3])
+    place, turn = tip[..., :3, 3], tip[..., :3, :3]
+    return Frames(position=place, rotation=turn, axes=axes, points=at[..., :3, 3], support=support)
 
 
 def standing(chain: Model, q) -> Model:
@@ -82,7 +93,8 @@ def standing(chain: Model, q) -> Model:
 
     For what is differentiated at q alone: of many loops that rest there, all that depends on frames is computed once.
     """
-    return replace(chain, standing=(frames(chain, q), jax.jacfwd(functools.partial(frames, chain))(q)))
+    at = [functools.partial(frames, chain, tip=i) for i in range(len(chain.tips))]
+    return replace(chain, standing=tuple((one(q), jax.jacfwd(one)(q)) for one in at))
 
 
 @jax.custom_jvp
@@ -106,6 +118,8 @@ def jacobian_rows(chain: Model, at: Frames, linear, angular):
     if chain.turning is not None:
         turning = chain.turning[:, None]
         velocity, spin = xp.where(turning, velocity, at.axes), xp.where(turning, spin, 0.0)
+    if at.support is not None:
+        velocity, spin = at.support[:, None] * velocity, at.support[:, None] * spin
     rows = xp.swapaxes(xp.concatenate([velocity, spin], axis=-1), -1, -2)
     rows = rows[..., np.array([*linear, *(3 + i for i in angular)], int), :]
     return rows if chain.mimic is None else rows @ chain.mimic[0]
@@ -148,13 +162,18 @@ def _model(chain: Chain) -> Model:
     def some(*names):
         return not all(type(x) is float and math.isinf(x) for name in names for x in limits[name])
 
+    ways = [chain.way(i) for i in range(len(chain.tips))]
+    moving = np.array([[float(i in way) for i in range(len(chain.joints))] for way in ways])
     return Model(
         n=chain.n,
         transforms=(*turns, slide),
         axes=xp.array([j.axis for j in chain.joints], float),
         turning=turning,
         mimic=mimic,
-        tip=xp.array(matrix(chain.tip.rotation, chain.tip.position, 1.0)),
+        parents=chain.parents,
+        tips=tuple(xp.array(matrix(t.offset.rotation, t.offset.position, 1.0)) for t in chain.tips),
+        carriers=tuple(t.joint for t in chain.tips),
+        supports=None if moving.all() else moving,
         **{name: xp.array(bound, float) for name, bound in limits.items()},
         bounded=some("lower", "upper"),
         slowed=some("velocity_limit"),

@@ -11,7 +11,8 @@ FAST = 60.0, 720.0  # [rad/s] of a joint's velocity limit: beyond them, and wher
 
 def remark_on_robot(chain) -> None:
     """Remarks on lengths and limits of a chain, as far as they are written in numbers; one of each kind at most."""
-    places = [(f"joint {chain.joint_names[j.coordinate]!r}", j.origin) for j in chain.joints] + [("the tip", chain.tip)]
+    places = [(f"joint {chain.joint_names[j.coordinate]!r}", j.origin) for j in chain.joints]
+    places += [(f"tip {t.name!r}" if len(chain.tips) > 1 else "the tip", t.offset) for t in chain.tips]
     for what, origin in places:
         away = max((abs(x) for x in origin.position if type(x) is float), default=0.0)
         if LONG < away < math.inf:

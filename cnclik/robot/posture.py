@@ -3,6 +3,7 @@
 A task is anything with `linear` and `angular`, the components of the tip's velocity that it controls.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -20,12 +21,16 @@ _FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
 def arm_length(chain: Chain, least=1e-3):
     """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
 
-    A float; traced where the chain's geometry is.
+    Of several tips that of the farthest. A float; traced where the chain's geometry is.
     """
-    offsets = [*(joint.origin.position for joint in chain.joints[1:]), chain.tip.position]
-    if all(errors.concrete(x) for p in offsets for x in p):
-        return max(sum(math.hypot(*map(float, p)) for p in offsets), least)
-    return jnp.maximum(sum(safe_norm(jnp.array(p, float)) for p in offsets), least)
+    ways = [
+        [*(chain.joints[i].origin.position for i in chain.way(k)[1:]), tip.offset.position]
+        for k, tip in enumerate(chain.tips)
+    ]
+    if all(errors.concrete(x) for way in ways for p in way for x in p):
+        return max(least, *(sum(math.hypot(*map(float, p)) for p in way) for way in ways))
+    lengths = [sum(safe_norm(jnp.array(p, float)) for p in way) for way in ways]
+    return functools.reduce(jnp.maximum, lengths, least)
 
 
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):

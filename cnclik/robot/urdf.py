@@ -2,9 +2,10 @@
 
 import os
 import re
+from collections.abc import Sequence
 
 from cnclik import errors
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, assemble
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of, turn
 from cnclik.robot.fixed import Offset, compose, inverse, scale
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
@@ -12,10 +13,17 @@ _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 
 
-def load_urdf(path: str | os.PathLike, tip: str | None = None, base: str | None = None) -> Chain:
-    """Chain from base to tip of a robot in a URDF file, read without its meshes.
+def load_urdf(
+    path: str | os.PathLike,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    tips: Sequence[str] | dict | None = None,
+    freeze: dict[str, float] | None = None,
+) -> Chain:
+    """Chain from base to tip of a robot in a URDF file, or the tree from base to several tips, read without its meshes.
 
-    Revolute, continuous and prismatic joints become coordinates in order from the base; fixed joints are
+    Revolute, continuous and prismatic joints become coordinates in order from the base, tip by tip; fixed joints are
     folded in; side branches are left out. The way may lead up from the base to where tip and base part, such as from
     a humanoid's foot to its hand: joints on the way up keep their values and limits, and act the other way around. A
     mimic joint shares the coordinate of the joint it follows, with its multiplier and offset, also where that joint is
@@ -28,54 +36,110 @@ def load_urdf(path: str | os.PathLike, tip: str | None = None, base: str | None 
       tip: name of the last link; by default the only leaf link that the joints move.
       base: name of the first link, by default the root; anywhere in the tree. Where the robot stands is told by
         `with_base`.
+      tips: in place of `tip`, names of links, or {name: link}, or {name: (link, where)}, where a (3,) position [m] or a
+        pose as seen from the link, as for `with_tool`.
+      freeze: {name of a joint: the value that it keeps [rad, m]}; it is no coordinate then.
 
     Raises: ArgumentError, one line, for a file that cannot be read or is not a robot's tree, for unknown
-      links, and where no single tip can be meant.
+      links and joints, and where no single tip can be meant.
     """
-    return chain(read_urdf(path), tip, base)
+    return chain(read_urdf(path), tip, base, tips=tips, freeze=freeze)
 
 
-def chain(tree: Tree, tip: str | None = None, base: str | None = None) -> Chain:
-    """The chain from base to tip of a tree that was read before. Args and raises: as `load_urdf`."""
+def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=None, freeze=None) -> Chain:
+    """The robot of a tree that was read before. Args and raises: as `load_urdf`."""
     base = tree.root if base is None else _link(tree, "base", base)
-    given, tip = tip, tip_of(tree, tip, base)
-    up, down = tree.way(tip, base)
-    if given is None:
-        _remark_on_a_jaw(tip, up, down)
-
+    if tips is None:
+        end = tip_of(tree, tip, base)
+        ends = {end: (end, Offset())}
+        if tip is None:
+            _remark_on_a_jaw(end, *tree.way(end, base))
+    elif tip is not None:
+        raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
+    else:
+        ends = _ends(tree, tips)
+    joints, at, names = _walked(tree, base, [link for link, _ in ends.values()], _frozen(tree, freeze))
+    for link, _ in ends.values():
+        if at[link][0] < 0:
+            raise errors.fail("tips" if tips else "tip", "be moved by a joint", f"is {link!r}, fixed to {base!r}")
     by_name = {e.name: e for e in tree.edges}
-    joints, before, coordinates, leaders = [], Offset(), {}, {}  # {name of a joint that is followed: its coordinate}
-    for edge, turned in (*((e, True) for e in up), *((e, False) for e in down)):
-        origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
-        if not turned:
-            before = compose(before, origin)
-        if edge.type == "fixed":
-            before = compose(before, inverse(origin)) if turned else before
-            continue
-        if edge.type not in _MOVING:
-            raise _odd(tree, tip, edge, turned)
-        leader, multiplier, offset = _leader(by_name, edge, leaders)
-        joint = Joint(
-            kind=_MOVING[edge.type],
-            axis=scale(-1.0, edge.axis) if turned else edge.axis,  # from its child a joint turns the other way
-            origin=before,
-            coordinate=coordinates.setdefault(leader.name, len(coordinates)),
-            multiplier=multiplier,
-            offset=offset,
-        )
-        joints.append(joint)
-        before = inverse(origin) if turned else Offset()
-    if not joints:
-        raise errors.fail("tip", "be moved by a joint", f"is {tip!r}, fixed to {base!r}")
-    followed = [by_name[name] for name in coordinates]
+    followed = [by_name[name] for name in names]
     return assemble(
         joints,
-        before,
-        joint_names=list(coordinates),
+        tuple(Tip(name=n, joint=at[link][0], offset=compose(at[link][1], off)) for n, (link, off) in ends.items()),
+        joint_names=names,
         lower=[e.lower for e in followed],
         upper=[e.upper for e in followed],
         velocity_limit=[e.velocity for e in followed],
     )
+
+
+def _walked(tree, base, links, frozen) -> tuple:
+    """(joints on the ways from base to links, {link: (index of the joint that carries it, where it is as seen from
+    there)}, names of the joints that are followed, one a coordinate)"""
+    by_name = {e.name: e for e in tree.edges}
+    joints, at, coordinates, leaders = [], {base: (-1, Offset())}, {}, {}
+    for link in links:
+        up, down = tree.way(link, base)
+        for edge, turned in (*((e, True) for e in up), *((e, False) for e in down)):
+            here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
+            if there in at:
+                continue
+            (parent, before), origin = at[here], Offset(position=edge.origin[0], rotation=edge.origin[1])
+            before, after = (before, inverse(origin)) if turned else (compose(before, origin), Offset())
+            axis = scale(-1.0, edge.axis) if turned else edge.axis  # from its child a joint turns the other way
+            if edge.type == "fixed":
+                at[there] = parent, compose(before, after) if turned else before
+                continue
+            if edge.type not in _MOVING:
+                raise _odd(tree, link, edge, turned)
+            kind, (leader, multiplier, offset) = _MOVING[edge.type], _leader(by_name, edge, leaders)
+            if leader.name in frozen:
+                still = _moved(kind, axis, multiplier * frozen[leader.name] + offset)
+                at[there] = parent, compose(compose(before, still), after)
+                continue
+            coordinate = coordinates.setdefault(leader.name, len(coordinates))
+            about = dict(coordinate=coordinate, multiplier=multiplier, offset=offset, parent=parent)
+            joints.append(Joint(kind=kind, axis=axis, origin=before, **about))
+            at[there] = len(joints) - 1, after
+    return joints, at, list(coordinates)
+
+
+def _ends(tree, tips) -> dict:
+    """{name of a tip: (its link, where it is as seen from there)}"""
+    named = tips if isinstance(tips, dict) else {}
+    if not named and isinstance(tips, (list, tuple)) and all(isinstance(link, str) for link in tips):
+        named = {link: link for link in tips}
+    if not named or len(named) < len(tips):
+        raise errors.fail("tips", "hold different links, or be {name: link} or {name: (link, where)}", f"is {tips!r}")
+    found = {}
+    for name, end in named.items():
+        link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
+        found[name] = _link(tree, "tips", link), offset_of("tips", where, places=True)
+    return found
+
+
+def _frozen(tree, freeze) -> dict:
+    """{name of a joint that does not move: its value}, checked."""
+    moving = {e.name: e for e in tree.edges if e.type in _MOVING}
+    if not isinstance(freeze, (dict, type(None))):
+        raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
+    for name, value in (freeze or {}).items():
+        edge = moving.get(name)
+        if edge is None:
+            hint = errors.nearest(name, moving)
+            raise errors.fail("freeze", f"name joints of {tree.file} that move", f"names {name!r}{hint}")
+        if edge.mimic is not None:
+            raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
+        value = errors.number(f"freeze[{name!r}]", value)
+        if not edge.lower <= value <= edge.upper:
+            raise errors.fail(f"freeze[{name!r}]", f"be within {edge.lower:g} and {edge.upper:g}", f"is {value:g}")
+    return {name: float(value) for name, value in (freeze or {}).items()}
+
+
+def _moved(kind, axis, value) -> Offset:
+    """What a joint of a known value does."""
+    return Offset(rotation=turn(axis, value)) if kind == REVOLUTE else Offset(position=scale(value, axis))
 
 
 def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:

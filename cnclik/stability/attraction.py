@@ -18,7 +18,7 @@ from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64, of_numbers
-from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.chain import REVOLUTE, with_one_tip
 from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.robot.model import one_off
 from cnclik.stability.linear import checked, share_per_step
@@ -36,7 +36,7 @@ def curvature_bound(chain) -> float:
 
     Raises: ArgumentError for chains with prismatic joints, whose distances have no bound here.
     """
-    errors.kind("chain", chain, Chain)
+    with_one_tip(chain)
     if any(j.kind != REVOLUTE for j in chain.joints):
         raise errors.fail("chain", "have revolute joints only", "has a prismatic one")
     offsets = [*(j.origin.position for j in chain.joints[1:]), chain.tip.position]

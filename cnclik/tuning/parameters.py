@@ -19,6 +19,7 @@ from cnclik.law.law import Law
 from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import record, replace
 from cnclik.robot.fixed import Offset, scale
+from cnclik.robot.mounted import with_tip
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.spectrum import largest_rate
 
@@ -172,7 +173,7 @@ def scaled_links(chain, factors):
         return Offset(position=scale(factor, offset.position), rotation=offset.rotation)
 
     joints = tuple(replace(j, origin=stretch(j.origin, factors[i])) for i, j in enumerate(chain.joints))
-    return replace(chain, joints=joints, tip=stretch(chain.tip, factors[len(joints)]))
+    return with_tip(replace(chain, joints=joints), stretch(chain.tip, factors[len(joints)]))
 
 
 def _in_law(changes):
@@ -185,7 +186,7 @@ def _in_law(changes):
 
 
 def _with_tool(chain, value):
-    return replace(chain, tip=Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation))
+    return with_tip(chain, Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation))
 
 
 KNOTS = 5  # of a gain schedule

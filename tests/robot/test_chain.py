@@ -261,7 +261,7 @@ def test_limits_may_be_traced_and_differ_between_lanes():
 
     assert jax.jit(fast)(jnp.ones(2)) == 1
     several = stack([ck.replace(ARM, velocity_limit=(float(k), 1.0)) for k in range(3)])
-    assert ck.replace(several, tip=ARM.tip).velocity_limit[0].tolist() == [0, 1, 2]
+    assert ck.replace(several, tips=ARM.tips).velocity_limit[0].tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize(("bound", "side"), [({"lower": [4.0]}, 1), ({"upper": [-5.0]}, -1)])

@@ -32,7 +32,7 @@ def link_poses(chain, q):
     model, q = modelled(chain), np.asarray(q, float)
     at = joint_frames(model, q)
     base = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
-    return np.concatenate([base, at, at[:, -1:] @ model.tip], 1)
+    return np.concatenate([base, at, at[:, -1:] @ model.tips[0]], 1)
 
 
 def radius_of(chain) -> float:

@@ -1,0 +1,74 @@
+"""Mounted: a robot with a tool, on a base, or with another robot on it."""
+
+from cnclik import errors
+from cnclik.record import replace
+from cnclik.robot.chain import Chain, Tip, assemble, offset_of
+from cnclik.robot.fixed import Offset, compose
+from cnclik.robot.poses import PoseLike
+
+
+def with_tip(chain: Chain, offset: Offset, tip: str | None = None) -> Chain:
+    """The chain with a tip where an offset from its joint says."""
+    number = chain.tip_number(tip)
+    tips = (replace(t, offset=offset) if i == number else t for i, t in enumerate(chain.tips))
+    return replace(chain, tips=tuple(tips))
+
+
+def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
+    """The chain with a fixed tool after its tip: a (3,) offset [m], or a pose: a 4×4 transform, [x, y, z, w, x, y, z],
+    a `Pose`, or an object with translation and rotation such as Pinocchio's SE3.
+
+    Args: tip: the name of the tip that carries it; None: the only one.
+    """
+    before = errors.kind("chain", chain, Chain).tips[chain.tip_number(tip)].offset
+    return with_tip(chain, compose(before, offset_of("tool", tool, places=True)), tip)
+
+
+def with_base(chain: Chain, base: PoseLike) -> Chain:
+    """The chain where it stands in the world: its base at a (3,) position [m] or a pose, as for `with_tool`.
+
+    Targets, Jacobians and the tips' poses are then in the world's frame.
+    """
+    parents = errors.kind("chain", chain, Chain).parents
+    return replace(chain, joints=_placed(chain.joints, parents, offset_of("base", base, places=True)))
+
+
+def _placed(joints, parents, base):
+    """Joints with a fixed transform before those that the base carries."""
+    return tuple(
+        replace(joint, origin=compose(base, joint.origin)) if parent < 0 else joint
+        for joint, parent in zip(joints, parents, strict=True)
+    )
+
+
+def join(
+    chain: Chain, other: Chain, *, at: str | None = None, transform: PoseLike | None = None, prefix: str = ""
+) -> Chain:
+    """A robot with another one mounted on a tip: an arm on a torso, a hand on an arm.
+
+    Its coordinates are those of `chain`, then those of `other`. Its tips are those of `chain` but for the one that
+    carries `other`, then the tips of `other`.
+
+    Args:
+      at: name of the tip of `chain` that carries it; None: the only one.
+      transform: where the base of `other` is, as seen from that tip: a (3,) position [m] or a pose, as for `with_tool`;
+        None: there.
+      prefix: before the names of other's joints and tips, such as "left_".
+    Raises: ArgumentError where a name would stand twice.
+    """
+    number = errors.kind("chain", chain, Chain).tip_number(at)
+    errors.kind("other", other, Chain)
+    carrier, count = chain.tips[number], len(chain.joints)
+    start = compose(carrier.offset, offset_of("transform", transform, places=True))
+    joints = [replace(j, parent=parent) for j, parent in zip(chain.joints, chain.parents, strict=True)]
+    for joint, parent in zip(_placed(other.joints, other.parents, start), other.parents, strict=True):
+        parent = carrier.joint if parent < 0 else count + parent
+        joints.append(replace(joint, parent=parent, coordinate=chain.n + joint.coordinate))
+    tips = [t for i, t in enumerate(chain.tips) if i != number]
+    tips += [Tip(name=prefix + t.name, joint=count + t.joint, offset=t.offset) for t in other.tips]
+    names = [*chain.joint_names, *(prefix + name for name in other.joint_names)]
+    for several in (names, [t.name for t in tips]):
+        if twice := sorted({name for name in several if several.count(name) > 1}):
+            raise errors.fail("prefix", "tell the names of both robots apart", f"leaves {', '.join(twice)} twice")
+    limits = {name: getattr(chain, name) + getattr(other, name) for name in ("lower", "upper", "velocity_limit")}
+    return assemble(joints, tuple(tips), joint_names=names, **limits)

@@ -1,0 +1,217 @@
+"""Robots with several tips: load_urdf and join against Pinocchio, all tips at once; what can't be is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.tree import read_urdf
+from cnclik.robot.urdf import chain
+from tests.robot.test_urdf import ROOT, Pinocchio, oracle
+
+ROBOTS = {
+    "g1": "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+    "talos": "talos_data/robots/talos_full_v2.urdf",
+    "icub": "icub_description/robots/icub.urdf",
+    "baxter": "baxter_description/urdf/baxter.urdf",
+    "pr2": "pr2_description/urdf/pr2.urdf",
+    "tiago": "tiago_description/robots/tiago_dual.urdf",
+    "tiago_pro": "tiago_pro_description/robots/tiago_pro.urdf",
+    "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
+    "romeo": "romeo_description/urdf/romeo.urdf",
+    "centauro": "centauro_description/urdf/centauro.urdf",
+    "anymal": "anymal_b_simple_description/robots/anymal-kinova.urdf",
+    "human": "human_description/robots/human.urdf",
+    "solo": "solo_description/robots/solo12.urdf",
+}
+G1 = ROOT / "g1_description/urdf/g1_29dof_rev_1_0.urdf"
+ARMS = ["left_rubber_hand", "right_rubber_hand"]
+BAXTER = ROOT / ROBOTS["baxter"]
+GRIPPERS = ["left_gripper", "right_gripper"]
+
+
+def postures(robot, count, seed=0):
+    low, high = (np.clip(bound, -np.pi, np.pi) for bound in (robot.lower, robot.upper))
+    return np.random.default_rng(seed).uniform(low, high, (count, robot.n))
+
+
+@jax.jit
+def seen(robot, q):
+    """Pose and Jacobian of all tips at many joint values, in JAX."""
+
+    def one(q):
+        every = [frames(robot, q, i) for i in range(len(robot.tips))]
+        rows = [jacobian_rows(robot, at, (0, 1, 2), (0, 1, 2)) for at in every]
+        return [jnp.stack(v) for v in ([at.position for at in every], [at.rotation for at in every], rows)]
+
+    return jax.vmap(one)(q)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_all_tips_are_pinocchios(name):
+    """Breaks for a joint that is carried by another than the file says, or moves a tip that it does not carry."""
+    path = ROOT / ROBOTS[name]
+    tree, (model, _) = read_urdf(path), oracle(path)
+    robot = chain(tree, tips=tree.tips())
+    q, other = postures(robot, 3), Pinocchio(path, model)
+    expected = [[other.at(robot.joint_names, row, tip, tree.root) for tip in tree.tips()] for row in q]
+    found = seen(modelled(robot), q)
+    for k in range(3):
+        told = np.array([[np.ravel(tip[k]) for tip in row] for row in expected])
+        np.testing.assert_allclose(np.reshape(found[k], told.shape), told, atol=1e-12)
+    for i, tip in enumerate(tree.tips()[:3]):
+        np.testing.assert_allclose(ck.forward(robot, q[0], tip=tip).position, found[0][0][i], atol=1e-12)
+        np.testing.assert_allclose(ck.jacobian(robot, q[0], tip=tip), found[2][0][i], atol=1e-12)
+
+
+@pytest.mark.parametrize(("path", "tips"), [(BAXTER, GRIPPERS), (ROOT / ROBOTS["allegro"], None)], ids=["arms", "hand"])
+def test_each_tip_is_that_of_its_own_arm(path, tips):
+    tree = read_urdf(path)
+    robot = chain(tree, tips=tips or tree.tips())
+    (q,) = postures(robot, 1)
+    for tip in robot.tips:
+        arm = chain(tree, tip.name)
+        columns = [robot.joint_names.index(name) for name in arm.joint_names]
+        np.testing.assert_allclose(ck.forward(robot, q, tip=tip.name).rotation, ck.forward(arm, q[columns]).rotation)
+        j = np.asarray(ck.jacobian(robot, q, tip=tip.name))
+        np.testing.assert_allclose(j[:, columns], ck.jacobian(arm, q[columns]), atol=1e-15)
+        assert not np.delete(j, columns, axis=1).any()
+        task = ck.position()
+        w = ck.manipulability(robot, q, task, tip=tip.name), ck.manipulability(arm, q[columns], task)
+        np.testing.assert_allclose(*w, rtol=1e-12)
+
+
+def test_one_tip_of_a_list_is_the_tip():
+    one, other = ck.load_urdf(G1, tips=ARMS[:1]), ck.load_urdf(G1, tip=ARMS[0])
+    assert jax.tree.all(jax.tree.map(lambda a, b: (np.asarray(a) == b).all(), modelled(one), modelled(other)))
+    assert one.joint_names == other.joint_names
+
+
+def test_inner_links_names_and_places_of_their_own():
+    tips = {"elbow": "left_elbow_link", "camera": ("torso_link", [0.1, 0.0, 0.4]), "hand": ARMS[0]}
+    robot = ck.load_urdf(G1, tips=tips)
+    (q,), torso = postures(robot, 1), ck.load_urdf(G1, tip="torso_link")
+    assert [t.name for t in robot.tips] == list(tips) and robot.joint_names[:3] == torso.joint_names
+    at = ck.forward(torso, q[:3])
+    np.testing.assert_allclose(
+        ck.forward(robot, q, tip="camera").position, at.position + at.rotation @ np.array([0.1, 0, 0.4])
+    )
+    model, _ = oracle(G1)
+    position, _, j = Pinocchio(G1, model).at(robot.joint_names, q, "left_elbow_link", "pelvis")
+    np.testing.assert_allclose(ck.forward(robot, q, tip="elbow").position, position, atol=1e-12)
+    np.testing.assert_allclose(ck.jacobian(robot, q, tip="elbow"), j, atol=1e-12)
+
+
+def test_frozen_joints_are_where_they_are_frozen():
+    kept = {"waist_yaw_joint": 0.3, "left_elbow_joint": 0.8}
+    whole, robot = (ck.load_urdf(G1, tips=ARMS, freeze=freeze) for freeze in (None, kept))
+    assert set(whole.joint_names) - set(robot.joint_names) == set(kept)
+    (q,) = postures(whole, 1)
+    for name, value in kept.items():
+        q[whole.joint_names.index(name)] = value
+    rest = [whole.joint_names.index(name) for name in robot.joint_names]
+    for tip in ARMS:
+        at, same = (ck.forward(r, v, tip=tip) for r, v in ((whole, q), (robot, q[rest])))
+        np.testing.assert_allclose(at.position, same.position, atol=1e-14)
+        np.testing.assert_allclose(at.rotation, same.rotation, atol=1e-14)
+        j = np.asarray(ck.jacobian(whole, q, tip=tip))[:, rest]
+        np.testing.assert_allclose(ck.jacobian(robot, q[rest], tip=tip), j, atol=1e-14)
+
+
+def test_what_follows_a_frozen_joint_stays_with_it():
+    file = "panda_description/urdf/panda.urdf"
+    whole = ck.load_urdf(ROOT / file, tip="panda_rightfinger")
+    arm = ck.load_urdf(ROOT / file, tip="panda_rightfinger", freeze={"panda_finger_joint1": 0.02})
+    (q,) = postures(arm, 1)
+    at, same = ck.forward(arm, q), ck.forward(whole, np.append(q, 0.02))
+    np.testing.assert_allclose(at.position, same.position, atol=1e-14)
+
+
+def test_two_arms_and_a_hand_are_joined():
+    """Against the same robot as one tree: a torso that carries two arms, of which one carries a hand."""
+    torso = ck.load_urdf(G1, tips={"left": "torso_link", "right": "torso_link", "head": ("torso_link", [0, 0, 0.4])})
+    (q,), alone = postures(torso, 1), ck.panda()
+    where = np.eye(4)
+    where[:3, 3] = 0.0, -0.3, 0.2
+    robot = ck.join(torso, alone, at="left", transform=[0.0, 0.3, 0.2], prefix="left_")
+    robot = ck.join(robot, alone, at="right", transform=where, prefix="right_")
+    assert [t.name for t in robot.tips] == ["head", "left_tip", "right_tip"] and robot.n == 3 + 7 + 7
+    assert robot.joint_names[3] == "left_panda_joint1" and robot.lower[10:] == alone.lower
+    arms = postures(alone, 2, seed=1)
+    q = np.concatenate([q, *arms])
+    carrier = ck.forward(torso, q[:3], tip="head")
+    for side, own, offset in (("left", arms[0], [0, 0.3, -0.2]), ("right", arms[1], [0, -0.3, -0.2])):
+        at, tip = ck.forward(robot, q, tip=f"{side}_tip"), ck.forward(alone, own)
+        np.testing.assert_allclose(at.rotation, carrier.rotation @ tip.rotation, atol=1e-14)
+        away = carrier.rotation @ (np.array(offset) + tip.position)
+        np.testing.assert_allclose(at.position, carrier.position + away, atol=1e-14)
+        j = np.asarray(ck.jacobian(robot, q, tip=f"{side}_tip"))
+        differences = jax.jacfwd(lambda v, side=side: ck.forward(robot, v, tip=f"{side}_tip").position)(q)
+        np.testing.assert_allclose(j[:3], differences, atol=1e-13)
+    hand = ck.load_urdf(ROOT / ROBOTS["allegro"], tips=read_urdf(ROOT / ROBOTS["allegro"]).tips())
+    armed = ck.join(robot, hand, at="left_tip")
+    assert armed.n == robot.n + 16 and len(armed.tips) == 2 + 4
+    v = np.concatenate([q, postures(hand, 1)[0]])
+    finger = hand.tips[0].name
+    at, own, wrist = (
+        *(ck.forward(r, w, tip=finger) for r, w in ((armed, v), (hand, v[robot.n :]))),
+        ck.forward(robot, q, tip="left_tip"),
+    )
+    np.testing.assert_allclose(at.position, wrist.position + wrist.rotation @ own.position, atol=1e-14)
+
+
+def test_tools_and_bases_of_trees():
+    robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
+    (q,) = postures(robot, 1)
+    longer = ck.with_base(ck.with_tool(robot, [0, 0, 0.1], tip=GRIPPERS[1]), [1.0, 2.0, 3.0])
+    before, after = ([ck.forward(r, q, tip=tip) for tip in GRIPPERS] for r in (robot, longer))
+    np.testing.assert_allclose(after[0].position, np.add(before[0].position, [1, 2, 3]))
+    end = before[1].position + before[1].rotation @ np.array([0, 0, 0.1]) + np.array([1, 2, 3])
+    np.testing.assert_allclose(after[1].position, end, atol=1e-14)
+    assert "tips left_gripper, right_gripper" in str(robot) and "tips=['left_gripper'" in repr(robot)
+
+
+def arms(tips=tuple(ARMS), **options):
+    return ck.load_urdf(G1, tips=list(tips) if isinstance(tips, tuple) else tips, **options)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: arms(()), r"`tips` must hold different links, or be {name: link} .*but is \[\]"),
+        (lambda: arms((ARMS[0], ARMS[0])), "`tips` must hold different links"),
+        (lambda: arms("left_rubber_hand"), "`tips` must hold different links"),
+        (lambda: arms(("left_hand",)), "`tips` must be one of .* is 'left_hand'"),
+        (lambda: arms(("pelvis",)), "`tips` must be moved by a joint, but is 'pelvis', fixed to"),
+        (lambda: arms(tip=ARMS[0]), "`tip` must be left out where `tips` are given"),
+        (lambda: arms({"a": (ARMS[0], [1, 2])}), "`tips` must have shape"),
+        (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must name joints .*'waist_yaw' .did you mean"),
+        (lambda: arms(freeze={"waist_yaw_joint": 9}), r"`freeze\['waist_yaw_joint'\]` must be within"),
+        (lambda: arms(freeze={"waist_yaw_joint": np.nan}), "must be finite"),
+        (lambda: arms(freeze=["waist_yaw_joint"]), "`freeze` must be {name of a joint"),
+        (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
+        (lambda: ck.jacobian(ck.panda(), np.zeros(7), tip="hand"), "`tip` must be one of tip, but is 'hand'"),
+        (lambda: ck.Law(arms(), ck.position(), alpha=1.0), "`chain` must have one tip.* has several"),
+        (lambda: ck.reach(arms(), np.eye(4)), "`chain` must have one tip"),
+        (lambda: ck.join(ck.panda(), ck.panda()), "`prefix` must tell the names of both robots apart"),
+        (lambda: ck.join(ck.panda(), 3), "`other` must be a Chain"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(call, message):
+    with pytest.raises(ck.ArgumentError, match=message) as told:
+        call()
+    assert "\n" not in str(told.value)
+
+
+def test_a_tree_in_a_program_of_ones_own():
+    robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
+    q = postures(robot, 5)
+    place = [lambda q, tip=tip: ck.forward(robot, q, tip=tip).position for tip in GRIPPERS]
+    apart = jax.jit(lambda q: place[0](q) - place[1](q))
+    every = ck.lanes(place[1])(q)
+    for i in range(5):
+        at = [np.asarray(one(q[i])) for one in place]
+        np.testing.assert_allclose(apart(q[i]), at[0] - at[1], atol=1e-14)
+        np.testing.assert_allclose(every[i], at[1], atol=1e-14)
