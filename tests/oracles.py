@@ -19,8 +19,14 @@ def robots() -> pathlib.Path:
 
 
 def robot_file(name) -> pathlib.Path:
-    """A robot's URDF file: "panda", "ur5"."""
-    return robots() / {"panda": "panda_description/urdf/panda.urdf", "ur5": "ur_description/urdf/ur5_robot.urdf"}[name]
+    """A robot's URDF file: "panda", "ur5", "g1", "allegro"."""
+    files = {
+        "panda": "panda_description/urdf/panda.urdf",
+        "ur5": "ur_description/urdf/ur5_robot.urdf",
+        "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+        "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
+    }
+    return robots() / files[name]
 
 
 def planar_position(lengths, q, sense=1.0):

@@ -111,8 +111,8 @@ def fewer(argv):
 
 def prepare(folder, less):
     """What the pages speak of: robots' files, specs, waypoints."""
-    for name, file in (("panda.urdf", "panda"), ("robot.urdf", "ur5"), ("g1.urdf", "g1")):
-        shutil.copy(robot_file(file), folder / name)
+    for name, file in {"panda": "panda", "robot": "ur5", "g1": "g1", "allegro": "allegro"}.items():
+        shutil.copy(robot_file(file), folder / f"{name}.urdf")
     shutil.copytree(ROOT / "sweeps", folder / "sweeps")
     for spec in folder.glob("sweeps/*.toml") if less else ():
         spec.write_text(SPEC, encoding="utf-8")
