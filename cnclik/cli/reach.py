@@ -270,7 +270,7 @@ def _map(args, chain, task):
     seconds = time.perf_counter() - begun
     title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
-    figures = {"map.png": (functools.partial(drawn_by("reach", "reachability"), found, title=title), about)}
+    figures = {"map.png": (drawn_by("reach", "reachability", found, title=title), about)}
     with args.figures_first():
         draw(figures, out, overwrite=args.overwrite)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}

@@ -155,21 +155,23 @@ def _as_table(found, said) -> dict:
 
 
 def _plane(args, out):
-    from cnclik.measure.dataset import as_json, provenance
-    from cnclik.measure.files import save_netcdf
+    from cnclik.show.output import drawn_by
     from cnclik.stability.plane import limit_tables, plane, plane_page
 
     with progress.bar("limits") as report:
         data = plane(args.methods, args.passes, progress=report)
-    config = {"methods": args.methods, "passes": args.passes}
-    data = data.assign_attrs(provenance(float) | {"config": as_json(config)})
-    out.write("plane.nc", functools.partial(save_netcdf, data))
+    _write(out, "plane.nc", data, {"methods": args.methods, "passes": args.passes})
     out.write_text("plane.md", plane_page(data))
     for title, header, rows in limit_tables(data):
         print_table(rows, header, title=title, left=1 + ("stage" in header))
-    from cnclik.show.output import drawn_by
+    return {"plane.png": (drawn_by("stability", "plane", data), {"Title": "stability regions"})}
 
-    return {"plane.png": (functools.partial(drawn_by("stability", "plane"), data), {"Title": "stability regions"})}
+
+def _write(out, file, data, config):
+    from cnclik.measure.dataset import as_json, provenance
+    from cnclik.measure.files import save_netcdf
+
+    out.write(file, functools.partial(save_netcdf, data.assign_attrs(provenance(float) | {"config": as_json(config)})))
 
 
 # --- the map ------------------------------------------------------------------------------------------
@@ -178,8 +180,8 @@ def _plane(args, out):
 def _map(args, out, found, rest):
     import numpy as np
 
-    from cnclik.measure.dataset import as_json, provenance
-    from cnclik.measure.files import save_netcdf
+    from cnclik.measure.dataset import as_json
+    from cnclik.show.output import drawn_by
     from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
 
@@ -191,7 +193,7 @@ def _map(args, out, found, rest):
     half = np.sqrt(min(now.margin, 20 / now.z))
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)
     times = np.geomspace(*_range(args.Ts_range, found.Ts, half), args.cells)
-    config = as_json(table(args) | {"tolerance": args.tolerance})
+    config = table(args) | {"tolerance": args.tolerance}
     driven = {} if found.drive is None else {"drive": found.drive}
     N = args.N or (400 if driven else 100)
     loop = dict(method=found.method, stage=found.stage, N=N, tolerance=args.tolerance)
@@ -199,28 +201,18 @@ def _map(args, out, found, rest):
         data = stability_map(
             found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop, **driven
         )
-    attributes = provenance(float) | {"config": config}
-    data = data.assign_attrs(attributes)
-    out.write("map.nc", functools.partial(save_netcdf, data))
-    from cnclik.show.output import drawn_by
-
+    _write(out, "map.nc", data, config)
     title = "\n".join(filter(None, (f"{advice.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
-    about = {"Title": f"stability map, {found.name}", "Description": config}
-    point = (rate, found.Ts, now.margin)
-    drawn = functools.partial(drawn_by("stability", "stability_map"), data, title=title, operating=point)
-    figures = {"map.png": (drawn, about)}
+    drawn = drawn_by("stability", "stability_map", data, title=title, operating=(rate, found.Ts, now.margin))
+    described = {"Description": as_json(config)}
+    figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | described)}
     if _has_passes(found):
         z, some = np.linspace(0.02, 3.0, 2 * args.cells), range(max(args.passes) + 1)
         with progress.bar("loops") as report:
-            strip = passes_map(
-                found.law, found.reference, found.q0, z=z, M=some, Ts=found.Ts, progress=report, **loop
-            ).assign_attrs(attributes)
-        out.write("passes.nc", functools.partial(save_netcdf, strip))
+            strip = passes_map(found.law, found.reference, found.q0, z=z, M=some, Ts=found.Ts, progress=report, **loop)
+        _write(out, "passes.nc", strip, config)
         name = f"{found.name}, {found.method}, {strip.attrs['stage']}(M)"
-        figures["passes.png"] = (
-            functools.partial(drawn_by("stability", "passes"), {name: strip}),
-            {"Title": name, "Description": config},
-        )
+        figures["passes.png"] = drawn_by("stability", "passes", {name: strip}), {"Title": name} | described
     endings = data.ending.values
     names = data.ending.attrs["flag_meanings"].split()
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))

@@ -34,9 +34,9 @@ def load_ahead(*modules) -> None:
     threading.Thread(target=load, daemon=True).start()
 
 
-def drawn_by(module, name):
-    """A function of `cnclik.show` that draws, loaded when it is called: by then the data are safe."""
-    return lambda *args, **options: getattr(importlib.import_module(f"cnclik.show.{module}"), name)(*args, **options)
+def drawn_by(module, name, *args, **options):
+    """A function of no arguments that draws by one of `cnclik.show`, loaded when called: data are safe then."""
+    return lambda: getattr(importlib.import_module(f"cnclik.show.{module}"), name)(*args, **options)
 
 
 def draw(figures, path, *, name="out", again="", progress=None, overwrite=False) -> list:
