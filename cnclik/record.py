@@ -72,7 +72,7 @@ def combine(arrays, literals: Literals):
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False)
-def record(cls=None, *, kw_only: bool = True):
+def record(cls: Any = None, *, kw_only: bool = True) -> Any:
     """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above."""
     if cls is None:
         return lambda cls: record(cls, kw_only=kw_only)

@@ -20,8 +20,7 @@ from cnclik.export.reach_trace import SEEDS, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import WHAT, Asked, trace
-from cnclik.integrate.method import DEFAULT, Method, evaluations_of, named
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_of, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law, check_loop
 from cnclik.law.reference import Reference
@@ -39,7 +38,7 @@ def c(
     *,
     out: str | os.PathLike,
     what: str = "step",
-    method: Method | Multistep | str = DEFAULT,
+    method: MethodLike = DEFAULT,
     stage: Stage | None = None,
     dtype: str = "float64",
     name: str = "clik_step",

@@ -180,13 +180,15 @@ RK4 = Method(
     source="Kutta (1901); R(z) = 1 − z + z²/2 − z³/6 + z⁴/24",
 )
 
+MethodLike = Method | Multistep | str  # or its name
+
 
 def named(method, argument="method") -> Method | Multistep:
     """The method, or the one of that name. Raises: ArgumentError, naming `argument`, where there is none."""
     return method if isinstance(method, (Method, Multistep)) else METHODS[errors.one_of(argument, method, METHODS)]
 
 
-def exponential(method: Method | Multistep | str) -> Method | Multistep:
+def exponential(method: MethodLike) -> Method | Multistep:
     """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same price.
 
     The law's exact solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). So e is measured once, at the

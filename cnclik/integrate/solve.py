@@ -23,8 +23,7 @@ from cnclik.integrate.advance import Step, advanced
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.history import History
 from cnclik.integrate.loop import loop_of, run
-from cnclik.integrate.method import DEFAULT, Method, evaluations_per_step, named
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
@@ -51,7 +50,7 @@ def solve(
     q0: Float[ArrayLike, " n"],
     Ts: Number,
     N: int,
-    method: Method | Multistep | str = DEFAULT,
+    method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     *,
     t0: Number = 0.0,
@@ -121,7 +120,7 @@ def step(
     q: Float[ArrayLike, " n"],
     t: Number,
     Ts: Number,
-    method: Method | Multistep | str = DEFAULT,
+    method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     history: History | None = None,
 ) -> Step:

@@ -15,8 +15,7 @@ from jax import lax
 
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.loop import loop_of, one, start
-from cnclik.integrate.method import DEFAULT, Method, named
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status
 from cnclik.record import cast, record
@@ -110,7 +109,7 @@ def outcome(
     q0,
     Ts,
     N: int,
-    method: Method | Multistep | str = DEFAULT,
+    method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     *,
     drive: Drive = Drive(),

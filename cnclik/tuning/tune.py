@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import DEFAULT, Method
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference
@@ -47,7 +46,7 @@ def tune(
     *,
     Ts: Number,
     N: int,
-    method: Method | Multistep | str = DEFAULT,
+    method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     descent: Descent = Descent(),
     progress: Callable | None = None,
