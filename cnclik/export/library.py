@@ -78,6 +78,8 @@ class Compiled:
     One object has one set of buffers: each thread needs its own.
     """
 
+    temporary: tempfile.TemporaryDirectory | None = None  # that it lies in, see `compiled`
+
     def __init__(self, folder, manifest):
         self.manifest, self.folder = manifest, folder
         self.dtype = np.dtype(manifest["dtype"])

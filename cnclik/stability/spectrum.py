@@ -20,7 +20,7 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import chord, picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
-from cnclik.law.law import check_loop, evaluate
+from cnclik.law.law import Law, check_loop, evaluate
 from cnclik.law.null import without
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import cast, record, replace
@@ -283,7 +283,7 @@ def _largest(moved, basis):
 # --- rest ---------------------------------------------------------------------------------------------
 
 
-def at_rest(law, reference, q):
+def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
     """The law and the held reference of a loop at rest at q, once it is known that `reference` is there too.
 
     The reference is where q is. A null-space velocity that moves the arm there is taken less that motion: on its way
