@@ -1,190 +1,168 @@
-"""Reach source: the search for one target, around the traced look.
+"""Reach source: the search of `cnclik.reach` for one target: reaching/c/search.c, with a few of its seeds.
 
-From where the arm is, then from the posture whose tip is nearest to the target, then from the next nearest: each by
-careful steps, until one arrives. Where none does, the nearest pose found is told. Lengths are in the chain's own unit
-inside, see `reaching.units`.
+From where the arm is, then from the nearest seed of ever another set, then from any; where no try arrives, downhill to
+the nearest pose. Lengths are in the chain's own unit inside, see `reaching.units`.
 """
 
-import math
+from typing import NamedTuple
 
+import numpy as np
+
+from cnclik import errors
+from cnclik.engine.routine import INT, Field, Routine
 from cnclik.export.cost import operations
-from cnclik.export.reach_trace import Reaching
-from cnclik.export.source import Names, body, signature, struct
-from cnclik.reaching.seeds import TURN
+from cnclik.export.source import Names, signature, statements
+from cnclik.export.trace import Asked
+from cnclik.reaching import asked, strategy
+from cnclik.reaching.native_source import lanes_of, look_of, search_source
+from cnclik.reaching.seeds import SETS, SIZE, compared, seeds
+from cnclik.reaching.units import of_joints
+from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.posture import arm_length
 
-STEPS, TOGETHER, ROUNDS_FAR = 40, 8, 3  # steps of a try; tries where the target is farther off than the arm is long
-MORE = 5  # times as many steps from the nearest pose found, where none is an answer
+SEEDS = 64  # postures that are written into the source, by default
+SHIPPED = (4, 3, 2, 1)  # sets of them: the first that so many can be dealt out to
+TOLERANCE = (1e-6, 1e-6)  # [m], [rad]
+LEAST = 64.0  # roundings, that a tolerance is at least
+
+
+class Reaching(NamedTuple):
+    """What the C is written from."""
+
+    asked: asked.Asked  # in the chain's own unit
+    look: Routine  # of a lane of the search: look, and step on
+    call: Routine  # what the exported function takes and gives, without a graph
+    postures: np.ndarray  # (K, n) to start from
+    features: np.ndarray  # (sets, 13, K / sets) their tips, as `seeds.Compared` has them
+
+
+def trace_reach(asked_for: Asked, count: int) -> Reaching:
+    """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
+    errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
+    law, least = asked_for.law, LEAST * np.finfo(asked_for.dtype).eps
+    search = asked.asked_of(law.chain, law.task, TOLERANCE, None, None, count + 1, strategy.ENDLESS, 0, True, True)
+    chain, task, sets = search.chain, search.task, next(sets for sets in SHIPPED if count % sets == 0)
+    n, p, turned, units = chain.n, len(task.position), bool(task.orientation), ", ".join(dict.fromkeys(law.chain.units))
+    features = compared(seeds(chain), task).features.transpose(0, 2, 1).reshape(-1, 13)[:count]
+    parameters = [
+        Field("tolerance", (2,), about="of position [m] and orientation [rad]", value=np.maximum(TOLERANCE, least)),
+        Field("tries", (), INT, about="starts, at most", value=count + 1),
+    ]
+    given = [Field("q", (n,), about=f"joint values to search from first, such as where the arm is [{units}]")]
+    given += [Field("position", (p,), about="the target's, in the task's coordinates [m]")] * bool(p)
+    given += [Field("rotation", (3, 3), about="the target's, row by row", value=np.eye(3))] * turned
+    told = [
+        Field("q", (n,), about=f"joint values of the answer, else of the nearest pose found [{units}]"),
+        Field("position_error", (), about="[m]"),
+        Field("orientation_error", (), about="[rad]"),
+        Field("evaluations", (), INT, "looks at a posture that it took"),
+        Field("status", (), INT, "how it went"),
+    ]
+    return Reaching(
+        asked=search,
+        look=look_of(chain, task, asked_for.dtype),
+        call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": told}),
+        postures=seeds(chain).postures[:count],
+        features=features.reshape(sets, -1, 13).transpose(0, 2, 1),
+    )
 
 
 def most_operations(reaching: Reaching) -> dict:
     """Operations of a call at most."""
-    looks = (len(reaching.postures) + 1 + MORE) * STEPS
+    tries = reaching.call.inputs["parameters"][-1].value
+    looks = tries * (strategy.CAREFUL + strategy.SLOW) + strategy.PLACES * strategy.DOWNHILL
     return {what: count * looks for what, count in operations(reaching.look).items()}
 
 
 def reach_source(reaching: Reaching, names: Names) -> tuple:
     """The text of all functions, and what `helpers` are for."""
-    name, groups = names.name, reaching.look.inputs
-    given = ", ".join(f"const {names.type(g)} *{g}" for g in ("parameters", "input", "bounds"))
-    text, used = body(reaching.look, names, f"static void {name}_look({given}, {names.type('search')} *search)")
-    parts = [
-        struct(names, "bounds", groups["bounds"]),
-        "/* Where a search stands: `best` is the posture of the least error so far, `steep` the slope there. */",
-        struct(names, "search", groups["search"]),
-        text,
-        _nearest(reaching, names),
-        _search(reaching, names),
-    ]
-    return "\n".join(parts), used
+    of, (sets, _, size) = reaching.asked, reaching.features.shape
+    lines, used = statements(reaching.look, names, lambda _, f: f"s->{f.name}")
+    told = {"W": 1, "LANE(v, i)": "(*(&(v) + (i)))", "SPLAT(x)": "(x)", "ENTRY": "static"}
+    told["LIBM(name)"] = f"name##{names.suffix}" if names.suffix else "name"
+    look = "\n".join(["static void look(Lanes *s)", "{", *lines, "}", ""])
+    search = search_source(of.chain, of.task, names.real, sets, size, 1, told)
+    return "\n".join([lanes_of(reaching.look, names.real, "int32_t"), look, search, _call(reaching, names)]), used
 
 
-def _nearest(reaching, names) -> str:
-    """Chooses a posture to start from."""
-    count, columns = reaching.tips.shape
-    turned = any(f.name == "rotation" for f in reaching.call.inputs["input"])
-    p = columns - 9 * turned
-    parts = []
-    if p:
-        factor = names.number(reaching.scale)
-        parts.append(f"""    for (i = 0; i < {p}; ++i) {{
-      const {names.real} d = {factor} * input->position[i] - tips[k][i];
-      far += d * d;
-    }}""")
-    if turned:
-        factor = names.number(TURN)
-        parts.append(f"""    for (i = 0; i < 9; ++i) {{
-      const {names.real} d = {factor} * input->rotation[i] - tips[k][{f"{p} + " * bool(p)}i];
-      far += d * d;
-    }}""")
-    return f"""/* The number of the posture, of those not tried yet, whose tip is nearest to the target. */
-static int {names.name}_nearest(const {names.type("input")} *input, const unsigned char *tried)
-{{
-  static const {names.real} tips[{count}][{columns}] = {names.rows(reaching.tips, indent="    ")};
-  {names.real} least = INFINITY;
-  int found = 0, k, i;
-  for (k = 0; k < {count}; ++k) {{
-    {names.real} far = 0;
-{chr(10).join(parts)}
-    if (!tried[k] && far < least) {{
-      least = far;
-      found = k;
-    }}
-  }}
-  return found;
-}}
-"""
-
-
-def _search(reaching, names) -> str:
+def _call(reaching, names) -> str:
     """The exported function."""
-    (count, n), real, f = reaching.postures.shape, names.real, names.suffix
-    inputs = reaching.call.inputs["input"]
-    c = names.number
-
-    finite = "\n".join(
-        f"  for (i = 0; i < {field.size}; ++i) {{\n    sum += 0 * input->{field.name}[i];\n  }}" for field in inputs
-    )
-    turn = c(2 * math.pi)
-    turns = "\n".join(
-        f"  output->q[{i}] -= {turn} * floor{f}((output->q[{i}] - input->q[{i}]) / {turn} + {c(0.5)});"
-        for i in reaching.turns
-    )
-    word, far, few = names.name.upper(), "", ""
-    unit = "" if reaching.unit == 1.0 else f"{c(reaching.unit)} * "
-    if reaching.center:
-        away = " + ".join(
-            f"(input->position[{i}] - {c(x)}) * (input->position[{i}] - {c(x)})" for i, x in enumerate(reaching.center)
-        ).replace("- -", "+ ")
-        far = f"\n  far = sqrt{f}({away}) > {c(reaching.length)} + parameters->tolerance[0];"
-        few = f" && !(far && k > {ROUNDS_FAR * TOGETHER})"
-    units, metres = _units(reaching, names, inputs)
+    of, c, known = reaching.asked, names.number, seeds(reaching.asked.chain)
+    (lower, upper), own = of.limited(), np.array(of_joints(of.chain, of.unit))
+    roots = np.ones(of.task.m) if of.task.weights is None else np.sqrt(np.asarray(of.task.weights, float))
+    tables = {"lower": lower, "upper": upper, "jump": np.full(of.chain.n, np.inf), "periods": of.periods}
+    tables |= {"turns": of.turns(), "middle": known.middle, "width": known.width, "roots": roots}
+    tables |= {"postures": reaching.postures, "own": own}
+    factors = compared(known, of.task).factors
+    written = [_table(names, "Real", name, values) for name, values in tables.items()]
+    written += [_table(names, "float", name, v) for name, v in (("features", reaching.features), ("factors", factors))]
+    pose = [f"  pose[{axis}] = input->position[{k}] * {c(1 / of.unit)};" for k, axis in enumerate(of.task.linear)]
+    if of.task.orientation:
+        pose.append("  for (int i = 0; i < 9; ++i) pose[3 + i] = input->rotation[i];")
+    pointers = [f"  a.{name} = {name};" for name in tables if name != "own"]
     return f"""{signature(reaching.call, names)}
 {{
-  static const {names.type("bounds")} bounds = {{
-    {{{", ".join(map(c, reaching.lower.tolist()))}}},
-    {{{", ".join(map(c, reaching.upper.tolist()))}}}
-  }};
-  static const {real} postures[{count}][{n}] = {names.rows(reaching.postures, indent="    ")};
-  unsigned char tried[{count}] = {{0}};
-  {names.type("search")} at, best;
-  {real} sum = 0, turn;
-  int32_t looks = 0, status;
-  int far = 0, k, i;
-{units}{finite}{far}
-  memset(&best, 0, sizeof best);
-  for (i = 0; i < {n}; ++i) {{
-    best.best[i] = input->q[i];
+{chr(10).join(written)}
+  Real pose[12] = {{0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1}}, near[N], row[2 * N + 5], away = 0;
+  Found made;
+  Asked a;
+  int far;
+  memset(&a, 0, sizeof a);
+  memset(&made, 0, sizeof made);
+{chr(10).join(pose + pointers)}
+  a.low = lower;
+  a.high = upper;
+  a.features = features;
+  a.factors = factors;
+  a.pose = pose;
+  a.near = near;
+  a.made = &made;
+  a.tolerance[0] = parameters->tolerance[0] * {c(1 / of.unit)};
+  a.tolerance[1] = 2 * LIBM(sin)(least(parameters->tolerance[1], {c(np.pi)}) / 2);
+  for (int i = 0; i < N; ++i) near[i] = input->q[i] / own[i];
+{_far(reaching, names)}
+  a.tries = parameters->tries > 1 ? parameters->tries : 1;
+  if (far && a.tries > {strategy.FIRST}) a.tries = {strategy.FIRST};
+  a.budget = {strategy.ENDLESS};
+  search(&a, 0, 1);
+  if (made.found == 0) {{ /* on to the nearest pose */
+    a.downhill = {strategy.DOWNHILL};
+    a.tries = PLACES;
+    search(&a, 0, 1);
   }}
-  best.squares[0] = best.squares[1] = best.cost = INFINITY;
-  for (k = 0; (k == 0 || k < parameters->tries) && k <= {count} && !best.arrived && sum == 0{few}; ++k) {{
-    const {real} *start = input->q;
-    int step;
-    if (k > 0) {{
-      const int chosen = {names.name}_nearest(input, tried);
-      tried[chosen] = 1;
-      start = postures[chosen];
-    }}
-    memset(&at, 0, sizeof at);
-    at.squares[0] = at.squares[1] = at.cost = at.steep = INFINITY;
-    at.trust = 1;
-    for (i = 0; i < {n}; ++i) {{
-      at.q[i] = start[i] < bounds.low[i] ? bounds.low[i] : start[i] > bounds.high[i] ? bounds.high[i] : start[i];
-      at.best[i] = at.q[i];
-    }}
-    for (step = 0; step < {STEPS} && !at.arrived; ++step) {{
-      {names.name}_look(parameters, input, &bounds, &at);
-      ++looks;
-    }}
-    if (at.arrived || at.cost < best.cost) {{
-      best = at;
-    }}
-  }}
-  /* No answer: on towards the nearest pose, to tell whether there is none. */
-  for (k = 0; k < {MORE * STEPS} && !best.arrived && sum == 0; ++k) {{
-    {names.name}_look(parameters, input, &bounds, &best);
-    ++looks;
-  }}
-  for (i = 0; i < {n}; ++i) {{
-    output->q[i] = best.best[i];
-  }}
-{turns}
-{metres}  turn = sqrt{f}(best.squares[1]) / 2;
-  output->position_error = {unit}sqrt{f}(best.squares[0]);
-  output->orientation_error = 2 * asin{f}(turn < 1 ? turn : 1);
-  output->evaluations = looks;
-  status = {word}_OUT_OF_BUDGET;
-  if (best.arrived) {{
-    status = {word}_SOLVED;
-  }} else if (sum != 0) {{
-    status = {word}_NON_FINITE;
-    for (i = 0; i < {n}; ++i) {{
-      output->q[i] = NAN;
-    }}
-    output->position_error = output->orientation_error = NAN;
+  a.rows = row;
+  tell(&a, 0);
+  for (int i = 0; i < N; ++i) output->q[i] = made.looks > 0 ? row[i] * own[i] : NAN;
+  output->position_error = made.looks > 0 ? row[N + 1] * {c(of.unit)} : NAN;
+  output->orientation_error = made.looks > 0 ? row[N + 2] : NAN;
+  output->evaluations = (int32_t)made.looks;
+  output->status = {names.name.upper()}_OUT_OF_BUDGET;
+  if (made.looks == 0) {{
+    output->status = {names.name.upper()}_NON_FINITE;
+  }} else if (made.found != 0) {{
+    output->status = {names.name.upper()}_SOLVED;
   }} else if (far) {{ /* nothing else is known: other postures might lead there */
-    status = {word}_OUT_OF_REACH;
+    output->status = {names.name.upper()}_OUT_OF_REACH;
   }}
-  output->status = status;
-  return status;
+  return output->status;
 }}
 """
 
 
-def _units(reaching, names, inputs) -> tuple:
-    """Statements that bring what is given into the chain's unit, and joint values back; nothing where that is 1 m."""
-    if reaching.unit == 1.0:
-        return "", ""
-    c = names.number
+def _table(names, real, name, values) -> str:
+    rows = np.asarray(values, float).reshape(-1, np.shape(values)[-1]).tolist()
+    lines = ",\n    ".join(", ".join(map(names.number, row)) for row in rows)
+    return f"  static const {real} {name}[] = {{{lines}}};"
 
-    slides = [(i, own) for i, own in enumerate(reaching.own) if own != 1.0]
+
+def _far(reaching, names) -> str:
+    """Statements that tell whether the target is farther from the first joint than the stretched arm is long."""
+    of, c = reaching.asked, names.number
+    if not all(joint.kind == REVOLUTE for joint in of.chain.joints):
+        return "  far = away > 0;"
+    least, center = LEAST * np.finfo(names.dtype).eps, of.chain.joints[0].origin.position
     lines = [
-        f"  {names.type('parameters')} inner = *parameters;",
-        f"  {names.type('input')} given = *input;",
-        f"  inner.tolerance[0] *= {c(1 / reaching.unit)};",
-        *(f"  given.q[{i}] *= {c(1 / own)};" for i, own in slides),
+        f"  away += (pose[{k}] - {c(float(center[k]))}) * (pose[{k}] - {c(float(center[k]))});" for k in of.task.linear
     ]
-    for field in inputs:
-        if field.name == "position":
-            lines += [f"  given.position[{i}] *= {c(1 / reaching.unit)};" for i in range(field.size)]
-    lines += ["  parameters = &inner;", "  input = &given;"]
-    return "\n".join(lines) + "\n", "".join(f"  output->q[{i}] *= {c(own)};\n" for i, own in slides)
+    length = c((1 + least) * float(arm_length(of.chain)))
+    return "\n".join([*lines, f"  far = LIBM(sqrt)(away) > {length} + a.tolerance[0];"]).replace("- -", "+ ")

@@ -15,8 +15,7 @@ from cnclik.export.cost import operations
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
 from cnclik.export.loop import RESULTS, trace_growth, trace_loop
-from cnclik.export.reach_source import most_operations, reach_source
-from cnclik.export.reach_trace import SEEDS, trace_reach
+from cnclik.export.reach_source import SEEDS, most_operations, reach_source, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import WHAT, Asked, trace

@@ -26,24 +26,39 @@ SEARCH = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="
 
 def native_source(chain, task) -> str:
     """The text: `search` for the targets `first` to `last` - 1 of what `asked` points to, and `along` for a path's."""
-    program, real = _look(chain, task), np.dtype(np.float64)
+    program, real = look_of(chain, task, np.float64), np.dtype(np.float64)
     writer = Writer(program.graph, program.given, program.outs, real, *program.places(lambda _, f: f"s->{f.name}"))
     look = ["static void look(Lanes *s)", "{", *writer.statements(), "}"]
+    told = {"LANE(v, i)": "(v)[i]", "SPLAT": "splat_F64", "LIBM(name)": "name", "ENTRY": "", "VECTORS": ""}
+    parts = [vectors(writer, real), *writer.tables, lanes_of(program, "F64", "S32"), *look]
+    return "\n".join([*parts, search_source(chain, task, "double", SETS, SIZE, strategy.PLAIN, told)])
+
+
+def lanes_of(program, real, whole) -> str:
+    """What a lane holds, as a type of C."""
     fields = [
-        f"{'S32' if f.kind == INT else 'F64'} {f.name}{f'[{f.size}]' * bool(f.shape)};" for f in program.inputs["lanes"]
+        f"  {whole if f.kind == INT else real} {f.name}{f'[{f.size}]' * bool(f.shape)};"
+        for f in program.inputs["lanes"]
     ]
-    numbers = {"N": chain.n, "M": task.m, "SETS": SETS, "SIZE": SIZE, "STRETCHES": len(STRETCHES), "SCATTER": SCATTER}
+    return "\n".join(["typedef struct {", *fields, "} Lanes;"])
+
+
+def search_source(chain, task, real, sets, size, by_near, told) -> str:
+    """The search around `look`, with its numbers.
+
+    Args: real: type of numbers. sets, size: of the seeds. by_near: tries about `near`. told: what else is defined.
+    """
+    numbers = told | {"N": chain.n, "M": task.m, "SETS": sets, "SIZE": size, "SCATTER": SCATTER, "BY_NEAR": by_near}
+    numbers |= {"STRETCHES": len(STRETCHES), "STRETCHED": ", ".join(map(str, STRETCHES))}
     numbers |= {"TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     numbers |= {name: getattr(strategy, name) for name in strategy.NUMBERS}
     defined = [f"#define {name} {value}" for name, value in numbers.items()]
-    defined += [f"static const double stretches[] = {{{', '.join(map(str, STRETCHES))}}};"]
-    lanes = ["typedef struct {", *fields, "} Lanes;"]
-    return "\n".join([vectors(writer, real), *writer.tables, *lanes, *look, *defined, SEARCH])
+    return "\n".join([*defined, f"typedef {real} Real;", SEARCH])
 
 
-def _look(chain, task):
+def look_of(chain, task, dtype):
     """A look at a posture with the step from it; what a lane holds comes in and goes out."""
-    n, dtype = chain.n, np.dtype(np.float64)
+    n, dtype = chain.n, np.dtype(dtype)
     state = [Field("q", (n,)), Field("best", (n,)), Field("squares", (2,))]
     state += [Field(name, ()) for name in ("cost", "steep", "trust")] + [Field("arrived", (), INT)]
     own = [Field("careful", (), INT), Field("low", (n,)), Field("high", (n,)), Field("tolerance", (2,))]

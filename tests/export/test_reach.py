@@ -9,6 +9,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.reaching import strategy
+from cnclik.reaching.native_source import SEARCH
 from tests.export.combinations import arm
 
 pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
@@ -141,6 +143,12 @@ def test_tasks_in_single_precision(task):
         assert np.linalg.norm(there[0] - position, axis=1)[solved].max() < 2e-5
     if task != "xyz":
         assert off(there[1], rotation)[solved].max() < 2e-5
+
+
+def test_what_is_shipped_is_the_search_of_the_library(tmp_path):
+    """Line by line, with its numbers."""
+    text = (ck.export.c(ck.panda(), out=tmp_path / "made", what="reach", name="arm") / "clik_arm.c").read_text()
+    assert SEARCH in text and all(f"#define {n} {getattr(strategy, n)}\n" in text for n in strategy.NUMBERS)
 
 
 def test_seeds_are_counted_and_options_checked(tmp_path):
