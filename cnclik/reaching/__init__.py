@@ -1,8 +1,8 @@
 """Reaching: which joint values put the tip there, for one target or a million, with a reason where none do.
 
-`targets` reads what is asked, `seeds` knows where to start, `step` is the iteration, `native` runs it as C until all is
-found. Without a compiler `programs` and `search` do, in batches; `single` is the same for one target and for what JAX
-traces. `many` chooses, `public` puts all together, `result` says how it went.
+`targets` reads what is asked, `seeds` knows where to start, `step` is the iteration, `strategy` how a search goes on.
+`search` is that search as a pure function, c/search.c as C. `native` runs the C, `single` the function, in programs of
+its own and in those of others; `many` chooses, `public` puts all together, `result` says how it went.
 """
 
 import lazy_loader
