@@ -6,7 +6,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import LIGHT_COMPILE, quick_jit
+from cnclik.hints import LIGHT_COMPILE, as_here, quick_jit
 from cnclik.integrate.lanes import tiled
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -19,6 +19,7 @@ from cnclik.reaching.strategy import CAREFUL, FAR, PLAIN, alone, narrowed, phase
 from cnclik.record import cast, kept, placed, replace
 from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.posture import evenly, start_posture
+from cnclik.threads import cores, side_by_side
 
 BLOCK = 32  # targets that one call answers, one after the other
 ONE_BY_ONE = 512  # targets, at most, that are sooner searched for so
@@ -117,7 +118,7 @@ _some, _many = (
 
 
 class Programs:
-    """The search for what is asked by JAX's programs, on one core: LAPACK, see `cnclik.hints.shares_threads`."""
+    """The search for what is asked by JAX's programs, on all cores."""
 
     def __init__(self, asked):
         task, chain = asked.task, asked.chain
@@ -142,15 +143,14 @@ class Programs:
             q, squares, _, steep, looks, found, *_ = made
             rows = as_rows(fields(asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)))
             left = np.flatnonzero(found == 0)
-        with jax.enable_x64(True):
-            for i in range(0, len(left), BLOCK):
-                ids = left[i : i + BLOCK]
-                own = None if near is None else filled(near[ids], BLOCK)
-                some = Found(*(filled(v[ids], BLOCK) for v in made))
-                given = filled(pose[ids], BLOCK), own, some, np.int32(done), np.int32(len(ids))
-                rows[ids] = np.asarray(_some(*self.shared, *given)[1])[: len(ids)]
-                if progress is not None:
-                    progress(B - len(left) + i + len(ids), B)
+
+        def search(ids):
+            own = None if near is None else filled(near[ids], BLOCK)
+            some = Found(*(filled(v[ids], BLOCK) for v in made))
+            given = filled(pose[ids], BLOCK), own, some, np.int32(done), np.int32(len(ids))
+            rows[ids] = np.asarray(_some(*self.shared, *given)[1])[: len(ids)]
+
+        _on_all_cores(search, left, BLOCK, progress and (lambda count: progress(B - len(left) + count, B)))
         return from_rows(asked.chain, asked.task, rows)
 
     def along(self, pose, progress=None) -> Reached:
@@ -184,13 +184,25 @@ class Programs:
     def _try(self, made, pose, near, ids, phase, number):
         """One try, of its own number (B,), for some of the targets."""
         phase, number = phase._replace(tries=phase.budget), number.astype(np.int32)
-        with jax.enable_x64(True):
-            for some in (ids[i : i + CAPACITY] for i in range(0, len(ids), CAPACITY)):
-                own = None if near is None else filled(near[some])
-                of = Found(*(filled(v[some]) for v in made)), filled(pose[some]), own, filled(number[some])
-                found = _many(*self.shared, phase, *of, np.int32(len(some)))
-                for whole, part in zip(made, found, strict=True):
-                    whole[some] = np.asarray(part)[: len(some)]
+
+        def one_try(some):
+            own = None if near is None else filled(near[some])
+            of = Found(*(filled(v[some]) for v in made)), filled(pose[some]), own, filled(number[some])
+            found = _many(*self.shared, phase, *of, np.int32(len(some)))
+            for whole, part in zip(made, found, strict=True):
+                whole[some] = np.asarray(part)[: len(some)]
+
+        size = min(CAPACITY, max(-(-len(ids) // cores()), BLOCK))
+        _on_all_cores(one_try, ids, size)
+
+
+def _on_all_cores(fn, ids, size, progress=None):
+    """fn of so many of some targets at a time. Args: progress: told of how many it has been."""
+    parts = [ids[i : i + size] for i in range(0, len(ids), size)]
+    with jax.enable_x64(True), side_by_side() as pool:
+        for k, _ in enumerate(pool.map(as_here(fn), parts), 1):
+            if progress is not None:
+                progress(min(k * size, len(ids)))
 
 
 def filled(rows, size=CAPACITY):

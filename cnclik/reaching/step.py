@@ -127,7 +127,7 @@ def _step(rows, e, cost, q, low, high, trust):
     downhill = e @ rows
     pushes = ((q <= low) & (downhill < 0)) | ((q >= high) & (downhill > 0))
     downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, rows)
-    step = dense.cholesky_solve(dense.cholesky(dense.shifted(left @ left.T, shift)), e) @ left
+    step = dense.solve_positive(dense.shifted(left @ left.T, shift), e) @ left
     scale = cost * jnp.sum(rows**2)
     steep = downhill @ downhill / jnp.where(scale > 0, scale, 1.0)
     kink = (trust > 1) & (shift > SHORT * jnp.sum(rows**2))

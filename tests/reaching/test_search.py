@@ -7,6 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.engine.compiler import can_build
+from cnclik.hints import shares_threads
 from cnclik.law.task import pose
 from cnclik.reaching import native, search, strategy
 from cnclik.reaching.asked import asked_of
@@ -30,6 +31,15 @@ def test_tries_beyond_the_sets_start_elsewhere():
 
     tried = jax.vmap(start)(np.arange(3 * SETS))
     assert len(np.unique(np.asarray(tried).round(9), axis=0)) == len(tried)
+
+
+def test_tries_call_no_lapack():
+    """Blocks of them run side by side."""
+    chain = ck.panda()
+    of = search.given(asked(chain), seeds(chain).postures, compared(seeds(chain), pose()), np.float64)
+    phase, made = strategy.phases(asked(chain))[0], search.nothing((), chain.n, float, jnp)
+    traced = jax.make_jaxpr(lambda target: search.tries(of, phase, made, target, None, 0, 1))(np.eye(1, 12)[0])
+    assert not shares_threads(traced.jaxpr)
 
 
 @pytest.mark.skipif(not can_build(), reason="there is no C compiler")
