@@ -43,7 +43,16 @@ def read_motions(path, robot=None) -> list:
         return best_and_worst(path)
     path = path / RUN if os.path.exists(path / RUN) else path
     ending = errors.ending("FILE", path, *ENDINGS)
-    found = {".nc": _netcdf, ".npz": _arrays, ".csv": _table}[ending](path)
+    try:
+        return [_motion({".nc": _netcdf, ".npz": _arrays, ".csv": _table}[ending](path), path, robot)]
+    except errors.ArgumentError:
+        raise
+    except Exception as error:  # whatever HDF5, xarray, NumPy and arrays that don't go with each other make of damage
+        raise errors.fail("FILE", "be a run of `solve` or answers of `reach`", f"{path.name} is not: {error}") from None
+
+
+def _motion(found, path, robot):
+    """What a file holds, by its names, as a motion."""
     config = found.pop("config", None) or _beside(path)
     if robot is None and "robot" in config:
         robot = robot_of(config["robot"], *(config.get(name) for name in ("tip", "base", "lengths")))
@@ -53,13 +62,8 @@ def read_motions(path, robot=None) -> list:
     shape = np.shape(found["q"])
     if len(shape) < 2 or shape[-1] != chain.n or not shape[0]:
         raise errors.fail("FILE", f"hold joint values (N, {chain.n}) of {name}'s joints", f"holds {shape}")
-    about = dict(name=path.stem if name in ("", None) else name, links=links)
-    try:
-        return [answers_motion(chain, found, **about) if "targets" in found else _run(chain, found, **about)]
-    except errors.ArgumentError:
-        raise
-    except (ValueError, TypeError, KeyError, IndexError) as error:  # arrays that don't go with each other
-        raise _unfit(path, error) from None
+    made = answers_motion if "targets" in found else _run
+    return made(chain, found, name=path.stem if name in ("", None) else name, links=links)
 
 
 def robot_of(robot, tip=None, base=None, lengths=None) -> tuple:
@@ -117,30 +121,18 @@ def answers_motion(chain, found, **about):
 def _netcdf(path) -> dict:
     import xarray as xr
 
-    try:
-        with xr.open_dataset(io.BytesIO(read_bytes("FILE", path, "a netCDF file")), engine="h5netcdf") as data:
-            found = {name: data[name].values for name in ("q", "x", "e", "status") if name in data}
-            if "transform" in data:
-                found |= {"targets": data["transform"].values, "position_error": data["position_error"].values}
-            else:
-                found |= {"t": data["time"].values, "axes": data["axis"].values}
-            return found | {"config": json.loads(data.attrs.get("config", "{}"))}
-    except errors.ArgumentError:
-        raise
-    except Exception as error:  # whatever HDF5 and xarray make of damage
-        raise _unfit(path, error) from None
+    with xr.open_dataset(io.BytesIO(read_bytes("FILE", path, "a netCDF file")), engine="h5netcdf") as data:
+        found = {name: data[name].values for name in ("q", "x", "e", "status") if name in data}
+        if "transform" in data:
+            found |= {"targets": data["transform"].values, "position_error": data["position_error"].values}
+        else:
+            found |= {"t": data["time"].values, "axes": data["axis"].values}
+        return found | {"config": json.loads(data.attrs.get("config", "{}"))}
 
 
 def _arrays(path) -> dict:
-    try:
-        with np.load(io.BytesIO(read_bytes("FILE", path, "an .npz file")), allow_pickle=False) as data:
-            found = {name: data[name] for name in data.files}
-        found["q"]
-        return found
-    except errors.ArgumentError:
-        raise
-    except Exception as error:
-        raise _unfit(path, error) from None
+    with np.load(io.BytesIO(read_bytes("FILE", path, "an .npz file")), allow_pickle=False) as data:
+        return {name: data[name] for name in data.files}
 
 
 def _table(path) -> dict:
@@ -148,7 +140,7 @@ def _table(path) -> dict:
     text = read_bytes("FILE", path, "a table").decode("utf-8-sig", errors="replace")
     header, *rest = csv.reader(io.StringIO(text, newline="")) if text.startswith("target,") else ([],)
     if header:
-        return _table_of_answers(path, header, rest)
+        return _table_of_answers(header, rest)
     names, rows = read_columns("FILE", path, gaps=True)
     columns = {kind: [i for i, n in enumerate(names) if n.startswith(f"{kind}_")] for kind in ("q", "x", "e")}
     if not columns["q"] or not len(rows):
@@ -161,19 +153,16 @@ def _table(path) -> dict:
     return found
 
 
-def _table_of_answers(path, header, rows):
-    try:
-        first, last = header.index("status") + 1, header.index("position_error")
-        entry = header.index("t00")
-        rows = [row for row in rows if "solution" not in header or row[1] == "0"]
-        return {
-            "q": np.array([row[first:last] for row in rows], float),
-            "status": np.array([ReachStatus[row[first - 1]] for row in rows], int),
-            "position_error": np.array([row[last] for row in rows], float),
-            "targets": np.array([row[entry : entry + 16] for row in rows], float).reshape(-1, 4, 4),
-        }
-    except (ValueError, KeyError, IndexError) as error:
-        raise _unfit(path, error) from None
+def _table_of_answers(header, rows):
+    first, last = header.index("status") + 1, header.index("position_error")
+    entry = header.index("t00")
+    rows = [row for row in rows if "solution" not in header or row[1] == "0"]
+    return {
+        "q": np.array([row[first:last] for row in rows], float),
+        "status": np.array([ReachStatus[row[first - 1]] for row in rows], int),
+        "position_error": np.array([row[last] for row in rows], float),
+        "targets": np.array([row[entry : entry + 16] for row in rows], float).reshape(-1, 4, 4),
+    }
 
 
 def _beside(path) -> dict:
@@ -181,7 +170,3 @@ def _beside(path) -> dict:
     if path.name != RUN and path.stem == "trajectory" and os.path.exists(path.parent / RUN):
         return _netcdf(path.parent / RUN)["config"]
     return {}
-
-
-def _unfit(path, error):
-    return errors.fail("FILE", "be a run of `solve` or answers of `reach`", f"{path.name} is not: {error}")
