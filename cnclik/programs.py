@@ -6,7 +6,6 @@ package; literals, shapes and types of its arguments; JAX's settings and its ver
 A program of what can't be told so, as of a function of the user's, is left to JAX's own cache.
 """
 
-import collections
 import contextlib
 import contextvars
 import dataclasses
@@ -18,13 +17,13 @@ import os
 import pathlib
 import pickle
 import sys
-import threading
 import time
 import types
 
 import jax
 import numpy as np
 
+from cnclik.cache import Recent
 from cnclik.compilation import machine
 from cnclik.reading import read_bytes
 
@@ -35,11 +34,9 @@ _ARRAYS = (np.ndarray, np.generic, jax.Array)
 _KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax")
 # Beginnings of variables of the environment that programs depend on.
 _SWITCHES = ("CC", "CFLAGS", "CNCLIK_", "JAX_", "XLA_")
-_MOST = 128  # programs held by this process
 ENDING = "-cache"  # of files' names, as JAX's own
 _place = None  # where programs are kept; None: nowhere
-_held = collections.OrderedDict()
-_one = threading.Lock()
+_held = Recent()  # by this process
 _needed = contextvars.ContextVar("what the program that is being made needs", default=None)
 
 
@@ -104,14 +101,7 @@ def kept(fn, context, options, static, args, named):
     if asked is None:
         return None
     key, leaves, make = asked
-    with _one:
-        found = _held.pop(key, None)
-    found = found or _read(key) or _made(key, leaves, make, options)
-    with _one:
-        _held[key] = found  # the newest
-        while len(_held) > _MOST:
-            _held.popitem(last=False)
-    program, results = found
+    program, results = _held.made(key, lambda key: _read(key) or _made(key, leaves, make, options))
     return jax.tree.unflatten(jax.tree.structure(results), program(*leaves))
 
 
