@@ -98,6 +98,7 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     r"N = (\d+) steps": r"--N \1",
     r"period = (\S+) s": r"--period \1",
     r"limits saturation\(\)": "--limits saturation",
+    r"limits saturation\((\S+?)\)": r"--limits saturation --limit-rate \1",
     "feedback commanded": "--feedback commanded",
 }
 

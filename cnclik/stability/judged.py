@@ -15,7 +15,7 @@ from cnclik.quantities import plainly
 from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import NEARLY, PLENTY, UNSTABLE
-from cnclik.stability.observed import rms
+from cnclik.stability.observed import VISIBLE, rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
 
@@ -243,7 +243,8 @@ def _unstable(case, error):
     if (seen.grows or seen.soars) and (case.pace is None or (seen.lost and not _shakes(case))):
         return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
     follows = case.pace is not None and (case.waits or case.follows)  # it moves with its path
-    if _shakes(case) or (seen.visible and case.spans > PLENTY and not follows):
+    moves = seen.visible or (case.pace is not None and seen.largest > VISIBLE)  # it may rest between whiles
+    if _shakes(case) or (moves and case.spans > PLENTY and not follows):
         return _shaking(case, error)
     falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
     if not falls and case.radius_at(case.start) > UNSTABLE:

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 
+from cnclik.integrate.pace import CHAIN
 from cnclik.integrate.stage import Picard
 from cnclik.law.inverse import Transpose
+from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
@@ -18,6 +20,7 @@ from cnclik.stability.spectrum import leaky
 MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
 ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
 INSIDE = 0.97  # of the way to the edge of what can be reached, where a target is brought to
+BRAKES = 0.5  # of what a pace can, that joints nearing their limits take
 SMALL = 0.05  # joint step that is gentle [rad, m]
 ARRIVES = math.log(1e3)  # time constants in which an error is gone
 
@@ -248,12 +251,21 @@ def slower_joints(case) -> tuple:
 
 
 def inside(case) -> tuple:
-    """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther."""
-    q, chain, kept = case.start.q, case.law.chain, reasons.keeps_positions(case.law)
-    if kept or np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
+    """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther: at a pace
+    neared so slowly that it can brake. From a velocity v a rate r takes an acceleration of r·v and a jerk of r²·v."""
+    q, chain, pace, limits = case.start.q, case.law.chain, case.pace, case.law.limits
+    if np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
         return ()
-    words = "keep the joints inside with limits saturation()"
-    return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)
+    rate, change = float(limits.rate) if isinstance(limits, Saturated) else math.inf, {}
+    if pace is not None and pace.smooth:
+        v = float(np.max(np.asarray(chain.velocity_limit if pace.velocity in (CHAIN, None) else pace.velocity, float)))
+        a, j = (math.inf if one is None else float(np.min(np.asarray(one))) for one in (pace.acceleration, pace.jerk))
+        most = BRAKES * min(a / v, (j / v) ** 0.5) if 0 < v < math.inf else 0.0
+        change = {"limit_rate": float(f"{most:.2g}")} if most else {}
+    if reasons.keeps_positions(case.law) and not 0 < change.get("limit_rate", 0.0) < rate:
+        return ()
+    words = f"keep the joints inside with limits saturation({', '.join(map(str, change.values()))})"
+    return (Remedy(change={"limits": "saturation"} | change, words=words, mends="limits"),)
 
 
 def less_pull(case) -> tuple:

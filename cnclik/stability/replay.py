@@ -13,6 +13,7 @@ from cnclik.stability import trial
 
 STEPS = 32  # that are compared
 ROUNDINGS = 100.0  # of joint values, grown as two starts a few roundings apart do, that are none of another loop
+AT_A_PACE = 1e4  # the same: a pace divides differences of steps by Ts once or twice
 
 
 def check_path(pace, reference, run) -> None:
@@ -35,7 +36,8 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     q, t, N = np.asarray(run.q), np.asarray(run.t, float), len(run.residual)
     eps = float(np.finfo(q.dtype).eps)
     k = min(N, STEPS)
-    floor = ROUNDINGS * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
+    roundings = ROUNDINGS if pace is None else AT_A_PACE
+    floor = roundings * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
     stepped = np.abs(np.diff(q[: k + 1], axis=0) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
     remembers = not (drive.absent and pace is None and method.steps == 1)
     if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
@@ -54,7 +56,7 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
         return
     beside = again(q[0] + 4 * eps * (1 + np.abs(q[0])).astype(q.dtype))
     spread = np.maximum.accumulate(np.abs(beside - made).max(axis=1))
-    if (other := np.isfinite(spread + off) & (off > floor + ROUNDINGS * spread)).any():
+    if (other := np.isfinite(spread + off) & (off > floor + roundings * spread)).any():
         first = int(np.argmax(other))
         must = "be made by the loop that is described, with its drive, pace, noise, method and stage"
         found = f"at t = {t[first]:.4g} s its joints differ from that loop's by {off[first]:.2g} [rad, m]"

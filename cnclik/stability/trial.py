@@ -77,7 +77,8 @@ def changed(run: Run, change: dict) -> Run:
     if "damping" in change:
         law = replace(law, inverse=inverse.damped(np.asarray(change.pop("damping"), float)))
     if "limits" in change:
-        law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
+        rate = [change.pop("limit_rate")] if "limit_rate" in change else []
+        law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))(*rate))
     if "null_gain" in change:
         law = replace(law, null_velocity=_slower(law.null_velocity, change.pop("null_gain")))
     numbers = ("alpha", "error_clamp", "feedforward")
@@ -126,6 +127,7 @@ class Trials:
         self.case, self.Ts = case, Ts
         self.given = Run(law=case.law, reference=case.reference, q0=case.start.q, **how)
         self.unchanged = functools.cache(lambda steps: self._run(self.given, steps))
+        self.mended = functools.cache(lambda one, steps: self._run(changed(self.given, one.change), steps))
 
     def longer(self, N):
         """The loop as it is, for N steps."""
@@ -161,11 +163,11 @@ class Trials:
             return self._late(self.unchanged(whole_trial(N))) < given.largest
         made = changed(self.given, change)
         if remedy.mends in ("velocity", "limits"):
-            seen = self._seen(self._run(made, after))
+            seen = self._seen(self.mended(remedy, after))
             slower = not seen.too_fast or max(seen.excess, 1.0) < SLOWER * max(given.excess, 1.0)
             return slower if remedy.mends == "velocity" else float(seen.outside.max()) <= INSIDE
         steps = whole_trial(max(N, after))
-        was, now = self.unchanged(steps), self._run(made, steps)
+        was, now = self.unchanged(steps), self.mended(remedy, steps)
         was_here, now_here = truncate(was, N), truncate(now, after)
         gone = max(ARRIVED * given.size[0], given.floor)
 
@@ -204,7 +206,7 @@ class Trials:
             return False
         made, N = changed(self.given, calm.change), self.case.steps
         steps = whole_trial(N)
-        runs = truncate(self._run(made, steps), N), truncate(self.unchanged(steps), N)
+        runs = truncate(self.mended(calm, steps), N), truncate(self.unchanged(steps), N)
         (calmed, speed), (shaking, all_of_it) = (self._back_and_forth(made.reference, run) for run in runs)
         return bool(calmed * all_of_it > UNCHANGED * shaking * speed)
 

@@ -3,6 +3,7 @@
 A family is a program: robot, task, inverse, limits, method, drive and kind of path. Its loops differ in gain, sampling
 time, start, target and number of steps N. Each is run twenty times as long as the longest of its family; what is
 judged are its first N steps, and what is true stands in the rest. Each remedy is applied, as data, and run again.
+With `--paced 0.2` a fifth of the loops go at a pace, all other draws being the same.
 """
 
 import argparse
@@ -106,6 +107,7 @@ class Loop:
     Ts: np.ndarray
     N: int
     reachable: bool | None
+    pace: ck.Pace | None = None
 
 
 def posture(chain, rng):
@@ -178,6 +180,20 @@ def draw(of: Family, number: int, seed: int = 0) -> Loop:
     return Loop(law=law, reference=reference, q0=q0, Ts=np.asarray(Ts), N=N, reachable=reachable)
 
 
+def draw_pace(of: Family, number: int, seed: int, share: float):
+    """The pace of the loop of this number, or None, from a stream of its own: velocities alone, accelerations too, or
+    jerks as well; one in five goes on by the path's own clock."""
+    rng = np.random.default_rng((seed, of.number, number, 1))
+    if rng.random() >= share:
+        return None
+    velocity, smooth, wait = 10 ** rng.uniform(-0.5, 0.7), rng.integers(3), rng.random() < 0.8
+    acceleration = velocity * 10 ** rng.uniform(0, 1.5)
+    limits = (velocity, acceleration, acceleration * 10 ** rng.uniform(0.5, 2))[: smooth + 1]
+    names = ("velocity", "acceleration", "jerk")
+    waits = None if wait or of.path == "hold" else False
+    return ck.Pace(wait=waits, **{k: jnp.asarray(v) for k, v in zip(names, limits, strict=False)})
+
+
 def _length(chain):
     base = np.array([float(v) for v in chain.joints[0].origin.position])
     return arm_length(chain) + np.linalg.norm(base)
@@ -188,11 +204,11 @@ def _task(of):
 
 
 @functools.partial(jax.jit, static_argnames=("N", "method", "stage", "drive"))
-def _solved(law, reference, q0, Ts, *, N, method, stage, drive):
-    def one(law, reference, q0, Ts):
-        return ck.solve(law, reference, q0, Ts, N, method, stage, drive=drive.value)
+def _solved(law, reference, q0, Ts, pace, *, N, method, stage, drive):
+    def one(law, reference, q0, Ts, pace):
+        return ck.solve(law, reference, q0, Ts, N, method, stage, drive=drive.value, pace=pace)
 
-    return jax.vmap(one)(law, reference, q0, Ts)
+    return jax.vmap(one)(law, reference, q0, Ts, pace)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,7 +228,7 @@ def solved(loops, N, method, stage, drive):
     """The runs of loops of one structure, side by side, as NumPy arrays."""
     stacked = [
         jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x, float) for x in v]), *each)
-        for each in zip(*[(one.law, one.reference, one.q0, one.Ts) for one in loops], strict=True)
+        for each in zip(*[(one.law, one.reference, one.q0, one.Ts, one.pace) for one in loops], strict=True)
     ]
     found = _solved(*stacked, N=N, method=method, stage=stage, drive=_Known(drive))
     found = jax.tree.map(np.asarray, found)
@@ -222,7 +238,13 @@ def solved(loops, N, method, stage, drive):
 # --- what is true -------------------------------------------------------------------------------------
 
 ARRIVED = 2e-3  # of the first error: what is smaller has arrived
+PER_TURN = 16  # times that a path turns joints back and forth as it turns once, at most
 VISIBLE = 1e-4  # joint steps, in rad or m, that are smaller are calm
+
+
+def way(run):
+    """Share of the path's own time that a run got along it."""
+    return float((run.target_time[-1] - run.target_time[0]) / (run.t[-1] - run.t[0]))
 
 
 def late(run):
@@ -244,14 +266,13 @@ def calm(run):
 def rings(loop, run):
     """Whether a coordinate of the error swings to the other side and back and keeps some of itself each time, faster
     than the path turns."""
-    curve, large = loop.reference.curve, 1e-3 * np.linalg.norm(run.e, axis=1).max()
+    large, t = 1e-3 * np.linalg.norm(run.e, axis=1).max(), run.target_time
+    turn = abs(float(getattr(loop.reference.curve, "period", np.inf)))
     for e in run.e.T:
         kept = np.flatnonzero(np.abs(e) > large)
         ends = np.flatnonzero(e[kept][1:] * e[kept][:-1] < 0) + 1
         lobes = np.array([np.abs(lobe).max() for lobe in np.split(e[kept], ends) if len(lobe)])
-        often = (
-            np.diff(kept[ends]).min(initial=10**9) * float(loop.Ts) < abs(float(getattr(curve, "period", np.inf))) / 4
-        )
+        often = np.diff(t[kept[ends]]).min(initial=np.inf) < turn / 4
         if len(lobes) > 2 and (lobes[1:] / lobes[:-1]).max() > 0.3 and often:
             return True
     return False
@@ -264,30 +285,44 @@ def reverses(run):
     return float(np.linalg.norm(back) / max(np.linalg.norm(v), 1e-300))
 
 
+def restless(loop, run):
+    """The same at a pace that lets no joint reverse in a step: what its path does not turn, of a held target all."""
+    if loop.pace is None or not loop.pace.smooth:
+        return reverses(run)
+    half = len(run.qdot) // 2
+    v, t = run.qdot[half:], run.target_time[half:]
+    period = abs(float(getattr(loop.reference.curve, "period", getattr(loop.reference.curve, "duration", 0.0))))
+    turns = (t[-1] - t[0]) / period if period else 0.0
+    power = np.abs(np.fft.rfft(v * np.hanning(len(v))[:, None], axis=0)) ** 2
+    fast = int(PER_TURN * turns) + 3
+    return float(np.sqrt(power[fast:].sum() / max(power.sum(), 1e-300)))
+
+
 def ends(loop):
     """When the target stops, None for never."""
     curve = loop.reference.curve
     return 0.0 if hasattr(curve, "position") else float(curve.duration) if hasattr(curve, "duration") else None
 
 
-def moving(loop, N):
-    return ends(loop) is None or float(N * loop.Ts) < ends(loop)
+def moving(loop, t):
+    return ends(loop) is None or float(t) < ends(loop)
 
 
-def reachable(loop, N):
+def reachable(loop, run):
     """Whether some postures, within the limits where the law keeps them, have the tip where it is to be in the last
-    quarter of N steps.
+    quarter of a run.
 
     SciPy's own search, where it isn't known from how the target was made.
     """
-    if not moving(loop, N):
+    N, t = len(run.t) - 1, run.target_time
+    if not moving(loop, t[-1]):
         return loop.reachable
-    return all(_found(loop, step) for step in np.unique(np.linspace(N - N // 4, N, 5).round()))
+    return all(_found(loop, t[step]) for step in np.unique(np.linspace(N - N // 4, N, 5).round()).astype(int))
 
 
-def _found(loop, step):
+def _found(loop, t):
     chain, task = loop.law.chain, loop.law.task
-    position, rotation, _ = sample(loop.reference, task, float(step * loop.Ts))
+    position, rotation, _ = sample(loop.reference, task, float(t))
     target = ck.hold(
         np.asarray(position) if task.position else None, np.asarray(rotation) if task.orientation else None
     )
@@ -311,15 +346,15 @@ def falsehood(loop, said, run, whole, of):
     kind, claimed, finally_ = str(said.kind), said.error, late(whole)
     if kind == "beyond the robot's limits":  # of the loop it says what it does apart from them
         kind = re.search(r"The loop is ([a-z ]+):", said.sentence)[1]
-    N = loop.N
+    N, t = loop.N, whole.target_time
+    path, swings = moving(loop, t[N]), restless(loop, whole)
     floor = max(1e-9, ARRIVED * float(np.linalg.norm(run.e[0])))
     if not np.isfinite(finally_):
         stays = ("settled", "settled with lag", "converging", "stuck at a limit", "no progress")
         return "it is lost in the end" if kind in stays else ""
     if kind in ("settled", "settled with lag"):
-        path = moving(loop, N)
         if path and ends(loop) is not None:  # while the line lasts
-            last = min(int(ends(loop) / float(loop.Ts)), len(whole.e) - 1)
+            last = min(int(np.searchsorted(t, ends(loop), side="right")) - 1, len(whole.e) - 1)
             size = np.linalg.norm(whole.e, axis=1)[N : last + 1]
             if len(size) < 2:
                 return ""
@@ -329,21 +364,21 @@ def falsehood(loop, said, run, whole, of):
             return f"{finally_:.2g} later"
         if kind == "settled with lag" and path and finally_ < 0.2 * claimed:
             return f"the lag is {finally_:.2g} later"
-    if kind == "settled" and not moving(loop, N) and not calm(whole) and reverses(whole) > 0.15:
+    if kind == "settled" and not path and not calm(whole) and swings > 0.15:
         return "it shakes later"
     if kind == "converging" and finally_ > max((0.9 if "slowly" in said.sentence else 0.5) * claimed, floor):
         return f"{finally_:.2g} later"
-    rests = calm(whole) and not moving(loop, N)
+    rests = calm(whole) and not path
     if kind == "diverging" and (rests or arrived(whole) or finally_ < 0.3 * claimed) and spectral(loop, whole, of) < 1:
         return f"{finally_:.2g} later"
-    if kind == "shaking" and (calm(whole) or reverses(whole) < 0.02) and spectral(loop, whole, of) < 1:
+    if kind == "shaking" and (calm(whole) or swings < 0.02) and spectral(loop, whole, of) < 1:
         return "it is calm later"
     if kind == "ringing" and not rings(loop, run):
         return "the error does not swing"
     stays = 0.7 * claimed <= finally_ <= 2 * claimed + floor
-    if kind in ("stuck at a limit", "no progress") and not moving(loop, 0.75 * N) and not stays:
+    if kind in ("stuck at a limit", "no progress") and not moving(loop, t[round(0.75 * N)]) and not stays:
         return f"{finally_:.2g} later"
-    if kind == "out of reach" and ((arrived(whole) and not moving(loop, N)) or reachable(loop, N)):
+    if kind == "out of reach" and ((arrived(whole) and not path) or reachable(loop, run)):
         return f"it is in reach, {finally_:.2g} later"
     return ""
 
@@ -359,12 +394,12 @@ def spectral(loop, run, of):
 # --- whether remedies mend ----------------------------------------------------------------------------
 
 
-def mended(loop, of, remedy):
-    """The loop and the family with a remedy's change, taken as data."""
-    _, turn, _ = sample(loop.reference, loop.law.task, float(loop.N * loop.Ts))
-    how = dict(N=loop.N, method=of.method, stage=of.stage, drive=of.drive, turn=np.asarray(turn))
+def mended(loop, of, remedy, end):
+    """The loop and the family with a remedy's change, taken as data. Args: end: time on the path of its last step."""
+    _, turn, _ = sample(loop.reference, loop.law.task, float(end))
+    how = dict(N=loop.N, method=of.method, stage=of.stage, drive=of.drive, turn=np.asarray(turn), pace=loop.pace)
     made = changed(Run(law=loop.law, reference=loop.reference, q0=loop.q0, **how), remedy.change)
-    loop = dataclasses.replace(loop, law=made.law, reference=made.reference, q0=made.q0, N=made.N)
+    loop = dataclasses.replace(loop, law=made.law, reference=made.reference, q0=made.q0, N=made.N, pace=made.pace)
     return loop, dataclasses.replace(of, method=made.method, stage=made.stage, drive=made.drive)
 
 
@@ -380,8 +415,10 @@ def outside(law, run):
     return float(np.maximum(run.q - np.array(law.chain.upper), np.array(law.chain.lower) - run.q).max(initial=0.0))
 
 
-def chatter(run):
-    """Largest joint speed that the next step reverses, in the second half."""
+def chatter(loop, run):
+    """Largest joint speed that the next step reverses, in the second half; at a pace what is restless."""
+    if loop.pace is not None and loop.pace.smooth:
+        return restless(loop, run) * float(np.linalg.norm(run.qdot[len(run.qdot) // 2 :], axis=1).max())
     v = run.qdot[len(run.qdot) // 2 - 1 :]
     return float(np.max(np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0), initial=0.0))
 
@@ -398,10 +435,14 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
         return excess(loop.law, after) < 0.8 * excess(loop.law, run)
     if remedy.mends == "limits":
         return outside(loop.law, after) < 1e-6 < 1e3 * outside(loop.law, run)
+    waits = loop.pace is not None and run.path_time is not None
+    as_near = late(after) <= max(2 * late(run), ARRIVED * np.linalg.norm(run.e[0]))
+    if waits and as_near and way(after) > 1.1 * way(run):  # a loop that crawls along its path has a small error
+        return True
     if remedy.mends == "motion":  # calmer, and not worse in the end
         spans = (5 * loop.N, len(whole.e))  # in the end the target may be out of reach
         least = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
-        better = chatter(after) < 0.5 * chatter(run) or min(least) < 0.5
+        better = chatter(loop, after) < 0.5 * chatter(loop, run) or min(least) < 0.5
         calmer = better or (calm(whole_after) > calm(whole)) or (arrived(whole_after) > arrived(whole))
         return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]), 1e-9)
     if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
@@ -412,13 +453,16 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
 
 
 def said_of(loop, run, of):
-    how = dict(Ts=float(loop.Ts), method=of.method, stage=of.stage, drive=of.drive)
+    how = dict(Ts=float(loop.Ts), method=of.method, stage=of.stage, drive=of.drive, pace=loop.pace)
     return ck.verdict(loop.law, loop.reference, run, **how)
 
 
-def cut(loop, run):
-    """The loop's first N steps."""
-    return truncate(run, loop.N)
+def cut(loop, of, run):
+    """The loop's first N steps; of a line at a pace, which knows its end only as far as it runs, those of its own."""
+    if loop.pace is None or not hasattr(loop.reference.curve, "duration"):
+        return truncate(run, loop.N)
+    how = loop.law, loop.reference, loop.q0, float(loop.Ts), loop.N, of.method, of.stage
+    return jax.tree.map(np.asarray, ck.solve(*how, drive=of.drive, pace=loop.pace))
 
 
 def grouped(pairs):
@@ -426,7 +470,7 @@ def grouped(pairs):
     groups = {}
     for loop, of, *more in pairs:
         N = SHORT * LONG if loop.N <= SHORT * LONG else MOST
-        key = jax.tree.structure((loop.law, loop.reference)), of.method, str(of.stage), repr(of.drive)
+        key = jax.tree.structure((loop.law, loop.reference, loop.pace)), of.method, str(of.stage), repr(of.drive)
         groups.setdefault((key, N), []).append((loop, of, *more))
     for (_, N), group in groups.items():
         of = group[0][1]
@@ -436,14 +480,16 @@ def grouped(pairs):
 
 
 @mock.patch.object(trial, "SHORTEST", trial.MOST_TRIED)  # no loop here was run by a program of its own
-def judge(of: Family, numbers, seed: int = 0, remedies: bool = True):
+def judge(of: Family, numbers, seed: int = 0, remedies: bool = True, paced: float = 0.0):
     """Of these loops of a family a dict each: what it is, its verdict, what is false, what each remedy made of it."""
     found, others = [], []
-    for loop, _, number, whole in grouped([(draw(of, i, seed), of, i) for i in numbers]):
-        run = cut(loop, whole)
+    drawn = [dataclasses.replace(draw(of, i, seed), pace=draw_pace(of, i, seed, paced)) for i in numbers]
+    for loop, _, number, whole in grouped([(one, of, i) for one, i in zip(drawn, numbers, strict=True)]):
+        run = cut(loop, of, whole)
         said = said_of(loop, run, of)
         size = np.linalg.norm(whole.e, axis=1)
         about = f"z={float(loop.law.alpha * loop.Ts):.3g} N={loop.N} {size[0]:.2g} {size[loop.N]:.2g} {late(whole):.2g}"
+        about += "" if loop.pace is None else f" {loop.pace}"
         found.append(
             dict(
                 family=of.number,
@@ -456,12 +502,13 @@ def judge(of: Family, numbers, seed: int = 0, remedies: bool = True):
             )
         )
         for one in said.remedies if remedies else ():
-            other, under = mended(loop, of, one)
+            other, under = mended(loop, of, one, run.target_time[-1])
             if other.N <= MOST:
                 others.append((other, under, one, loop, run, whole, found[-1]))
     for other, under, one, loop, run, was, record, whole in grouped(others):
-        good = improves(one, loop, run, was, other, cut(other, whole), whole, under)
-        told = dict(change=str(one.change), mends=one.mends, good=good, after=late(cut(other, whole)))
+        after = cut(other, under, whole)
+        good = improves(one, loop, run, was, other, after, whole, under)
+        told = dict(change=str(one.change), mends=one.mends, good=good, after=late(after))
         record["remedies"].append(told)
     return found
 
@@ -472,6 +519,7 @@ def main():
     asked.add_argument("--each", type=int, default=50, help="loops of a family")
     asked.add_argument("--seed", type=int, default=0)
     asked.add_argument("--only", type=int, nargs="*", help="these families alone")
+    asked.add_argument("--paced", type=float, default=0.0, help="share of the loops that go at a pace")
     asked.add_argument("--remedies", action=argparse.BooleanOptionalAction, default=True)
     args = asked.parse_args()
     jax.config.update("jax_enable_x64", True)
@@ -483,7 +531,7 @@ def main():
             f"ff{of.feedforward:g} d{of.drive.delay:g} {of.drive.order} {'clamp' * of.clamp} {of.null}",
             flush=True,
         )
-        for one in judge(of, range(args.each), args.seed, args.remedies):
+        for one in judge(of, range(args.each), args.seed, args.remedies, args.paced):
             kinds[one["kind"]] += 1
             wrong[one["kind"]] += bool(one["false"])
             for told in one["remedies"]:

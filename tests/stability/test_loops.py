@@ -1,7 +1,10 @@
 """Verdicts on random loops are true of runs twenty times as long, and their remedies mend; see `loops`."""
 
+import dataclasses
+
 import pytest
 
+import cnclik as ck
 from tests.stability import loops
 
 
@@ -38,7 +41,7 @@ def test_what_nobody_can_know_is_not_said(number, loop, kind):
     """These were said, with remedies that did nothing."""
     of = loops.family(number)
     ((drawn, _, whole),) = loops.grouped([(loops.draw(of, loop), of)])
-    run = loops.cut(drawn, whole)
+    run = loops.cut(drawn, of, whole)
     said = loops.said_of(drawn, run, of)
     assert str(said.kind) != kind and "not known" in said.sentence, said.sentence
     assert not loops.falsehood(drawn, said, run, whole, of)
@@ -72,6 +75,26 @@ def test_what_later_steps_contradict_is_not_said():
     assert all("run on, for 4096 steps in all, the error is at most" in one["said"] for one in found[:3])
     # One that shakes first, as its null space is unstable where it began, is told what would have kept it calm.
     assert [told["mends"] for told in found[2]["remedies"]] == ["motion"] and found[2]["remedies"][0]["good"]
+
+
+def test_the_draws_do_not_depend_on_the_pace():
+    """Figures of loops without a pace stay comparable; a part of the loops has one, of three kinds."""
+    of = loops.family(3)
+    paces = [loops.draw_pace(of, i, 0, 0.5) for i in range(40)]
+    some = [one for one in paces if one is not None]
+    assert 10 < len(some) < 30 and len({(one.acceleration is None, one.jerk is None) for one in some}) == 3
+    assert all(loops.draw_pace(of, i, 0, 0.0) is None for i in range(40))
+
+
+def test_a_loop_that_rests_between_whiles_at_its_pace_shakes():
+    """Unstable at rest, it comes to rest within its pace and leaves it again: how long a run decides was not known."""
+    of = loops.family(0, seed=1)
+    for N in (1300, 4000):
+        loop = dataclasses.replace(loops.draw(of, 0, 1), pace=loops.draw_pace(of, 0, 1, 0.17), N=N)
+        how = dict(drive=of.drive, pace=loop.pace)
+        run = ck.solve(loop.law, loop.reference, loop.q0, float(loop.Ts), N, of.method, of.stage, **how)
+        said = loops.said_of(loop, run, of)
+        assert said.kind == "shaking" and said.remedies[0].change.keys() == {"alpha"}, said.sentence
 
 
 def test_an_error_that_swings_shrinks_all_the_same():

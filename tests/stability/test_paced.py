@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.cli.common import as_options
 from cnclik.problem.build import problem_from
 from cnclik.stability import Behaviour, Remedy, verdict
 from cnclik.stability.case import case_of
@@ -53,6 +54,15 @@ def test_what_gets_farther_along_a_path_that_waits_is_better(mends):
     assert better(60.0, 10.5) and not better(10.5, 60.0)
 
 
+def test_a_trial_is_run_once(monkeypatch):
+    """The gain of a remedy was run to see whether it is the path that turns the joints, and once more to try it."""
+    runs, run = [], Trials._run
+    kept = lambda self, made, steps: runs.append((float(made.law.alpha), steps)) or run(self, made, steps)  # noqa: E731
+    monkeypatch.setattr(Trials, "_run", kept)
+    assert judge(problem_from("panda", **SHAKES | dict(N=400, radius=0.2))).remedies
+    assert len(runs) == len(set(runs)) > 1
+
+
 def test_a_loop_that_is_unstable_only_at_rest_is_calm_at_its_pace():
     """It makes 0.35 of each step, was said to shake, and its remedies to be no better."""
     made = problem_from("panda", **CIRCLE | dict(alpha=300.0, N=800, period=1.0))
@@ -99,7 +109,11 @@ def test_a_joint_that_its_pace_takes_past_a_limit_is_named():
     past = float(np.max(-2.0 - np.asarray(run.q)[:, 0]))
     told = verdict(law, goal, run, pace=pace, **how)
     assert past > 0.1 and f"joint q1 is up to {past:.3g} rad beyond its limit: braking at this pace" in told.sentence
-    assert not any(one.mends == "limits" for one in told.remedies)
+    (change,) = (one.change for one in told.remedies if one.mends == "limits")  # so slowly that its pace can brake
+    assert change == {"limits": "saturation", "limit_rate": 0.66}
+    assert "Keep the joints inside with --limits saturation --limit-rate 0.66." in as_options(told.sentence)
+    mended = ck.replace(law, limits=ck.saturation(change["limit_rate"]))
+    assert np.min(np.asarray(ck.solve(mended, goal, q0, 0.02, 300, "EE", pace=pace).q)[:, 0]) > -2.0
     kept = ck.solve(law, goal, q0, 0.02, 300, "EE")
     assert "beyond" not in verdict(law, goal, kept, **how).sentence
     outside = ck.solve(law, goal, np.array([-2.2, 1.2, 0.3]), 0.02, 300, "EE")  # began there, and came back
