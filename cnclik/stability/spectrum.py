@@ -46,7 +46,8 @@ def one_step(law, reference, q, Ts, method, stage):
     (p·n, p·n), the newest first.
     """
     law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
-    law = replace(law, chain=standing(law.chain, q))
+    if law.null_velocity is None:  # with one an arm that is on its way to another posture has stages elsewhere
+        law = replace(law, chain=standing(law.chain, q))
     t, n, p = jnp.zeros_like(Ts), len(q), method.steps
 
     def move(instants):
