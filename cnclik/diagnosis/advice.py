@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnclik.diagnosis.judge import Kind
-from cnclik.diagnosis.late import Loop, gain_of, loops_of, phase_delay
+from cnclik.diagnosis.late import LateLoop, gain_of, loops_of, phase_delay
 from cnclik.diagnosis.modes import trend
 from cnclik.diagnosis.turned import APART, together, turned_of
 from cnclik.quantities import in_samples
@@ -207,7 +207,7 @@ def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
     return made | {"confidence": WHOLE if clear else OTHER, "note": note}
 
 
-def limits_of(loop: Loop, Ts) -> DrivenLimits:
+def limits_of(loop: LateLoop, Ts) -> DrivenLimits:
     """`driven_limits` of explicit Euler; with a whole number of samples of dead time alone in closed form.
 
     Where that is monotone no longer a double factor is d/(d + 1).

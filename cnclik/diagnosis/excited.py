@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 
 from cnclik.diagnosis.blocks import triangle
-from cnclik.diagnosis.late import Loop, by_share
+from cnclik.diagnosis.late import LateLoop, by_share
 from cnclik.integrate.drive import Drive, sampled
 
 DEAD = 60  # samples of dead time, at most
@@ -42,7 +42,7 @@ def excited(y, Ts, z=None) -> list:
         keep, b = _drive(lag, part)
         a = np.convolve([1.0, -1.0], [1.0, -keep]) if lag else np.array([1.0, -1.0])
         for colour, c in _noises(keep, b):
-            made = _over_dead_times(y, a, b, c, Loop(part, lag * Ts, 0.0), most, floor)
+            made = _over_dead_times(y, a, b, c, LateLoop(part, lag * Ts, 0.0), most, floor)
             # Its gain is a number, and so are a lag and a colour; its dead time is what an order is to the other.
             least = min(least, min(loop.score for loop in made) + number * (1 + (lag > 0) + (colour > 0)))
             tried += made

@@ -33,7 +33,7 @@ KNOWN = 0.1  # relative deviation of the loop's gain from a known alpha·Ts
 OTHER_GAIN = 9.0  # criterion that a gain which is not the known one costs, at most
 
 
-class Loop(NamedTuple):
+class LateLoop(NamedTuple):
     """A loop that an oscillation may be of."""
 
     delay: float  # [samples]
@@ -135,7 +135,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         hardly = found[0].lag < NO_LAG * Ts
         simple = [loop for loop in found if not loop.lag and (loop.share > SIMPLE * found[0].share or hardly)]
         return [*simple[:1], *(loop for loop in found if loop is not (simple or [None])[0])], True
-    alone = Loop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
+    alone = LateLoop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
     lagging = _family(factor, phase, Ts)
     return [alone, *(loop._replace(share=loop.as_known(z) * loop.usual / len(lagging)) for loop in lagging)], False
 
@@ -159,7 +159,7 @@ class _Fit(NamedTuple):
     def has_room(self, delay) -> bool:
         return delay + 1 + self.basis.shape[1] < len(self.y) // 2
 
-    def scored(self, loop: Loop) -> Loop:
+    def scored(self, loop: LateLoop) -> LateLoop:
         """A loop with its criterion: what is left when all its motions are projected out, and its gain."""
         N, k = self.y.shape
         factors = loop.factors(self.Ts)
@@ -169,7 +169,7 @@ class _Fit(NamedTuple):
         off = -2 * np.log(loop.as_known(self.z))
         return loop._replace(score=float(N * np.sum(np.log(power + floor))) + off, power=power)
 
-    def whole(self, delay, factor, phase) -> Loop:
+    def whole(self, delay, factor, phase) -> LateLoop:
         """The best gain of a whole number of samples of dead time."""
         from scipy.optimize import minimize_scalar
 
@@ -178,13 +178,13 @@ class _Fit(NamedTuple):
             low, high = late_monotone(delay), 1.2 * late_stable(delay)
         for share in (1e-3, 1e-7):
             made = minimize_scalar(
-                lambda z: self.scored(Loop(delay, 0.0, z)).score,
+                lambda z: self.scored(LateLoop(delay, 0.0, z)).score,
                 bounds=(low, high),
                 method="bounded",
                 options={"xatol": share * high},
             )
             low, high = 0.97 * made.x, 1.03 * made.x
-        return self.scored(Loop(delay, 0.0, float(made.x)))
+        return self.scored(LateLoop(delay, 0.0, float(made.x)))
 
 
 # --- with a lag ---------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def _with_lags(fit, factor, phase) -> list:
     found = _family(factor, phase_delay(factor), fit.Ts)
     exact = None if fit.z is None else lag_of(factor, fit.z, fit.Ts)
     if exact is not None:
-        found.append(Loop(exact.delay, float(exact.lag), fit.z))
+        found.append(LateLoop(exact.delay, float(exact.lag), fit.z))
     return [fit.scored(loop) for loop in found]
 
 
@@ -232,7 +232,7 @@ def _family(factor, phase, Ts) -> list:
         turn = [np.angle(gain(delay, np.exp(at))) for at in (low, high)]
         if turn[0] * turn[1] < 0:
             lag = float(np.exp(brentq(lambda at, d=delay: np.angle(gain(d, np.exp(at))), low, high, xtol=1e-6)))
-            loop = Loop(float(delay), lag, float(np.abs(gain(delay, lag))))
+            loop = LateLoop(float(delay), lag, float(np.abs(gain(delay, lag))))
             if lag < LONGEST and np.abs(loop.slowest(Ts)) < np.abs(factor) + 1e-3:
                 found.append(loop)
     return found

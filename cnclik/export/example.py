@@ -17,9 +17,9 @@ COUNT = 8
 TOLERANCE = {8: 1e-9, 4: 1e-3}  # by the size of a number: other compilers round differently
 
 
-def inputs(asked, program) -> dict:
+def inputs(request, program) -> dict:
     """{"group.name": (count, size)}: postures around a good one, targets near by; the last with a NaN in it."""
-    random, chain, task = np.random.default_rng(0), asked.law.chain, asked.law.task
+    random, chain, task = np.random.default_rng(0), request.law.chain, request.law.task
     start = np.asarray(start_posture(chain, task), float)
     q = start + random.uniform(-0.2, 0.2, (COUNT, chain.n))
     known = {"q": q, "t": np.linspace(0, 1, COUNT)[:, None], "Ts": np.full((COUNT, 1), 0.01)}
@@ -35,7 +35,7 @@ def inputs(asked, program) -> dict:
                 value = known[f.name]
             else:
                 value = np.broadcast_to(np.ravel(0 if group == "history" else f.value), (COUNT, f.size))
-            value = value.astype(asked.dtype if f.kind == "real" else np.int32)
+            value = value.astype(request.dtype if f.kind == "real" else np.int32)
             made[f"{group}.{f.name}"] = value
     made["input.q"][-1, 0] = np.nan
     return made
@@ -56,9 +56,9 @@ def results(program, given) -> dict:
     return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, found, strict=True)}
 
 
-def example(asked, program, names) -> str:
+def example(request, program, names) -> str:
     """`example.c`: its main returns 0 where all vectors agree, else how many do not."""
-    given = inputs(asked, program)
+    given = inputs(request, program)
     wanted = results(program, given)
     name = names.name
     outputs = [(key, f) for f in program.outputs["output"] if (key := f"output.{f.name}") in wanted]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from cnclik.engine.routine import INT, REAL, Field, Routine
-from cnclik.export.trace import Asked, Stepping, read_as
+from cnclik.export.trace import Request, Stepping, read_as
 
 RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")
 _OVER_TIME = {  # of all steps together: how two are put together, and what is before the first
@@ -15,19 +15,19 @@ _OVER_TIME = {  # of all steps together: how two are put together, and what is b
 }
 
 
-def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
+def trace_loop(request: Request, wanted=RESULTS) -> Routine:
     """A loop of `steps` steps: joints, error and coordinates at its end, and what is known of all steps.
 
     Args: wanted: names of results.
     """
-    step = Stepping(asked, timed=True)
+    step = Stepping(request, timed=True)
     parameters, names = step.groups["parameters"], [f.name for f in step.groups["input"]]
     # A column of a batch holds real numbers.
     groups = {"parameters": [f._replace(kind=REAL) for f in parameters], "input": step.groups["input"]}
     carried = [f for f in step.outputs if f.name == "q" or (f.name in wanted and f.name not in ("e", "x"))]
 
     def zeros(f):
-        return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], asked.dtype if f.kind == REAL else jnp.int32)
+        return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], request.dtype if f.kind == REAL else jnp.int32)
 
     def loop(*flat):
         known = [x.astype(jnp.int32) if f.kind == INT else x for f, x in zip(parameters, flat, strict=False)]
@@ -35,7 +35,7 @@ def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
         given = dict(zip(names, given, strict=True))
 
         def at(q, k):
-            now = {"q": q, "t": given["t"] + k.astype(asked.dtype) * given["Ts"]}
+            now = {"q": q, "t": given["t"] + k.astype(request.dtype) * given["Ts"]}
             return [*known, *(given | now).values()]
 
         def advance(k, carry):
@@ -52,12 +52,12 @@ def trace_loop(asked: Asked, wanted=RESULTS) -> Routine:
 
     by_name = {f.name: f for f in step.outputs}
     outputs = {"output": [by_name[name] for name in RESULTS if name in wanted]}
-    return read_as(asked, loop, groups | {"steps": [Field("steps", (), INT)]}, outputs)
+    return read_as(request, loop, groups | {"steps": [Field("steps", (), INT)]}, outputs)
 
 
-def trace_growth(asked: Asked) -> Routine:
+def trace_growth(request: Request) -> Routine:
     """Whether a step grew: from the errors `e` at its two ends, at the times `t`."""
-    step = Stepping(asked, timed=True)
+    step = Stepping(request, timed=True)
     groups = {name: step.groups[name] for name in ("parameters", "input")}
-    ends = [Field("t", (2,)), Field("e", (2, asked.law.task.m))]
-    return read_as(asked, step.grown, groups | {"ends": ends}, {"output": [Field("status", (), INT)]})
+    ends = [Field("t", (2,)), Field("e", (2, request.law.task.m))]
+    return read_as(request, step.grown, groups | {"ends": ends}, {"output": [Field("status", (), INT)]})

@@ -24,7 +24,7 @@ from cnclik.robot.model import frames, jacobian_rows, modelled
 WHAT = ("step", "solve", "reach", "fk", "jacobian")
 
 
-class Asked(NamedTuple):
+class Request(NamedTuple):
     """What is to be exported."""
 
     law: Law
@@ -36,19 +36,19 @@ class Asked(NamedTuple):
     runtime: tuple[str, ...] | None  # names of parameters that stay arguments; None for all
 
 
-def trace(asked: Asked) -> Routine:
-    """The routine of what is asked. Raises: `UnsupportedError` naming what has no C form."""
-    if asked.what in ("fk", "jacobian"):
-        return _of_chain(asked)
-    step = Stepping(asked, timed=asked.what == "solve")
-    return read_as(asked, step.advance, step.groups, {"output": step.outputs, "history": step.groups["history"]})
+def trace(request: Request) -> Routine:
+    """The routine of a request. Raises: `UnsupportedError` naming what has no C form."""
+    if request.what in ("fk", "jacobian"):
+        return _of_chain(request)
+    step = Stepping(request, timed=request.what == "solve")
+    return read_as(request, step.advance, step.groups, {"output": step.outputs, "history": step.groups["history"]})
 
 
-def read_as(asked: Asked, fn, groups, outputs) -> Routine:
+def read_as(request: Request, fn, groups, outputs) -> Routine:
     """The routine of a function in the dtype, and with the parameters at run time, that are asked for."""
-    runtime = asked.runtime
+    runtime = request.runtime
     fixed = [f.name for f in groups.get("parameters", ()) if runtime is not None and f.name not in runtime]
-    return read(fn, groups, outputs, dtype=asked.dtype, fixed=fixed)
+    return read(fn, groups, outputs, dtype=request.dtype, fixed=fixed)
 
 
 # --- the step -----------------------------------------------------------------------------------------
@@ -57,23 +57,23 @@ def read_as(asked: Asked, fn, groups, outputs) -> Routine:
 class Stepping:
     """A step's arguments and results, and the functions of flat arguments that make it."""
 
-    def __init__(self, asked: Asked, *, timed):
+    def __init__(self, request: Request, *, timed):
         """timed: whether the time is an argument even where the target is one, which then moves with its velocity."""
-        self.asked, law = asked, asked.law
+        self.request, law = request, request.law
         n, p, m = law.chain.n, len(law.task.position), law.task.m
-        tree = (law, asked.stage) if asked.reference is None else (law, asked.stage, asked.reference)
-        parameters, self.put = fields.parameters(tree, asked.runtime)
+        tree = (law, request.stage) if request.reference is None else (law, request.stage, request.reference)
+        parameters, self.put = fields.parameters(tree, request.runtime)
         units = ", ".join(dict.fromkeys(law.chain.units))
         given = [Field("q", (n,), about=f"joint values [{units}]")]
-        if asked.reference is None:
+        if request.reference is None:
             given += [Field("position", (p,), about="desired position in the task's coordinates [m]")] * bool(p)
             turned = Field("rotation", (3, 3), about="desired rotation, row by row", value=np.eye(3))
             given += [turned] * bool(law.task.orientation)
             given += [Field("velocity", (m,), about="desired task velocity [m/s, rad/s]", value=np.zeros(m))]
-        if timed or asked.reference is not None:
+        if timed or request.reference is not None:
             given += [Field("t", (), about="time [s]", value=0.0)]
         given += [Field("Ts", (), about="sampling time [s]")]
-        start = jax.eval_shape(lambda q: blank(law, q, asked.method), jax.ShapeDtypeStruct((n,), asked.dtype))
+        start = jax.eval_shape(lambda q: blank(law, q, request.method), jax.ShapeDtypeStruct((n,), request.dtype))
         past, self.past_def = jax.tree.flatten(start)
         words = fields.names([path for path, _ in fields.leaves(start)])
         kinds = [REAL if leaf.dtype.kind == "f" else INT for leaf in past]
@@ -100,8 +100,8 @@ class Stepping:
     def advance(self, *flat):
         """A step: its results in the order of `outputs`, and its history."""
         law, stage, reference, inputs, past = self._apart(flat)
-        memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", _start(self.asked.dtype))
-        method = self.asked.method
+        memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", _start(self.request.dtype))
+        method = self.request.method
         made, least = step_and_least(law, reference, inputs["q"], t, inputs["Ts"], stage, memory, method=method)
         results = [made.q, made.qdot, made.e, made.x, made.residual, made.contraction, least, made.status]
         return results, jax.tree.leaves(made.history)
@@ -109,14 +109,14 @@ class Stepping:
     def end(self, *flat):
         """Error and task coordinates alone."""
         law, _, reference, inputs, _ = self._apart(flat)
-        law, reference = cast((modelled(law), reference), self.asked.dtype)
+        law, reference = cast((modelled(law), reference), self.request.dtype)
         at = observe(law, reference, inputs["t"], inputs["q"])
         return at.e, at.x()
 
     def grown(self, *flat):
         """The GROWING bit of a step from its errors at both ends, (2, m), at two times (2,)."""
         law, _, reference, _, (times, errors) = self._apart(flat)
-        law, reference = cast((law, reference), self.asked.dtype)
+        law, reference = cast((law, reference), self.request.dtype)
         return growing(law.task, reference, times, errors)
 
 
@@ -135,14 +135,14 @@ def _target(law, inputs):
 # --- geometry alone -----------------------------------------------------------------------------------
 
 
-def _of_chain(asked) -> Routine:
+def _of_chain(request) -> Routine:
     """Forward kinematics, or the Jacobian."""
-    chain, poses = asked.law.chain, asked.what == "fk"
-    parameters, put = fields.parameters(chain, asked.runtime)
+    chain, poses = request.law.chain, request.what == "fk"
+    parameters, put = fields.parameters(chain, request.runtime)
 
     def fn(*flat):
         *values, q = flat
-        chain = cast(modelled(put(values)), asked.dtype)
+        chain = cast(modelled(put(values)), request.dtype)
         at = frames(chain, q)
         return [at.position, at.rotation] if poses else [jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))], []
 
@@ -152,4 +152,4 @@ def _of_chain(asked) -> Routine:
     outputs = [position, rotation] if poses else [Field("jacobian", (6, chain.n), about=rows)]
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
     groups = {"parameters": parameters, "input": given, "history": []}
-    return read_as(asked, fn, groups, {"output": outputs, "history": []})
+    return read_as(request, fn, groups, {"output": outputs, "history": []})

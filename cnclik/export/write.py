@@ -18,7 +18,7 @@ from cnclik.export.loop import RESULTS, trace_growth, trace_loop
 from cnclik.export.reach_source import SEEDS, most_operations, reach_source, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
-from cnclik.export.trace import WHAT, Asked, trace
+from cnclik.export.trace import WHAT, Request, trace
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_of, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law, check_loop
@@ -69,31 +69,31 @@ def c(
     Returns: the folder's path.
     Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
     """
-    asked, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
+    request, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
     out = errors.path("out", out)
-    names, lines = Names(name, asked.dtype, what), configuration(asked)
+    names, lines = Names(name, request.dtype, what), configuration(request)
     name = names.name
     declared, loop = "", None
     if what != "reach" and seeds is not None:
         raise errors.fail("seeds", f"be left out for {what!r}", f"is {seeds!r}")
-    reaching = _read(trace_reach, asked, SEEDS if seeds is None else seeds) if what == "reach" else None
-    program = reaching.call if reaching else _read(trace, asked)
+    reaching = _read(trace_reach, request, SEEDS if seeds is None else seeds) if what == "reach" else None
+    program = reaching.call if reaching else _read(trace, request)
     if what == "solve":
         declared = solve_header(program, names)
-        loop = solve_source(program, _read(trace_growth, asked), names, asked.law.chain.n, asked.law.task.m)
+        loop = solve_source(program, _read(trace_growth, request), names, request.law.chain.n, request.law.task.m)
     counted = _read(most_operations, reaching) if reaching else _read(operations, program)
     files = {
         f"{name}.h": header(program, names, lines, declared),
         f"{name}.c": source(program, names, loop, reach_source(reaching, names) if reaching else None),
-        "example.c": example(asked, program, names),
+        "example.c": example(request, program, names),
     }
-    looped = _read(trace_loop, asked, RESULTS if batch is True else _wanted(batch)) if batch else None
+    looped = _read(trace_loop, request, RESULTS if batch is True else _wanted(batch)) if batch else None
     if looped:
         files[f"{name}_batch.h"] = batch_header(looped, names)
         files[f"{name}_batch.c"] = batch_source(looped, names)
     files["README.md"] = readme(program, names, lines, [*files, MANIFEST, "README.md"], counted)
     about = {"files": {file: digest(text.encode()) for file, text in files.items()}}
-    about |= manifest(asked, program, names, looped)
+    about |= manifest(request, program, names, looped)
     files[MANIFEST] = json.dumps({"digest": digest_of(about)} | about, indent=1) + "\n"
     with output_folder(out, overwrite=overwrite) as folder:
         for file, text in files.items():
@@ -120,7 +120,7 @@ def _read(read, *args):
 
 
 def checked(law, reference, what, method, stage, dtype, name, runtime, batch=False):
-    """What is asked, and the name. Raises: ArgumentError."""
+    """What is to be exported, and the name. Raises: ArgumentError."""
     errors.one_of("what", what, WHAT)
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         raise errors.fail("name", "be a C identifier of at most 60 letters such as clik_step", f"is {name!r}")
@@ -139,36 +139,38 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
         raise errors.fail("runtime", "be left out for 'reach'", f"is {runtime!r}")
     runtime = None if runtime is None else tuple(runtime)
     stage = picard(5) if stage is None else stage
-    return Asked(law, reference, named(method), stage, np.dtype(_DTYPES[dtype]), what, runtime), name
+    return Request(law, reference, named(method), stage, np.dtype(_DTYPES[dtype]), what, runtime), name
 
 
 _DTYPES = {"float64": "float64", "float32": "float32", "double": "float64", "float": "float32"}
 
 
-def configuration(asked: Asked) -> list:
+def configuration(request: Request) -> list:
     """What was exported, in words, line by line."""
-    law, lines = asked.law, []
-    lines.append(f"{asked.what} for {brief(law.chain)}, in {asked.dtype}")
-    if asked.what in ("fk", "jacobian"):
+    law, lines = request.law, []
+    lines.append(f"{request.what} for {brief(law.chain)}, in {request.dtype}")
+    if request.what in ("fk", "jacobian"):
         return lines
     lines.append(f"task: {' '.join(law.task.names)} [{' '.join(law.task.units)}]")
-    if asked.what == "reach":
+    if request.what == "reach":
         return lines
-    stage = f" by {asked.stage}" if asked.method.implicit else ""
-    lines.append(f"method: {asked.method}{stage} ({asked.method.source})")
+    stage = f" by {request.stage}" if request.method.implicit else ""
+    lines.append(f"method: {request.method}{stage} ({request.method.source})")
     lines.append(f"inverse: {brief(law.inverse)}")
     lines.append(f"limits: {brief(law.limits)}; null space: {brief(law.null_velocity)}")
-    target = "an argument: position, rotation, velocity" if asked.reference is None else brief(asked.reference.curve)
+    target = (
+        "an argument: position, rotation, velocity" if request.reference is None else brief(request.reference.curve)
+    )
     lines.append(f"target: {target}")
     return [line.replace("−", "-").encode("ascii", "replace").decode() for line in lines]
 
 
-def _evaluations(asked) -> list:
+def _evaluations(request) -> list:
     """Evaluations of f in a loop of 0, 1, 2 … steps, until each further one costs as much as the one before."""
-    if asked.what not in ("step", "solve"):
+    if request.what not in ("step", "solve"):
         return []
-    count = asked.method.steps + 2
-    return [int(evaluations_of(asked.method, asked.stage, asked.law.chain.n, N)) for N in range(count)]
+    count = request.method.steps + 2
+    return [int(evaluations_of(request.method, request.stage, request.law.chain.n, N)) for N in range(count)]
 
 
 def _wanted(names) -> tuple:
@@ -180,7 +182,7 @@ def _wanted(names) -> tuple:
     return tuple(names)
 
 
-def manifest(asked, program, names, looped=None) -> dict:
+def manifest(request, program, names, looped=None) -> dict:
     """What a program that calls the functions must know."""
 
     def row(f):
@@ -190,12 +192,12 @@ def manifest(asked, program, names, looped=None) -> dict:
     return {
         "cnclik": __version__,
         "name": names.name,
-        "what": asked.what,
-        "dtype": str(asked.dtype),
-        "method": str(asked.method),
+        "what": request.what,
+        "dtype": str(request.dtype),
+        "method": str(request.method),
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
         "outputs": [row(f) for f in program.outputs["output"]],
-        "evaluations": _evaluations(asked),
+        "evaluations": _evaluations(request),
         "batch": looped
         and {
             "inputs": [row(f) for group, fields in looped.inputs.items() for f in fields if group != "steps"],

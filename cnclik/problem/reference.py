@@ -35,7 +35,7 @@ def as_written(options) -> dict:
     return {_WRITTEN.get(name, name): value for name, value in options.items()}
 
 
-class Scene(NamedTuple):
+class ArmAtStart(NamedTuple):
     """What a path may be filled in from."""
 
     chain: Chain
@@ -64,52 +64,52 @@ def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> re
       horizon: length of the run [s], the default of `period`.
       given: the options named above; `from` and `to` are `start` and `end`.
     """
-    scene = Scene(chain, task, q0, _tip(chain, q0))
+    arm = ArmAtStart(chain, task, q0, _tip(chain, q0))
     given = as_written(given)
     if str(name).lower().endswith(".csv"):
         fitting("reference", name, words.Takes(), given)
-        return _waypoints(scene, name)
+        return _waypoints(arm, name)
     errors.one_of("reference", name, (*words.REFERENCES, "FILE.csv"))
     choice = words.REFERENCES[name]
     length = {"period": horizon} if "period" in choice.options else {}
-    return choice.make(scene, **(length | fitting("reference", name, choice, given)))
+    return choice.make(arm, **(length | fitting("reference", name, choice, given)))
 
 
-def hold(scene, target=None):
+def hold(arm, target=None):
     """A fixed target; the options of this and the next three are those of `reference_from`."""
-    there = scene.here if target is not None else _away(scene)
-    return ref.hold(*_point("target", target, scene.task, there))
+    there = arm.here if target is not None else _away(arm)
+    return ref.hold(*_point("target", target, arm.task, there))
 
 
-def line(scene, period, **ends):
+def line(arm, period, **ends):
     """A straight line."""
     errors.number("period", period, positive=True)
-    first, turned = _point("from", ends.get("from"), scene.task, scene.here)
-    last, turned_last = _point("to", ends.get("to"), scene.task, scene.here if "to" in ends else _away(scene))
+    first, turned = _point("from", ends.get("from"), arm.task, arm.here)
+    last, turned_last = _point("to", ends.get("to"), arm.task, arm.here if "to" in ends else _away(arm))
     if first is not None and len(first) != len(last):  # one as x y z, one in the task's coordinates
-        first, last = (p if len(p) < 3 else p[np.array(scene.task.linear)] for p in (first, last))
+        first, last = (p if len(p) < 3 else p[np.array(arm.task.linear)] for p in (first, last))
     turned_last = None if turned_last is turned else turned_last  # kept: nothing to turn
     return ref.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
 
-def circle(scene, period, center=None, radius=None, normal=None, phase=0.0):
+def circle(arm, period, center=None, radius=None, normal=None, phase=0.0):
     """A circle."""
-    _needs_position("circle", scene.task)
-    radius = arm_length(scene.chain) / 10 if radius is None else radius
+    _needs_position("circle", arm.task)
+    radius = arm_length(arm.chain) / 10 if radius is None else radius
     errors.number("radius", radius, positive=True)
     phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
-    at, rotation = _point("center", center, scene.task, scene.here)
+    at, rotation = _point("center", center, arm.task, arm.here)
     if center is None:
         around = ref.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve
         at = at - _known(around.first)
     return ref.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
 
 
-def lissajous(scene, period, center=None, amplitude=None, frequency=None, phase=None):
+def lissajous(arm, period, center=None, amplitude=None, frequency=None, phase=None):
     """A Lissajous curve."""
-    _needs_position("lissajous", scene.task)
-    amplitude = arm_length(scene.chain) / 20 if amplitude is None else amplitude
-    at, rotation = _point("center", center, scene.task, scene.here)
+    _needs_position("lissajous", arm.task)
+    amplitude = arm_length(arm.chain) / 20 if amplitude is None else amplitude
+    at, rotation = _point("center", center, arm.task, arm.here)
     size = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),))) * np.ones(len(at))
     return ref.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
 
@@ -150,9 +150,9 @@ def _known(values):
     return np.asarray(values, float) if errors.concrete(values) else values
 
 
-def _away(scene):
+def _away(arm):
     """The tip's pose after every joint moved a little towards the middle of its limits."""
-    chain, q0 = scene.chain, scene.q0
+    chain, q0 = arm.chain, arm.q0
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)
     middle = np.where(bounded, np.where(bounded, lower, 0) / 2 + np.where(bounded, upper, 0) / 2, np.inf)
@@ -185,9 +185,9 @@ def _point(name, given, task, default):
 # --- waypoint files -----------------------------------------------------------------------------------
 
 
-def _waypoints(scene, file):
+def _waypoints(arm, file):
     """Waypoints of a CSV file: time, position, optional quaternion; by name, or without a header in this order."""
-    name, task = pathlib.Path(file).name, scene.task
+    name, task = pathlib.Path(file).name, arm.task
 
     def by_place(width):
         turns = (0, 4) if task.orientation else (0,)
@@ -205,14 +205,14 @@ def _waypoints(scene, file):
         if lacking:
             raise errors.fail("reference", "have a column for each coordinate", f"{name} lacks {' '.join(lacking)}")
         table = np.stack([columns[column] for column in order], 1)
-    points = [_point(f"{name} row {k + 1}", row, scene.task, scene.here) for k, row in enumerate(table[:, 1:])]
+    points = [_point(f"{name} row {k + 1}", row, arm.task, arm.here) for k, row in enumerate(table[:, 1:])]
     late = ~(table[1:, 0] > table[:-1, 0])  # also where one is not finite
     if late.any():
         k = int(np.argmax(late))
         first, second = table[k : k + 2, 0]
         raise errors.fail("reference", "hold times that increase", f"{name} has {first:g} and then {second:g}")
-    positions = np.stack([p for p, _ in points]) if scene.task.position else None
-    rotations = np.stack([r for _, r in points]) if scene.task.orientation else None
+    positions = np.stack([p for p, _ in points]) if arm.task.position else None
+    rotations = np.stack([r for _, r in points]) if arm.task.orientation else None
     if positions is not None:
-        remark_on_places(name, positions, scene.chain, scene.task)
+        remark_on_places(name, positions, arm.chain, arm.task)
     return ref.waypoints(table[:, 0], positions, rotations)

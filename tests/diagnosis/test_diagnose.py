@@ -12,7 +12,7 @@ import cnclik as ck
 from cnclik.diagnosis import Kind, diagnose, fit_drive
 from cnclik.diagnosis.advice import limits_of
 from cnclik.diagnosis.blocks import orthogonal, triangle
-from cnclik.diagnosis.late import Loop
+from cnclik.diagnosis.late import LateLoop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.stability.driven import driven_limits, respond
@@ -166,7 +166,7 @@ def test_a_drive_that_lags_is_found_by_the_gain():
 
 def test_limits_of_dead_time_alone_are_those_of_the_theory():
     for d in (0, 1, 5):
-        ours, theirs = limits_of(Loop(d, 0.0, 0.1), TS), driven_limits("EE", Ts=TS, drive=Drive(delay=d))
+        ours, theirs = limits_of(LateLoop(d, 0.0, 0.1), TS), driven_limits("EE", Ts=TS, drive=Drive(delay=d))
         assert (ours.stable, ours.recommended) == pytest.approx((theirs.stable, theirs.recommended), rel=1e-3)
 
 
