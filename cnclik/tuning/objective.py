@@ -87,9 +87,7 @@ class Judged(NamedTuple):
     null_radius: Float[np.ndarray, ""]
     correction: Float[np.ndarray, ""]
     speed: Float[np.ndarray, ""]
-    excess: Float[
-        np.ndarray, " 4"
-    ]  # by how much each of CONSTRAINTS is exceeded, relatively; −inf for one that is not set
+    excess: Float[np.ndarray, " 4"]  # by how much each of CONSTRAINTS is exceeded, relatively; −inf: it is not set
     postures: Float[np.ndarray, "BK n"]  # where these were measured
     growths: Float[np.ndarray, "BK n n"]  # projections on motions of the null space that grow there by themselves
     run: Trajectory  # of the first scenario
@@ -129,9 +127,14 @@ class LoopObjective:
     contracts: bool  # whether the margin asks for more than the bound on corrections gives
 
     @property
+    def moves_null_space(self) -> bool:
+        """Whether the law has a null-space velocity."""
+        return callable(self.loop.law.null_velocity)
+
+    @property
     def constraints(self) -> int:
         """How many constraints there are: known without tracing them."""
-        kinds = 1 + self.contracts * len(each_drive(self.drive)) + callable(self.loop.law.null_velocity)
+        kinds = 1 + self.contracts * len(each_drive(self.drive)) + self.moves_null_space
         return kinds * len(self.postures) + len(self.joints)
 
     def costs(self, correction: float) -> dict:
@@ -188,7 +191,7 @@ class LoopObjective:
             for drive in each_drive(self.drive):
                 radius = jax.vmap(linear.radius_bound)(linear.driven_map(maps, drive, self.loop.Ts))
                 constraints.append(radius / self.margin - 1.0)
-        if callable(self.loop.law.null_velocity):
+        if self.moves_null_space:
             constraints.append(jax.vmap(linear.radius_estimate)(staying(across, jnp.asarray(self.growths))) - 1.0)
         if self.joints:
             constraints.append(self._speed(runs) - 1.0)
@@ -207,9 +210,7 @@ class LoopObjective:
             "finite": jnp.all(jnp.isfinite(runs.q)),
             "maps": maps,
             "across": across,
-            "flows": self._along(lambda law, q: null_flow(*at_rest(law, None, q), q), loop, postures)
-            if callable(self.loop.law.null_velocity)
-            else None,
+            "flows": self._along(_flow, loop, postures) if self.moves_null_space else None,
             "speed": jnp.max(self._speed(runs)) if self.joints else jnp.zeros((), runs.q.dtype),
             "postures": postures,
             "run": jax.tree.map(lambda x: x[0], runs),
@@ -237,15 +238,14 @@ class LoopObjective:
         speed = known(seen["speed"])
         with np.errstate(divide="ignore", invalid="ignore"):  # no correction is small enough where none is stable
             ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
-        counts = (
-            True,
-            bool(np.isfinite(self.largest_correction)),
-            callable(self.loop.law.null_velocity),
-            bool(self.joints),
-        )
-        excess = np.where(counts, np.stack(ratios, -1) - 1.0, -np.inf)
+        is_set = [True, float(self.largest_correction) < np.inf, self.moves_null_space, bool(self.joints)]
+        excess = np.where(is_set, np.stack(ratios, -1) - 1.0, -np.inf)
         postures, run = seen["postures"], seen["run"]
         return Judged(known(seen["loss"]), radius, null_radius, correction, speed, excess, postures, growths, run)
+
+
+def _flow(law, q):
+    return null_flow(*at_rest(law, None, q), q)
 
 
 def _corrections(maps, xp=jnp):
