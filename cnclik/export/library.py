@@ -212,6 +212,8 @@ def _input(buffers):
 
 def _joints(q, shape):
     """Joint values as an array, if they are of the shape."""
+    if type(q) is np.ndarray and q.shape == shape and q.dtype.kind == "f":  # soon, as most are
+        return q
     return errors.array("q", q, shape, finite=False)
 
 
@@ -295,14 +297,15 @@ def _caller(made, function, addresses):
         into[...] = _joints(q, shape)
         if given or named:
             write(given, named)
-        status = function(*addresses)
-        return result(status, {name: view.copy()[()] for name, view in views.items()})
+        return result(function(*addresses), views)
 
     return call
 
 
-_RESULTS = {
-    "fk": lambda _, found: Pose(**found),
-    "jacobian": lambda _, found: found["jacobian"],
-    "reach": lambda status, found: Answer(**found | {"status": ReachStatus(status)}),
+_RESULTS = {  # of what a function returns, and its output
+    "fk": lambda _, views: Pose(**{name: view.copy() for name, view in views.items()}),
+    "jacobian": lambda _, views: views["jacobian"].copy(),
+    "reach": lambda status, views: Answer(
+        **{name: view.copy()[()] for name, view in views.items()} | {"status": ReachStatus(status)}
+    ),
 }
