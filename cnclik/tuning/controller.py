@@ -31,7 +31,9 @@ def _rate_line(tuned) -> str:
         when += f"; alpha scaled to {in_words(tuned.schedule, 6)} 1/s at {len(tuned.schedule)} even instants"
     if tuned.method.name == EE.name:
         null = "" if law.null_velocity is None else f" + (I - {name} @ J) @ qdot_0"
-        return f"qdot = {name} @ ({_feedforward(law)}{product}){null}  # {when}; {formula}"
+        factor = float(law.feedforward)
+        forward = {0.0: "", 1.0: "xdot_d + "}.get(factor, f"{factor:.6g} * xdot_d + ")
+        return f"qdot = {name} @ ({forward}{product}){null}  # {when}; {formula}"
     # The gain is that of a step which is no explicit Euler step: take its rate.
     stage = f", ck.{tuned.stage}" if tuned.method.implicit else ""
     step = f'ck.step(law, path, q, t, {tuned.Ts:.6g}, "{tuned.method.name}"{stage}'
@@ -55,9 +57,9 @@ def _pink_mink_line(tuned) -> str:
     if z > 1 + DAMPED_EXCESS:
         return f"no line: z = {z:.4g}, and the gain of pink and mink is meant to be at most 1"
     z = min(z, 1.0)
-    line = f"task = FrameTask(..., gain={z:.6g})"
-    line += f"; solve_ik(..., dt={tuned.Ts:.6g}{f', damping={damping:.6g}' if damping else ''})  # dt [s]"
-    line += "; a PostureTask takes this gain, too (1 if left out)"
+    damped = f", damping={damping:.6g}" if damping else ""
+    line = f"task = FrameTask(..., gain={z:.6g}); solve_ik(..., dt={tuned.Ts:.6g}{damped})  # dt [s]; "
+    line += "a PostureTask takes this gain, too (1 if left out)"
     if tuned.method.name != EE.name:
         euler = abs(float(amplification("EE", None, z)))
         line += f"; they step by explicit Euler: the error shrinks by {euler:.4g} per step there"
@@ -76,10 +78,3 @@ def _inverse(inverse):
     if isinstance(inverse, inverses.Transpose):
         return "J.T", "transpose (J.T)", None
     return "J_inverse", f"{type(inverse).__name__} (its J#)", None
-
-
-def _feedforward(law):
-    factor = float(law.feedforward)
-    if factor == 0:
-        return ""
-    return "xdot_d + " if factor == 1 else f"{factor:.6g} * xdot_d + "
