@@ -12,7 +12,7 @@ from cnclik import errors
 from cnclik.engine.routine import INT, Field, Routine
 from cnclik.export.cost import operations
 from cnclik.export.source import Names, signature, statements
-from cnclik.export.trace import Asked
+from cnclik.export.trace import Request
 from cnclik.reaching import asked, strategy
 from cnclik.reaching.native_source import lanes_of, look_of, search_source
 from cnclik.reaching.seeds import SETS, SIZE, compared, seeds
@@ -36,10 +36,10 @@ class Reaching(NamedTuple):
     features: np.ndarray  # (sets, 13, K / sets) their tips, as `seeds.Compared` has them
 
 
-def trace_reach(asked_for: Asked, count: int) -> Reaching:
+def trace_reach(request: Request, count: int) -> Reaching:
     """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
     errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
-    law, least = asked_for.law, LEAST * np.finfo(asked_for.dtype).eps
+    law, least = request.law, LEAST * np.finfo(request.dtype).eps
     search = asked.asked_of(law.chain, law.task, TOLERANCE, None, None, count + 1, strategy.ENDLESS, 0, True, True)
     chain, task, sets = search.chain, search.task, next(sets for sets in SHIPPED if count % sets == 0)
     n, p, turned, units = chain.n, len(task.position), bool(task.orientation), ", ".join(dict.fromkeys(law.chain.units))
@@ -60,7 +60,7 @@ def trace_reach(asked_for: Asked, count: int) -> Reaching:
     ]
     return Reaching(
         asked=search,
-        look=look_of(chain, task, asked_for.dtype),
+        look=look_of(chain, task, request.dtype),
         call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": told}),
         postures=seeds(chain).postures[:count],
         features=features.reshape(sets, -1, 13).transpose(0, 2, 1),
