@@ -72,8 +72,8 @@ class ReportOption:
             raise self.undrawn
 
 
-def print_table(rows, header=(), *, title=None, left=1, **look) -> None:
-    """Print rows of texts as a table; the first `left` columns are set left."""
+def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, **look) -> None:
+    """Print rows of texts as a table; the first `left` columns are set left, style(row) is rich's name of a style."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -83,7 +83,7 @@ def print_table(rows, header=(), *, title=None, left=1, **look) -> None:
     for i, name in enumerate(header):
         shown.add_column(Text(name), justify="left" if i < left else "right")
     for row in rows:
-        shown.add_row(*map(Text, row))
+        shown.add_row(*map(Text, row), style=style(row))
     Console().print(shown)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from cnclik import paper
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import ComputeOptions, print_table
 
 
 @dataclass(kw_only=True)
@@ -29,30 +29,16 @@ def run(args: Args) -> None:
 
 def _show(found) -> None:
     """The tables of claims.md on the terminal."""
-    from rich.console import Console
+    import rich.box
 
     from cnclik.paper import claims, readings, tables
 
-    judged, console = paper.judge(found.trajectories, found.passes), Console()
-    for table in (
+    judged = paper.judge(found.trajectories, found.passes)
+    look = dict(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0), style=lambda row: "green" if row[-1] == "yes" else None)
+    for title, header, rows, left in (
         tables.claim_table(judged, claims.undetermined(found.trajectories)),
         tables.method_table(found.methods),
         tables.picard_table(judged),
     ):
-        console.print(_drawn(table))
-    console.print(f"* decided by rounding: starts {readings.NUDGE:.0e} rad apart give other digits.\n")
-
-
-def _drawn(table):
-    import rich.box
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = Table(
-        title=Text(table.title, style="bold"), title_justify="left", box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-    )
-    for i, name in enumerate(table.header):
-        shown.add_column(name, justify="left" if i < table.left else "right", no_wrap=True)
-    for row in table.rows:
-        shown.add_row(*row, style="green" if row[-1] == "yes" else None)
-    return shown
+        print_table(rows, header, title=title, left=left, **look)
+    print(f"* decided by rounding: starts {readings.NUDGE:.0e} rad apart give other digits.\n")
