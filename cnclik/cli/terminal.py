@@ -51,14 +51,14 @@ def guarded(process: bool):
     own = sys.stdout, sys.stderr
     out, err = (_Stream(stream or io.StringIO()) for stream in own)  # none: it was closed from the beginning
     sys.stdout, sys.stderr = out, err
-    leaving = None
+    leaving, before = None, _listen() if process else {}
     try:
-        if process:
-            _listen()
         yield
     except SystemExit as ended:
         leaving = ended
     finally:
+        for sent, handler in before.items():
+            signal.signal(sent, handler)
         out.flush()
         err.flush()
         sys.stdout, sys.stderr = own
@@ -79,15 +79,16 @@ def guarded(process: bool):
         sys.exit(1)
 
 
-def _listen() -> None:
+def _listen() -> dict:
     """End the process at SIGTERM and SIGINT, wherever it is, but for those that a shell told it to ignore.
 
     Not by an exception, of which extensions that are being loaded make errors of their own, and which is dropped where
-    compiled code calls Python back.
+    compiled code calls Python back. Returns: {signal: what handled it before}.
     """
-    for sent in STOPS:
-        if signal.getsignal(sent) not in (signal.SIG_IGN, None):  # None: not of Python
-            signal.signal(sent, end)
+    if threading.current_thread() is not threading.main_thread():  # signals are for the main thread
+        return {}
+    heard = [sent for sent in STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not of Python
+    return {sent: signal.signal(sent, end) for sent in heard}
 
 
 def end(sent, _) -> None:

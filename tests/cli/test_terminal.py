@@ -126,10 +126,12 @@ def test_a_signal_that_is_ignored_stays_ignored(tmp_path):
     assert ended(process)[0] == 0 and (tmp_path / "one.txt").exists()
 
 
-def test_the_signal_is_as_before_afterwards(capsys):
-    before = signal.getsignal(signal.SIGTERM)
-    main(["--version"])
-    assert signal.getsignal(signal.SIGTERM) is before and capsys.readouterr().out.startswith("cnclik ")
+def test_the_signals_are_as_before_afterwards(capsys, monkeypatch):
+    before = [signal.getsignal(sent) for sent in (signal.SIGTERM, signal.SIGINT)]
+    monkeypatch.setattr(sys, "argv", ["cnclik", "--version"])
+    main()
+    assert [signal.getsignal(sent) for sent in (signal.SIGTERM, signal.SIGINT)] == before
+    assert capsys.readouterr().out.startswith("cnclik ")
 
 
 @pytest.mark.parametrize("name", ["quantum", "cuda"])
