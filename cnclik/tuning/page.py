@@ -49,13 +49,14 @@ def page_rows(tuned, seconds=None) -> list:
     rows = [
         (p.name, f"{in_words(tuned.values[p.name])}{with_unit(p)} (from {in_words(p.start)})") for p in tuned.parameters
     ]
-    allowed = before.violation <= 0
-    beyond = "" if allowed else f" (with {before.worst} {100 * before.violation:.3g} % beyond its bound)"
+    beyond = f" (with {before.worst} {100 * before.violation:.3g} % beyond its bound)"
+    beyond = "" if before.violation <= 0 else beyond
+    removed, removed_before = (_finite(100 * run.correction, " %") for run in (after, before))
     rows += [
         ("loss", f"{tuned.loss}: {_finite(before.loss)} before{beyond}, {_finite(after.loss)} after"),
         ("z = alpha·Ts", f"{after.z:.5g} (before {before.z:.5g})"),
         ("spectral radius", f"{_finite(after.radius)} (margin {tuned.margin:g}; before {_finite(before.radius)})"),
-        ("error removed per step", f"{_percent(after.correction)} (before {_percent(before.correction)})"),
+        ("error removed per step", f"{removed} (before {removed_before})"),
     ]
     drive = tuned.conditions.drive
     if drive.delay:
@@ -80,9 +81,5 @@ def page_rows(tuned, seconds=None) -> list:
     return rows
 
 
-def _percent(share):
-    return f"{100 * share:.4g} %" if math.isfinite(share) else "not finite"
-
-
-def _finite(value):
-    return f"{value:.4g}" if math.isfinite(value) else "not finite"
+def _finite(value, unit=""):
+    return f"{value:.4g}{unit}" if math.isfinite(value) else "not finite"
