@@ -130,8 +130,11 @@ class Native:
         """
         asked, rows, k = self.asked, self._rows(len(pose)), 0
         at = start_posture(asked.chain, asked.task)[None]
-        first = self if asked.jump is None else Native(replace(asked, jump=FAR), self.library)
-        found = first.reached(pose[:1], at)
+        if asked.jump is None:
+            found = self.reached(pose[:1], at)
+        else:
+            free = kept(asked, "_free_to_jump", lambda asked: Native(replace(asked, jump=FAR), self.library))
+            found = free.reached(pose[:1], at)
         made = np.empty(min(len(pose), BLOCK), self.empty.dtype)
         while True:
             if found is not None:

@@ -112,9 +112,8 @@ def _one_try(asked, postures, to, phase, made, pose, near, number, count):
     return tiled(one, TILE, made, pose, number, *own, count=count)
 
 
-_some, _many = (
-    quick_jit(f, compiler=LIGHT_COMPILE) for f in (_rows, _one_try)
-)  # QUICK_COMPILE's run three times as long
+_some = quick_jit(_rows, compiler=LIGHT_COMPILE)  # runs in a third of the time of QUICK_COMPILE's
+_many = quick_jit(_one_try, compiler=LIGHT_COMPILE)
 
 
 class Programs:
@@ -134,15 +133,6 @@ class Programs:
         """Answers for (B, 12) targets, near (B, n) or None."""
         asked, B, n = self.asked, len(pose), self.asked.chain.n
         made, left, rows, done = nothing((B,), n), np.arange(B), np.empty((B, width(n))), 0
-        if B > ONE_BY_ONE:
-            which, done = asked.finite(pose, near) & (asked.downhill | ~asked.too_far(pose)), PLAIN
-            for k in range(min(done, int(asked.seeds))):
-                self._try(made, pose, near, np.flatnonzero(which & (made.found == 0)), self.first, np.full(B, k))
-                if progress is not None:
-                    progress(int(made.found.sum()), B)
-            q, squares, _, steep, looks, found, *_ = made
-            rows = as_rows(fields(asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)))
-            left = np.flatnonzero(found == 0)
 
         def search(ids):
             own = None if near is None else filled(near[ids], BLOCK)
@@ -150,6 +140,17 @@ class Programs:
             given = filled(pose[ids], BLOCK), own, some, np.int32(done), np.int32(len(ids))
             rows[ids] = np.asarray(_some(*self.shared, *given)[1])[: len(ids)]
 
+        if B > ONE_BY_ONE:
+            which, done = asked.finite(pose, near) & (asked.downhill | ~asked.too_far(pose)), PLAIN
+            with jax.enable_x64(True), side_by_side(1) as beside:
+                beside.submit(as_here(search), left[:0])  # compiled, until it is needed for those that are left
+                for k in range(min(done, int(asked.seeds))):
+                    self._try(made, pose, near, np.flatnonzero(which & (made.found == 0)), self.first, np.full(B, k))
+                    if progress is not None:
+                        progress(int(made.found.sum()), B)
+            q, squares, _, steep, looks, found, *_ = made
+            rows[:] = as_rows(fields(asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)))
+            left = np.flatnonzero(found == 0)
         _on_all_cores(search, left, BLOCK, progress and (lambda count: progress(B - len(left) + count, B)))
         return from_rows(asked.chain, asked.task, rows)
 
