@@ -168,9 +168,9 @@ def _eliminated(rows):
 
 
 @jax.custom_jvp
-def pinv_applied(rows, t):
-    """J# t of `pinv` for no more rows than joints, refined with vectors: P t + P (t − J P t). Derivatives are those of
-    `pinv`."""
+def pinv_applied(rows, columns, t):
+    """J# t of `pinv` for no more rows than joints, refined with vectors: P t + P (t − J P t). Its derivatives are made
+    of J#'s `columns`, by `pinv`, which else are not looked at."""
     if len(rows) <= 2:
         return t @ _pinv(rows)[0]
     lower, _, trusted = _eliminated(rows)
@@ -184,7 +184,7 @@ def pinv_applied(rows, t):
 
 @pinv_applied.defjvp
 def _pinv_applied_jvp(primals, tangents):
-    return jax.jvp(lambda rows, t: t @ pinv(rows)[0], primals, tangents)
+    return jax.jvp(lambda columns, t: t @ columns, primals[1:], tangents[1:])
 
 
 def _pinv_by_rotations(rows):

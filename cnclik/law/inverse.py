@@ -50,7 +50,8 @@ class Pseudoinverse:
 
     def __call__(self, rows) -> Factored:
         columns, least = dense.pinv(rows)
-        apply = functools.partial(dense.pinv_applied, rows) if len(rows) <= rows.shape[1] else lambda t: t @ columns
+        wide = len(rows) <= rows.shape[1]
+        apply = functools.partial(dense.pinv_applied, rows, columns) if wide else lambda t: t @ columns
         return Factored(apply, lax.stop_gradient(least), memory=lambda: (columns, None))
 
 

@@ -243,7 +243,7 @@ def _joint_speed(loop, Ts, speed) -> float:
     count, limit = len(loop.law.task.position), np.asarray(loop.law.chain.velocity_limit, float)
     if not count or not np.isfinite(limit).any():
         return np.nan
-    rows = step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage)[1]
+    rows = step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage, often=True)[1]
     return float(np.max(np.linalg.norm(np.linalg.pinv(rows)[:, :count], axis=1) * speed / limit))
 
 

@@ -146,7 +146,7 @@ class LoopAtRest(NamedTuple):
         """See `step_maps`, `staying`."""
         key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
         if key not in self.known:
-            moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage)
+            moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage, often=True)
             self.known[key] = (moved if self.law.null_velocity is None else staying(moved, self.growing())), rows
         return self.known[key]
 
@@ -232,7 +232,7 @@ def _margin(loop, Ts, reach):
     """`Recommendation` of alpha, `Margin` and `Spectrum`."""
     z = loop.rate * float(errors.number("Ts", Ts, positive=True))
     gains = recommendation_of(loop, Ts, reach)
-    now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage))
+    now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage, often=True))
     size = now.radius
     if not loop.drive.prompt:
         size = float(radius(loop.modes(np.array([z]), Ts)[0], loop.drive, Ts)[0])

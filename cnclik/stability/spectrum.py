@@ -65,12 +65,15 @@ def one_step(law, reference, q, Ts, method, stage):
     return moved, rows
 
 
-def step_maps(law, reference, q, scale, Ts, method, stage):
-    """`one_step` for many gains scale·alpha and sampling times (k,): (k, p·n, p·n) and (m, n), NumPy arrays."""
+def step_maps(law, reference, q, scale, Ts, method, stage, often=False):
+    """`one_step` for many gains scale·alpha and sampling times (k,): (k, p·n, p·n) and (m, n), NumPy arrays.
+
+    Args: often: whether many more of this loop are asked for.
+    """
     count = len(scale)
     pad = (0, -count % LANES)
     scale, Ts = (np.pad(np.asarray(v, float), pad, mode="edge") for v in (scale, Ts))
-    tile = _tiles_of_passes if method.implicit else _tiles
+    tile = _tiles_run_often if often and method.implicit else _tiles
     parts = [
         tile(law, reference, q, scale[i : i + LANES], Ts[i : i + LANES], method, stage)
         for i in range(0, len(scale), LANES)
@@ -87,8 +90,8 @@ def _tile(law, reference, q, scale, Ts, method, stage):
 
 
 _tiles = one_off(_tile, static_argnames=("method",))
-# Run 70 times for an advice: 2.5 ms each where QUICK_COMPILE's take 15, and 0.5 s more to compile.
-_tiles_of_passes = one_off(_tile, compiler=LIGHT_COMPILE, static_argnames=("method",))
+# Of passes 2.5 ms each, where QUICK_COMPILE's take 15, and 0.5 s more to compile: an advice asks for 70.
+_tiles_run_often = one_off(_tile, compiler=LIGHT_COMPILE, static_argnames=("method",))
 
 
 def of_error(moved, rows, xp=jnp, inverse=None):
@@ -187,9 +190,9 @@ def spectrum(law, reference, q, Ts, method=DEFAULT, stage=picard(5)) -> Spectrum
     return spectrum_of(*step_map(law, held, as_joint_values(law.chain, q), Ts, method, stage))
 
 
-def step_map(law, reference, q, Ts, method, stage):
+def step_map(law, reference, q, Ts, method, stage, often=False):
     """`step_maps` for the law's own gain at one sampling time: (n, n) and (m, n)."""
-    moved, rows = step_maps(law, reference, q, np.ones(1), np.full(1, Ts, float), method, stage)
+    moved, rows = step_maps(law, reference, q, np.ones(1), np.full(1, Ts, float), method, stage, often)
     return moved[0], rows
 
 

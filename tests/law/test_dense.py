@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cnclik.hints import equations
 from cnclik.law import dense
 from tests.oracles import central_differences, close
 
@@ -37,7 +38,11 @@ def many_pinv(a):
     return many(a)[0].transpose(0, 2, 1)
 
 
-many_applied = jax.jit(jax.vmap(dense.pinv_applied))
+def applied(rows, t):
+    return dense.pinv_applied(rows, dense.pinv(rows)[0], t)
+
+
+many_applied = jax.jit(jax.vmap(applied))
 
 
 def many_least(a):
@@ -205,6 +210,17 @@ def test_derivative_where_the_rank_is_deficient(shape):
         assert all(np.all(np.isfinite(made)) for made in all_three(x, rng.normal(size=x.shape)))
 
 
+def test_derivatives_of_what_is_applied_factor_once():
+    t = np.ones(3)
+
+    def both(rows):
+        columns, _ = dense.pinv(rows)
+        return dense.pinv_applied(rows, columns, t) + dense.pinv_applied(rows, columns, 2 * t)
+
+    traced = jax.make_jaxpr(jax.jacfwd(both))(np.eye(3, 4)).jaxpr
+    assert sum(e.primitive.name == "cholesky" for e in equations(traced)) == 1
+
+
 def test_float32():
     rng = np.random.default_rng(3)
     a = np.array([with_singular_values((3, 4), v, rng) for v in ([1, 0.5, 0.1], [1, 1], [1], [])], np.float32)
@@ -214,7 +230,7 @@ def test_float32():
         close(one, np.linalg.pinv(matrix.astype(float), rcond=1e-5), atol=5e-5)
     t = rng.normal(size=(len(a), 3)).astype(np.float32)
     close(many_applied(a, t), np.einsum("bij,bj->bi", found, t), atol=5e-5)  # of singular ones, too
-    close(*(jax.vmap(jax.jacrev(f))(a, t) for f in (dense.pinv_applied, lambda a, t: t @ dense.pinv(a)[0])))
+    close(*(jax.vmap(jax.jacrev(f))(a, t) for f in (applied, lambda a, t: t @ dense.pinv(a)[0])))
     assert np.all(np.isfinite(jax.jit(jax.vmap(jax.jacfwd(pinv)))(a)))
 
 
