@@ -203,10 +203,16 @@ def ending(name: str, path, *endings) -> str:
     return found
 
 
+# What the field calls methods that have short names here.
+_ALSO = {"euler": "ee", "forward euler": "ee", "explicit euler": "ee", "backward euler": "ie", "implicit euler": "ie"}
+
+
 def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
     alike = {str(name).casefold(): name for name in names}
-    near = difflib.get_close_matches(str(value).casefold(), alike, n=1, cutoff=0.6)
+    folded = str(value).casefold()
+    folded = _ALSO.get(folded, folded)
+    near = difflib.get_close_matches(folded, alike, n=1, cutoff=0.6)
     return f" (did you mean {alike[near[0]]!r}?)" if near else ""
 
 

@@ -93,7 +93,7 @@ def test_a_servo_leaves_a_tenth_of_the_gain(capsys):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--method", "EULER"], "Argument `method` must be one of"),
+        (["--method", "EULER"], "EXP-AB4, but is 'EULER' (did you mean 'EE'?)."),
         (["--cells", "1"], "Argument `cells` must be at least 2, but is 1."),
         (["--N", "3"], "Argument `N` must be at least 4, but is 3."),
         (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Argument `Ts-range` must increase, but is 0.1 to 0.01."),
