@@ -9,4 +9,4 @@ from jax import Array as Array
 from numpy.typing import ArrayLike as ArrayLike  # JAX's has no lists of numbers
 
 AnyArray = Array | np.ndarray  # JAX's or NumPy's
-Number = float | np.floating | Float[Array, ""]  # compiled in as a float, a parameter as an array
+Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in as a float, a parameter as an array

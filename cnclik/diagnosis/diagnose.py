@@ -1,6 +1,9 @@
 """Diagnose: whether a recording rings, how late the robot is by that, and which gain would end it."""
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +31,7 @@ from cnclik.diagnosis.recording import columns
 from cnclik.precision import of_numbers
 from cnclik.quantities import in_samples
 from cnclik.record import record
+from cnclik.shapes import ArrayLike, Float
 
 LONGEST = 250  # samples of a period: what is slower is taken for a path
 WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
@@ -73,13 +77,13 @@ class Diagnosis:
     Ts: float
     period: float | None = None
     growth: float | None = None
-    factors: object = ()
+    factors: Sequence[complex] | np.ndarray = ()
     z: float | None = None
     delay: float | None = None
     lag: float | None = None
     cause: str | None = None
     angle: float | None = None
-    axis: object = None
+    axis: Float[np.ndarray, " 3"] | None = None
     phase_delay: float | None = None
     confidence: float | None = None
     pure: bool | None = None
@@ -89,11 +93,11 @@ class Diagnosis:
     factor: float | None = None
     alpha: float | None = None
     recommended_alpha: float | None = None
-    amplitude: object = ()
-    noise: object = ()
+    amplitude: Float[np.ndarray, " k"]
+    noise: Float[np.ndarray, " k"]
     first: int = 0
-    path: object = ()
-    modes: object = ()
+    path: Float[np.ndarray, "n k"]
+    modes: Float[np.ndarray, "n k"]
     note: str = ""
 
     @property
@@ -116,7 +120,14 @@ class Diagnosis:
 
 
 @of_numbers
-def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -> Diagnosis:
+def diagnose(
+    signal: Float[ArrayLike, "N ..."],
+    Ts: float,
+    *,
+    alpha: float | None = None,
+    longest: float = LONGEST,
+    progress: Callable | None = None,
+) -> Diagnosis:
     """Whether a recording rings, how late the robot is by that, and which gain would end it.
 
     The recording may begin at rest, have an offset, drift, follow a slow path, and be noisy. Several columns, as of
@@ -136,7 +147,7 @@ def diagnose(signal, Ts: float, *, alpha=None, longest=LONGEST, progress=None) -
     y = columns("signal", signal)
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
-    given = {"Ts": Ts, "alpha": alpha}
+    given: dict[str, Any] = {"Ts": Ts, "alpha": alpha}
     moving = np.ptp(y, axis=0) > STILL * np.abs(y).max(0)
     if not moving.any():
         still = np.zeros(y.shape[1])
@@ -208,7 +219,8 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
     shape = shape_of(part.rows, found, chosen[0]) * size if len(chosen) else None
     stays = kind is Kind.GROWING and _moved_before(scaled, part.first)
     kind = Kind.SUSTAINED if stays else kind
-    made, whole, periods = {"kind": kind}, True, None
+    made: dict[str, Any] = {"kind": kind}
+    whole, periods = True, None
     if kind in OSCILLATING:
         loop = part.rows - found.path - found.parts[~part.own].sum(0)
         made = advice(kind, part.factor, shape, loop, found.noise, alpha, Ts)
@@ -331,7 +343,7 @@ def _monotone(slowest, alpha, Ts) -> dict:
 # --- in words -----------------------------------------------------------------------------------------
 
 
-def _sentence(d: Diagnosis) -> str:
+def _sentence(d) -> str:
     if d.kind is Kind.QUIET:
         return "no oscillation, and no noise"
     if d.kind is Kind.NOISE:

@@ -5,6 +5,8 @@ row the first command holds. Each joint has an offset, and where the recording a
 = gain · (drive's motion) + offset + drift · t. These are linear: the search leaves them out (Golub & Pereyra 1973).
 """
 
+from __future__ import annotations
+
 import itertools
 
 import numpy as np
@@ -17,6 +19,7 @@ from cnclik.diagnosis.spread import correlated, stable_range
 from cnclik.integrate.drive import COMMANDS, Drive
 from cnclik.precision import of_numbers
 from cnclik.record import record, replace
+from cnclik.shapes import ArrayLike, Float
 
 KINDS = ("delay", "lag", "second-order")  # by their order
 DELAYS = 200  # samples of dead time that are looked at, at most
@@ -55,13 +58,13 @@ class DriveFit:
     """
 
     drive: Drive
-    uncertainty: object
-    gain: object
-    drift: object
-    rms: object
+    uncertainty: dict[str, float]
+    gain: Float[np.ndarray, " k"]
+    drift: Float[np.ndarray, " k"]
+    rms: Float[np.ndarray, " k"]
     explained: float
-    largest_stable_alpha: object
-    motion: object
+    largest_stable_alpha: tuple[float, float] | None
+    motion: Float[np.ndarray, "N k"]
     note: str = ""
 
     @property
@@ -91,7 +94,15 @@ def _said(value) -> str:
 
 
 @of_numbers
-def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position") -> DriveFit:
+def fit_drive(
+    t: Float[ArrayLike, " N"] | None,
+    command: Float[ArrayLike, "N ..."],
+    motion: Float[ArrayLike, "N ..."],
+    Ts: float | None = None,
+    *,
+    kind: str | None = None,
+    command_kind: str = "position",
+) -> DriveFit:
     """The drive behind recorded commands and motion, as of a step: dead time, and a lag or a second-order servo.
 
     Each order is fitted by least squares with the exactly sampled drive, with and without a gain and a drift of each
@@ -117,8 +128,8 @@ def fit_drive(t, command, motion, Ts=None, *, kind=None, command_kind="position"
         if np.any(np.ptp(values, axis=0) <= np.maximum(1e-12 * np.abs(values).max(0), 1 / LARGEST)):
             raise errors.fail(name, "move in every column", "stands still")
     Ts = sampling_time(t, Ts)
-    if t is not None and len(t) != len(command):
-        raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {len(t)}")
+    if t is not None and np.size(t) != len(command):
+        raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts)
     shapes = [Shape(start=Drive(command=command_kind), Ts=Ts, order=order) for order in orders]
     best = _best(shapes, log)
@@ -278,7 +289,7 @@ class Fit:
     """A drive that was fitted: values (k, p) of the joints, alike where they share them, and the criterion."""
 
     shape: Shape
-    values: object
+    values: Float[np.ndarray, "k p"]
     parts: tuple
     own: bool
     score: float

@@ -5,6 +5,8 @@ Of dead time alone that is z = λ^d (1 − λ), and the phase of λ gives d. Wit
 lag and a gain with which λ is a factor: only the rest of the recording, or a known gain, tells them apart.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from cnclik.diagnosis.blocks import triangle
 from cnclik.diagnosis.modes import columns_of
 from cnclik.integrate.drive import MOST, Drive, sampled
+from cnclik.shapes import Float
 from cnclik.stability.driven import driven_factors
 from cnclik.stability.linear import late_monotone, late_stable
 
@@ -41,7 +44,7 @@ class LateLoop(NamedTuple):
     z: float
     score: float = np.inf  # -2 log of its likelihood
     share: float = 0.0  # probability among all that were tried
-    power: object = ()  # (k,) what it leaves of each column
+    power: Float[np.ndarray, " k"] | tuple[()] = ()  # what it leaves of each column
 
     @property
     def drive(self) -> Drive:
@@ -134,7 +137,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         found = by_share(tried, 1 / max(sum(loop.lag > 0 for loop in tried), 1))
         hardly = found[0].lag < NO_LAG * Ts
         simple = [loop for loop in found if not loop.lag and (loop.share > SIMPLE * found[0].share or hardly)]
-        return [*simple[:1], *(loop for loop in found if loop is not (simple or [None])[0])], True
+        return [*simple[:1], *(loop for loop in found if not simple or loop is not simple[0])], True
     alone = LateLoop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
     lagging = _family(factor, phase, Ts)
     return [alone, *(loop._replace(share=loop.as_known(z) * loop.usual / len(lagging)) for loop in lagging)], False

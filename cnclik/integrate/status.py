@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,8 @@ from cnclik.law.reference import motion
 from cnclik.precision import of_numbers
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.shapes import ArrayLike
+
+Run = TypeVar("Run", bound=Any)  # a `Trajectory`, whose class is of a module above
 
 
 class Status(enum.IntFlag):
@@ -61,7 +64,7 @@ def count(status: ArrayLike) -> dict[str, int]:
 
 
 @of_numbers
-def require_ok(run, *, allow=Status.OK):
+def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
     """The run itself if no step has a status beyond `allow` and RESTARTED, which is no defect; else StepError.
 
     The message names the first bad step (and lane), its time, and the remedy. Values are looked at, so this

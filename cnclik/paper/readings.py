@@ -14,6 +14,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import quick_jit
 from cnclik.integrate.method import CN, METHODS, Method, evaluations_of, named
+from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
@@ -83,13 +84,13 @@ def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     return with_feedforward(line(begin, end, duration=N * TS), (-speed, 0.0))
 
 
-def tableau(method: Method, Ts: str = "once") -> Method:
+def tableau(method: Method | Multistep, Ts: str = "once") -> Method | Multistep:
     """The method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
 
     Eq. 7 moves by Ts times an increment that holds a factor Ts already: θ̃ = θ + Ts·(Ts·slope). The slope is
     then taken at a·Ts = Ts² instead of Ts.
     """
-    if Ts == "once" or not method.implicit:
+    if Ts == "once" or isinstance(method, Multistep) or not method.implicit:
         return method
     A = tuple((*row[:-1], row[-1] * TS) for row in method.A)
     return Method(name=method.name, A=A, b=method.b, c=method.c, order=1, source="Drexler (2016), eqs. 6-8 as printed")

@@ -5,7 +5,7 @@ with; numbers, verdicts, and the words that depend on them, are read from the da
 """
 
 import pathlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,8 +28,8 @@ class Facts(NamedTuple):
     judged: dict
     rows: dict  # {(arm, case, reading): record} for (a) and (b)
     passes: dict  # {(arm, case, reading, method): record} for (c)
-    trajectories: object
-    methods: object
+    trajectories: Any
+    methods: Any
 
     def mean(self, arm, case, reading=str(DEFAULT)):
         return self.rows[arm, case, reading]["mean_error"]

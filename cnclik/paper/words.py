@@ -16,7 +16,7 @@ def filled(template, fields) -> str:
 def _wrapped(line) -> str:
     if line.startswith(("|", "#")):
         return line
-    item = re.match(r"(- |\d\. )?", line).group()
+    item = "".join(re.findall(r"^(?:- |\d\. )", line))
     words = textwrap.TextWrapper(120, "", " " * len(item), break_long_words=False, break_on_hyphens=False)
     return words.fill(" ".join(line.split()))
 

@@ -1,5 +1,7 @@
 """What is asked of all targets of a call, and how an answer becomes a status."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -17,6 +19,7 @@ from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import kept, leaf, record
 from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.posture import beyond_arm
+from cnclik.shapes import AnyArray, Float, Number
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
 MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # which all tries of a target are a multiple of, as int32
@@ -33,16 +36,16 @@ class Asked:
     chain: Chain  # its lengths, and all others here, in `unit`
     unit: float  # [m], see `units`
     task: Task
-    tolerance: object  # (2,) [units], [rad]
-    accept: object  # (2,) or None
-    jump: object  # a number, or (n,) [rad, units], or None
-    seeds: object  # postures to start from, at most
-    budget: object  # looks, at most
-    seed: object  # of the first set of seeds
+    tolerance: Float[AnyArray, " 2"]  # [units], [rad]
+    accept: Float[AnyArray, " 2"] | None
+    jump: Number | Float[AnyArray, " n"] | None  # [rad, units]
+    seeds: Number  # postures to start from, at most
+    budget: Number  # looks, at most
+    seed: Number  # of the first set of seeds
     limits: bool
     explain: bool  # why there is no answer
 
-    def limited(self):
+    def limited(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper limits (n,), infinite where they are not to be kept."""
         lower, upper = np.array(self.chain.lower, float), np.array(self.chain.upper, float)
         return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))

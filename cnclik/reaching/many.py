@@ -98,7 +98,8 @@ def _drawn(asked, engine, pose, near, numbers) -> dict:
     pose, near = np.repeat(pose, K, axis=0), None if near is None else np.repeat(near, K, axis=0)
     made = engine.tried(pose, near, np.tile(PLAIN + np.array(numbers), B), wide)
     if wide:
-        low, high = narrowed(*asked.limited(), np.inf if asked.jump is None else asked.jump, near)
+        lower, upper = asked.limited()
+        low, high = narrowed(lower, upper, np.inf if asked.jump is None else asked.jump, near)
         made.q[:] = turned(made.q, 0.0 if near is None else near, asked.periods, low, high)
         beyond = np.max(np.maximum(low - made.q, made.q - high), axis=1)
         if len(edge := np.flatnonzero((made.found != 0) & (beyond > 0) & (beyond < EDGE))):  # by a rounding, perhaps

@@ -1,6 +1,6 @@
 """Where a robot can reach: the share of orientations that it can take, over a plane or a box of places."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,15 @@ class Reachability(NamedTuple):
 
 @of_numbers
 def reachability(
-    chain: Chain, where="xz", *, task="pose", cells=40, orientations=24, at=0.0, span=None, **options
+    chain: Chain,
+    where: str = "xz",
+    *,
+    task: str = "pose",
+    cells: int = 40,
+    orientations: int = 24,
+    at: float = 0.0,
+    span: float | None = None,
+    **options: Any,
 ) -> Reachability:
     """Reach every place of a grid in many orientations that fill the turns evenly.
 
@@ -64,13 +72,12 @@ def reachability(
     grid = np.stack(np.meshgrid(*places, indexing="ij"), -1).reshape(-1, len(over))
     points = np.full((len(grid), 3), float(errors.number("at", at)))
     points[:, over] = grid
-    turns = turns_evenly(orientations) if task == "pose" else [None]
+    turns = turns_evenly(orientations if task == "pose" else 1)
     targets = np.repeat(points, len(turns), 0)
-    if task == "pose":
-        targets = targets, np.tile(turns, (len(points), 1, 1))
-    made = reach(chain, targets, task=task, **{"seeds": 32, "explain": False} | options)
+    turned = (targets, np.tile(turns, (len(points), 1, 1)))
+    made = reach(chain, turned if task == "pose" else targets, task=task, **{"seeds": 32, "explain": False} | options)
     shape = (*(cells,) * len(over), len(turns))
-    solved = made.solved.reshape(shape)
+    solved = np.asarray(made.solved).reshape(shape)
     sigma = np.where(solved, made.least_singular_value.reshape(shape), np.nan)
     known = solved.any(axis=-1)
     middling = np.full(known.shape, np.nan)

@@ -95,7 +95,7 @@ class Native:
         known = seeds(asked.chain)
         to, (lower, upper) = compared(known, asked.task), asked.limited()
         self.first, *self.rest = map(_as_c, phases(asked))
-        given = {"lower": lower, "upper": upper, "turns": asked.turns(), "periods": asked.periods}
+        given: dict = {"lower": lower, "upper": upper, "turns": asked.turns(), "periods": asked.periods}
         given |= {name: getattr(known, name) for name in ("postures", "middle", "width")}
         given = {name: np.ascontiguousarray(v, float) for name, v in given.items()}
         given |= {"features": to.features, "factors": to.factors}
@@ -176,7 +176,7 @@ class Native:
         made[ids] = part
         return ids
 
-    def _told(self, made, pose, near, report=None) -> Reached:
+    def _told(self, made, pose, near, report=None):
         """The record of targets that the first tries have no answer for."""
         asked, far, B = self.asked, self.asked.too_far(pose), len(pose)
         known, there = asked.finite(pose, near), made.copy()

@@ -1,11 +1,15 @@
 """reach: joint values for targets, as a record with one status each."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from cnclik import errors
+from cnclik.law.task import Task
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import Reached, fields
@@ -14,26 +18,28 @@ from cnclik.reaching.targets import read
 from cnclik.reaching.units import inward, outward
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
+from cnclik.robot.poses import PoseLike
+from cnclik.shapes import ArrayLike, Float
 
 
 @np.errstate(over="ignore", invalid="ignore")  # squares of targets beyond any robot: such lanes say so by themselves
 def reach(
     chain: Chain,
-    targets: ArrayLike,
+    targets: PoseLike | tuple[ArrayLike | None, ArrayLike | None],
     *,
-    task="pose",
-    tolerance=(1e-6, 1e-6),
-    accept=None,
-    near: ArrayLike | None = None,
+    task: str | Task = "pose",
+    tolerance: ArrayLike = (1e-6, 1e-6),
+    accept: ArrayLike | None = None,
+    near: Float[ArrayLike, "*B n"] | None = None,
     jump: float | None = None,
     solutions: int = 1,
     seeds: int = 512,
     budget: int = 25_000,
     limits: bool = True,
     explain: bool = True,
-    base: ArrayLike | None = None,
+    base: Float[ArrayLike, "*B 4 4"] | None = None,
     seed: int = 0,
-    progress=None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Reached:
     """Joint values that put the tip at each of some targets, or the reason why none do.
 

@@ -1,11 +1,16 @@
 """What a search for poses found, and how it went: one status per target, never a silent wrong answer."""
 
+from __future__ import annotations
+
 import enum
 
 import numpy as np
 
+from cnclik.law.task import Task
 from cnclik.record import record
+from cnclik.robot.chain import Chain
 from cnclik.robot.posture import task_jacobians
+from cnclik.shapes import AnyArray, Bool, Float, Int
 
 
 class ReachStatus(enum.IntEnum):
@@ -31,24 +36,24 @@ class Reached:
     NumPy arrays in float64; under jit, vmap and grad JAX's, in its dtype.
     """
 
-    q: object  # (B, n) joint values [rad, m]
-    status: object  # (B,) of `ReachStatus`
-    position_error: object  # (B,) [m], of the task's coordinates, looked at once more in float64
-    orientation_error: object  # (B,) [rad]
-    evaluations: object  # (B,) looks at a posture (forward kinematics, Jacobian, step) that the target took
-    at_limit: object  # (B, n) true for joints at a limit
-    distance: object  # (B,) largest joint's distance from `near` [rad, m]; NaN without it
-    chain: object  # the `Chain` that was asked of
-    task: object  # the `Task` that was asked of
+    q: Float[AnyArray, "*B n"]  # joint values [rad, m]
+    status: Int[AnyArray, " *B"]  # of `ReachStatus`
+    position_error: Float[AnyArray, " *B"]  # [m], of the task's coordinates, looked at once more in float64
+    orientation_error: Float[AnyArray, " *B"]  # [rad]
+    evaluations: Int[AnyArray, " *B"]  # looks at a posture (forward kinematics, Jacobian, step) that the target took
+    at_limit: Bool[AnyArray, "*B n"]  # true for joints at a limit
+    distance: Float[AnyArray, " *B"]  # largest joint's distance from `near` [rad, m]; NaN without it
+    chain: Chain  # that was asked of
+    task: Task  # and for what
     solutions: int = 1  # that were asked for, of each target
 
     @property
-    def solved(self):
+    def solved(self) -> Bool[AnyArray, " *B"]:
         """Whether q is an answer: SOLVED or ACCEPTED."""
         return self.status <= ReachStatus.ACCEPTED
 
     @property
-    def least_singular_value(self):
+    def least_singular_value(self) -> Float[np.ndarray, " *B"]:
         """(B,) least singular value of the task's Jacobian at q, in the Jacobian's own units; NaN where q is.
 
         Worked out when it is asked for: it takes longer than the search.
@@ -96,7 +101,9 @@ def fields(made: Reached) -> dict:
 def as_rows(of: dict, xp=np):
     """The rows of some targets' `fields`, or of one target's."""
     single = xp.ndim(of["status"])
-    return xp.concatenate([v if xp.ndim(v) > single else v[..., None] for v in map(of.get, PER_TARGET)], axis=-1)
+    return xp.concatenate(
+        [v if xp.ndim(v) > single else v[..., None] for v in (of[name] for name in PER_TARGET)], axis=-1
+    )
 
 
 def count(status) -> dict:

@@ -5,6 +5,8 @@ one after the other: the first, in their order, that arrives is the answer. c/se
 same numbers, one try after the other in each lane of a vector.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax
@@ -12,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik.reaching.seeds import SETS, STRETCHES, nearest, spans, starts, turned
+from cnclik.reaching.asked import Asked
+from cnclik.reaching.seeds import SETS, STRETCHES, Compared, nearest, spans, starts, turned
 from cnclik.reaching.step import Search, begin, in_parts, iterate
 from cnclik.reaching.strategy import (
     AROUND,
@@ -32,7 +35,8 @@ from cnclik.reaching.strategy import (
     wanted,
 )
 from cnclik.record import cast, replace
-from cnclik.robot.model import modelled
+from cnclik.robot.model import Model, modelled
+from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 
 TOGETHER = 8  # tries side by side
 SCATTER = np.uint32(0x7F4A7C15)  # by which a try's number becomes that of any seed; its upper bits are even (Knuth)
@@ -41,18 +45,18 @@ SCATTER = np.uint32(0x7F4A7C15)  # by which a try's number becomes that of any s
 class Found(NamedTuple):
     """What a search comes to for a target; an axis more for several."""
 
-    q: object  # (n,) the best posture found
-    squares: object  # (2,) squared position and orientation error there
-    cost: object  # and their sum, weighted where the search goes downhill
-    steep: object  # gradient there, see `step.Search`; NaN where it was not looked at
-    looks: object
-    found: object  # 1 where it is an answer
-    places: object  # (PLACES, n) the best places of tries that did not arrive
-    costs: object  # (PLACES,) and what they cost
+    q: Float[AnyArray, "*B n"]  # the best posture found
+    squares: Float[AnyArray, "*B 2"]  # squared position and orientation error there
+    cost: Float[AnyArray, " *B"]  # and their sum, weighted where the search goes downhill
+    steep: Float[AnyArray, " *B"]  # gradient there, see `step.Search`; NaN where it was not looked at
+    looks: Float[AnyArray, " *B"]
+    found: Float[AnyArray, " *B"]  # 1 where it is an answer
+    places: Float[AnyArray, "*B PLACES n"]  # the best places of tries that did not arrive
+    costs: Float[AnyArray, "*B PLACES"]  # and what they cost
 
 
-def nothing(shape, n, dtype=float, xp=np) -> Found:
-    """Nothing found yet, for targets of that shape."""
+def nothing(shape, n, dtype=float, xp=np):
+    """`Found`: nothing yet, for targets of that shape."""
 
     def full(value, *own):
         return xp.full((*shape, *own), value, dtype)
@@ -69,10 +73,10 @@ def choose(which, one, other):
 class Given(NamedTuple):
     """What all targets share."""
 
-    asked: object  # `Asked`, its tolerance in the targets' dtype
-    model: object  # the chain's, in that dtype
-    postures: object  # (K, n) to start from
-    to: object  # what they are to the task, see `seeds.Compared`, or None
+    asked: Asked  # its tolerance in the targets' dtype
+    model: Model  # the chain's, in that dtype
+    postures: Float[Array, "K n"]  # to start from
+    to: Compared | None  # what they are to the task
 
 
 def given(asked, postures, to, dtype) -> Given:
@@ -86,11 +90,11 @@ class Try(NamedTuple):
     """Where a try stands."""
 
     at: Search
-    step: object
-    most: object  # steps
-    careful: object
-    over: object
-    found: object
+    step: Int[Array, ""]
+    most: Int[Array, ""]  # steps
+    careful: Bool[Array, ""]
+    over: Bool[Array, ""]
+    found: Bool[Array, ""]
 
 
 def advance(of: Given, pose, bounds, roots, own: Try) -> Try:
@@ -107,23 +111,23 @@ def advance(of: Given, pose, bounds, roots, own: Try) -> Try:
 def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     """The posture that try k begins at, and whether there is such a try."""
     asked, _, postures, to = of
-    ends, number = spans(asked.chain), asked.seed + k
+    ends, number, (low, high) = spans(asked.chain), asked.seed + k, bounds
     middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
     scattered = number.astype(np.uint32) * SCATTER
     first = number % len(postures) if to is None else nearest(to, pose, number % SETS)
     seed = postures[jnp.where(k < SETS, first, (scattered >> 20) % len(postures))]
     stretch = jnp.where(k < SETS, 1.0, jnp.asarray(STRETCHES)[number % len(STRETCHES)]).astype(pose.dtype)
-    q = starts(seed, near, asked.periods, ends, *bounds, stretch, jnp)
+    q = starts(seed, near, asked.periods, ends, low, high, stretch, jnp)
     some = (scattered >> 16) % PLACES
     by = (k >= SETS) & (number % SELDOM == 0) & jnp.isfinite(made.costs[some])
     q = jnp.where(by, made.places[some] + NEARBY * (seed - middle), q)
     if near is not None:
         shift = AROUND * k.astype(pose.dtype) / PLAIN * 2 * (postures[number % len(postures)] - middle) / width
-        q = jnp.where(k < PLAIN, turned(near + shift, near, asked.periods, *bounds, jnp), q)
+        q = jnp.where(k < PLAIN, turned(near + shift, near, asked.periods, low, high, jnp), q)
     place = jnp.minimum(k, PLACES - 1)
     q = jnp.where(phase.downhill > 0, made.places[place], q)
     there = (phase.downhill == 0) | jnp.isfinite(made.costs[place])
-    return jnp.clip(q, *bounds).astype(pose.dtype), (k < phase.tries) & there
+    return jnp.clip(q, low, high).astype(pose.dtype), (k < phase.tries) & there
 
 
 def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Found:
@@ -151,12 +155,13 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     cost = jnp.where(there & counted & jnp.isfinite(at.cost), at.cost, jnp.inf)
     best = jnp.where(won < together, won, jnp.argmin(cost))
     taken = (won < together) | downhill & (cost[best] < made.cost)
-    told = [jnp.where(taken, v[best], old) for v, old in zip((at.best, *at[2:5]), made[:4], strict=True)]
+    told = (jnp.where(taken, v[best], old) for v, old in zip((at.best, *at[2:5]), made[:4], strict=True))
+    posture, squares, least, steep = told
     looks = made.looks + jnp.sum(jnp.where(counted, own.step, 0))
     costs = jnp.concatenate([made.costs, jnp.where(own.found | downhill, jnp.inf, cost)])
     kept = jnp.argsort(costs)[:PLACES]
     places = jnp.concatenate([made.places, at.best])[kept]
-    return Found(*told, looks, (won < together) * 1.0, places, costs[kept])
+    return Found(posture, squares, least, steep, looks, (won < together) * 1.0, places, costs[kept])
 
 
 def search(of: Given, phase: Phase, made: Found, pose, near, wanted, together=TOGETHER) -> Found:

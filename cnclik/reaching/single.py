@@ -50,7 +50,8 @@ def answer(asked, postures, to, pose, near, made, done, derivative=False) -> dic
     made, _, sure, why = told(of, held_pose, held_near, made, done)
     q, found = made.q, made.found != 0
     if derivative:
-        low, high = narrowed(*(jnp.asarray(v, dtype) for v in phases(asked, jnp)[0][:3]), held_near, jnp)
+        low, high, jump = (jnp.asarray(v, dtype) for v in phases(asked, jnp)[0][:3])
+        low, high = narrowed(low, high, jump, held_near, jnp)
         held = (q <= low + TOUCHING) | (q >= high - TOUCHING)
         q = refined(asked.chain, asked.task, pose, q, held, found)
     asked = replace(asked, tolerance=of.asked.tolerance)

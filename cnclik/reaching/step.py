@@ -11,6 +11,8 @@ Newton's. τ is 1 while nothing else is asked; a `careful` search takes back a s
 The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax
@@ -23,6 +25,7 @@ from cnclik.law.task import Task
 from cnclik.precision import precise
 from cnclik.robot.model import frames, jacobian_rows
 from cnclik.robot.rotations import quaternion_from_rotation
+from cnclik.shapes import Array, Bool, Float
 
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9
@@ -36,14 +39,14 @@ STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
 class Search(NamedTuple):
     """Where a search stands; a pytree of lanes."""
 
-    q: object  # where to look next
-    best: object  # the posture of the least error so far
-    squares: object  # (2,) its squared position and orientation error [m², rad²]
-    cost: object  # and their weighted sum; infinite before the first look
-    steep: object  # squared length of the cost's free gradient there, over ‖e‖² ‖J‖²; 0 where no step helps
-    trust: object  # τ
-    looks: object  # evaluations so far
-    arrived: object
+    q: Float[Array, " n"]  # where to look next
+    best: Float[Array, " n"]  # the posture of the least error so far
+    squares: Float[Array, " 2"]  # its squared position and orientation error [m², rad²]
+    cost: Float[Array, ""]  # and their weighted sum; infinite before the first look
+    steep: Float[Array, ""]  # squared length of the cost's free gradient there, over ‖e‖² ‖J‖²; 0 where no step helps
+    trust: Float[Array, ""]  # τ
+    looks: Float[Array, ""]  # evaluations so far
+    arrived: Bool[Array, ""]
 
 
 def begin(q, zero) -> Search:

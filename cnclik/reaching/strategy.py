@@ -6,11 +6,14 @@ from the best places found, to the nearest pose, tries on where that is close, a
 tell why there is no answer. `search` and c/search.c make the tries, of one phase at a time.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik.reaching.result import ReachStatus
+from cnclik.shapes import AnyArray, Bool, Float, Int, Number
 
 PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
 CAREFUL, SLOW = 24, 30  # steps of later ones, and how many more those get that are close
@@ -32,18 +35,18 @@ NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "ARO
 class Phase(NamedTuple):
     """Some tries of a search, and the targets they are for."""
 
-    low: object  # (n,) where joints are searched for
-    high: object
-    jump: object  # (n,) and how far from `near`; infinite, where no jump is asked for
-    roots: object  # of the task's weights (m,)
-    done: object  # tries before
-    tries: object  # in all
-    budget: object  # looks
-    downhill: object  # how many steps downhill from each of the best places, or 0: tries from seeds
-    status: object  # what an answer means, of a search beyond `jump` or the limits; else 0
-    less: object  # for targets missed by less
-    far: object  # also for those farther off than the arm is long
-    sure: object  # for those alone of which is known that no more tries were asked for
+    low: Float[AnyArray, " n"]  # where joints are searched for
+    high: Float[AnyArray, " n"]
+    jump: Float[AnyArray, " n"]  # and how far from `near`; infinite, where no jump is asked for
+    roots: Float[AnyArray, " m"]  # of the task's weights
+    done: Number  # tries before
+    tries: Number  # in all
+    budget: Number  # looks
+    downhill: Number  # how many steps downhill from each of the best places, or 0: tries from seeds
+    status: Number  # what an answer means, of a search beyond `jump` or the limits; else 0
+    less: Number  # for targets missed by less
+    far: np.bool | Bool[AnyArray, ""]  # also for those farther off than the arm is long
+    sure: np.bool | Bool[AnyArray, ""]  # for those alone of which is known that no more tries were asked for
 
 
 TOLD = Phase._fields[:8]  # what the search itself is told
@@ -94,10 +97,10 @@ def narrowed(low, high, jump, near, xp=np):
 class Told(NamedTuple):
     """What is known of targets (...,) between phases."""
 
-    made: object  # `search.Found` within the bounds
-    beyond: object  # and of the last search beyond them
-    sure: object  # whether what was tried is enough to say that there is no answer
-    why: object  # what the searches beyond say, see `Asked.meaning`
+    made: Any  # `search.Found` within the bounds
+    beyond: Any  # and of the last search beyond them
+    sure: Bool[AnyArray, " *B"]  # whether what was tried is enough to say that there is no answer
+    why: Int[AnyArray, " *B"]  # what the searches beyond say, see `Asked.meaning`
 
 
 def wanted(asked, phase, told: Told, known, far, xp=np):

@@ -6,6 +6,7 @@ What is drawn is what the verb draws; the page is written last, so that it costs
 import dataclasses
 import pathlib
 import platform
+from collections.abc import Callable
 
 from cnclik import errors
 from cnclik.markup import GENERATOR, escaped, table
@@ -34,9 +35,9 @@ class Report:
     facts: tuple = ()
     lines: tuple = ()
     tables: tuple = ()
-    figures: dict = dataclasses.field(default_factory=dict)
+    figures: dict[str, tuple[Callable, str]] = dataclasses.field(default_factory=dict)
     captions: dict = dataclasses.field(default_factory=dict)
-    motions: object = None
+    motions: Callable | None = None
     command: str = ""
     dtype: str = "float64"
 

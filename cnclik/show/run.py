@@ -6,11 +6,13 @@ velocities have a line for each method.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cnclik import errors
 from cnclik.integrate.status import Status
-from cnclik.integrate.trajectory import one_lane
+from cnclik.integrate.trajectory import Trajectory, one_lane
+from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
 from cnclik.precision import of_numbers
 from cnclik.robot.posture import is_planar
@@ -26,7 +28,7 @@ _BITS = [bit for bit in Status if bit]
 
 
 @of_numbers
-def plot(run, law, kind="overview"):
+def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
     """A picture of one run: `ck.plot(run, law)`.
 
     Args:

@@ -34,7 +34,7 @@ class Line(NamedTuple):
     """How a method is drawn; marker and dashes carry the meaning where colour can't."""
 
     color: str
-    linestyle: object
+    linestyle: str | tuple
     marker: str
     zorder: float
     linewidth: float = 1.2

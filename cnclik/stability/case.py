@@ -221,7 +221,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         wanted=wanted[0],
         target=None if wanted[0] is None else wanted[0][at],
         turn=None if wanted[1] is None else wanted[1][at],
-        behind=rms(np.linalg.norm(wanted[2], axis=1)) * Ts,
+        behind=rms(np.linalg.norm(np.asarray(wanted[2]), axis=1)) * Ts,
         path=whole(reference),
         period=float(getattr(reference.curve, "period", getattr(reference.curve, "duration", 0.0))),
         e=weighted,

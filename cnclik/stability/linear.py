@@ -7,8 +7,11 @@ R(z) = e^{−z}, of all of them. A multistep method has a factor for each instan
 λᵖ = Σⱼ (aⱼ − z bⱼ) λᵖ⁻¹⁻ʲ; what counts is the largest. Everything here runs in float64 by itself.
 """
 
+from __future__ import annotations
+
 import contextlib
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -18,12 +21,13 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import MOST
 from cnclik.integrate.march import march
-from cnclik.integrate.method import named
-from cnclik.integrate.stage import picard
+from cnclik.integrate.method import MethodLike, named
+from cnclik.integrate.stage import Stage, picard
 from cnclik.law.feedback import per_step
 from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record
 from cnclik.robot.model import one_off
+from cnclik.shapes import Array, Float
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
@@ -35,8 +39,8 @@ _PLATEAU = 1e-3  # a function within this share of its least value, at the end o
 class _Linear(NamedTuple):
     """The field q̇ = −w q, for q = x + iy kept as (x, y)."""
 
-    qdot: object  # (2,)
-    correct: object
+    qdot: Float[Array, " 2"]
+    correct: Callable | None
 
 
 def _field(w, q):
@@ -241,7 +245,7 @@ def _changes_sign(factor):
 
 
 @of_numbers
-def stability_limit(method, stage=None) -> float:
+def stability_limit(method: MethodLike, stage: Stage | None = None) -> float:
     """Largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none. In float64.
 
     EE 2, IE with picard(5) 1, IE with chord(M) inf, the paper's CN solved exactly 1 + √5, RK4 2.785, AB2 1, exponential

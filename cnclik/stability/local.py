@@ -7,6 +7,7 @@ import numpy as np
 
 from cnclik.integrate.drive import Drive
 from cnclik.law import reference as ref
+from cnclik.law.law import Law
 from cnclik.robot.model import one_off
 from cnclik.stability.driven import looked_at, modes_of, radius
 from cnclik.stability.spectrum import at_rest, directions, step_maps, task_radius
@@ -20,10 +21,10 @@ class Instant(NamedTuple):
     """Where a loop is at an instant, and what it is to do: a held reference that has the path's velocity."""
 
     q: np.ndarray  # (n,)
-    reference: ref.Reference
+    reference: ref.Reference | None
 
 
-def resting(law, at: Instant):
+def resting(law, at: Instant) -> tuple[Law, Instant]:
     """The law and the instant as they would be at rest there, see `at_rest`."""
     law, held = at_rest(law, None, at.q)
     return law, Instant(at.q, held)

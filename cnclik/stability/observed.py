@@ -42,7 +42,7 @@ class Observed(NamedTuple):
     drift: float  # how far the joints get over the last quarter, going back and forth left out
     way: float  # that the target went over the whole run [m; rad where the task has no position]
     outside: np.ndarray  # (n,) by how much each joint was beyond its limits, at most [rad, m]
-    bad: object  # first instant that is not finite, or None
+    bad: int | None  # first instant that is not finite
 
     @property
     def largest(self):

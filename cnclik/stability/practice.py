@@ -129,6 +129,8 @@ def practice(
     found = advice_of(loop, Ts)
     gains, by = found.gains, loop._replace(method=EE)
     euler = gains if method.name == EE.name else recommendation_of(by, Ts)
+    assert gains.z_monotone is not None and gains.z_recommended is not None  # as Ts is given
+    assert euler.z_monotone is not None and euler.z_recommended is not None
     safe, chosen, by_euler, z_largest = known, gains.z_recommended, euler.z_recommended, gains.z_largest
     if drive is None:
         safe = Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)

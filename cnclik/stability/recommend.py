@@ -1,5 +1,7 @@
 """Recommendations: what gain is safe at a sampling time, what sampling time at a gain, and how far off the edge is."""
 
+from __future__ import annotations
+
 import functools
 from typing import NamedTuple
 
@@ -7,13 +9,17 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import DEFAULT, Method, evaluations_per_step
-from cnclik.integrate.stage import picard
+from cnclik.integrate.method import DEFAULT, Method, MethodLike, evaluations_per_step
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage, picard
+from cnclik.law.law import Law
 from cnclik.law.null import MaximizeManipulability
+from cnclik.law.reference import Reference
 from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
 from cnclik.record import in_words, record
 from cnclik.robot.kinematics import as_joint_values
+from cnclik.shapes import AnyArray, ArrayLike, Float, Number
 from cnclik.stability import rebased
 from cnclik.stability.driven import (
     SLACK,
@@ -68,10 +74,10 @@ class Recommendation:
 
     name: str
     assumed: str
-    largest: object
-    fastest: object
-    monotone: object
-    recommended: object
+    largest: float | np.ndarray
+    fastest: float | np.ndarray
+    monotone: float | np.ndarray | None
+    recommended: float | np.ndarray | None
     z_largest: float
     z_fastest: float
     z_monotone: float | None
@@ -133,11 +139,11 @@ class Advice:
 class LoopAtRest(NamedTuple):
     """A loop at rest, checked, with the number behind its gain, see `at_rest`."""
 
-    law: object
-    held: object
-    q: object
-    method: Method
-    stage: object
+    law: Law
+    held: Reference
+    q: Float[AnyArray, " n"]
+    method: Method | Multistep
+    stage: Stage
     rate: float
     drive: Drive
     known: dict  # maps that were asked for: limits of one loop look at the same gains
@@ -183,7 +189,15 @@ def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
 
 @in_float64
 def recommend(
-    law, reference, q, *, Ts=None, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH
+    law: Law,
+    reference: Reference | None,
+    q: Float[ArrayLike, " n"],
+    *,
+    Ts: Number | None = None,
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
+    drive: Drive = Drive(),
+    reach: float = REACH,
 ) -> Recommendation:
     """Which gain is safe at this sampling time; or, with Ts None, which sampling time at the law's gain. In float64.
 
@@ -204,7 +218,17 @@ def recommend(
 
 
 @in_float64
-def margin(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH) -> Margin:
+def margin(
+    law: Law,
+    reference: Reference | None,
+    q: Float[ArrayLike, " n"],
+    *,
+    Ts: Number,
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
+    drive: Drive = Drive(),
+    reach: float = REACH,
+) -> Margin:
     """The gain margin of a loop at rest: by which factor alpha may grow before it is unstable. In float64.
 
     Args: as for `recommend`.

@@ -176,7 +176,7 @@ def gentle(case, mends="error") -> tuple:
 
 def nearer(case) -> tuple:
     """The nearest target in reach, or a loop that stops quietly before this one."""
-    made, m, n = case.reached, *case.rows.shape
+    made, (m, n) = case.reached, case.rows.shape
     if m > n:
         fewer = "".join(case.law.task.names[:n])
         return (Remedy(change={"task": fewer}, words=f"ask for fewer coordinates, such as {fewer}"),)

@@ -1,5 +1,7 @@
 """Responses of a loop around a resting place: to a step and to a sine of its target, along each task axis."""
 
+from __future__ import annotations
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +19,7 @@ from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
+from cnclik.shapes import Array, Float
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 
@@ -28,8 +31,8 @@ PERIOD = 30  # of the sine, in samples
 class _Probe:
     """SIZE along `unit` (m,), at once (omega = 0) or as sin(omega t)."""
 
-    unit: object
-    omega: object
+    unit: Float[Array, " m"]
+    omega: Float[Array, ""]
 
     def __call__(self, t):
         return self.unit * (SIZE * self.wanted(t))

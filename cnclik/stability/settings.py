@@ -32,7 +32,8 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     Args:
       loop: `LoopAtRest` of explicit Euler. drive: as it was given, or None. safe: the one that is assumed then.
     """
-    drives = (replace(safe, feedback="measured"), _rebased(safe), _of_servoj(drive, Ts))
+    again = _rebased(safe)
+    drives = (replace(safe, feedback="measured"), again, _of_servoj(drive, Ts))
     measured, rebased, servoj = (MOST_Z if one is None else _recommended(loop, one, Ts) for one in drives)
     own = f"{OWN_COMMANDS:g} where it is the last command"
     made = {}
@@ -51,12 +52,12 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
         made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {of_velocities}"
     elif drive is None or (drive.order == 0 and not drive.prompt):
         made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {REBASED}. {KNOWN}"
-    elif drive.order and runs_away(_rebased(safe), Ts):
+    elif again is not None and drive.order and runs_away(again, Ts):
         made["Isaac Lab"] = f"no k_val is safe: {BEGINS}, and with this servo that may swing or run away. {WHERE}"
     elif rebased:
         made["Isaac Lab"] = (
             f'DifferentialIKControllerCfg(ik_method="pinv", ik_params={{"k_val": {rebased:.4g}}}): '
-            f"{BEGINS}{_settles(_rebased(safe), rebased, Ts)}; {REBASED}"
+            f"{BEGINS}{_settles(again, rebased, Ts)}; {REBASED}"
         )
     if measured:
         made["MoveIt Servo"] = (

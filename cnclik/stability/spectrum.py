@@ -5,6 +5,8 @@ task direction is then amplified by R(z) and every null-space direction by 1; da
 null-space velocities come out by themselves.
 """
 
+from __future__ import annotations
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +16,10 @@ from cnclik.engine.plan import unless_chosen
 from cnclik.hints import LIGHT_COMPILE
 from cnclik.integrate.advance import advance
 from cnclik.integrate.history import blank
-from cnclik.integrate.method import DEFAULT, IE, Method
+from cnclik.integrate.method import DEFAULT, IE, MethodLike
 from cnclik.integrate.remember import primed
 from cnclik.integrate.solve import solve
-from cnclik.integrate.stage import chord, picard
+from cnclik.integrate.stage import Stage, chord, picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law, check_loop, evaluate
@@ -28,6 +30,7 @@ from cnclik.robot.kinematics import as_joint_values, forward
 from cnclik.robot.model import modelled, one_off, standing
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
+from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
@@ -110,7 +113,7 @@ def at_instants(matrix, p: int, xp=np):
     return matrix if p == 1 else xp.kron(xp.eye(p, dtype=matrix.dtype), matrix)
 
 
-def task_map(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
+def task_map(law, reference, q, Ts, method=DEFAULT, stage=picard(5)):
     """The (m, m) matrix by which one step multiplies the (weighted) error at rest, see `of_error`: (p·m, p·m) of p
     instants.
 
@@ -120,7 +123,14 @@ def task_map(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
 
 
 @in_float64_if_known
-def spectral_radius(law, reference, q, Ts, method: Method = DEFAULT, stage=picard(5)):
+def spectral_radius(
+    law: Law,
+    reference: ref.Reference | None,
+    q: Float[ArrayLike, " n"],
+    Ts: Number,
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
+) -> Number:
     """Largest |λ| of the loop's one-step map at rest over the directions of the task; stable below 1.
 
     Null-space directions, which an exact J# leaves alone (λ = 1), are told apart by J. Pure: jit, vmap and grad go
@@ -360,7 +370,7 @@ def _error(law, reference, q):
 
 
 @in_float64
-def settle(law, reference, q0, *, N=200):
+def settle(law: Law, reference: ref.Reference, q0: Float[ArrayLike, " n"], *, N: int = 200) -> Float[np.ndarray, " n"]:
     """Where the loop comes to rest on a held target: (n,) joint values, found by chord-solved implicit steps.
 
     Computed in float64, and returned as a NumPy array of that. Which of a redundant arm's resting places it is

@@ -1,19 +1,27 @@
 """Trial: what a remedy changes is changed and the loop is run again, before the remedy is named."""
 
+from __future__ import annotations
+
 import functools
+from collections.abc import Callable
 
 import jax
 import numpy as np
 
 from cnclik.integrate import stage as stages
 from cnclik.integrate.drive import Drive, white_noise
-from cnclik.integrate.method import named
+from cnclik.integrate.method import Method, named
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.pace import Pace
 from cnclik.integrate.pieces import in_pieces, joined, piece_of
 from cnclik.integrate.solve import simulate
+from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
-from cnclik.law.reference import hold
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference, hold
 from cnclik.record import record, replace
+from cnclik.shapes import AnyArray, ArrayLike, Float
 from cnclik.stability.case import brief
 from cnclik.stability.observed import ARRIVED, back_and_forth, observe
 from cnclik.stability.reasons import INSIDE
@@ -38,25 +46,25 @@ PLACES = ("center", "start", "end")  # what a shift moves of a path
 class Run:
     """A loop as `solve` is told of it, the rotation that is wanted at its end, and the noise of its measured error."""
 
-    law: object
-    reference: object
+    law: Law
+    reference: Reference
     q0: np.ndarray
     N: int
-    method: object
-    stage: object
+    method: Method | Multistep
+    stage: Stage
     drive: Drive
-    turn: object = None
-    pace: object = None
-    noise: object = None
+    turn: Float[np.ndarray, "3 3"] | None = None
+    pace: Pace | None = None
+    noise: ArrayLike | None = None
 
 
 @record
 class _Altered:
     """A path that is moved, and followed at another speed."""
 
-    curve: object
-    shift: object  # (3,)
-    speed: object
+    curve: Callable
+    shift: Float[AnyArray, " 3"]
+    speed: Float[AnyArray, ""]
 
     def __call__(self, t):
         position, rotation = self.curve(self.speed * t)
@@ -147,8 +155,10 @@ class Trials:
     def repeats(self, N) -> bool:
         """Whether a run of N steps is the loop's own: that of a chaotic one depends on roundings."""
         beside = replace(self.given, q0=self.given.q0 + NUDGE)
-        ends = [truncate(run, N).q[-1] for run in (self.unchanged(whole_trial(N)), self._run(beside, whole_trial(N)))]
-        return bool(np.allclose(*ends, rtol=1e-3, atol=1e-3, equal_nan=True))
+        end, other = [
+            truncate(run, N).q[-1] for run in (self.unchanged(whole_trial(N)), self._run(beside, whole_trial(N)))
+        ]
+        return bool(np.allclose(end, other, rtol=1e-3, atol=1e-3, equal_nan=True))
 
     def possible(self, remedy) -> bool:
         """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""

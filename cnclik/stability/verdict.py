@@ -4,16 +4,21 @@
 again, see `trial`: what its later steps contradict is not said, and a remedy that does not help is not named.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.stage import picard
+from cnclik.integrate.method import DEFAULT, MethodLike
+from cnclik.integrate.pace import Pace
+from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
-from cnclik.law.law import check_loop
+from cnclik.law.law import Law, check_loop
+from cnclik.law.reference import Reference
 from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record, replace
+from cnclik.shapes import ArrayLike, Number
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import UNSTABLE, case_of
 from cnclik.stability.judged import Behaviour, judged, restless
@@ -65,7 +70,16 @@ class Verdict:
 
 @of_numbers
 def verdict(
-    law, reference, run, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), pace=None, noise=None
+    law: Law,
+    reference: Reference,
+    run: Trajectory,
+    *,
+    Ts: Number,
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
+    drive: Drive = Drive(),
+    pace: Pace | None = None,
+    noise: ArrayLike | None = None,
 ) -> Verdict:
     """What a run did, why, and what to do about it. In float64.
 

@@ -10,7 +10,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -30,7 +30,7 @@ class Axis(NamedTuple):
     """One dimension of the grid."""
 
     name: str
-    values: object  # inner: an array, the first dimension runs along the axis; outer: a tuple of objects
+    values: Any  # inner: an array, the first dimension runs along the axis; outer: a tuple of objects
     labels: tuple | None  # of an outer axis; None marks an inner one
 
     def __len__(self):

@@ -27,6 +27,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import evaluations_per_step, named
 from cnclik.integrate.solve import answers_soon
 from cnclik.measure import metrics
+from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
@@ -144,7 +145,7 @@ class Spec:
         table[counts] = [of(m) for m in counts]
         return jnp.asarray(table)[M]
 
-    def study(self, /, **values) -> metrics.Metrics:
+    def study(self, /, **values) -> Metrics:
         """One loop: its metrics. What the sweep batches."""
         made = self.build(**values)
         return metrics.measure_run(made.run(), made.law, made.reference, self.metrics, tolerance=self.tolerance)

@@ -18,6 +18,7 @@ import re
 import tempfile
 import warnings
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -44,8 +45,8 @@ class Store:
         self.folder, self.path = folder, folder / DATA
         try:
             self._mark = _checked_mark(self.path)
-            self.group = zarr.open_group(self.path, mode=mode)
-            self.config = json.loads(self.group.attrs["config"])
+            self.group: Any = zarr.open_group(self.path, mode=mode)
+            self.config = json.loads(str(self.group.attrs["config"]))
             self.lanes, self.names = self.config["lanes"], self.config["variables"]
             self.coordinates = sorted(set(self.group.array_keys()) - set(self.names))
             self._checksums = self.group["progress/checksum"]
@@ -129,7 +130,7 @@ _UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chun
 
 
 def _checksum_of(arrays) -> int:
-    return functools.reduce(lambda total, values: zlib.crc32(np.ascontiguousarray(values), total), arrays, 0)
+    return functools.reduce(lambda total, values: zlib.crc32(np.ascontiguousarray(values).data, total), arrays, 0)
 
 
 def _mark(path, coordinates) -> None:
@@ -285,6 +286,7 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
                 store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of another process that was quicker
+                assert store is not None
                 first = first if store.lanes == of.lanes else None
     with _together(meet, last=True):
         store = store or prepare(spec, folder)

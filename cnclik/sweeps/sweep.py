@@ -2,6 +2,8 @@
 
 import json
 import os
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -14,9 +16,20 @@ from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of,
 from cnclik.sweeps.program import fit, run_blocks
 from cnclik.sweeps.spec import Spec, read
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 @of_numbers
-def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
+def sweep(
+    study: Callable,
+    *,
+    units: Mapping[str, str] | None = None,
+    attrs: Mapping | None = None,
+    lanes: int | None = None,
+    progress: Callable[[int, int], object] | None = None,
+    **axes: Any,
+) -> "xr.Dataset":
     """Run a study over the grid of some axes, in float64 whatever JAX's own precision is.
 
     Axes and all that the study makes of them are float64; so are records built from Python numbers and lists. Only
@@ -49,8 +62,8 @@ def sweep(study, *, units=None, attrs=None, lanes=None, progress=None, **axes):
         "study": getattr(study, "__qualname__", type(study).__name__),
         "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
     }
-    attrs = {"config": json.dumps(config), "lanes": of.lanes} | (attrs or {})
-    return dataset(of, outputs, arrays, coordinates(of, UNITS | units), attrs)
+    attrs = {"config": json.dumps(config), "lanes": of.lanes, **(attrs or {})}
+    return dataset(of, outputs, arrays, coordinates(of, {**UNITS, **units}), attrs)
 
 
 def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):

@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Layout(NamedTuple):
     title: str | None = None
     log: bool | None = None  # None: as the values are
     limits: tuple | None = None
-    contours: object = None
+    contours: Any = None
     boundary: bool = True
 
 
@@ -101,7 +101,7 @@ def arrange(data, table: dict) -> Layout:
         errors.one_of("figure.select", dim, list(data.dims))
     dims = [d for d in data[value].dims if d not in HISTORY and d not in select]
     axes, starts = [d for d in numeric(data) if d in dims], [d for d in samples(data) if d in dims]
-    roles = {role: table.get(role) for role in ROLES}
+    roles: dict[str, Any] = {role: table.get(role) for role in ROLES}
     for role, dim in roles.items():
         if dim is not None:
             errors.one_of(f"figure.{role}", dim, dims)
@@ -121,7 +121,9 @@ def arrange(data, table: dict) -> Layout:
             roles[role] = next((d for d in free if data.sizes[d] <= most), None)
             free = [d for d in free if d != roles[role]]
     long = tuple(d for d in free if data.sizes[d] > LONGEST)
-    options = {k: table[k] for k in ("reduce", "title", "log", "limits", "contours", "boundary") if k in table}
+    options: dict[str, Any] = {
+        k: table[k] for k in ("reduce", "title", "log", "limits", "contours", "boundary") if k in table
+    }
     apart = tuple(d for d in free if d not in long)
     return Layout(kind, value, **roles, reduced=reduced, middle=long, apart=apart, select=dict(select), **options)
 

@@ -60,8 +60,8 @@ def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
         reach = arm_length(chain)
         low, high = (v if np.isfinite(v) else side * reach for v, side in ((float(low), -1), (float(high), 1)))
         turn, start = _numbers(joint.origin.rotation), ends[i - 1]
-        ways = (start + turn @ axis * v for v in (min(low, 0.0), max(high, 0.0)))
-        found.append(Part(i - 1, *rod(*ways, 0.5 * thick, around=4), GREY))
+        low_end, high_end = (start + turn @ axis * v for v in (min(low, 0.0), max(high, 0.0)))
+        found.append(Part(i - 1, *rod(low_end, high_end, 0.5 * thick, around=4), GREY))
         found.append(Part(i, *rod(-2 * thick * axis, 2 * thick * axis, 1.4 * thick, around=4), dark))
     return found
 
@@ -69,7 +69,7 @@ def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
 # --- shapes -------------------------------------------------------------------------------------------
 
 
-def capsule(start, end, radius):
+def capsule(start, end, radius) -> tuple[np.ndarray, np.ndarray]:
     """(vertices, faces) of a rod with round ends."""
     angle = np.linspace(0, np.pi / 2, 6)
     length = np.linalg.norm(np.subtract(end, start))
@@ -78,7 +78,7 @@ def capsule(start, end, radius):
     return _turned(np.concatenate([below, above]), start, end, AROUND)
 
 
-def rod(start, end, radius, around=AROUND):
+def rod(start, end, radius, around=AROUND) -> tuple[np.ndarray, np.ndarray]:
     """(vertices, faces) of a cylinder, or of a prism with fewer corners."""
     length = np.linalg.norm(np.subtract(end, start))
     profile = [(0, 0), (radius, 0), (radius, 0), (radius, length), (radius, length), (0, length)]  # edges stay sharp

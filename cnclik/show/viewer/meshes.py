@@ -41,7 +41,7 @@ def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) 
             shapes = [_shape(file, one) for one in links[name].findall(kind)] if name in links else []
             if shapes and all(shape is not None for shape in shapes):
                 look = GREY if frame == 0 else color
-                found += [Part(frame, *_thinned(_moved(*shape, at), faces), look) for shape in shapes]
+                found += [Part(frame, *_thinned(_moved(shape, at), faces), look) for shape in shapes]
                 break
     return found
 
@@ -103,7 +103,7 @@ def _shape(file, element):
                 return None
             made = trimesh.load(path, force="mesh")
             made.apply_scale(_three(kind, "scale", "1 1 1"))
-        return _moved(np.asarray(made.vertices, float), np.asarray(made.faces), at) if len(made.faces) else None
+        return _moved((np.asarray(made.vertices, float), np.asarray(made.faces)), at) if len(made.faces) else None
     except Exception:  # whatever the readers of a dozen formats make of damage
         return None
 
@@ -112,7 +112,8 @@ def _three(element, name, default=None):
     return np.array([float(v) for v in element.get(name, default).split()])
 
 
-def _moved(vertices, faces, at):
+def _moved(shape, at):
+    vertices, faces = shape
     return vertices @ at[:3, :3].T + at[:3, 3], faces
 
 
@@ -146,7 +147,7 @@ def _names(root):
         yield (ElementTree.fromstring(about).findtext("name") or "").strip()
 
 
-def _thinned(shape, most):
+def _thinned(shape, most) -> tuple[np.ndarray, np.ndarray]:
     """The mesh with vertices in one cell of a grid made one, in cells that grow until it is small."""
     vertices, faces = shape
     span = np.ptp(vertices, axis=0).max()

@@ -7,6 +7,7 @@ import numpy as np
 
 from cnclik.integrate.status import Status, names
 from cnclik.integrate.trajectory import check_run, one_lane
+from cnclik.robot.chain import Chain
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
 from cnclik.stability.case import UNSTABLE
@@ -32,7 +33,7 @@ class Motion:
     """
 
     name: str
-    chain: object
+    chain: Chain
     t: np.ndarray
     q: np.ndarray
     target: np.ndarray | None

@@ -100,7 +100,7 @@ def series(names) -> tuple:
     from cnclik.show.viewer.body import GREY
 
     colors = {0: (style.BLUE, style.ORANGE), 1: (GREY, "#5A6066")}
-    looks = [{"label": "t [s]"}]
+    looks: list[dict] = [{"label": "t [s]"}]
     for k, what in names:
         looks.append({"label": what, "stroke": colors[min(k, 1)]["orientation" in what], "width": 2})
     return tuple(looks)

@@ -131,7 +131,7 @@ class _Drawn:
 
     def _ways(self, motion):
         """The tip's way, a line for each colour: lines of several colours would be lighter than these; and the path."""
-        scene, level, found = self.server.scene, *_few(motion.level)
+        scene, (level, found) = self.server.scene, _few(motion.level)
         way, segments = motion.way[found], scene.add_line_segments
         lines = np.stack([way[:-1], way[1:]], 1)
         made = []
