@@ -41,7 +41,7 @@ class _Option(typing.NamedTuple):
     name: str
     field: str
     kind: "_Kind"
-    default: object
+    default: typing.Any
     unit: str
     metavar: str
     about: str
@@ -59,7 +59,7 @@ class _Kind(typing.NamedTuple):
     base: type
     choices: tuple = ()
     held_in: type | None = None  # tuple, or list: of an option that may be given again and again, one value each time
-    count: int | None = 1  # None: any number; 0: it stands without a value
+    values: int | None = 1  # how many; None: any number; 0: it stands without a value
     optional: bool = False
 
     @property
@@ -108,13 +108,13 @@ def _options(Args) -> list:
     """The options of a dataclass; those that are given by their place among them."""
     hints, about, every = typing.get_type_hints(Args), _texts(Args), []
     for field in dataclasses.fields(Args):
-        marks, lazy = field.metadata, field.default_factory is not dataclasses.MISSING
+        marks, lazy = field.metadata, field.default_factory
         positional, name = marks.get("positional", False), marks.get("name") or field.name
         kind = _kind(hints[field.name])
         metavar = marks.get("metavar") or (name.upper() if positional else _metavar(kind))
         every.append(_Option(
             metavar if positional else "--" + name.replace("_", "-"), field.name, kind,
-            field.default_factory() if lazy else field.default, marks.get("unit", "1"), metavar,
+            field.default if lazy is dataclasses.MISSING else lazy(), marks.get("unit", "1"), metavar,
             marks.get("about") or about.get(field.name, ""), positional,
         ))  # fmt: skip
     return every
@@ -125,12 +125,12 @@ def _texts(Args) -> dict:
     found = {}
     for kind in reversed(Args.__mro__[:-1]):
         try:
-            body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
+            made: typing.Any = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
         except (OSError, TypeError):  # made by `make_dataclass`, or without its source
             continue
-        for field, text in itertools.pairwise(body):
+        for field, text in itertools.pairwise(made.body):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                found[field.target.id] = " ".join(text.value.value.split())
+                found[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
     return found
 
 
@@ -164,7 +164,7 @@ def _split(named, argv):
 def _values(one, queue) -> list:
     """The values at the head of a queue that an option takes, a unit that stands apart among them."""
     values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
-    most = 1 if one.kind.held_in is list else one.kind.count
+    most = 1 if one.kind.held_in is list else one.kind.values
     if most is not None and values[most : most + 1] and values[most] in quantities.units(one.unit):
         most += 1
     return values[:most]
@@ -202,10 +202,10 @@ def _kind(hint) -> _Kind:
     if origin is typing.Literal:
         return _Kind(str, choices=inner)
     if origin in (tuple, list):
-        return _kind(inner[0])._replace(held_in=origin, count=None if origin is list or ... in inner else len(inner))
+        return _kind(inner[0])._replace(held_in=origin, values=None if origin is list or ... in inner else len(inner))
     if origin:  # such as `float | None`
         return _kind(inner[0])._replace(optional=True)
-    return _Kind(hint, count=0 if hint is bool else 1)
+    return _Kind(hint, values=0 if hint is bool else 1)
 
 
 def _fits(kind, values) -> bool:
@@ -213,7 +213,7 @@ def _fits(kind, values) -> bool:
         return True
     if kind.base is bool:
         return values in (["True"], ["False"])
-    return kind.count in (None, len(values)) and all(_is_one(kind, v) for v in values)
+    return kind.values in (None, len(values)) and all(_is_one(kind, v) for v in values)
 
 
 def _is_one(kind, value) -> bool:
@@ -240,7 +240,7 @@ def _words(kind) -> str:
         return f"{'some' if kind.held_in else 'one'} of {', '.join(kind.choices)}"
     if kind.held_in:
         each = {int: "integers", float: "numbers"}.get(kind.base, "values")
-        return f"{kind.count} {each}" if kind.count else each
+        return f"{kind.values} {each}" if kind.values else each
     words = {int: "an integer", float: "a number", str: "a text", bool: "True or False"}
     return words.get(kind.base, f"a {kind.base.__name__}".lower())
 
@@ -252,7 +252,7 @@ def _metavar(kind) -> str:
     """What stands for an option's values in the help: "X", "INT INT", "NAME ...", "{one,two}"."""
     one = {int: "INT", float: "X", str: "NAME"}.get(kind.base, "PATH")
     one = "{" + ",".join(kind.choices) + "}" if kind.choices else one
-    return " ".join([one] * kind.count) if kind.count else f"{one} ..."
+    return " ".join([one] * kind.values) if kind.values else f"{one} ..."
 
 
 def _parser(every, prog, description):

@@ -45,7 +45,7 @@ class ReportOption:
                 raise
             self.undrawn = error
 
-    def motions(self, law, *runs) -> list:
+    def motions(self, law, *runs):
         """Runs of the loop as the report's moving robot. Args: runs: (trajectory, what `motion_of` shall say of it)."""
         from cnclik.show.viewer.files import robot_of
         from cnclik.show.viewer.motion import motion_of

@@ -46,7 +46,7 @@ def run(args: Args) -> None:
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
-    if args.Ts is not None and not any(args.written.get("Ts", ())):
+    if args.Ts is not None and not any(args.written.get("Ts", ())):  # type: ignore[attr-defined]
         remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log, gaps=True)
     if args.out is not None:

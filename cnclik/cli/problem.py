@@ -6,6 +6,7 @@ needs; `problem(args)` builds what they say.
 
 import dataclasses
 import keyword
+from typing import Any
 
 from cnclik.cli.arguments import option
 from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
@@ -35,13 +36,13 @@ _ROBOT, _TASK, _PATHS = (
     ("task",),
     ("reference", *(n for n in OPTIONS if n in PATH), "future"),
 )
-RobotOptions = _group("RobotOptions", _ROBOT)
-TaskOptions = _group("TaskOptions", _TASK)
-ReferenceOptions = _group("ReferenceOptions", _PATHS)
-LoopOptions = _group("LoopOptions", [n for n in OPTIONS if n not in (*_ROBOT, *_TASK, *_PATHS)])
-DriveOptions = _group("DriveOptions", DRIVE)
-MeasuredOptions = _group("MeasuredOptions", MEASURED)
-PaceOptions = _group("PaceOptions", PACE)
+RobotOptions: Any = _group("RobotOptions", _ROBOT)
+TaskOptions: Any = _group("TaskOptions", _TASK)
+ReferenceOptions: Any = _group("ReferenceOptions", _PATHS)
+LoopOptions: Any = _group("LoopOptions", [n for n in OPTIONS if n not in (*_ROBOT, *_TASK, *_PATHS)])
+DriveOptions: Any = _group("DriveOptions", DRIVE)
+MeasuredOptions: Any = _group("MeasuredOptions", MEASURED)
+PaceOptions: Any = _group("PaceOptions", PACE)
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -62,7 +62,7 @@ def run(args: Args) -> None:
         return
     load_ahead("cnclik.show.style")
     figures, advised = {}, None
-    loop = _loop(args) if args.map else ()
+    loop: tuple = _loop(args) if args.map else ()
     files = ["plane.nc", "plane.md", "plane.png"] * args.plane + ["map.nc", "map.png"] * args.map
     if args.map and _has_passes(loop[0]):
         files += ["passes.nc", "passes.png"]

@@ -68,7 +68,7 @@ def guarded(process: bool):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     if leaving is not None and (leaving.code or out.problem is None):
         if process and leaving.code and threading.active_count() > 1:
-            os._exit(leaving.code)
+            os._exit(leaving.code if isinstance(leaving.code, int) else 1)
         raise leaving
     if isinstance(out.problem, BrokenPipeError):
         sys.exit(141)

@@ -58,9 +58,9 @@ def watch(begun: float):
     spans = Spans(begun)
     spans.found["importing"].append((begun, time.time()))
 
-    def span(event, start, end, **_):
+    def span(event, start_time, end_time, **_):
         if event in EVENTS:
-            spans.found[EVENTS[event]].append((start, end))
+            spans.found[EVENTS[event]].append((start_time, end_time))
 
     def happened(event, **_):
         spans.hits += event == "/jax/compilation_cache/cache_hits"
