@@ -166,7 +166,7 @@ def leaf(value):
     return np.asarray(value, float) if type(value) in (int, float) else value
 
 
-def replace(rec: T, **changes) -> T:
+def replace(rec: T, **changes: Any) -> T:
     """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
     return dataclasses.replace(rec, **changes)  # type: ignore[type-var]
 

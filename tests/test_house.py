@@ -3,6 +3,7 @@
 import ast
 import functools
 import importlib
+import inspect
 import pathlib
 import re
 import subprocess
@@ -202,3 +203,20 @@ def test_methods_have_names_of_their_own():
 
     named = {name: method for name, method in ck.METHODS.items() if name.startswith(("AB", "EXP-"))}
     assert len(named) == 10 and all(getattr(ck, name.replace("-", "_")) is method for name, method in named.items())
+
+
+def test_fields_say_what_they_are():
+    """Arrays by their shapes, see `cnclik.shapes`; no field is just an object."""
+    fields = [(p, n) for p in files() for n in ast.walk(ast.parse(p.read_text())) if isinstance(n, ast.AnnAssign)]
+    assert not [f"{path}:{node.lineno}" for path, node in fields if "object" in ast.unparse(node.annotation).split()]
+
+
+def test_public_functions_say_what_they_take_and_return():
+    wrong = []
+    for name in cnclik.__all__:
+        if not inspect.isfunction(function := getattr(cnclik, name)):
+            continue
+        about = inspect.signature(function)
+        wrong += [f"{name}({p.name})" for p in about.parameters.values() if p.annotation is p.empty]
+        wrong += [f"{name} ->"] * (about.return_annotation is about.empty)
+    assert not wrong

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ class Problem:
         return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
 
 
-def problem_from(robot: str | os.PathLike | Chain, **options) -> Problem:
+def problem_from(robot: str | os.PathLike | Chain, **options: Any) -> Problem:
     """A whole problem from a flat table of names and numbers, such as a sweep file's `[fixed]`.
 
     Args:
