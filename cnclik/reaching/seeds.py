@@ -16,7 +16,7 @@ from cnclik.record import kept, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import arm_length, evenly
-from cnclik.shapes import AnyArray, Float
+from cnclik.shapes import Float
 
 SETS, SIZE = 16, 256
 STRETCHES = 1.0, 4.0, 1.0, 2.0  # of tries beyond the sets, by their number: half begin with most joints at limits
@@ -27,12 +27,10 @@ TURN = 0.2  # of an arm's length, that a radian or so of orientation counts for 
 class Seeds:
     """Postures, and where their tips are."""
 
-    postures: Float[
-        AnyArray, "K n"
-    ]  # K = SETS · SIZE, one set after the other, each of which fills the joint space by itself
-    tips: Float[AnyArray, "K 12"]  # position [arm lengths], and rotation times TURN
-    middle: Float[AnyArray, " n"]  # of the ranges that they fill
-    width: Float[AnyArray, " n"]
+    postures: Float[np.ndarray, "K n"]  # K = SETS · SIZE: sets, each of which fills the joint space by itself
+    tips: Float[np.ndarray, "K 12"]  # position [arm lengths], and rotation times TURN
+    middle: Float[np.ndarray, " n"]  # of the ranges that they fill
+    width: Float[np.ndarray, " n"]
     scale: float  # what a target's position is multiplied with [1/m]
 
 
@@ -96,8 +94,8 @@ def _made(chain: Chain) -> Seeds:
 class Compared:
     """What targets are compared by: (distance to a seed)² is features · [factors · target, 1], and what all share."""
 
-    features: Float[AnyArray, "SETS 13 SIZE"]
-    factors: Float[AnyArray, 12]
+    features: Float[np.ndarray, "SETS 13 SIZE"]
+    factors: Float[np.ndarray, 12]
 
 
 def compared(found: Seeds, task) -> Compared:
