@@ -9,9 +9,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import DEFAULT, evaluations_per_step
+from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step
 from cnclik.integrate.solve import answers_soon
-from cnclik.integrate.stage import picard
+from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64, of_numbers
@@ -36,8 +36,8 @@ def outcomes(
     Ts,
     M=None,
     N=100,
-    method=DEFAULT,
-    stage=picard(5),
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
     drive=Drive(),
     tolerance=1e-3,
     scale=None,
@@ -115,7 +115,18 @@ def outcomes(
 
 @in_float64
 def stability_map(
-    law, reference, q0, *, alpha, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), N=100, rest=None, **options
+    law,
+    reference,
+    q0,
+    *,
+    alpha,
+    Ts,
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
+    drive=Drive(),
+    N=100,
+    rest=None,
+    **options,
 ):
     """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest. In float64.
 

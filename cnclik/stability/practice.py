@@ -1,16 +1,21 @@
 """Practice: what an engineer would set on a robot: gains with their reason, what they cost, and the same elsewhere."""
 
+from __future__ import annotations
+
 import functools
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import MOST, Drive
-from cnclik.integrate.method import DEFAULT, EE, named
-from cnclik.integrate.stage import picard
+from cnclik.integrate.method import DEFAULT, EE, MethodLike, named
+from cnclik.integrate.stage import Stage, picard
+from cnclik.law.law import Law
+from cnclik.law.reference import Reference
 from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
 from cnclik.record import record
+from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.stability.driven import (
     POINTS,
     SPARE,
@@ -111,7 +116,15 @@ class Practice:
 
 @in_float64
 def practice(
-    law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive: Drive | None = None, speed: float = SPEED
+    law: Law,
+    reference: Reference | None,
+    q: Float[ArrayLike, " n"],
+    *,
+    Ts: Number,
+    method: MethodLike = DEFAULT,
+    stage: Stage = picard(5),
+    drive: Drive | None = None,
+    speed: float = SPEED,
 ) -> Practice:
     """What to set on a robot: gains, what they cost, and the same for other libraries. In float64.
 
