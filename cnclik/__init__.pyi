@@ -57,6 +57,7 @@ from .robot.kinematics import Pose as Pose, forward as forward, jacobian as jaco
 from .robot.mounted import join as join, with_base as with_base, with_tool as with_tool
 from .robot.urdf import load_urdf as load_urdf
 from .show.run import plot as plot
+from .stability.advice import advise as advise
 from .stability.linear import stability_limit as stability_limit
 from .stability.recommend import margin as margin, recommend as recommend
 from .stability.spectrum import settle as settle, spectral_radius as spectral_radius

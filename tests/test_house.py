@@ -192,6 +192,8 @@ def test_a_name_that_has_moved_says_where_to():
 
     with pytest.warns(DeprecationWarning, match="cnclik.pose_task is cnclik.pose now"):
         assert ck.pose_task is ck.pose
+    with pytest.warns(DeprecationWarning, match="cnclik.stability.practice is cnclik.stability.advise now"):
+        assert ck.stability.practice is ck.advise
     with pytest.raises(ck.ArgumentError, match=r"`axes` .*ck\.forward\(robot, q\)"):
         ck.pose(ck.planar_arm([1.0, 1.0]), [0.1, 0.2])
     with pytest.raises(AttributeError):

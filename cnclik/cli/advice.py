@@ -25,7 +25,7 @@ def gains_of(found, said, written) -> list:
         value, euler = getattr(said, name), said.explicit_euler[name]
         known = name != "largest_stable_alpha" or exact(found.drive)
         rows.append((row, *(map(or_any, (value, value * found.Ts, euler)) if known else ("not known", "", ""))))
-    return [*rows, (_present(written), in_words(found.law.alpha), f"{said.advice.margin.z:.4g}", "")]
+    return [*rows, (_present(written), in_words(found.law.alpha), f"{said.analysis.margin.z:.4g}", "")]
 
 
 NOT_KNOWN = (
@@ -52,14 +52,14 @@ def lines_of(found, said, written) -> list:
     """What the numbers mean, in sentences."""
     from cnclik.record import in_words
 
-    now, eigen = said.advice.margin, said.advice.spectrum
+    now, eigen = said.analysis.margin, said.analysis.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines += [NOT_KNOWN] * (not exact(found.drive))
     whose = "The default" if _present(written) == "by default" else "Your"
     alpha = in_words(found.law.alpha).removesuffix(".")
     lines.append(f"{whose} gain (alpha = {alpha} 1/s) {_margin(now, said, found.drive, found.Ts)}")
-    if said.advice.times is not None:
-        times = said.advice.times
+    if said.analysis.times is not None:
+        times = said.analysis.times
         some = "any sampling time"
         if times.z_largest < math.inf:
             some = f"sampling times up to {1e3 * times.largest:.4g} ms"
@@ -67,7 +67,7 @@ def lines_of(found, said, written) -> list:
         lines.append(f"With this gain {at_once}the loop is stable for {some}.")
     count = len(eigen.null)
     null = f"{count} direction{'s' * (count != 1)}, |λ| = {eigen.null_radius:.4g}" if count else "none"
-    lines.append(f"Jacobians per step: {said.advice.gains.evaluations}. Null space: {null}.")
+    lines.append(f"Jacobians per step: {said.analysis.gains.evaluations}. Null space: {null}.")
     lines += ["The same loop elsewhere, by explicit Euler:"] * bool(said.settings)
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
 

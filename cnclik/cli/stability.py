@@ -117,11 +117,11 @@ def _has_passes(found):
 
 
 def _advice(args, found, rest):
-    from cnclik.stability.practice import practice
+    from cnclik.stability.advice import advise
 
     loop = dict(Ts=found.Ts, method=found.method, stage=found.stage, drive=found.drive)
     with progress.bar("advice"):
-        return found, practice(found.law, found.reference, rest, speed=args.speed, **loop)
+        return found, advise(found.law, found.reference, rest, speed=args.speed, **loop)
 
 
 def _tell(args, advised):
@@ -140,7 +140,7 @@ def _as_table(found, said) -> dict:
     """The advice as plain numbers; null is any, and what is not known is not there."""
     from cnclik.measure.files import plain
 
-    margin = said.advice.margin
+    margin = said.analysis.margin
     about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0)
     late = None if found.drive is None else found.drive.lumped.delay
     about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
@@ -148,7 +148,7 @@ def _as_table(found, said) -> dict:
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
     told = plain(about | plain(said))
     told = told if advice.exact(found.drive) else advice.without_largest(told) | {"not_known": advice.NOT_KNOWN}
-    return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.advice.gains.evaluations}
+    return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.analysis.gains.evaluations}
 
 
 # --- the plane ----------------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ def _map(args, out, found, rest):
     begun = time.perf_counter()
     advised = _advice(args, found, rest)
     _tell(args, advised)
-    now, rate = advised[1].advice.margin, largest_rate(found.law.alpha)
+    now, rate = advised[1].analysis.margin, largest_rate(found.law.alpha)
     # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
     half = np.sqrt(min(now.margin, 20 / now.z))
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)

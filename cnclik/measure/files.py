@@ -35,7 +35,7 @@ def plain(value):
     A record's `run` and `advice`, which are whole records behind its numbers, are left out.
     """
     if dataclasses.is_dataclass(value):
-        names = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "advice"))
+        names = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "analysis"))
         value = {name: getattr(value, name) for name in names}
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}

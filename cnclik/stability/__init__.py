@@ -1,11 +1,14 @@
 """Which gain is safe at which sampling time.
 
 Theory (`amplification`, `stability_limit`), the loop's own spectrum and what it advises (`advise`, `recommend`,
-`margin`), measured maps (`stability_map`, `passes_map`), regions of attraction, responses, and what a run did in a
-sentence (`verdict`). What advises computes in float64 by itself, whatever JAX's setting.
+`margin`, `analyse`), measured maps (`stability_map`, `passes_map`), regions of attraction, responses, and what a run
+did in a sentence (`verdict`). What advises computes in float64 by itself, whatever JAX's setting.
 """
 
+import warnings
+
 from cnclik.measure.outcome import Ending, Outcome, outcome
+from cnclik.stability.advice import Advice, advise
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound, sampled_attraction
 from cnclik.stability.driven import DrivenLimits, driven_factors, driven_limits
 from cnclik.stability.judged import Behaviour
@@ -22,8 +25,7 @@ from cnclik.stability.linear import (
 )
 from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map
 from cnclik.stability.plane import plane
-from cnclik.stability.practice import Practice, practice
-from cnclik.stability.recommend import Advice, Margin, Recommendation, advise, margin, recommend
+from cnclik.stability.recommend import Analysis, Margin, Recommendation, analyse, margin, recommend
 from cnclik.stability.remedies import Remedy
 from cnclik.stability.responses import responses
 from cnclik.stability.spectrum import (
@@ -40,9 +42,9 @@ from cnclik.stability.spectrum import (
 )
 from cnclik.stability.verdict import Verdict, verdict
 
-__all__ = ["Advice", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "Practice", "RealAxisLimits"]
+__all__ = ["Advice", "Analysis", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "RealAxisLimits"]
 __all__ += ["Recommendation", "Remedy", "Spectrum", "Verdict"]
-__all__ += ["advise", "agreement", "amplification", "at_rest", "attraction_radius", "certified_radius"]
+__all__ += ["advise", "agreement", "amplification", "analyse", "at_rest", "attraction_radius", "certified_radius"]
 __all__ += [
     "curvature_bound",
     "delay_limit",
@@ -60,9 +62,17 @@ __all__ += [
     "outcomes",
     "passes_map",
     "plane",
-    "practice",
     "real_axis_limits",
     "recommend",
 ]
 __all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
 __all__ += ["stability_map", "stability_region", "step_maps", "task_map", "task_radius", "verdict"]
+
+_MOVED = {"practice": "advise", "Practice": "Advice"}  # names of the version before, which go with the next one
+
+
+def __getattr__(name):
+    if name not in _MOVED:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn(f"cnclik.stability.{name} is cnclik.stability.{_MOVED[name]} now", DeprecationWarning, stacklevel=2)
+    return globals()[_MOVED[name]]

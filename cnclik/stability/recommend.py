@@ -120,7 +120,7 @@ class Margin:
 
 
 @record
-class Advice:
+class Analysis:
     """What stability says of a loop at rest, all of it.
 
     Attributes:
@@ -237,19 +237,19 @@ def margin(
 
 
 @in_float64
-def advise(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH) -> Advice:
+def analyse(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive(), reach=REACH) -> Analysis:
     """Safe gains at this Ts, safe Ts at this gain, the margin and the eigenvalues of a loop at rest. In float64.
 
     Args: as for `recommend`.
     """
-    return advice_of(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
+    return analysis_of(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
 
 
-def advice_of(loop: LoopAtRest, Ts, reach=REACH) -> Advice:
-    """`advise` of a loop that is known to be at rest."""
+def analysis_of(loop: LoopAtRest, Ts, reach=REACH) -> Analysis:
+    """`analyse` of a loop that is known to be at rest."""
     gains, room, now = _margin(loop, Ts, reach)
     times = recommendation_of(loop, None, reach) if loop.drive.prompt else None
-    return Advice(gains=gains, times=times, margin=room, spectrum=now)
+    return Analysis(gains=gains, times=times, margin=room, spectrum=now)
 
 
 def _margin(loop, Ts, reach):

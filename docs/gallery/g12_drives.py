@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik import stability
 from cnclik.show.style import COLORS, DASHES
 
 jax.config.update("jax_enable_x64", True)
@@ -26,7 +25,7 @@ drives = {
 figure, panel = plt.subplots(figsize=(6, 2.9))
 for (name, drive), color, dash in zip(drives.items(), COLORS, DASHES, strict=False):
     law = ck.Law(arm, ck.position("xy"), alpha=5.0)
-    alpha = stability.practice(law, None, q0, Ts=Ts, method="EE", drive=drive).recommended_alpha
+    alpha = ck.advise(law, None, q0, Ts=Ts, method="EE", drive=drive).recommended_alpha
     run = ck.solve(ck.replace(law, alpha=alpha), target, q0, Ts, 100, "EE", drive=drive)
     panel.plot(run.t, 1000 * run.e[:, 0], color=color, ls=dash, label=f"{name}: alpha = {alpha:.3g} 1/s")
 panel.set(xlabel="time [s]", ylabel="error in x [mm]")

@@ -14,7 +14,7 @@ import cnclik as ck
 from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.record import replace
-from cnclik.stability.practice import practice
+from cnclik.stability.advice import advise
 from cnclik.stability.recommend import recommend
 from cnclik.stability.settings import MOST_Z
 from tests.bench.loops_arms import Servo, World
@@ -125,7 +125,7 @@ def unknown(Ts) -> float:
     """What is recommended where nothing is said of the drives: of any arm with an exact inverse."""
     arm = ck.planar_arm([1.0, 1.0])
     law = ck.Law(arm, ck.position("xy"), alpha=1.0)
-    return practice(law, None, np.array([0.3, 1.2]), Ts=Ts, method="EE").recommended_alpha
+    return advise(law, None, np.array([0.3, 1.2]), Ts=Ts, method="EE").recommended_alpha
 
 
 def measure(arm, servo, rate, delay, world, feedback) -> dict:
@@ -140,7 +140,7 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     row["fit"] = {"options": fit.options, "explained": float(fit.explained), "note": fit.note}
     drive = replace(fit.drive, feedback=feedback) if feedback != "rebased" or fit.drive.order else fit.drive
     said = recommend(arm.law, None, arm.q, Ts=Ts, method="EE", drive=drive)
-    alphas = {"recommended": min(float(said.recommended), MOST_Z / Ts)}  # as `practice`
+    alphas = {"recommended": min(float(said.recommended), MOST_Z / Ts)}  # as `advise`
     if feedback == "rebased" and NOT_REBASED in fit.note:
         alphas["recommended"] = 0.0
     if feedback != "rebased":  # where position commands begin at the measured joints, settings name none

@@ -1,4 +1,4 @@
-"""Part of `tests.bench.loops`: each line of `Practice.settings`, run as it stands in the tool that it names.
+"""Part of `tests.bench.loops`: each line of `Advice.settings`, run as it stands in the tool that it names.
 
 pink, mink and Placo are run themselves; Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around a
 UR's servoj are copies of what their sources and manuals say, with Pinocchio's kinematics. The robot is a Panda whose
@@ -17,7 +17,7 @@ import pinocchio as pin
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
-from cnclik.stability.practice import practice
+from cnclik.stability.advice import advise
 from cnclik.stability.settings import ASSUMED_DELAY, LOOKAHEAD
 from tests.integrate.test_real_robots import ROBOTS, folder
 
@@ -221,9 +221,9 @@ def proportional(gain):
 
 
 def said(Ts, drive):
-    """`practice` of the Panda by explicit Euler."""
+    """`advise` of the Panda by explicit Euler."""
     law = ck.Law(arm()[2], ck.pose(), alpha=1.0, inverse=ck.pseudoinverse())
-    return practice(law, None, Q, Ts=Ts, method="EE", drive=drive)
+    return advise(law, None, Q, Ts=Ts, method="EE", drive=drive)
 
 
 def number(text, name) -> float:

@@ -39,7 +39,7 @@ FINE = """\
 Velocity servos at 500 Hz with the physics ten times finer."""
 
 TOOLS = """\
-`python -m tests.bench.loops --only tools`. Each line of `Practice.settings` as it stands, on a Panda whose joints
+`python -m tests.bench.loops --only tools`. Each line of `Advice.settings` as it stands, on a Panda whose joints
 follow through the drive of the case: pink, mink and Placo themselves, with a posture task 0.2 rad away along the null
 space; of Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around servoj copies of what their
 sources and manuals say. Placo brings a Pinocchio of its own: its rows take an environment in which it was installed

@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
-from cnclik.stability import advise, delay_limit, driven_limits, practice, recommend
+from cnclik.stability import advise, analyse, delay_limit, driven_limits, recommend
 from cnclik.stability.driven import (
     damping_ratio,
     delay_margin,
@@ -191,11 +191,11 @@ def test_a_loop_that_looks_at_its_own_commands_knows_no_drive():
     assert delay_margin(steps(0.25), own, Ts) == np.inf and noise_gain(steps(0.25), own, Ts)[0] == 0
 
 
-def test_what_practice_says_of_a_gain_is_what_it_does():
+def test_what_advice_says_of_a_gain_is_what_it_does():
     """Lag behind a ramp, overshoot, settling time: of a whole loop in time."""
     arm, q = ck.planar_arm([1.0, 0.8]), np.array([0.3, 1.1])
     law, drive = ck.Law(arm, ck.position("xy"), alpha=12.0), Drive(lag=0.02, delay=3)
-    said = practice(law, None, q, Ts=0.01, method="EE", drive=drive, speed=0.2)
+    said = advise(law, None, q, Ts=0.01, method="EE", drive=drive, speed=0.2)
     x, now = np.asarray(ck.forward(arm, q).position)[:2], said.now
     path = ck.line(x, x + np.array([0.2, 0.0]), duration=2.0)
     for factor, name in ((0.0, "lag"), (1.0, "lag_fed_forward")):
@@ -207,7 +207,7 @@ def test_what_practice_says_of_a_gain_is_what_it_does():
     assert np.flatnonzero(np.abs(e) > 0.02)[-1] * 0.01 == pytest.approx(now.settling_time, abs=0.011)
     assert said.recommended.overshoot < 0.01 and said.recommended_alpha < said.fastest_monotone_alpha
     J = np.asarray(ck.jacobian(arm, q))[:2]
-    assert np.isnan(said.joint_speed) and said.advice.times is None and np.linalg.cond(J) < 10
+    assert np.isnan(said.joint_speed) and said.analysis.times is None and np.linalg.cond(J) < 10
 
 
 def test_one_line_for_what_can_not_be_asked():
@@ -218,7 +218,7 @@ def test_one_line_for_what_can_not_be_asked():
     with pytest.raises(ArgumentError, match="`drive` must be one for all joints"):
         driven_limits("EE", Ts=Ts, drive=Drive(lag=np.ones(2)))
     with pytest.raises(ArgumentError, match="`speed` must be at least 0"):
-        practice(law, None, q, Ts=Ts, speed=-1)
+        advise(law, None, q, Ts=Ts, speed=-1)
     with pytest.raises(ArgumentError, match=r"`lag` must have shape \(2,\)"):
-        advise(law, None, q, Ts=Ts, drive=Drive(lag=np.ones(3)))
+        analyse(law, None, q, Ts=Ts, drive=Drive(lag=np.ones(3)))
     assert settling(steps(2.5), Drive(), Ts) == np.inf and overshoot(steps(1.5), Drive(), Ts) == pytest.approx(0.5)

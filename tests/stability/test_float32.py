@@ -44,7 +44,7 @@ def test_advice_is_the_same(name):
 
     def advice(array):
         law, q = loop(name, array)
-        return st.advise(law, None, q, Ts=Ts, method="EE")
+        return st.analyse(law, None, q, Ts=Ts, method="EE")
 
     for found in both(advice):
         assert found.gains.z_largest == pytest.approx(2, rel=1e-6)

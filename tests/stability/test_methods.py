@@ -10,7 +10,7 @@ from cnclik.measure.outcome import Ending
 from cnclik.stability import linear
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound
 from cnclik.stability.maps import outcomes
-from cnclik.stability.recommend import advise
+from cnclik.stability.recommend import analyse
 from cnclik.stability.spectrum import spectrum
 from cnclik.tuning.conditions import Scenario, rollout
 from cnclik.tuning.parameters import Adjustable
@@ -86,7 +86,7 @@ def test_damped_directions():
 
 
 def test_advice():
-    free = advise(LAW, None, Q, Ts=0.1, method="EXP-AB2")
+    free = analyse(LAW, None, Q, Ts=0.1, method="EXP-AB2")
     assert free.gains.largest == free.times.largest == free.margin.margin == np.inf and free.gains.evaluations == 1
     bound = ck.recommend(LAW, None, Q, Ts=0.1, method="AB2")
     assert bound.z_largest == pytest.approx(1, abs=1e-6) and "changes sign" in bound.limit

@@ -11,7 +11,7 @@ from cnclik import stability, tuning
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
-from cnclik.stability.practice import practice
+from cnclik.stability.advice import advise
 from cnclik.stability.rebased import INERTIA, bearable_delay, critical_delay, runs_away
 
 TS = 1e-3
@@ -66,13 +66,13 @@ def test_no_gain_is_named_where_none_is_safe(own):
     drive = servo(8.0, *((np.array([0.45, 1.2]), np.array([65.0, 80.0])) if own else ()))
     line = r"`feedback` must be commanded .* is rebased, with 8 samples \(80 ms\)"
     with pytest.raises(ArgumentError, match=line) as said:
-        practice(LAW, None, Q, Ts=0.01, method="EE", drive=drive)
+        advise(LAW, None, Q, Ts=0.01, method="EE", drive=drive)
     assert "\n" not in str(said.value)
     found = ck.recommend(LAW, None, Q, Ts=0.01, method="EE", drive=drive)
     assert found.z_recommended == found.z_monotone == 0 and found.recommended == 0
     assert "none is recommended" in str(found) and "feedback commanded" in str(found)
     for mended in (ck.replace(drive, feedback="commanded"), ck.replace(drive, feedback="measured", command="velocity")):
-        assert practice(LAW, None, Q, Ts=0.01, method="EE", drive=mended).recommended.overshoot < 0.01
+        assert advise(LAW, None, Q, Ts=0.01, method="EE", drive=mended).recommended.overshoot < 0.01
 
 
 def test_the_command_line_says_so_in_one_line(capsys):
@@ -96,7 +96,7 @@ def test_the_command_line_says_so_in_one_line(capsys):
 )
 def test_a_gain_is_named_where_it_is_fine(drive, Ts):
     """Short sampling times, little dead time, enough damping: and a loop in time with it settles without overshoot."""
-    said = practice(LAW, None, Q, Ts=Ts, method="EE", drive=drive)
+    said = advise(LAW, None, Q, Ts=Ts, method="EE", drive=drive)
     law = ck.replace(LAW, alpha=said.recommended_alpha)
     x = np.asarray(ck.forward(ARM, Q).position)[:2]
     run = ck.solve(law, ck.hold(x + np.array([1e-6, 0])), Q, Ts, round(3.0 / Ts), "EE", drive=drive)
@@ -121,18 +121,18 @@ def test_what_is_safe_is_so_for_other_inertias_and_a_sample_more():
 )
 def test_isaac_lab_has_no_gain_where_the_servo_is_unknown_or_runs_away(drive):
     """And what must be known first, or what to do instead, is said; of damped servos a gain is."""
-    line = practice(LAW, None, Q, Ts=0.01, method="EE", drive=drive).settings["Isaac Lab"]
+    line = advise(LAW, None, Q, Ts=0.01, method="EE", drive=drive).settings["Isaac Lab"]
     assert "k_val is" in line and "ik_params" not in line
     assert "commanded" in line if drive is not None and drive.order else "diagnose LOG.csv --step" in line
     for known in (servo(8.0, 1.2, feedback="measured"), Drive()):
-        assert "ik_params" in practice(LAW, None, Q, Ts=0.01, method="EE", drive=known).settings["Isaac Lab"]
+        assert "ik_params" in advise(LAW, None, Q, Ts=0.01, method="EE", drive=known).settings["Isaac Lab"]
 
 
 def test_numbers_of_velocity_servos_are_none_of_a_position_servo():
     """A lag of m/k_v says nothing of k_p: the same numbers of a position servo have a k_val and an alpha."""
     for numbers in (dict(lag=0.02), dict(natural_frequency=60.0, damping_ratio=1.2)):
         lines = [
-            practice(LAW, None, Q, Ts=0.01, method="EE", drive=Drive(delay=2, command=command, **numbers)).settings
+            advise(LAW, None, Q, Ts=0.01, method="EE", drive=Drive(delay=2, command=command, **numbers)).settings
             for command in ("velocity", "position")
         ]
         assert "of velocity servos" in lines[0]["Isaac Lab"] and "ik_params" not in lines[0]["Isaac Lab"]

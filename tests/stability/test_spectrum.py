@@ -12,8 +12,8 @@ import cnclik as ck
 from cnclik.hints import equations
 from cnclik.record import replace
 from cnclik.stability import linear
-from cnclik.stability.practice import practice
-from cnclik.stability.recommend import advise, margin, recommend
+from cnclik.stability.advice import advise
+from cnclik.stability.recommend import analyse, margin, recommend
 from cnclik.stability.spectrum import at_rest, one_step, settle, spectral_radius, spectrum
 
 ARM = ck.planar_arm([1.0] * 3)
@@ -83,7 +83,7 @@ def test_recommended_sampling_time_and_margin():
 
 
 def test_advice_is_what_its_parts_say():
-    advice = advise(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.picard(5))
+    advice = analyse(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.picard(5))
     assert str(advice.gains) == str(recommend(law(), None, Q, Ts=Ts, method=ck.IE, stage=ck.picard(5)))
     assert advice.times.largest == pytest.approx(1 / 6, rel=1e-6)
     assert advice.margin.margin == pytest.approx(1 / 0.6, rel=1e-6)
@@ -196,9 +196,9 @@ def test_a_posture_that_is_left_by_itself_limits_no_gain(drive):
     found = recommend(made, None, away, Ts=Ts, method="EE", drive=drive)
     assert found.z_largest == pytest.approx(calm.z_largest, rel=1e-3) and calm.z_largest > 0.1
     assert found.z_recommended == pytest.approx(calm.z_recommended, rel=1e-3)
-    said = practice(made, None, away, Ts=Ts, method="EE", drive=drive).notes
+    said = advise(made, None, away, Ts=Ts, method="EE", drive=drive).notes
     assert any("leaves this posture by itself" in note for note in said)
-    assert not any("leaves" in note for note in practice(on_the_way(None), None, away, Ts=Ts, drive=drive).notes)
+    assert not any("leaves" in note for note in advise(on_the_way(None), None, away, Ts=Ts, drive=drive).notes)
 
 
 def _growth(made, q):
@@ -216,7 +216,7 @@ def test_no_gain_is_stable_with_a_null_space_velocity_that_is_not(method, drive)
     assert f"none is stable: the null-space velocity multiplies a motion by {factor} each step" in found.limit
     assert margin(made, None, Q, Ts=Ts, method=method, drive=drive).margin == 0
     with pytest.raises(ck.ArgumentError, match="`null_velocity` must leave some gain stable"):
-        practice(made, None, Q, Ts=Ts, method=method, drive=drive)
+        advise(made, None, Q, Ts=Ts, method=method, drive=drive)
 
 
 def test_a_null_space_velocity_that_is_not_finite_is_named():
@@ -252,7 +252,7 @@ def test_null_space_velocities_that_pull_at_the_task_are_told():
     assert found.z_largest == 0 and re.search(r"multiplies an error, through this J#, by 1\.\d+ each step", found.limit)
     draws = on_the_way(lambda q: 30.0 * (ON_THE_WAY - q), inverse=ck.damped(0.5))
     with pytest.raises(ck.ArgumentError, match=r"`null_velocity` must leave .* one step removes 0\.\d+ of an error"):
-        practice(draws, None, ON_THE_WAY, Ts=0.05)
+        advise(draws, None, ON_THE_WAY, Ts=0.05)
     place = ck.hold(np.asarray(ck.forward(FOUR, ON_THE_WAY).position)[:2])
     with pytest.raises(ck.ArgumentError, match="as the null-space velocity pulls at it"):
         settle(leaks, place, ON_THE_WAY)

@@ -14,8 +14,8 @@ from cnclik.law.reference import sample
 from cnclik.problem.build import problem_from
 from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, trial, verdict
+from cnclik.stability.advice import advise
 from cnclik.stability.case import case_of
-from cnclik.stability.practice import practice
 from cnclik.stability.trial import Trials
 
 FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
@@ -292,7 +292,7 @@ def test_a_null_space_velocity_that_pulls_at_the_task_is_named():
         assert judge(ck.replace(made, **changes), place, 400, start, Ts=0.05).kind == Behaviour.SETTLED
     for less in ({"inverse": ck.damped(0.02)}, {"null_velocity": ck.posture(start + 0.5, 3.0)}):
         assert judge(ck.replace(made, **less), place, 400, start, Ts=0.05).error < 0.5 * found.error
-    said = practice(made, None, start, Ts=0.05, method="EE").notes
+    said = advise(made, None, start, Ts=0.05, method="EE").notes
     assert any("pulls at the task" in note for note in said)
 
 

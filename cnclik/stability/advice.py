@@ -1,4 +1,4 @@
-"""Practice: what an engineer would set on a robot: gains with their reason, what they cost, and the same elsewhere."""
+"""Advice: what an engineer would set on a robot: gains with their reason, what they cost, and the same elsewhere."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.linear import first_above
 from cnclik.stability.rebased import WHERE, bearable_delay
-from cnclik.stability.recommend import Advice, advice_of, assumed_of, loop_at_rest, recommendation_of
+from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, loop_at_rest, recommendation_of
 from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
 
@@ -71,7 +71,7 @@ class Gain:
 
 
 @record
-class Practice:
+class Advice:
     """What to set on a robot. Gains are inf where any is stable, or has no overshoot.
 
     Attributes:
@@ -93,7 +93,7 @@ class Practice:
       settings: {where: what to set there, or why no gain is named, in words}; empty where explicit Euler is stable
         with no gain.
       notes: what limits these numbers, in sentences; measured in results/loops.
-      advice: `Advice`, on which this rests.
+      analysis: `Analysis`, on which this rests.
     """
 
     largest_stable_alpha: float
@@ -111,11 +111,11 @@ class Practice:
     joint_speed: float
     settings: dict
     notes: tuple
-    advice: Advice
+    analysis: Analysis
 
 
 @in_float64
-def practice(
+def advise(
     law: Law,
     reference: Reference | None,
     q: Float[ArrayLike, " n"],
@@ -125,7 +125,7 @@ def practice(
     stage: Stage = picard(5),
     drive: Drive | None = None,
     speed: float = SPEED,
-) -> Practice:
+) -> Advice:
     """What to set on a robot: gains, what they cost, and the same for other libraries. In float64.
 
     Args:
@@ -139,7 +139,7 @@ def practice(
     Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(errors.number("speed", speed, at_least=0))
     method, known = named(method), Drive() if drive is None else drive
     loop = loop_at_rest(law, reference, q, method, stage, known)
-    found = advice_of(loop, Ts)
+    found = analysis_of(loop, Ts)
     gains, by = found.gains, loop._replace(method=EE)
     euler = gains if method.name == EE.name else recommendation_of(by, Ts)
     assert gains.z_monotone is not None and gains.z_recommended is not None  # as Ts is given
@@ -154,7 +154,7 @@ def practice(
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
-    return Practice(
+    return Advice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
         recommended_alpha=chosen / Ts,
@@ -178,7 +178,7 @@ def practice(
             *_pulled(law, loop, chosen / Ts),
             *_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
         ),
-        advice=found,
+        analysis=found,
     )
 
 
