@@ -9,10 +9,12 @@ from cnclik import errors
 from cnclik.integrate.pace import path_waits
 from cnclik.integrate.pieces import piece_of
 from cnclik.integrate.solve import simulate
+from cnclik.integrate.status import Status
 from cnclik.stability import trial
 
 STEPS = 32  # that are compared
 ROUNDINGS = 100.0  # of joint values, grown as two starts a few roundings apart do, that are none of another loop
+ROUGH = Status.NEAR_SINGULAR | Status.RESTARTED | Status.DIVERGED  # of steps after which roundings may be all there is
 AT_A_PACE = 1e4  # the same: a pace divides differences of steps by Ts once or twice
 
 
@@ -31,11 +33,14 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     """Raise ArgumentError where the first steps of a run without noise, one lane, are not the loop's own.
 
     The steps are made in the run's precision, by the program that has made it where `solve` did. What can't be judged
-    passes: a record that is not of steps Ts long, or of part of a run that went through drives.
+    passes: a record that is not of steps Ts long, or of part of a run that went through drives, and what follows a step
+    at which roundings decide.
     """
     q, t, N = np.asarray(run.q), np.asarray(run.t, float), len(run.residual)
     eps = float(np.finfo(q.dtype).eps)
     k = min(N, STEPS)
+    rough = np.flatnonzero(np.asarray(run.status)[:k] & int(ROUGH))
+    k = int(rough[0]) if len(rough) else k
     roundings = ROUNDINGS if pace is None else AT_A_PACE
     floor = roundings * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
     stepped = np.abs(np.diff(q[: k + 1], axis=0) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
