@@ -23,7 +23,7 @@ class Args:
     (damped least squares)."""
     method: tuple[Literal[lines.METHODS], ...] = ()
     """Method of the step."""
-    stage: tuple[Literal[lines.STAGES], ...] = ()
+    stage: tuple[Literal[tuple(lines.STAGES)], ...] = ()
     """How implicit stages are solved; explicit methods don't use it."""
     M: tuple[int, ...] = ()
     """Passes of the implicit stage."""
