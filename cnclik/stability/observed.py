@@ -110,10 +110,7 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
     back, speed = back_and_forth(qdot[-2 * quarter :], mean)
     steps = np.linalg.norm(qdot, axis=1) * Ts
     fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
-    first = e[np.argmax(size)]  # the first one may be a rounding
-    along = e @ first / max(first @ first, 1e-300)
-    large = np.flatnonzero(np.abs(along) > max(ARRIVED, eps))
-    turned = large[1:][along[large[1:]] * along[large[:-1]] < 0]
+    turned = max((_turns(one, max(ARRIVED, eps) * size.max()) for one in e.T), key=len)
     least = 8 * eps * (1 + arm_length(law.chain))  # error that the rounding of q itself makes
     ratio = np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
     k, moved = int(np.argmax(ratio.max(1))), np.diff(np.asarray(run.x, float)[: len(e)] + e, axis=0)
@@ -173,3 +170,9 @@ def back_and_forth(qdot, mean=0):
         means = (total[mean:] - total[:-mean]) / mean
         back = qdot[mean // 2 :][: len(means)] - means
     return rms(np.linalg.norm(back, axis=1)), rms(np.linalg.norm(qdot, axis=1))
+
+
+def _turns(values, least):
+    """Where values, those larger than the least, go to the other side."""
+    large = np.flatnonzero(np.abs(values) > least)
+    return large[1:][values[large[1:]] * values[large[:-1]] < 0]
