@@ -211,7 +211,7 @@ def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
     alike = {str(name).casefold(): name for name in names}
     folded = str(value).casefold()
-    folded = _ALSO.get(folded, folded)
+    folded = _ALSO[folded] if _ALSO.get(folded) in alike else folded
     near = difflib.get_close_matches(folded, alike, n=1, cutoff=0.6)
     return f" (did you mean {alike[near[0]]!r}?)" if near else ""
 

@@ -129,3 +129,8 @@ def test_no_name_is_suggested_that_is_not_near_and_a_long_list_gives_way_to_one_
     assert str(said.value).endswith("be one of 60 names, but is '--optoin-7' (did you mean '--option-7'?).")
     with pytest.raises(errors.ArgumentError, match="--option-0, --option-1"):
         errors.one_of("Option", "x", names)
+
+
+def test_what_the_field_calls_a_method_hides_no_name_of_another_kind():
+    assert errors.nearest("euler", ["EE", "CN"]) == " (did you mean 'EE'?)"
+    assert errors.nearest("euler", ["base", "euler_"]) == " (did you mean 'euler_'?)"
