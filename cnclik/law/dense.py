@@ -6,8 +6,6 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from cnclik.engine.tracing import is_read
-
 
 def wide_side(rows):
     """The matrix, or its transpose, whichever has fewer rows."""
@@ -27,20 +25,6 @@ def cholesky(matrix):
 def cholesky_solve(lower, b):
     """Solution x of L Lᵀ x = b: of a vector, or of the columns of a matrix."""
     return cho_solve((lower, True), b)
-
-
-def solve_positive(matrix, b):
-    """Solution x of a symmetric positive definite system A x = b, for a vector; not as good where A is nearly singular.
-
-    By XLA it is an elimination: a batch of it calls no LAPACK, and may run on several threads.
-    """
-    if is_read():
-        return cholesky_solve(cholesky(matrix), b)
-    both = jnp.concatenate([matrix, b[:, None]], axis=1)
-    for i in range(len(b)):
-        row = both[i] / both[i, i]
-        both = jnp.where(np.arange(len(b))[:, None] == i, row, both - both[:, i : i + 1] * row)
-    return both[:, -1]
 
 
 def packed(lower):

@@ -22,7 +22,7 @@ from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, nothing
 from cnclik.reaching.seeds import compared, seeds
-from cnclik.reaching.strategy import CAREFUL, FAR, TOLD, Told, alone, phases, wanted
+from cnclik.reaching.strategy import CAREFUL, FAR, IN_C, Told, alone, phases, wanted
 from cnclik.record import kept, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
@@ -226,19 +226,19 @@ class Native:
 
 
 def _still(report, count, _):
-    report(count)  # of what follows hardly any is an answer
+    report(count)  # few of the further tries find one
 
 
 def _put(call, **values):
-    """Arrays, of which C is told the place, and numbers into the fields of what it is given."""
+    """Put the addresses of arrays, and numbers, into the fields of a call."""
     for name, value in values.items():
         if value is not None:
             setattr(call, name, value.ctypes.data if isinstance(value, np.ndarray) else value)
 
 
 def _told(phase) -> dict:
-    """What C is told of a phase."""
-    return {name: getattr(phase, name) for name in TOLD}
+    """The fields of a phase that C needs."""
+    return {name: getattr(phase, name) for name in IN_C}
 
 
 def _as_c(phase):

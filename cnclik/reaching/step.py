@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.engine.tracing import is_read
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.law.task import Task
@@ -130,8 +131,22 @@ def _step(rows, e, cost, q, low, high, trust):
     downhill = e @ rows
     pushes = ((q <= low) & (downhill < 0)) | ((q >= high) & (downhill > 0))
     downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, rows)
-    step = dense.solve_positive(dense.shifted(left @ left.T, shift), e) @ left
+    step = _solved(dense.shifted(left @ left.T, shift), e) @ left
     scale = cost * jnp.sum(rows**2)
     steep = downhill @ downhill / jnp.where(scale > 0, scale, 1.0)
     kink = (trust > 1) & (shift > SHORT * jnp.sum(rows**2))
     return jnp.clip(step, -LONGEST, LONGEST), jnp.where(kink, 0.0, steep)
+
+
+def _solved(matrix, b):
+    """Solution x of a symmetric positive definite system A x = b, for a vector; not as good where A is nearly singular.
+
+    By XLA it is an elimination: a batch of it calls no LAPACK, and may run on several threads.
+    """
+    if is_read():
+        return dense.cholesky_solve(dense.cholesky(matrix), b)
+    both = jnp.concatenate([matrix, b[:, None]], axis=1)
+    for i in range(len(b)):
+        row = both[i] / both[i, i]
+        both = jnp.where(np.arange(len(b))[:, None] == i, row, both - both[:, i : i + 1] * row)
+    return both[:, -1]

@@ -49,7 +49,7 @@ class Phase(NamedTuple):
     sure: np.bool | Bool[AnyArray, ""]  # for those alone of which is known that no more tries were asked for
 
 
-TOLD = Phase._fields[:8]  # what the search itself is told
+IN_C = Phase._fields[:8]  # what the search itself needs
 
 
 def phases(asked, xp=np) -> list:
