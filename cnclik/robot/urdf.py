@@ -58,16 +58,14 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
         raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
     else:
         ends = _ends(tree, tips)
-    joints, at, names = _walked(tree, base, [link for link, _ in ends.values()], _frozen(tree, freeze))
+    joints, at, followed = _walked(tree, base, [link for link, _ in ends.values()], _frozen(tree, freeze))
     for link, _ in ends.values():
         if at[link][0] < 0:
             raise errors.fail("tips" if tips else "tip", "be moved by a joint", f"is {link!r}, fixed to {base!r}")
-    by_name = {e.name: e for e in tree.edges}
-    followed = [by_name[name] for name in names]
     return assemble(
         joints,
         tuple(Tip(name=n, joint=at[link][0], offset=compose(at[link][1], off)) for n, (link, off) in ends.items()),
-        joint_names=names,
+        joint_names=[e.name for e in followed],
         lower=[e.lower for e in followed],
         upper=[e.upper for e in followed],
         velocity_limit=[e.velocity for e in followed],
@@ -76,9 +74,9 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
 
 def _walked(tree, base, links, frozen) -> tuple:
     """(joints on the ways from base to links, {link: (index of the joint that carries it, where it is as seen from
-    there)}, names of the joints that are followed, one a coordinate)"""
+    there)}, the joints that are followed, one a coordinate)"""
     by_name = {e.name: e for e in tree.edges}
-    joints, at, coordinates, leaders = [], {base: (-1, Offset())}, {}, {}
+    joints, at, followed, leaders = [], {base: (-1, Offset())}, [], {}
     for link in links:
         up, down = tree.way(link, base)
         for edge, turned in (*((e, True) for e in up), *((e, False) for e in down)):
@@ -98,11 +96,12 @@ def _walked(tree, base, links, frozen) -> tuple:
                 still = _moved(kind, axis, multiplier * frozen[leader.name] + offset)
                 at[there] = parent, compose(compose(before, still), after)
                 continue
-            coordinate = coordinates.setdefault(leader.name, len(coordinates))
-            about = dict(coordinate=coordinate, multiplier=multiplier, offset=offset, parent=parent)
+            if leader not in followed:
+                followed.append(leader)
+            about = dict(coordinate=followed.index(leader), multiplier=multiplier, offset=offset, parent=parent)
             joints.append(Joint(kind=kind, axis=axis, origin=before, **about))
             at[there] = len(joints) - 1, after
-    return joints, at, list(coordinates)
+    return joints, at, followed
 
 
 def _ends(tree, tips) -> dict:
