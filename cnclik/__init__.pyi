@@ -35,12 +35,12 @@ from .law.limits import (
     saturation as saturation, velocity_scaling as velocity_scaling, weighted_least_norm as weighted_least_norm,
 )
 from .law.null import maximize_manipulability as maximize_manipulability, posture as posture
-from .law.reference import (
-    Reference as Reference, causal as causal, circle as circle, hold as hold, line as line, lissajous as lissajous,
-    path as path, waypoints as waypoints, with_feedforward as with_feedforward,
+from .law.paths import (
+    causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
+    lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,
 )
+from .law.reference import Reference as Reference, References as References, references as references
 from .law.resampled import resampled as resampled
-from .law.task import Task as Task, orientation as orientation, pose as pose, position as position
 from .measure.dataset import to_dataset as to_dataset
 from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
@@ -63,6 +63,10 @@ from .stability.recommend import margin as margin, recommend as recommend
 from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
 from .stability.verdict import verdict as verdict
 from .sweeps.sweep import sweep as sweep
+from .task.task import (
+    Task as Task, function as function, joints as joints, orientation as orientation, pose as pose,
+    position as position, stack as stack,
+)
 from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

@@ -18,7 +18,7 @@ GROUND = (
     *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads"),
     *("reading", "writing", "version", "quantities", "shapes"),
 )
-BASE = ("engine", "robot", "law", "integrate")  # reached through the names of the package alone
+BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (
     *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),
 )

@@ -9,9 +9,9 @@ import pytest
 import cnclik as ck
 from cnclik import reading
 from cnclik.cli import main
-from cnclik.law.task import orientation, position
 from cnclik.problem.tables import read_columns, read_targets
 from cnclik.reaching import targets
+from cnclik.task.task import orientation, position
 
 
 @pytest.fixture

@@ -59,22 +59,19 @@ def start_and_target(made, given: dict) -> list:
 def _first_point(made, name, default) -> str:
     import numpy as np
 
-    from cnclik.law.reference import controlled
-    from cnclik.robot.kinematics import forward
+    from cnclik.law.paths import hold_at
+    from cnclik.law.reference import aims_of
     from cnclik.robot.poses import quaternions
 
-    position, rotation = made.reference.curve(0.0)
-    task, said = made.law.task, []
-    if task.position:
-        values = [float(v) for v in controlled(task, position)]
-        said.append(f"{' '.join(task.position)} = {' '.join(f'{v:.5g}' for v in values)} m")
-    if task.orientation:
-        said.append(f"quaternion w x y z = {' '.join(f'{v:.5g}' for v in quaternions(np.array(rotation, float)))}")
+    task, said, away = made.law.task, [], ""
+    first, here = (aims_of(r, task, 0.0) for r in (made.reference, hold_at(made.law.chain, task, made.q0)))
+    for part, aim, own in zip(task.parts, first, here, strict=True):
+        values = np.array(quaternions(np.array(aim, float)) if part.turns else aim, float)
+        names, unit = ("quaternion w x y z", "") if part.turns else (" ".join(part.names), f" {part.units[0]}")
+        said.append(f"{names} = {' '.join(f'{v:.5g}' for v in values)}{unit}")
+        jump = 0.0 if part.turns else float(np.linalg.norm(values - own))
+        if jump > 1e-3:
+            away = f"; the start is {1e3 * jump:.3g} mm away from it (--begin on-path begins there)"
     if name == "hold":
         return f"Target {', '.join(said)}{default}"
-    away = ""
-    if task.position:
-        here = controlled(task, np.asarray(forward(made.law.chain, made.q0).position, float))
-        jump = float(np.linalg.norm(np.subtract(values, here)))
-        away = f"; the start is {1e3 * jump:.3g} mm away from it (--begin on-path begins there)" if jump > 1e-3 else ""
     return f"Path {name}, from {', '.join(said)}{default}{away}"

@@ -33,7 +33,7 @@ def start(law, reference, q, at, t, Ts) -> Start:
     to = ahead(law, reference, at, t, Ts)
     null, factor = null_velocity(law, q), null_over_step(law, Ts)
     return Start(
-        feedback=held_feedback(law, at.e, to.turn, Ts),
+        feedback=held_feedback(law, at.e, to.turns, Ts),
         velocity=law.feedforward * at.xdot_d,
         mean=law.feedforward * to.mean,
         null=null if factor is None else factor * null,
@@ -46,9 +46,9 @@ def closure(law, mean, quadrature, turns):
     Rotations have it where `turns` (1 or 0) says so: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators
     (Magnus 1954), so that it is a gain to order 2 and a loss beyond.
     """
-    p = len(law.task.position)
-    missed = mean - quadrature
-    return jnp.concatenate([missed[:p], turns * missed[p:]])
+    missed, task = mean - quadrature, law.task
+    parts = zip(task.parts, task.slices, strict=True)
+    return jnp.concatenate([turns * missed[where] if part.turns else missed[where] for part, where in parts])
 
 
 def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=False):
@@ -57,14 +57,15 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
     known = {0.0: to.velocity}
     for c in method.c:
         if c not in known:
-            known[c] = law.feedforward * sample(reference, law.task, t + c * Ts)[2]
+            known[c] = law.feedforward * sample(reference, law.task, t + c * Ts)[1]
     velocities = [known[c] for c in method.c]
     low = method.order <= CLOSED
     held = closure(law, to.mean, combine(method.b, velocities), 1.0 if low else 0.0)
     if low:
         held = to.feedback + held
     else:
-        turns = [ahead(law, reference, at, t, c * Ts).turn if c else None for c in method.c]
+        none = (None,) * len(law.task.parts)
+        turns = [ahead(law, reference, at, t, c * Ts).turns if c else none for c in method.c]
         asked = feedback_within(law, at.e, method.c, turns, Ts)
         velocities = [v + w for v, w in zip(velocities, asked, strict=True)]
 

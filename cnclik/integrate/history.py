@@ -11,15 +11,14 @@ import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
 from cnclik import errors
 from cnclik.law.law import Law
 from cnclik.law.null import Posture
 from cnclik.law.reference import sample
-from cnclik.law.shifted import unshifted
-from cnclik.record import record, replace
-from cnclik.robot.rotations import axial, safe_norm
+from cnclik.law.shifted import true_motion
+from cnclik.record import record
+from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, Float, Int
 
 UNEVEN = 0.1  # relative change of the sampling time from which on the past is dropped
@@ -45,7 +44,7 @@ class History:
 
     Attributes:
       entries: (p − 1) `Entry`s, the newest first.
-      position, rotation: where the target was at the last step, in the task's coordinates, and as rows.
+      aims: where the targets were at the last step, of each part of the task.
       speed: norm of the target's own velocity, there.
       Ts: length of the last step [s].
       count: how many entries count.
@@ -53,8 +52,7 @@ class History:
     """
 
     entries: tuple[Entry, ...]
-    position: Float[Array, " p"]
-    rotation: Float[Array, "3 3"] | None
+    aims: tuple[Array, ...]
     speed: Float[Array, ""]
     Ts: Float[Array, ""]
     count: Int[Array, ""]
@@ -65,7 +63,7 @@ def blank(law: Law, q, method):
     """The history of a loop before its first step from q (n,); None for a one-step method."""
     if method.steps == 1:
         return None
-    n, m, p = law.chain.n, law.task.m, len(law.task.position)
+    n, m = law.chain.n, law.task.m
     zeros, zero = functools.partial(jnp.zeros, dtype=q.dtype), jnp.zeros((), q.dtype)
 
     if method.exponential:
@@ -78,8 +76,7 @@ def blank(law: Law, q, method):
     none = jnp.zeros_like(zero, jnp.int32)
     return History(
         entries=(entry,) * (method.steps - 1),
-        position=zeros(p),
-        rotation=zeros((3, 3)) if law.task.orientation else None,
+        aims=tuple(zeros(part.shape) for part in law.task.parts),
         speed=zero,
         Ts=zero,
         count=none,
@@ -129,19 +126,16 @@ def checked(history, method, law):
 
 
 class Mark(NamedTuple):
-    """Where a target is, and its own velocity, whatever a controller is told or measures."""
+    """Where the targets are, and their own velocity, whatever a controller is told or measures."""
 
-    position: Float[Array, " p"]
-    rotation: Float[Array, "3 3"] | None
+    aims: tuple[Array, ...]
     velocity: Float[Array, " m"]
 
 
 def mark(law: Law, reference, at, t) -> Mark:
     """The target's mark at t; `at` is what the law sees there."""
-    true = unshifted(reference)
-    if true is reference and reference.feedforward is None:
-        return Mark(at.position, at.rotation, at.xdot_d)
-    return Mark(*sample(replace(true, feedforward=None), law.task, t))
+    true = true_motion(reference, law.task)
+    return Mark(at.aims, at.xdot_d) if true is reference else Mark(*sample(true, law.task, t))
 
 
 def valid(history: History, law: Law, at: Mark, Ts):
@@ -150,16 +144,10 @@ def valid(history: History, law: Law, at: Mark, Ts):
     A target has jumped where it went farther than the speeds at both ends of the step, added, explain, and rounding:
     twice what a mean speed does, so that motion from rest, at any acceleration, is no jump.
     """
-    whole = len(law.task.orientation) == 3
-    moved = [at.position - history.position]
-    before, now = history.rotation, at.rotation
-    if before is not None and now is not None:
-        if whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
-            moved.append((now - before).ravel() * 0.5**0.5)
-        else:
-            moved.append(0.5 * axial(now @ before.T)[np.array(law.task.angular)])
+    parts = law.task.parts
+    moved = [part.went(now, before) for part, now, before in zip(parts, at.aims, history.aims, strict=True)]
     explained = history.Ts * (safe_norm(at.velocity) + history.speed)
-    size = jnp.sum(jnp.abs(at.position))
+    size = sum(jnp.sum(jnp.abs(aim)) for part, aim in zip(parts, at.aims, strict=True) if not part.turns)
     most = explained + _SLACK * jnp.finfo(explained.dtype).eps * (1 + size)
     jumped = sum(jnp.sum(v * v) for v in moved) > most * most
     uneven = jnp.abs(Ts - history.Ts) > UNEVEN * history.Ts
@@ -177,8 +165,7 @@ def remember(history: History, law: Law, entry: Entry, at: Mark, Ts, count) -> H
     entry = Entry(**{name: like(getattr(entry, name), getattr(old, name)) for name in Entry.__dataclass_fields__})
     return History(
         entries=(entry, *history.entries[:-1]),
-        position=like(at.position, history.position),
-        rotation=like(at.rotation, history.rotation) if law.task.orientation else None,
+        aims=tuple(map(like, at.aims, history.aims)),
         speed=jnp.asarray(safe_norm(at.velocity), dtype),
         Ts=jnp.asarray(Ts, dtype),
         count=count.astype(jnp.int32),

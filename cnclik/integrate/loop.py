@@ -33,7 +33,6 @@ from cnclik.law.reference import Reference, check
 from cnclik.law.shifted import shifted
 from cnclik.record import cast, replace
 from cnclik.robot.model import Model, modelled
-from cnclik.robot.rotations import turn_from
 from cnclik.shapes import Array, Float
 
 
@@ -171,10 +170,8 @@ def _measured(loop, state, t, k):
 
 def _between(task, measured, model):
     """What a target is to be moved by so that its error is the measured one, and not the model's (m,)."""
-    p = len(task.position)
-    if len(task.orientation) < 3:
-        return measured - model
-    return jnp.concatenate([measured[:p] - model[:p], turn_from(-measured[p:], -model[p:])])
+    parts = zip(task.parts, task.slices, strict=True)
+    return jnp.concatenate([part.between(measured[where], model[where]) for part, where in parts])
 
 
 def _paced(loop, made, pacing, t):

@@ -4,27 +4,26 @@ from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, sin
 from cnclik.law.law import Law
 from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
 from cnclik.law.null import maximize_manipulability, posture
-from cnclik.law.reference import Reference, causal, circle, hold, line, lissajous, path, waypoints, with_feedforward
-from cnclik.law.task import Task, orientation, pose, position
+from cnclik.law.paths import causal, circle, hold, hold_at, line, lissajous, path, waypoints, with_feedforward
+from cnclik.law.reference import Reference, References, references
 
 __all__ = [
     "Law",
     "Reference",
-    "Task",
+    "References",
     "causal",
     "circle",
     "damped",
     "hold",
+    "hold_at",
     "line",
     "lissajous",
     "manipulability_damped",
     "maximize_manipulability",
-    "orientation",
     "path",
-    "pose",
-    "position",
     "posture",
     "pseudoinverse",
+    "references",
     "saturation",
     "singular_damped",
     "transpose",

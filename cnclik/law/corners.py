@@ -5,10 +5,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.engine.tracing import is_read
-from cnclik.law.curves import Hold, Path, interval
-from cnclik.law.reference import Reference, sample
-from cnclik.law.task import Task
+from cnclik.law.curves import Path, interval
+from cnclik.law.reference import by_target, sample
 from cnclik.record import record
+from cnclik.task.task import Task
 
 ABRUPT = 4.0  # a change of velocity from instant to instant this many times the middle one of five is a jump
 SHARP = 0.02  # and this part of the velocity
@@ -39,21 +39,22 @@ class Corners:
         return jnp.where(self.time[at] < t, jnp.inf, self.time[at] - t), self.sharpness[at]
 
 
-def corners(reference: Reference, task: Task, t) -> Corners | None:
+def corners(reference, task: Task, t) -> Corners | None:
     """Corners of a path between the instants t (N + 1,), N > 1: jumps of the velocity that a controller is told.
 
     None of a target that stands still.
     """
-    if isinstance(reference.curve, Hold):
+    if reference.still:
         return None
     reference, t = lax.stop_gradient((reference, t))
 
     # A user's own function may do what can't be done to many instants at once; and loops that are read stay loops.
-    each = lax.map if is_read() or isinstance(reference.curve, Path) else lambda fn, x: jax.vmap(fn)(x)
+    in_turn = is_read() or any(isinstance(one.curve, Path) for one, _ in by_target(reference, task))
+    each = lax.map if in_turn else lambda fn, x: jax.vmap(fn)(x)
     N = t.shape[0] - 1
 
     def velocity(t):
-        return sample(reference, task, t)[2]
+        return sample(reference, task, t)[1]
 
     def size(w):
         return jnp.sqrt(jnp.sum(w * w, axis=-1))

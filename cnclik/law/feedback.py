@@ -17,19 +17,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
-from cnclik.law.curves import Hold, Tangent
+from cnclik.law.curves import Tangent
 from cnclik.law.law import Law, clamped, gain
 from cnclik.law.null import Posture
-from cnclik.law.reference import controlled
-from cnclik.robot.rotations import axial, exp_so3, log_quaternion
+from cnclik.law.reference import aims_of, by_target
+from cnclik.robot.rotations import exp_so3
 from cnclik.shapes import Array, Float
 
 HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
 _TERMS = 9  # of the series there
-_HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
 _NEAR = 0.01  # below this z the quotient's derivative would lose digits, and a series is exact
 
 
@@ -75,20 +73,26 @@ def _doubled(k, Ts):
 # --- feedback -----------------------------------------------------------------------------------------
 
 
-def held_feedback(law: Law, e, turn, Ts):
+def _along(law, rate, turns, share):
+    """A task velocity (m,) with that of each orientation taken along by a share of the target's turn."""
+    if all(turn is None for turn in turns):
+        return rate
+    found = []
+    for where, turn in zip(law.task.slices, turns, strict=True):
+        own = rate[where]
+        found.append(own if turn is None else own + share * law.feedforward * (turn @ own - own))
+    return jnp.concatenate(found)
+
+
+def held_feedback(law: Law, e, turns, Ts):
     """What a step's feedback asks of the task (m,), held over the step, from the error at its start.
 
     Args:
       e: (m,).
-      turn: T = R_d(t + Ts) R_d(t)ᵀ; None for none, and where less than the whole orientation is controlled.
+      turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None for none, and where it is not a whole orientation.
       Ts: [s]; at 0 it is K e.
     """
-    e, p = clamped(law, e), len(law.task.position)
-    rate = gain(per_step(law.alpha, Ts), e)
-    if turn is None:
-        return rate
-    along = turn @ rate[p:] - rate[p:]
-    return jnp.concatenate([rate[:p], rate[p:] + 0.5 * law.feedforward * along])
+    return _along(law, gain(per_step(law.alpha, Ts), clamped(law, e)), turns, 0.5)
 
 
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
@@ -101,20 +105,16 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
 
     Args:
       e: (m,) at the step's start.
-      turns: R_d(t + c·Ts) R_d(t)ᵀ for each time, or None, as for `held_feedback`.
+      turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
     """
-    e, p = clamped(law, e), len(law.task.position)
+    e = clamped(law, e)
     half, whole = (gain(per_step(law.alpha, c * Ts), e) for c in (0.5, 1.0))  # mean rates over as much of the step
     k = jnp.abs(jnp.asarray(law.alpha))
     z = Ts * jnp.max(k if k.ndim < 2 else jnp.sum(k, axis=1))
     half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)
     found = []
     for c, turn in zip(times, turns, strict=True):
-        rate = (2.0 - 4.0 * c) * half + (4.0 * c - 1.0) * whole
-        if turn is not None:
-            along = turn @ rate[p:] - rate[p:]
-            rate = jnp.concatenate([rate[:p], rate[p:] + law.feedforward * along])
-        found.append(rate)
+        found.append(_along(law, (2.0 - 4.0 * c) * half + (4.0 * c - 1.0) * whole, turn, 1.0))
     return found
 
 
@@ -132,7 +132,7 @@ class Ahead(NamedTuple):
     """How the target moves in a step."""
 
     mean: Float[Array, " m"]  # its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
-    turn: Float[Array, "3 3"] | None = None  # R_d(t + Ts) R_d(t)ᵀ, where the whole of it is controlled, and turns
+    turns: tuple[Array | None, ...]  # of each part R_d(t + Ts) R_d(t)ᵀ, where a whole orientation turns
 
 
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
@@ -140,27 +140,22 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
 
     A velocity that the controller is told is all that it knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
     """
-    task, p = law.task, len(law.task.position)
-    whole = len(task.orientation) == 3
-    if reference.feedforward is not None or isinstance(reference.curve, (Hold, Tangent)):
-        if not whole or (reference.feedforward is None and isinstance(reference.curve, Hold)):
-            return Ahead(at.xdot_d)
-        return Ahead(at.xdot_d, exp_so3(Ts * at.xdot_d[p:]))
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
-    position, rotation = reference.curve(t + Ts)
-    mean, turn = at.xdot_d[:0], None
-    if p:
-        moved = controlled(task, position) - at.position
-        mean = jnp.where(still, at.xdot_d[:p], moved / safe)
-    if task.orientation:
-        turn = rotation @ at.rotation.T
-        angle = _log(turn)[np.array(task.angular)]
-        mean = jnp.concatenate([mean, jnp.where(still, at.xdot_d[p:], angle / safe)])
-    return Ahead(mean, turn if whole else None)
-
-
-def _log(turn):
-    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
-    w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
-    return log_quaternion(w, 0.25 / w * axial(turn))
+    means: list = []
+    turns: list = []
+    for one, task in by_target(reference, law.task):
+        told = one.feedforward is not None
+        foreseen = None if told or one.still or isinstance(one.curve, Tangent) else aims_of(one, task, t + Ts)
+        for k, part in enumerate(task.parts):
+            i = len(means)
+            xdot, turn = at.xdot_d[law.task.slices[i]], None
+            if foreseen is not None:
+                went, turn = part.mean(foreseen[k], at.aims[i])
+                means.append(jnp.where(still, xdot, went / safe))
+            else:
+                if part.turns and part.whole and (told or not one.still):
+                    turn = exp_so3(Ts * xdot)
+                means.append(xdot)
+            turns.append(turn)
+    return Ahead(jnp.concatenate(means), tuple(turns))

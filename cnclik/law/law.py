@@ -21,13 +21,14 @@ from cnclik.law import reference as ref
 from cnclik.law.inverse import Factored, Pseudoinverse, damped_apply, through
 from cnclik.law.limits import Limited
 from cnclik.law.null import evaluated
-from cnclik.law.task import Task, coordinates, error_and_rows
 from cnclik.precision import precise
 from cnclik.record import brief, leaf, record
-from cnclik.robot.chain import Chain, with_one_tip
-from cnclik.robot.model import Model, frames, jacobian_rows, modelled
+from cnclik.robot.chain import Chain
+from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
+from cnclik.task.parts import At
+from cnclik.task.task import Task, coordinates, error, rows
 
 
 @record(kw_only=False)
@@ -64,13 +65,14 @@ class Law:
     near_singular: Number = 0.01
 
     def __post_init__(self):
-        m = errors.kind("task", self.task, Task).m
-        n = errors.kind("chain", self.chain, (Chain, Model)).n
+        task, n = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model)).n
         if isinstance(self.chain, Chain):
-            with_one_tip(self.chain)
+            task = task.on(self.chain)
+            object.__setattr__(self, "task", task)
+        m = task.m
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
-            raise errors.fail("task", must, f"has {m}: {', '.join(self.task.names)}")
+            raise errors.fail("task", must, f"has {m}: {', '.join(task.names)}")
         alpha = errors.array("alpha", self.alpha, (), (m,), (m, m))
         object.__setattr__(self, "alpha", _not_negative(alpha))
         for name, least in (("feedforward", None), ("near_singular", 0)):
@@ -121,7 +123,7 @@ def check_loop(law, *references) -> None:
     """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
     errors.kind("law", law, Law)
     for one in references:
-        ref.check(errors.kind("reference", one, ref.Reference, ref.A_REFERENCE), law.task)
+        ref.check(errors.kind("reference", one, ref.REFERENCE, ref.A_REFERENCE), law.task)
 
 
 class Evaluation(NamedTuple):
@@ -182,32 +184,22 @@ class Observation(NamedTuple):
     e: Float[Array, " m"] | None = None
     x: Callable | None = None  # () to (m,)
     xdot_d: Float[Array, " m"] | None = None
-    position: Float[Array, " p"] | None = None  # the target's, in the task's coordinates
-    rotation: Float[Array, "3 3"] | None = None
+    aims: tuple[Array, ...] = ()  # the targets, of each part of the task
 
 
 @precise
 def observe(law: Law, reference, t, q) -> Observation:
     """All that the law sees at q and t."""
-    position_d, rotation_d, xdot_d = ref.sample(reference, law.task, t)
-    chain = modelled(law.chain)
-    at = frames(chain, q)
-    e, rows = error_and_rows(law.task, chain, at, position_d, rotation_d)
-    return Observation(
-        rows=rows,
-        e=e,
-        x=lambda: coordinates(law.task, at.position, at.rotation),
-        xdot_d=xdot_d,
-        position=position_d,
-        rotation=rotation_d,
-    )
+    aims, xdot_d = ref.sample(reference, law.task, t)
+    task, robot = law.task, At(modelled(law.chain), q)
+    e = error(task, robot, aims)
+    return Observation(rows=rows(task, robot), e=e, x=lambda: coordinates(task, robot), xdot_d=xdot_d, aims=aims)
 
 
 @precise
 def rows_at(law: Law, q) -> Observation:
     """The rows of J alone."""
-    chain = modelled(law.chain)
-    return Observation(rows=jacobian_rows(chain, frames(chain, q), law.task.linear, law.task.angular))
+    return Observation(rows=rows(law.task, At(modelled(law.chain), q)))
 
 
 def correct(law: Law, q, rows, made, h, r):
@@ -261,13 +253,11 @@ def clamped(law: Law, e):
     """
     if law.error_clamp is None:
         return e
-    p = len(law.task.position)
-    parts = [
-        limit / jnp.maximum(safe_norm(part), limit) * part
-        for limit, part in zip(law.error_clamp, (e[:p], e[p:]), strict=True)
-        if len(part)
-    ]
-    return jnp.concatenate(parts)
+    found = []
+    for part, where in zip(law.task.parts, law.task.slices, strict=True):
+        own, limit = e[where], law.error_clamp[int(part.units[0] == "rad")]
+        found.append(limit / jnp.maximum(safe_norm(own), limit) * own)
+    return jnp.concatenate(found)
 
 
 def gain(alpha, e):

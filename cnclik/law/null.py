@@ -15,11 +15,12 @@ import jax.numpy as jnp
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
-from cnclik.law.task import Task
 from cnclik.record import leaf, record, replace
-from cnclik.robot.chain import Chain, with_one_tip
-from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
 from cnclik.shapes import Array, ArrayLike, Float, Number
+from cnclik.task.parts import At
+from cnclik.task.task import Task, rows
 
 
 @record
@@ -47,9 +48,7 @@ class MaximizeManipulability:
         return self.gain * jax.grad(self._measure)(q)
 
     def _measure(self, q):
-        chain = modelled(self.chain)
-        rows = jacobian_rows(chain, frames(chain, q), self.task.linear, self.task.angular)
-        wide = dense.wide_side(rows)
+        wide = dense.wide_side(rows(self.task, At(modelled(self.chain), q)))
         # A shift at rounding level: w has a kink at 0, where this stays finite.
         return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(wide @ wide.T, tiny_shift(wide)))))
 
@@ -112,6 +111,5 @@ def maximize_manipulability(chain: Chain, task: Task, gain: Number = 1.0) -> Max
       chain, task: those of the law.
       gain: [1/s per unit of w].
     """
-    with_one_tip(chain)
-    errors.kind("task", task, Task)
+    task = errors.kind("task", task, Task).on(errors.kind("chain", chain, Chain))
     return MaximizeManipulability(chain=chain, task=task, gain=leaf(errors.number("gain", gain, positive=True)))

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import jax.numpy as jnp
-import numpy as np
 
-from cnclik.law.reference import Reference
-from cnclik.law.task import Task
+from cnclik.law.reference import by_target, of_each
 from cnclik.record import record, replace
-from cnclik.robot.rotations import exp_so3
 from cnclik.shapes import ArrayLike
+from cnclik.task.task import Task
 
 
 @record
@@ -19,31 +17,43 @@ class Shifted:
     """A curve moved by w: (m,) in the task's coordinates [m, rad], or a record that gives it as a function of time."""
 
     base: Callable
-    task: Task
+    task: Task  # the parts that the curve is for
+    first: int  # where their coordinates begin in w
     w: ArrayLike | Callable
 
     def __call__(self, t):
-        w, p = self.w(t) if callable(self.w) else jnp.asarray(self.w), len(self.task.position)
-        position, rotation = self.base(t)
-        if p:
-            places = range(p) if len(position) == p else self.task.linear
-            position = position.at[np.array(places)].add(w[:p])
-        if self.task.orientation:
-            turn = jnp.zeros(3, w.dtype).at[np.array(self.task.angular)].set(w[p:])
-            rotation = exp_so3(turn) @ rotation
-        return position, rotation
+        w, target = self.w(t) if callable(self.w) else jnp.asarray(self.w), self.base(t)
+        w = w[self.first :]
+        for part, where in zip(self.task.parts, self.task.slices, strict=True):
+            target = part.moved(*target, w[where])
+        return target
 
 
-def shifted(reference: Reference, task: Task, w) -> Reference:
+def shifted(reference, task: Task, w):
     """The reference whose error is w more than the reference's own; to first order for rotations.
 
     Args:
       w: (m,) as an array or a tuple [m, rad]: the velocity stays the curve's own, turned by w's rotation; or a record
         called with t, whose velocity adds to the curve's.
     """
-    return replace(reference, curve=Shifted(base=reference.curve, task=task, w=w))
+    first = 0
+
+    def one(reference, parts):
+        nonlocal first
+        curve = Shifted(base=reference.curve, task=parts, first=first, w=w)
+        first += parts.m
+        return replace(reference, curve=curve)
+
+    return of_each(one, reference, task)
 
 
-def unshifted(reference: Reference) -> Reference:
-    """The reference without what `shifted` adds: where the target is, whatever a measurement makes of the error."""
-    return replace(reference, curve=reference.curve.base) if isinstance(reference.curve, Shifted) else reference
+def true_motion(reference, task: Task):
+    """The reference without what `shifted` adds and what a controller is told; itself where there is nothing such."""
+    if not any(isinstance(one.curve, Shifted) or one.feedforward is not None for one, _ in by_target(reference, task)):
+        return reference
+
+    def one(reference, _):
+        curve = reference.curve
+        return replace(reference, curve=curve.base if isinstance(curve, Shifted) else curve, feedforward=None)
+
+    return of_each(one, reference, task)

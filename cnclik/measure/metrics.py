@@ -123,7 +123,7 @@ def _rotation(loop):
 def _split(loop):
     """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
     path = ref.Reference(curve=loop.reference.curve)  # its own direction, whatever is fed forward
-    velocity = jax.vmap(lambda t: ref.sample(path, loop.law.task, t)[2])(loop.run.target_time)
+    velocity = jax.vmap(lambda t: ref.sample(path, loop.law.task, t)[1])(loop.run.target_time)
     e = _position(loop)
     velocity = velocity[:, : e.shape[-1]]
     speed = _norms(velocity)[:, None]

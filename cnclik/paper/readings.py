@@ -19,8 +19,8 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.reference import Reference, line, with_feedforward
-from cnclik.law.task import position
+from cnclik.law.paths import line, with_feedforward
+from cnclik.law.reference import Reference
 from cnclik.paper.choices import DEFAULT, Reading
 from cnclik.paper.choices import READINGS as READINGS
 from cnclik.paper.choices import reading as reading
@@ -28,6 +28,7 @@ from cnclik.record import replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
+from cnclik.task.task import position
 
 # Settings of Section V.
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]

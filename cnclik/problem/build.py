@@ -18,7 +18,8 @@ from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
-from cnclik.law.reference import Reference, causal
+from cnclik.law.paths import causal
+from cnclik.law.reference import Reference
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import (
     gain_from,

@@ -10,12 +10,13 @@ import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.integrate.method import named
-from cnclik.law import null, task
+from cnclik.law import null
 from cnclik.problem import words
 from cnclik.robot import urdf
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
 from cnclik.robot.tree import read_urdf
+from cnclik.task import task
 
 
 def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:

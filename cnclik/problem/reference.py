@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law import reference as ref
-from cnclik.law.task import Task
+from cnclik.law import paths as ref
+from cnclik.law.reference import aims_of
 from cnclik.problem import words
 from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.magnitudes import remark_on_places
@@ -23,6 +23,7 @@ from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length
 from cnclik.shapes import Array, Float
+from cnclik.task.task import Task
 
 _WRITTEN = {"start": "from", "end": "to"}  # `from` is no name in Python
 
@@ -119,12 +120,15 @@ def on_path(chain: Chain, task, reference, q0):
 
     Raises: ArgumentError where none are found.
     """
-    position, rotation = reference.curve(0.0)
-    if task.position:  # what the task doesn't control may be anything
-        place = dict(zip(task.linear, ref.controlled(task, position), strict=True))
-        xp = poses.library(*place.values())
-        position = xp.stack([xp.asarray(place.get(i, 0.0), float) for i in range(3)])
-    target = (position if task.position else None, jnp.asarray(rotation) if task.orientation else None)
+    position = rotation = None
+    for part, aim in zip(task.parts, aims_of(reference, task, 0.0), strict=True):
+        if part.turns:
+            rotation = jnp.asarray(aim)
+        else:  # what the task doesn't control may be anything
+            place = dict(zip(task.linear, aim, strict=True))
+            xp = poses.library(*place.values())
+            position = xp.stack([xp.asarray(place.get(i, 0.0), float) for i in range(3)])
+    target = (position, rotation)
     found = reach(chain, target, task=task, near=q0)
     if errors.concrete(found.status) and not found.solved:
         at = f"is on-path, and where the path begins is {ReachStatus(int(found.status)).name}"

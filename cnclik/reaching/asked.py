@@ -8,7 +8,6 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import Recent
-from cnclik.law.task import Task
 from cnclik.precision import as_numbers
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.seeds import turned
@@ -20,6 +19,7 @@ from cnclik.record import kept, leaf, record
 from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.posture import beyond_arm
 from cnclik.shapes import AnyArray, Float, Number
+from cnclik.task.task import Task
 
 TOUCHING = 1e-9  # [rad, m] from a limit: at it
 MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # which all tries of a target are a multiple of, as int32

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.task import position
 from cnclik.precision import of_numbers
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import Reached
@@ -14,6 +13,7 @@ from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import evenly, start_posture
 from cnclik.robot.rotations import rotation_from_quaternion
+from cnclik.task.task import position
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.task import Task
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import Reached, fields
@@ -20,6 +19,7 @@ from cnclik.record import replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
 from cnclik.shapes import ArrayLike, Float
+from cnclik.task.task import Task
 
 
 @np.errstate(over="ignore", invalid="ignore")  # squares of targets beyond any robot: such lanes say so by themselves

@@ -6,11 +6,11 @@ import enum
 
 import numpy as np
 
-from cnclik.law.task import Task
 from cnclik.record import record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import task_jacobians
 from cnclik.shapes import AnyArray, Bool, Float, Int
+from cnclik.task.task import Task
 
 
 class ReachStatus(enum.IntEnum):

@@ -22,11 +22,11 @@ import numpy as np
 from cnclik.engine.tracing import is_read
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
-from cnclik.law.task import Task
 from cnclik.precision import precise
 from cnclik.robot.model import frames, jacobian_rows
 from cnclik.robot.rotations import quaternion_from_rotation
 from cnclik.shapes import Array, Bool, Float
+from cnclik.task.task import Task
 
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9

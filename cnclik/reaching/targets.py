@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.task import Task, orientation, pose, position
 from cnclik.robot import poses
+from cnclik.task.task import Task, orientation, pose, position
 
 TASKS = {"pose": pose, "position": position, "orientation": orientation}
 _FORMS = {

@@ -33,16 +33,12 @@ def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
 
 
-def _tip_number(chain, tip) -> int:
-    return chain.tip_number(tip) if isinstance(chain, Chain) else 0
-
-
 def _computed(fn):
     """The arrays of fn(model, q), in a list: by NumPy, which compiles nothing, where all are numbers."""
     program = bounded_jit(lambda chain, q, tip: fn(cast(modelled(chain), q.dtype), q, tip), static_argnames="tip")
 
     def call(chain, q, tip):
-        q, number = as_joint_values(chain, q), _tip_number(chain, tip)
+        q, number = as_joint_values(chain, q), chain.tip_number(tip)
         if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
             return program(chain, q, tip=number)
         return [jax.device_put(v.astype(q.dtype)) for v in fn(modelled(chain), np.asarray(q, float), number)]
@@ -98,7 +94,7 @@ def manipulability(
     if not (task is None or isinstance(getattr(task, "linear", None), tuple)):  # a task's class is of a room above
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     q = as_joint_values(chain, q)
-    return _manipulability(chain, task, q, tip=_tip_number(chain, tip))
+    return _manipulability(chain, task, q, tip=chain.tip_number(tip))
 
 
 @functools.partial(one_off, static_argnames="tip")

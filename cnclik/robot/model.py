@@ -37,6 +37,7 @@ class Model:
     parents: tuple[int, ...]  # of each joint the index of the one that carries it, −1 for the base
     tips: tuple[Float[Array, "4 4"], ...]  # as seen from the joints that carry them
     carriers: tuple[int, ...]  # indices of those
+    tip_names: tuple[str, ...] | None  # None of a robot with one tip, so that robots of a shape share their programs
     supports: Float[np.ndarray, "tips j"] | None  # 1 for the joints that move a tip, else 0; None where all move all
     lower: Float[Array, " n"]  # as in `Chain`
     upper: Float[Array, " n"]
@@ -44,6 +45,10 @@ class Model:
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
     standing: tuple[tuple[Frames, Frames], ...] | None = None  # by tips, and their derivatives by q; None: q moves them
+
+    def tip_number(self, tip: str | None = None) -> int:
+        """Which of the tips has this name; None: the only one."""
+        return 0 if self.tip_names is None else self.tip_names.index(errors.one_of("tip", tip, self.tip_names))
 
 
 @record
@@ -173,6 +178,7 @@ def _model(chain: Chain) -> Model:
         parents=chain.parents,
         tips=tuple(xp.array(matrix(t.offset.rotation, t.offset.position, 1.0)) for t in chain.tips),
         carriers=tuple(t.joint for t in chain.tips),
+        tip_names=None if len(ways) == 1 else tuple(t.name for t in chain.tips),
         supports=None if moving.all() else moving,
         **{name: xp.array(bound, float) for name, bound in limits.items()},
         bounded=some("lower", "upper"),

@@ -16,6 +16,7 @@ from cnclik.integrate.method import EE, named
 from cnclik.integrate.stage import picard
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import check_loop
+from cnclik.law.paths import hold_at
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64, of_numbers
 from cnclik.robot.chain import REVOLUTE, with_one_tip
@@ -23,7 +24,6 @@ from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.robot.model import one_off
 from cnclik.stability.linear import checked, share_per_step
 from cnclik.stability.maps import endings_about
-from cnclik.stability.spectrum import hold_at
 
 
 @of_numbers
@@ -145,7 +145,9 @@ def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), direct
 @one_off(static_argnames=("N", "method", "tolerance"))
 def _targets(law, q0, moves, Ts, stage, *, N, method, tolerance):
     def one(move):
-        return outcome(law, hold_at(law, q0, move), q0, Ts, N, method, stage, tolerance=tolerance)
+        held = hold_at(law.chain, law.task, q0)
+        target = replace(held, curve=replace(held.curve, position=held.curve.position + move))
+        return outcome(law, target, q0, Ts, N, method, stage, tolerance=tolerance)
 
     return jax.vmap(one)(moves)
 

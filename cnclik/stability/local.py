@@ -35,8 +35,9 @@ def targets(reference, task, t):
     """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...)."""
 
     def one(t):
-        position, rotation, velocity = ref.sample(reference, task, t)
-        return position if len(position) else None, rotation, velocity
+        aims, velocity = ref.sample(reference, task, t)
+        found = {part.turns: aim for part, aim in zip(task.parts, aims, strict=True)}
+        return found.get(False), found.get(True), velocity
 
     return jax.vmap(one)(t)
 

@@ -24,9 +24,10 @@ from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law, check_loop, evaluate
 from cnclik.law.null import without
+from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import cast, record, replace
-from cnclik.robot.kinematics import as_joint_values, forward
+from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import modelled, one_off, standing
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
@@ -333,20 +334,13 @@ drift_of_numbers = one_off(_drift)
 
 def held_at(law, q):
     """The held reference of a loop at rest at q, told that it moves no more."""
-    return replace(hold_at(law, q), feedforward=np.zeros(law.task.m, q.dtype))
+    held, dtype = hold_at(law.chain, law.task, q), q.dtype
+    return ref.of_each(lambda one, parts: replace(one, feedforward=np.zeros(parts.m, dtype)), held, law.task)
 
 
 def leaky(law) -> bool:
     """Whether a null-space velocity may pull at the task: I − J# J is a projector of the pseudoinverse alone."""
     return law.null_velocity is not None and not isinstance(law.inverse, Pseudoinverse)
-
-
-def hold_at(law, q, move=0.0):
-    """The held reference of a tip that is where q has it, moved by `move` (d,) [m] in the task's coordinates."""
-    at = forward(law.chain, q)
-    at = jax.tree.map(np.asarray, at) if errors.concrete(at.position) else at  # NumPy compiles nothing
-    position = at.position[np.array(law.task.linear)] + move if law.task.position else None
-    return ref.hold(position, at.rotation if law.task.orientation else None)
 
 
 def _require_rest(law, reference, q):

@@ -19,7 +19,8 @@ from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
 from cnclik.law.law import Law
-from cnclik.law.reference import Reference, hold
+from cnclik.law.paths import hold
+from cnclik.law.reference import Reference
 from cnclik.record import record, replace
 from cnclik.shapes import AnyArray, ArrayLike, Float
 from cnclik.stability.case import brief

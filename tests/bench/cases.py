@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik.integrate.solve import end, solve
-from cnclik.law import reference as ref
+from cnclik.law import paths as ref
 from cnclik.law.inverse import damped, pseudoinverse
 from cnclik.law.law import Law
-from cnclik.law.task import pose, position
 from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.chain import Chain, from_dh, planar_arm
 from cnclik.robot.kinematics import forward
+from cnclik.task.task import pose, position
 
 ALPHA, TS = 5.0, 0.1  # the paper's: z = 0.5
 DAMPING = 0.1

@@ -22,7 +22,7 @@ from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import EE
 from cnclik.integrate.solve import step as jax_step
 from cnclik.integrate.stage import picard
-from cnclik.law.reference import hold
+from cnclik.law.paths import hold
 from cnclik.record import placed
 from tests.bench import cases
 

@@ -8,11 +8,11 @@ import pytest
 import cnclik as ck
 from cnclik.engine.compiler import can_build
 from cnclik.hints import shares_threads
-from cnclik.law.task import pose
 from cnclik.reaching import native, search, strategy
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.seeds import SETS, compared, seeds
 from cnclik.reaching.single import Programs
+from cnclik.task.task import pose
 from tests.reaching.test_reach import WRIST, drawn, tips
 
 

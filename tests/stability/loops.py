@@ -321,12 +321,17 @@ def reachable(loop, run):
     return all(_found(loop, t[step]) for step in np.unique(np.linspace(N - N // 4, N, 5).round()).astype(int))
 
 
+def _target(loop, t):
+    """Position and rotation of a loop's target, None where the task has none."""
+    task = loop.law.task
+    aims = {
+        part.turns: np.asarray(a) for part, a in zip(task.parts, sample(loop.reference, task, float(t))[0], strict=True)
+    }
+    return aims.get(False), aims.get(True)
+
+
 def _found(loop, t):
-    chain, task = loop.law.chain, loop.law.task
-    position, rotation, _ = sample(loop.reference, task, float(t))
-    target = ck.hold(
-        np.asarray(position) if task.position else None, np.asarray(rotation) if task.orientation else None
-    )
+    chain, target = loop.law.chain, ck.hold(*_target(loop, t))
     law = ck.replace(loop.law, limits=None, null_velocity=None, inverse=ck.damped(1.0))
     low, high = np.array(chain.lower, float), np.array(chain.upper, float)
     bounds = (low, high) if loop.law.limits is not None else (-np.inf, np.inf)
@@ -397,8 +402,8 @@ def spectral(loop, run, of):
 
 def mended(loop, of, remedy, end):
     """The loop and the family with a remedy's change, taken as data. Args: end: time on the path of its last step."""
-    _, turn, _ = sample(loop.reference, loop.law.task, float(end))
-    how = dict(N=loop.N, method=of.method, stage=of.stage, drive=of.drive, turn=np.asarray(turn), pace=loop.pace)
+    _, turn = _target(loop, end)
+    how = dict(N=loop.N, method=of.method, stage=of.stage, drive=of.drive, turn=turn, pace=loop.pace)
     made = changed(Run(law=loop.law, reference=loop.reference, q0=loop.q0, **how), remedy.change)
     loop = dataclasses.replace(loop, law=made.law, reference=made.reference, q0=made.q0, N=made.N, pace=made.pace)
     return loop, dataclasses.replace(of, method=made.method, stage=made.stage, drive=made.drive)

@@ -9,11 +9,11 @@ import numpy as np
 
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
-from cnclik.law.task import position
 from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.posture import arm_length, start_posture
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
+from cnclik.task.task import position
 from tests.stress.fuzz.judge import one_line
 from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 

@@ -1,0 +1,291 @@
+"""Paths: the references that cnclik builds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.cache import bounded_jit
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, quaternions_of
+from cnclik.law.reference import A_REFERENCE, Reference, References, of_each, references
+from cnclik.record import leaf, replace
+from cnclik.robot import poses
+from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
+from cnclik.robot.rotations import log_so3
+from cnclik.shapes import Array, ArrayLike, Float, Number
+from cnclik.task.parts import At
+from cnclik.task.task import Task
+
+Target = poses.PoseLike | None  # see `hold`
+
+
+def hold(target: Target, rotation: ArrayLike | None = None) -> Reference:
+    """Stay at one target: x_d(t) = target, velocity 0 (Case I of Drexler 2016).
+
+    Args:
+      target: (d,) position [m], d ≤ 3; or a whole pose: a `Pose`, a (4, 4) homogeneous matrix, [x, y, z, w, x, y, z],
+        or an object with `translation` and `rotation` such as Pinocchio's SE3; or None for an orientation alone.
+      rotation: (3, 3) rotation, or a (4,) unit quaternion w, x, y, z.
+    """
+    target, rotation = _split("target", target, rotation)
+    if target is None and rotation is None:
+        raise errors.fail("target", "be a position or come with a `rotation`", "is None")
+    return Reference(curve=Hold(position=target, rotation=rotation))
+
+
+def line(
+    start: Target,
+    end: Target,
+    *,
+    duration: Number,
+    rotation: ArrayLike | None = None,
+    rotation_end: ArrayLike | None = None,
+) -> Reference:
+    """Straight line at constant velocity, then hold (Case II of Drexler 2016, eqs. 15 and 18).
+
+    x_d(t) = start + (t/duration)(end − start) for t ≤ duration. With two rotations, the tip turns at
+    constant angular velocity about a fixed axis on the shorter way.
+
+    Args:
+      start, end: (d,) positions [m], or whole poses as for `hold`.
+      duration: [s], positive.
+      rotation, rotation_end: (3, 3) rotations or (4,) unit quaternions at start and end.
+    """
+    start, rotation = _split("start", start, rotation)
+    end, rotation_end = _split("end", end, rotation_end, "rotation_end")
+    errors.number("duration", duration, positive=True)
+    first, last = (() if v is None else v.shape for v in (start, end))
+    if first != last:
+        raise errors.fail("end", "have the shape of `start`", f"has shape {last}")
+    turn = None
+    if rotation_end is not None:
+        if rotation is None:
+            raise errors.fail("rotation", "be given with `rotation_end`", "is None")
+        turn = _turn(rotation, rotation_end)
+    duration = leaf(duration)
+    curve = Line(start=start, end=end, rotation=rotation, turn=turn, duration=duration)
+    return Reference(curve=curve)
+
+
+def circle(
+    center: Float[ArrayLike, " d"],
+    radius: Number,
+    *,
+    period: Number,
+    normal: Float[ArrayLike, " 3"] | None = None,
+    phase: Number = 0.0,
+    rotation: ArrayLike | None = None,
+) -> Reference:
+    """Circle at constant speed 2π·radius/period.
+
+    Args:
+      center: (2,) or (3,) [m].
+      radius: [m].
+      period: time of one turn [s]; negative for the other sense.
+      normal: (3,) normal of the circle's plane for a 3-D centre, z by default.
+      phase: angle on the circle at t = 0 [rad].
+      rotation: constant orientation, (3, 3) or (4,) quaternion.
+    """
+    center = errors.array("center", center, (2,), (3,))
+    radius = 1.0 * errors.number("radius", radius, at_least=0)
+    phase = 1.0 * errors.number("phase", phase)
+    _nonzero("period", period)
+    if center.shape[0] == 2:
+        if normal is not None:
+            raise errors.fail("normal", "be None for a 2-D centre", f"is {normal!r}")
+        u, v = np.eye(2)
+    else:
+        w = np.asarray(errors.array("normal", (0.0, 0.0, 1.0) if normal is None else normal, (3,)), float)
+        if not np.linalg.norm(w) > 0:
+            raise errors.fail("normal", "not be the zero vector", f"is {w.tolist()}")
+        w = w / np.linalg.norm(w)
+        u = np.cross(np.eye(3)[1] if abs(w[1]) < 0.9 else np.eye(3)[2], w)
+        u = u / np.linalg.norm(u)
+        v = np.cross(w, u)
+    xp = np if errors.concrete(phase) else jnp  # NumPy compiles nothing
+    c, s = xp.cos(phase), xp.sin(phase)
+    curve = Circle(
+        center=center,
+        first=radius * (c * u + s * v),
+        second=radius * (c * v - s * u),
+        rotation=rotation_matrix("rotation", rotation),
+        period=leaf(period),
+    )
+    return Reference(curve=curve)
+
+
+def lissajous(
+    center: Float[ArrayLike, " d"],
+    amplitude: Float[ArrayLike, " d"],
+    *,
+    period: Number,
+    frequency: Float[ArrayLike, " d"] | None = None,
+    phase: Float[ArrayLike, " d"] | None = None,
+    rotation: ArrayLike | None = None,
+) -> Reference:
+    """Lissajous figure x_d(t) = center + amplitude · sin(2π frequency t/period + phase), per axis.
+
+    Args:
+      center, amplitude: (d,) [m].
+      period: [s] of frequency 1.
+      frequency: (d,) whole numbers close the curve; 1, 2, 3 … by default.
+      phase: (d,) [rad], 0 by default.
+      rotation: constant orientation.
+    """
+    center = errors.array("center", center, (None,))
+    d = center.shape[0]
+    amplitude = errors.array("amplitude", amplitude, (d,))
+    frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
+    phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
+    _nonzero("period", period)
+    curve = Lissajous(
+        center=center,
+        amplitude=amplitude,
+        frequency=frequency,
+        phase=phase,
+        rotation=rotation_matrix("rotation", rotation),
+        period=leaf(period),
+    )
+    return Reference(curve=curve)
+
+
+def waypoints(
+    times: Float[ArrayLike, " K"],
+    positions: Float[ArrayLike, "K d"] | None = None,
+    rotations: Float[ArrayLike, "K ..."] | None = None,
+    *,
+    closed: bool = False,
+) -> Reference:
+    """C² path through waypoints: velocity and acceleration are continuous.
+
+    Positions follow the cubic spline through the points. Orientations follow the cubic spline of their
+    quaternions (signs aligned), normalised: it passes through every waypoint and does not depend on the
+    frame the rotations are given in. It starts and ends at rest; `closed` makes it periodic instead.
+
+    Args:
+      times: (K,) increasing [s].
+      positions: (K, d) [m], or None.
+      rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None; neighbours less than
+        180° apart.
+      closed: the last waypoint equals the first; the path passes through it smoothly and repeats.
+    """
+    times, closed = errors.array("times", times, (None,)), errors.truth("closed", closed)
+    count = times.shape[0]
+    if count < 2:
+        raise errors.fail("times", "hold at least two times", f"holds {count}")
+    if errors.concrete(times) and not np.all(np.asarray(times)[1:] > np.asarray(times)[:-1]):
+        raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
+    if positions is None and rotations is None:
+        raise errors.fail("positions", "be given, or `rotations`", "is None")
+    position = quaternion = None
+    if positions is not None:
+        positions = errors.array("positions", positions, (count, None))
+        position = cubic(times, positions, closed, "positions")
+    if rotations is not None:
+        quaternion = cubic(times, quaternions_of("rotations", rotations, count), closed, "rotations")
+    times = jnp.asarray(times)
+    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed)
+    return Reference(curve=curve)
+
+
+def path(fn: Callable) -> Reference:
+    """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference.
+
+    It is a part of the programs that run it, as under `jax.jit`: what it closes over is read when they are made.
+    """
+    if not callable(fn):
+        raise errors.fail("fn", "be a function of time", f"is {fn!r}")
+    return Reference(curve=Path(fn=fn))
+
+
+def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
+    """The same path with an explicit task velocity (m,) in place of its own, constant in time.
+
+    For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
+    """
+    errors.kind("reference", reference, Reference, A_REFERENCE)
+    velocity = errors.array("velocity", velocity, (None,))
+    return replace(reference, feedforward=velocity)
+
+
+def causal(reference: Reference) -> Reference:
+    """The same path for a controller that doesn't know its future, such as a person's hand before a camera.
+
+    A step then sees x_d and ẋ_d at its start alone, and takes the target to move on with that velocity.
+    """
+    errors.kind("reference", reference, Reference, A_REFERENCE)
+    return replace(reference, known=False)
+
+
+def hold_at(
+    chain: Chain, task: Task, q: Float[ArrayLike, " n"], **others: Reference | References
+) -> Reference | References:
+    """Stay where q (n,) has the robot: a held reference for each target of a task, and others by their names.
+
+    `hold_at(robot, task, q0, hands=circle(...))` moves the hands alone.
+
+    Returns: `Reference`, or `References` of a task with several targets.
+    """
+    robot, task = At(modelled(chain), errors.array("q", q, (chain.n,))), task.on(chain)
+
+    def one(_, parts):
+        found: dict = {"position": None, "rotation": None}
+        for part in parts.parts:
+            found |= {"rotation": robot.rotation(part.tip, part.to)} if part.turns else {"position": part.x(robot)}
+        return Reference(curve=Hold(**found))
+
+    held = of_each(one, None, task)
+    if not others:
+        return held
+    if isinstance(held, Reference):
+        raise errors.fail("others", "be left out for a task of one target", f"are {', '.join(others)}")
+    for name in others:
+        errors.one_of("others", name, held.names)
+    return references(**(dict(zip(held.names, held.each, strict=True)) | others))
+
+
+# --- reading arguments --------------------------------------------------------------------------------
+
+
+def _nonzero(name, value):
+    errors.number(name, value)
+    if errors.concrete(value) and float(value) == 0:
+        raise errors.fail(name, "not be 0", "is 0")
+
+
+def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
+    """A target's position and rotation: those of a whole pose, or what is given as they are; both checked."""
+    found = poses.whole(name, target)
+    if found is None:
+        return _position(name, target), rotation_matrix(called, rotation)
+    if rotation is not None:
+        raise errors.fail(called, f"be left out where `{name}` is a whole pose", "is given")
+    if found[0].ndim != 1:
+        raise errors.fail(name, "be one pose", f"holds {len(found[0])}")
+    return found
+
+
+def _position(name, value):
+    if value is None:
+        return None
+    value = errors.array(name, value, (None,))
+    if not 1 <= value.shape[0] <= 3:
+        raise errors.fail(name, "have 1 to 3 coordinates", f"has {value.shape[0]}")
+    return value
+
+
+def rotation_matrix(name, value):
+    """A (3, 3) rotation from a rotation or a (4,) unit quaternion."""
+    if value is None:
+        return None
+    return poses.rotations(name, errors.array(name, value, (3, 3), (4,)))
+
+
+@bounded_jit  # as a whole: one by one, its many small operations would each be compiled on first use
+def _turn(first, last):
+    """Rotation vector, in the base frame, from one rotation to another."""
+    return log_so3(last @ first.T)

@@ -1,0 +1,316 @@
+"""Parts of a task: coordinates of one kind, of one tip, with their error and their rows of the task Jacobian.
+
+A part is a record with
+
+  m, names, units          how many coordinates it has, and what they are;
+  aim(position, rotation)  the target in the part's own form, of what a reference's curve gives;
+  x(robot)                 (m,) its coordinates where the robot is;
+  rows(robot)              (m, n) their velocity by the joint velocities;
+  error(robot, aim)        (m,) what is missing;
+  velocity(aim, rate)      (m,) of the target, from its derivative by time,
+
+and with what exponential and multistep methods ask of two targets, `between` and the rest. Where a target is a vector
+that is all subtraction (`Vector`); orientations have their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import record, replace
+from cnclik.robot.model import Frames, Model, frames, jacobian_rows
+from cnclik.robot.rotations import axial, crossed, exp_so3, log_quaternion, log_so3, turn_from
+
+AXES = "xyz"
+_HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
+
+
+class At:
+    """A robot at joint values q (n,), as the parts of a task see it: places and motion of its tips.
+
+    A tip is seen from the base, or from another tip `to`, in its frame, as it moves itself.
+    """
+
+    def __init__(self, chain: Model, q):
+        self.chain, self.q, self._frames = chain, q, {}
+
+    def frames(self, tip) -> Frames:
+        """The frames of a tip by its name, or of the only one; each is computed once."""
+        number = self.chain.tip_number(tip)
+        if number not in self._frames:
+            self._frames[number] = frames(self.chain, self.q, number)
+        return self._frames[number]
+
+    def position(self, tip, to=None):
+        """(3,) [m]"""
+        if to is None:
+            return self.frames(tip).position
+        return self.frames(to).rotation.T @ (self.frames(tip).position - self.frames(to).position)
+
+    def rotation(self, tip, to=None):
+        """(3, 3)"""
+        own = self.frames(tip).rotation
+        return own if to is None else self.frames(to).rotation.T @ own
+
+    def rows(self, tip, to, linear, angular):
+        """Rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
+        if to is None:
+            return jacobian_rows(self.chain, self.frames(tip), linear, angular)
+        every, at, other = (0, 1, 2), self.frames(tip), self.frames(to)
+        own, its = (jacobian_rows(self.chain, one, every, every) for one in (at, other))
+        turned = other.rotation.T
+        v = turned @ (own[:3] - its[:3] + crossed(at.position - other.position) @ its[3:])
+        w = turned @ (own[3:] - its[3:])
+        return jnp.concatenate([v[np.array(linear, int)], w[np.array(angular, int)]])
+
+
+def places(axes) -> np.ndarray:
+    """Indices of axes, letters of "xyz"."""
+    return np.array([AXES.index(a) for a in axes], int)
+
+
+class Vector:
+    """What parts have in common whose target is a vector in their own coordinates."""
+
+    turns = False  # whether the target is a rotation
+    m: Any
+    x: Callable
+
+    @property
+    def shape(self):
+        """Of the target."""
+        return (self.m,)
+
+    def error(self, robot: At, aim):
+        return aim - self.x(robot)
+
+    def velocity(self, aim, rate):
+        return rate
+
+    def mean(self, aim, before):
+        """(m,) how far a target went, and None or its turn."""
+        return aim - before, None
+
+    def went(self, aim, before):
+        """A vector of the size of a target's way, for telling a jump from a motion."""
+        return aim - before
+
+    def chart(self, aim):
+        """A vector whose changes are no smaller than the target's way."""
+        return aim
+
+    def between(self, measured, model):
+        """What a target is to be moved by so that its error is the measured one (m,)."""
+        return measured - model
+
+
+@record
+class Position(Vector):
+    """Coordinates of a tip's position [m], in the base frame or in that of another tip."""
+
+    axes: str
+    tip: str | None = None
+    to: str | None = None
+
+    @property
+    def m(self):
+        return len(self.axes)
+
+    @property
+    def names(self):
+        return tuple(self.axes)
+
+    @property
+    def units(self):
+        return ("m",) * self.m
+
+    def aim(self, position, rotation):
+        return position if len(position) == self.m else position[places(self.axes)]
+
+    def check(self, position, rotation):
+        if position is None or len(position) not in (self.m, 3):
+            size = "no position" if position is None else f"{len(position)} coordinates"
+            wanted = f"{self.m} coordinates ({self.axes!r})" + (" or 3" if self.m != 3 else "")
+            raise errors.fail("reference", f"give positions of {wanted}", f"gives {size}")
+
+    def moved(self, position, rotation, w):
+        """The curve's target moved by w (m,)."""
+        at = range(self.m) if len(position) == self.m else places(self.axes)
+        return position.at[np.array(at)].add(w), rotation
+
+    def x(self, robot: At):
+        return robot.position(self.tip, self.to)[places(self.axes)]
+
+    def rows(self, robot: At):
+        return robot.rows(self.tip, self.to, places(self.axes), ())
+
+
+@record
+class Orientation:
+    """Components of a tip's rotation vector [rad], in the base frame or that of another tip.
+
+    e = log(R_d Rᵀ), x = log R.
+    """
+
+    axes: str
+    tip: str | None = None
+    to: str | None = None
+    turns = True
+
+    @property
+    def m(self):
+        return len(self.axes)
+
+    @property
+    def names(self):
+        return tuple("r" + a for a in self.axes)
+
+    @property
+    def units(self):
+        return ("rad",) * self.m
+
+    @property
+    def shape(self):
+        return (3, 3)
+
+    @property
+    def whole(self):
+        return self.m == 3
+
+    def aim(self, position, rotation):
+        return rotation
+
+    def check(self, position, rotation):
+        if rotation is None:
+            raise errors.fail("reference", "give a rotation for this task", "gives a position only")
+
+    def moved(self, position, rotation, w):
+        return position, exp_so3(self.spread(w)) @ rotation
+
+    def spread(self, w):
+        """Components (m,) as a vector (3,)."""
+        return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
+
+    def x(self, robot: At):
+        return log_so3(robot.rotation(self.tip, self.to))[places(self.axes)]
+
+    def error(self, robot: At, aim):
+        return log_so3(aim @ robot.rotation(self.tip, self.to).T)[places(self.axes)]
+
+    def rows(self, robot: At):
+        return robot.rows(self.tip, self.to, (), places(self.axes))
+
+    def velocity(self, aim, rate):
+        return spin(aim, rate)[places(self.axes)]
+
+    def mean(self, aim, before):
+        turn = aim @ before.T
+        return _log(turn)[places(self.axes)], turn if self.whole else None
+
+    def went(self, aim, before):
+        if self.whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
+            return (aim - before).ravel() * 0.5**0.5
+        return 0.5 * axial(aim @ before.T)[places(self.axes)]
+
+    def chart(self, aim):
+        """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
+        return 1.111 * aim.ravel()
+
+    def between(self, measured, model):
+        return turn_from(-measured, -model) if self.whole else measured - model
+
+
+@record
+class Joints(Vector):
+    """Joint values themselves [rad, m]: a posture as a task."""
+
+    wanted: tuple[str, ...] | None  # names of joints; None: all
+    which: tuple[int, ...] | None = None  # once the robot is known
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    tip, to = "joints", None
+
+    @property
+    def m(self):
+        if self.wanted is None and self.which is None:
+            raise errors.fail("task", "name its joints where no robot is known", "is joints() of all of them")
+        return len(self.wanted if self.which is None else self.which)
+
+    def on(self, chain):
+        """The part of this robot."""
+        if self.which is not None:
+            return self
+        wanted = chain.joint_names if self.wanted is None else self.wanted
+        which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
+        return replace(self, which=which, names=wanted, units=tuple(chain.units[i] for i in which))
+
+    def aim(self, position, rotation):
+        return position
+
+    def check(self, position, rotation):
+        _values(position, self, "joint values")
+
+    def moved(self, position, rotation, w):
+        return position + w, rotation
+
+    def x(self, robot: At):
+        return robot.q[np.array(self.which)]
+
+    def rows(self, robot: At):
+        return jnp.eye(robot.chain.n, dtype=robot.q.dtype)[np.array(self.which)]
+
+
+@record
+class Function(Vector):
+    """Any differentiable function of the joint values, see `function`."""
+
+    value: Callable
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    tip, to = "function", None
+
+    @property
+    def m(self):
+        return len(self.names)
+
+    def aim(self, position, rotation):
+        return position
+
+    def check(self, position, rotation):
+        _values(position, self, "values")
+
+    def moved(self, position, rotation, w):
+        return position + w, rotation
+
+    def x(self, robot: At):
+        made = jnp.asarray(self.value(robot.chain, robot.q), robot.q.dtype)
+        if made.shape != (self.m,):
+            raise errors.fail("value", f"return shape ({self.m},), one of each name", f"returns shape {made.shape}")
+        return made
+
+    def rows(self, robot: At):
+        return jax.jacfwd(lambda q: self.x(At(robot.chain, q)))(robot.q)
+
+
+def _values(given, part, what):
+    if given is None or len(given) != part.m:
+        size = "none" if given is None else f"{len(given)}"
+        raise errors.fail("reference", f"give {part.m} {what} ({', '.join(part.names)})", f"gives {size}")
+
+
+def spin(rotation, drotation):
+    """Angular velocity vee(Ṙ Rᵀ) in the base frame."""
+    turning = drotation @ rotation.T
+    return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
+
+
+def _log(turn):
+    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
+    w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
+    return log_quaternion(w, 0.25 / w * axial(turn))
