@@ -27,7 +27,8 @@ from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
 from .integrate.trajectory import Trajectory as Trajectory
 from .law.inverse import (
-    damped as damped, manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,
+    damped as damped, error_damped as error_damped, levels as levels,
+    manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,
     singular_damped as singular_damped, transpose as transpose,
 )
 from .law.law import Law as Law

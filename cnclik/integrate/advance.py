@@ -10,7 +10,7 @@ from cnclik.integrate.history import History, mark
 from cnclik.integrate.march import march
 from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
-from cnclik.integrate.status import Status, flags
+from cnclik.integrate.status import Status, flags, task_flags
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
@@ -30,6 +30,7 @@ class Step:
       residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
       contraction: ratio of its last two changes; at 1 or more it diverges.
       status: bits of `Status`.
+      task_status: (tasks,) those that the tasks of a stack have of their own; None without a stack.
       history: what a multistep method wants back with its next step; None for one-step methods.
     """
 
@@ -40,6 +41,7 @@ class Step:
     residual: Float[Array, ""]
     contraction: Float[Array, ""]
     status: Int[Array, ""]
+    task_status: Int[Array, " tasks"] | None = None
     history: History | None = None
 
 
@@ -82,9 +84,10 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         residual=made.residual,
         contraction=made.contraction,
         status=status,
+        task_status=task_flags(law, made.first),
         history=one.history,
     )
-    return step, made.first.least
+    return step, jnp.min(made.first.least)
 
 
 def summed(law, q, step, lost):

@@ -71,7 +71,7 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
 
     def field(velocity, q):
         null = to.null if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
-        return resolve(law, q, rows_at(law, q), velocity + held, null)
+        return resolve(law, q, rows_at(law, q)._replace(e=at.e), velocity + held, null)
 
     first = resolve(law, q, at, velocities[0] + held, to.null)
     return march(field, q, Ts, method, stage, first, at=velocities, looped=looped), to

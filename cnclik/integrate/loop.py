@@ -29,7 +29,7 @@ from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.corners import Corners, corners
 from cnclik.law.law import Law, observe
-from cnclik.law.reference import Reference, check
+from cnclik.law.reference import Reference, References, check
 from cnclik.law.shifted import shifted
 from cnclik.record import cast, replace
 from cnclik.robot.model import Model, modelled
@@ -41,7 +41,7 @@ class Loop:
     """What is the same in all steps of a loop, of one dtype: made by `loop_of`."""
 
     law: Law
-    reference: Reference
+    reference: Reference | References
     method: Method | Multistep
     stage: Stage
     Ts: Float[Array, ""]
@@ -221,7 +221,15 @@ def run(loop: Loop, q0, *, end=False):
         found = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, found)
     cost = evaluations_of(loop.method, loop.stage, loop.law.chain.n, loop.N)
     steps, path = found
-    made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost)
+    task = loop.law.task
+    each = [(name, task.of(name)) for name, _ in task.tasks]
+    tasks = tuple((name, at.start, at.stop) for name, at in each)
+    made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost, tasks)
     if loop.measured:  # with noise an error grows and shrinks by chance
         return made
-    return replace(made, status=made.status | growing(loop.law.task, loop.reference, made.target_time, made.e))
+    t, reference = made.target_time, loop.reference
+    if each:
+        of = {name: reference[name] if isinstance(reference, References) else reference for name, _ in each}
+        grown = [growing(task.alone(name), of[name], t, made.e[:, at]) for name, at in each]
+        made = replace(made, task_status=jnp.stack(grown, axis=1) | jnp.asarray(made.task_status))
+    return replace(made, status=made.status | growing(task, reference, t, made.e))

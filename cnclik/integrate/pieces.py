@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnclik.integrate.solve import solve
-from cnclik.integrate.trajectory import INSTANTS, STEPS, join, truncate
+from cnclik.integrate.trajectory import INSTANTS, join, steps_of, truncate
 from cnclik.record import replace
 
 PIECE = 2000  # steps of a piece, at most
@@ -24,7 +24,7 @@ def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
         if part is None or np.isfinite(q).all():
             part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
         else:  # lost, as it is for good
-            last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *STEPS)}
+            last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *steps_of(part))}
             last = {name: np.broadcast_to(value[-1:], value.shape) for name, value in last.items()}
             part = replace(part, t=np.asarray(part.t) + size * Ts, **last)
         yield part

@@ -28,7 +28,7 @@ from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
-from cnclik.law.reference import A_REFERENCE, Reference, check
+from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
 from cnclik.record import cast, placed
 from cnclik.robot.model import modelled
 from cnclik.shapes import ArrayLike, Float, Number
@@ -46,7 +46,7 @@ def answers_soon(evaluations, law) -> bool:
 
 def solve(
     law: Law,
-    reference: Reference,
+    reference: Reference | References,
     q0: Float[ArrayLike, " n"],
     Ts: Number,
     N: int,
@@ -116,7 +116,7 @@ def simulate(
 
 def step(
     law: Law,
-    reference: Reference,
+    reference: Reference | References,
     q: Float[ArrayLike, " n"],
     t: Number,
     Ts: Number,
@@ -178,7 +178,7 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     """Raise ArgumentError where the arguments of a loop don't fit; q as an array (n,) and the method as a `Method`."""
     errors.kind("law", law, Law)
     method = named(method)
-    errors.kind("reference", reference, Reference, A_REFERENCE)
+    errors.kind("reference", reference, REFERENCE, A_REFERENCE)
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)

@@ -33,6 +33,8 @@ class Status(enum.IntFlag):
     OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
 
 
+OWN = Status.NEAR_SINGULAR | Status.GROWING  # what each task of a stack has of its own
+
 _REMEDY = {
     Status.NON_FINITE: "reduce alpha·Ts, use damped(...), or clamp the error (error_clamp)",
     Status.DIVERGED: "reduce alpha·Ts, use damped(...) near a singularity, or count joint angles from a turn nearby",
@@ -92,16 +94,23 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is not a number is not known to be large enough.
-    status |= jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
+    status |= jnp.where(jnp.min(first.least) >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
     outside, fast = first.limited, too_fast(chain, qdot)
     if chain.bounded:
         outside |= jnp.any(_at_limit(q, chain.lower, chain.upper))
     for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):
         if found is not False:
             status |= jnp.where(found, int(bit), 0)
-    if law.task.m > chain.n:
+    if law.task.m > chain.n and not law.task.tasks:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
+
+
+def task_flags(law, first):
+    """The bits of each task of a stack, (tasks,), of one step; None where there is no stack."""
+    if not law.task.tasks:
+        return None
+    return jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
 
 
 def _at_limit(v, low, high):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.integrate.status import count
+from cnclik.integrate.status import OWN, count
 from cnclik.record import record, replace
 from cnclik.shapes import Array, Float, Int
 
@@ -30,6 +30,8 @@ class Trajectory:
       status: (N,) bits of `Status`.
       evaluations: evaluations of f(q, t) in the whole run, each one a Jacobian and an inverse.
       path_time: (N + 1,) time on the path where it waits for the robot, see `Pace` [s]; None where that is t.
+      tasks: of a stack (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is what one of them did.
+      task_status: (N, tasks) bits of `Status` that each has of its own, NEAR_SINGULAR and GROWING; None of no stack.
     """
 
     t: Float[Array, "*lanes N+1"]
@@ -42,6 +44,16 @@ class Trajectory:
     status: Int[Array, "*lanes N"]
     evaluations: Int[Array, "*lanes"]
     path_time: Float[Array, "*lanes N+1"] | None = None
+    tasks: tuple[tuple[str, int, int], ...] = ()
+    task_status: Int[Array, "*lanes N tasks"] | None = None
+
+    def __getitem__(self, name: str) -> Trajectory:
+        """The run of a stack as one of its tasks sees it: with its x and e, and its own status."""
+        names = [task for task, _, _ in self.tasks]
+        i = names.index(errors.one_of("name", name, names)) if names else _no_tasks(name)
+        own = slice(*self.tasks[i][1:])
+        status = (self.status & ~int(OWN)) | self.task_status[..., i]  # type: ignore[index]
+        return replace(self, x=self.x[..., own], e=self.e[..., own], status=status, tasks=(), task_status=None)
 
     @property
     def target_time(self) -> Float[Array, "*lanes N+1"]:
@@ -66,7 +78,11 @@ class Trajectory:
             lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
         if qdot.size:
             lines.append(f"  q̇       at most {np.abs(qdot).max():.4g} [rad/s, m/s]")
-        lines.append("  status  " + ", ".join(f"{k} {v}" for k, v in count(self.status).items() if v))
+        lines.append(f"  status  {_counted(self.status)}")
+        if self.tasks and size.size:
+            for name, a, b in self.tasks:
+                own = np.linalg.norm(e[..., a:b], axis=-1)[..., -1].max()
+                lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {_counted(self[name].status)}")
         return "\n".join(lines)
 
     def _repr_html_(self):
@@ -77,6 +93,14 @@ class Trajectory:
             return text
         size = np.linalg.norm(np.asarray(self.e), axis=-1)
         return text + markup.error_plot(self.t, size, np.append(np.asarray(self.status) != 0, False))
+
+
+def _no_tasks(name):
+    raise errors.fail("name", "be left out: the run is of no stack, see ck.stack", f"is {name!r}")
+
+
+def _counted(status):
+    return ", ".join(f"{k} {v}" for k, v in count(status).items() if v)
 
 
 def check_run(run, law) -> None:
@@ -95,12 +119,13 @@ def one_lane(run) -> None:
         raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
 
 
-def assemble(t, steps, path, last, evaluations) -> Trajectory:
+def assemble(t, steps, path, last, evaluations, tasks=()) -> Trajectory:
     """A trajectory at t (N + 1,) [s]. Pure.
 
     Args:
       steps, path: `Step`s at all instants, and the time on a path that waits, or None.
       last: (q, x, e) at the last instant.
+      tasks: as in `Trajectory`.
     """
     N = len(t) - 1
 
@@ -110,9 +135,10 @@ def assemble(t, steps, path, last, evaluations) -> Trajectory:
     return Trajectory(
         t=t,
         **{name: whole(name, end) for name, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: getattr(steps, name)[:N] for name in STEPS},
+        **{name: getattr(steps, name)[:N] for name in steps_of(steps)},
         evaluations=jnp.asarray(evaluations),
         path_time=path,
+        tasks=tasks,
     )
 
 
@@ -120,8 +146,13 @@ def truncate(run: Trajectory, N: int) -> Trajectory:
     """The first N steps of a run, one lane; every step costs the same number of evaluations."""
     made = run.status.shape[0]
     points = {name: getattr(run, name)[: N + 1] for name in (*INSTANTS, *_path_time(run))}
-    steps = {name: getattr(run, name)[:N] for name in STEPS}
+    steps = {name: getattr(run, name)[:N] for name in steps_of(run)}
     return replace(run, **points, **steps, evaluations=run.evaluations * min(N, made) // max(made, 1))
+
+
+def steps_of(run):
+    """Names of what a run, or a step, has of each step."""
+    return STEPS if run.task_status is None else (*STEPS, "task_status")
 
 
 def _path_time(run):
@@ -141,6 +172,7 @@ def join(parts) -> Trajectory:
 
     return Trajectory(
         **{name: instants(name) for name in (*INSTANTS, *_path_time(parts[0]))},
-        **{name: steps(name) for name in STEPS},
+        **{name: steps(name) for name in steps_of(parts[0])},
         evaluations=sum(np.asarray(p.evaluations) for p in parts),  # type: ignore
+        tasks=parts[0].tasks,
     )

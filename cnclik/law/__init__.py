@@ -1,6 +1,14 @@
 """What the loop is asked to do: q̇ = f(q, t)."""
 
-from cnclik.law.inverse import damped, manipulability_damped, pseudoinverse, singular_damped, transpose
+from cnclik.law.inverse import (
+    damped,
+    error_damped,
+    levels,
+    manipulability_damped,
+    pseudoinverse,
+    singular_damped,
+    transpose,
+)
 from cnclik.law.law import Law
 from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
 from cnclik.law.null import maximize_manipulability, posture
@@ -14,8 +22,10 @@ __all__ = [
     "causal",
     "circle",
     "damped",
+    "error_damped",
     "hold",
     "hold_at",
+    "levels",
     "line",
     "lissajous",
     "manipulability_damped",

@@ -13,7 +13,7 @@ def wide_side(rows):
 
 
 def shifted(matrix, shift):
-    """A + shift·I."""
+    """A + shift·I, or A + diag(shift)."""
     return matrix + shift * jnp.eye(len(matrix), dtype=matrix.dtype)
 
 
@@ -47,8 +47,9 @@ def inverse_trace(lower):
     return jnp.where(trace > 0, trace, jnp.inf)
 
 
-# Sweeps of cyclic Jacobi after which m rows are orthogonal to rounding (m = 2 needs exactly one rotation).
-_SWEEPS = (0, 0, 1, 6, 7, 8, 9)
+def _sweeps(m):
+    """Of cyclic Jacobi, after which m rows are orthogonal to rounding; m = 2 needs exactly one rotation."""
+    return (0, 0, 1, 6, 7, 8, 9)[m] if m <= 6 else 8 + m.bit_length()
 
 
 def orthogonal_rows(rows):
@@ -75,7 +76,7 @@ def orthogonal_rows(rows):
 
     # Each row of W carries its row of Uᵀ behind it, so that one rotation turns both.
     both = jnp.concatenate([rows, jnp.eye(m, dtype=rows.dtype)], axis=1)
-    both, _ = lax.scan(turn, both, None, length=_SWEEPS[min(m, len(_SWEEPS) - 1)] * rounds)
+    both, _ = lax.scan(turn, both, None, length=_sweeps(m) * rounds)
     return both[:, n:].T, both[:, :n]
 
 

@@ -7,16 +7,17 @@ function to apply J# to any number of task velocities, and what the factorisatio
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.record import leaf, record
-from cnclik.shapes import Array, Float, Number
+from cnclik.record import leaf, record, replace
+from cnclik.shapes import Array, ArrayLike, Float, Number
 
 
 class Factored(NamedTuple):
@@ -24,7 +25,7 @@ class Factored(NamedTuple):
 
     apply: Callable
     least: Float[Array, ""]  # estimate of the least singular value of J; no derivative
-    shift: Number | None = None  # λ² where this is Jᵀ (J Jᵀ + λ² I)⁻¹
+    shift: ArrayLike | None = None  # λ², or one of each row, where this is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
     memory: Callable | None = None  # () to what is to be remembered of J#, for `remembered`; None: its columns
 
 
@@ -62,9 +63,12 @@ class Damped:
     factors = True  # whether `memory` has factors, for a task of no more rows than joints
     damping: Number  # λ, never λ²
 
+    def shift(self, rows, e=None):
+        """λ², and an estimate of the least singular value where it comes with it."""
+        return self.damping * self.damping, None
+
     def __call__(self, rows) -> Factored:
-        apply, factor, shift = damped_apply(rows, self.damping * self.damping)
-        return Factored(apply, _least(factor, shift), shift, _memory(rows, factor))
+        return _by_shift(rows, *self.shift(rows))
 
 
 @record
@@ -75,15 +79,16 @@ class ManipulabilityDamped:
     damping: Number  # λ₀, never λ₀²
     threshold: Number  # w₀
 
-    def __call__(self, rows) -> Factored:
+    def shift(self, rows, e=None):
         wide = dense.wide_side(rows)
         tiny = tiny_shift(wide)
         factor = dense.cholesky(dense.shifted(wide @ wide.T, tiny))
         w = jnp.sqrt(jnp.prod(jnp.maximum(jnp.diagonal(factor) ** 2, tiny)))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
-        shift = jnp.maximum(below * below, tiny)
-        apply, damped, shift = damped_apply(rows, shift)
-        return Factored(apply, _least(factor, tiny), shift, _memory(rows, damped))
+        return jnp.maximum(below * below, tiny), _least(factor, tiny)
+
+    def __call__(self, rows) -> Factored:
+        return _by_shift(rows, *self.shift(rows))
 
 
 @record
@@ -94,14 +99,74 @@ class SingularDamped:
     damping: Number  # λ_max, never λ_max²
     threshold: Number  # ε
 
-    def __call__(self, rows) -> Factored:
+    def shift(self, rows, e=None):
         wide = dense.wide_side(rows)
-        tiny = tiny_shift(wide)
         squared = dense.least_squared(wide)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
-        shift = jnp.maximum(share * self.damping * self.damping, tiny)
-        apply, damped, shift = damped_apply(rows, shift)
-        return Factored(apply, jnp.sqrt(lax.stop_gradient(squared)), shift, _memory(rows, damped))
+        shift = jnp.maximum(share * self.damping * self.damping, tiny_shift(wide))
+        return shift, jnp.sqrt(lax.stop_gradient(squared))
+
+    def __call__(self, rows) -> Factored:
+        return _by_shift(rows, *self.shift(rows))
+
+
+@record
+class ErrorDamped:
+    """See `error_damped`."""
+
+    factors, by_error = True, True
+    damping: Number  # λ at e = 0, never λ²
+
+    def shift(self, rows, e=None):
+        return self.damping * self.damping + 0.5 * (e @ e), None
+
+    def __call__(self, rows, e) -> Factored:
+        return _by_shift(rows, *self.shift(rows, e))
+
+
+@record
+class Levels:
+    """See `levels`."""
+
+    factors = True
+    names: tuple[tuple[str, ...], ...]  # of the tasks of each level
+    damping: tuple[Damped | ManipulabilityDamped | SingularDamped | ErrorDamped, ...]
+    level: tuple[int, ...] = ()  # of each row of the law's task
+
+    @property
+    def by_error(self):
+        return any(isinstance(one, ErrorDamped) for one in self.damping)
+
+    def on(self, task) -> Levels:
+        """The levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
+        level = {name: i for i, names in enumerate(self.names) for name in names}
+        known = [name for name, _ in task.tasks]
+        if set(level) != set(known) or len(level) != sum(map(len, self.names)):
+            told = ", ".join(name for names in self.names for name in names)
+            have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
+            raise errors.fail("inverse", f"have each task of the law in one level; they are {have}", f"has {told}")
+        spread = (level[name] for name in known for _ in range(*task.of(name).indices(task.m)))
+        return replace(self, level=tuple(spread))
+
+    def __call__(self, rows, e=None) -> Factored:
+        level, shifts = np.array(self.level), []
+        for i, one in enumerate(self.damping):
+            own = np.flatnonzero(level == i)
+            shifts.append(jnp.asarray(one.shift(rows[own], None if e is None else e[own])[0], rows.dtype))
+        return _by_shift(rows, jnp.stack(shifts)[level])
+
+
+def _by_shift(rows, shift, least=None) -> Factored:
+    """Jᵀ (J Jᵀ + D)⁻¹, see `damped_apply`."""
+    apply, factor, shift = damped_apply(rows, shift)
+    return Factored(apply, _least(factor, shift) if least is None else least, shift, _memory(rows, factor))
+
+
+def least_of(rows):
+    """Estimate of the least singular value of some rows: from below, and within √m."""
+    wide = dense.wide_side(rows)
+    tiny = tiny_shift(wide)
+    return _least(dense.cholesky(dense.shifted(wide @ wide.T, tiny)), tiny)
 
 
 def _memory(rows, factor):
@@ -110,7 +175,16 @@ def _memory(rows, factor):
 
 
 def damped_apply(rows, shift):
-    """Application of Jᵀ (J Jᵀ + shift·I)⁻¹, the factors behind it, and the shift: no less than what rounding needs."""
+    """Application of Jᵀ (J Jᵀ + D)⁻¹, the factors behind it, and D: shift·I, or diag(shift) of one for each row.
+
+    A shift is no less than what rounding needs.
+    """
+    m, n = rows.shape
+    if m > n and jnp.ndim(shift):  # rows that count alike: λ J/λᵢ, with the least λ of all
+        least = jnp.min(shift)
+        alike = jnp.sqrt(least / shift)
+        apply, factor, _ = damped_apply(alike[:, None] * rows, least)
+        return lambda t: apply(alike * t), factor, shift
     wide = dense.wide_side(rows)
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
@@ -142,7 +216,7 @@ class Transpose:
 
 def _least(factor, shift):
     """Lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
-    squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - shift)
+    squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - jnp.max(shift))
     return jnp.sqrt(jnp.maximum(squared, 0.0))
 
 
@@ -155,13 +229,47 @@ def pseudoinverse() -> Pseudoinverse:
     return Pseudoinverse()
 
 
-def damped(damping: Number) -> Damped:
+def damped(damping: Number | dict[str, Number]) -> Damped | Levels:
     """Damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
     Args:
-      damping: λ (not λ²), in the unit of J's singular values; positive.
+      damping: λ (not λ²), in the unit of J's singular values; positive. Of a stack also one for each task, by name.
     """
+    if isinstance(damping, dict):
+        return levels(*([name] for name in damping), damping=tuple(damping.values()))
     return Damped(damping=positive("damping", damping))
+
+
+def error_damped(damping: Number) -> ErrorDamped:
+    """Damped by the error too: λ² = λ₀² + ½ eᵀ W² e, W the task's weights (Sugihara 2011, eq. 17).
+
+    What is far, or out of reach, then pulls slowly, and what is near has little damping.
+
+    Args:
+      damping: λ₀ (not λ₀²), in the unit of J's singular values; positive.
+    """
+    return ErrorDamped(damping=positive("damping", damping))
+
+
+def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
+    """Levels of priority: each task of a stack in one, the first before the second; J# = Jᵀ (J Jᵀ + D)⁻¹.
+
+    D holds λ² of each row's level. That is the recursion of Siciliano & Slotine (1991) with damped inverses and the
+    projectors that match them: the block LDLᵀ of J Jᵀ + D. What a conflict leaks into level 1 goes as (λ₁/λ₂)²; next to
+    a singularity of its own, level 1 moves the joints by up to |v|/(2λ₁).
+
+    Args:
+      names: of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
+      damping: of each level λ (not λ²), or a damped(...), singular_damped(...), manipulability_damped(...),
+        error_damped(...) of its own.
+    """
+    if not names or any(isinstance(some, str) for some in names):
+        raise errors.fail("names", 'be a list of names for each level, such as ["feet"]', f"is {names!r}")
+    if isinstance(damping, (int, float)) or len(damping) != len(names):
+        raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
+    kinds = (Damped, ManipulabilityDamped, SingularDamped, ErrorDamped)
+    each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
+    return Levels(names=tuple(tuple(some) for some in names), damping=each)
 
 
 def manipulability_damped(damping: Number, threshold: Number) -> ManipulabilityDamped:

@@ -8,8 +8,9 @@ eq. 3.54).
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.inverse import Factored, Pseudoinverse, damped_apply, through
+from cnclik.law.inverse import Factored, Pseudoinverse, damped_apply, least_of, through
 from cnclik.law.limits import Limited
 from cnclik.law.null import evaluated
 from cnclik.precision import precise
@@ -37,10 +38,12 @@ class Law:
 
     Args:
       chain: the robot.
-      task: which coordinates of its tip are controlled: position(...), orientation(...), pose(...).
-      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix. A rate, not the
-        dimensionless gain per step of pink and mink, which is z = alpha·Ts.
-      inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...).
+      task: what is controlled: position(...), orientation(...), pose(...) of a tip, joints(...), several of them
+        joined by `&`, or a stack(name=task, ...).
+      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix; of a stack also one for each task,
+        by name. A rate, not the dimensionless gain per step of pink and mink, which is z = alpha·Ts.
+      inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
+        error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), or None
         for not at all.
       null_velocity: joint velocity q̇₀ asked for in the null space: (n,) [rad/s, m/s], or a function of q.
@@ -56,8 +59,8 @@ class Law:
     chain: Chain
     task: Task
     _: dataclasses.KW_ONLY
-    alpha: ArrayLike
-    inverse: Callable[[Array], Factored] = Pseudoinverse()
+    alpha: Any  # an array, once it is made
+    inverse: Callable[..., Factored] = Pseudoinverse()
     limits: Callable[..., Limited] | None = None
     null_velocity: Callable[[Array], Array] | ArrayLike | None = None
     feedforward: Number = 1.0
@@ -73,8 +76,11 @@ class Law:
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {m}: {', '.join(task.names)}")
-        alpha = errors.array("alpha", self.alpha, (), (m,), (m, m))
-        object.__setattr__(self, "alpha", _not_negative(alpha))
+        alpha = of_tasks(task, self.alpha) if isinstance(self.alpha, dict) else self.alpha
+        alpha = errors.array("alpha", alpha, (), (m,), (m, m))
+        object.__setattr__(self, "alpha", _within_tasks(task, _not_negative(alpha)))
+        if hasattr(self.inverse, "on"):
+            object.__setattr__(self, "inverse", self.inverse.on(task))
         for name, least in (("feedforward", None), ("near_singular", 0)):
             object.__setattr__(self, name, leaf(errors.number(name, getattr(self, name), at_least=least)))
         if self.error_clamp is not None:
@@ -119,6 +125,43 @@ def _not_negative(alpha):
     return alpha
 
 
+def of_tasks(task: Task, values: dict):
+    """Gains of a stack's tasks, by their names, as those of its coordinates: (m,), or (m, m) where one is a matrix."""
+    known = [name for name, _ in task.tasks]
+    if set(values) != set(known):
+        have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
+        raise errors.fail("alpha", f"have a gain for each task; they are {have}", f"has {', '.join(values)}")
+    sizes = {name: task.of(name).stop - task.of(name).start for name in known}
+    each = [errors.array(f"alpha of {k}", values[k], (), (sizes[k],), (sizes[k],) * 2) for k in known]
+    xp = np if all(map(errors.concrete, each)) else jnp
+    if all(one.ndim < 2 for one in each):
+        return xp.concatenate([one * xp.ones(sizes[name]) for name, one in zip(known, each, strict=True)])
+    blocks = [one if one.ndim == 2 else one * xp.eye(sizes[name]) for name, one in zip(known, each, strict=True)]
+    zeros = [[xp.zeros((len(a), len(b))) for b in blocks] for a in blocks]
+    return xp.block([[b if i == k else zeros[i][k] for k in range(len(blocks))] for i, b in enumerate(blocks)])
+
+
+def _within_tasks(task: Task, alpha):
+    """The gain of a stack: a matrix within each of its tasks, symmetric, and of rows that weigh the same.
+
+    Then the loop's rates are real, and between 0 and the largest gain, whatever tasks, weights and damping are; across
+    tasks a matrix may be unstable in any conflict.
+    """
+    if not task.tasks or alpha.ndim < 2 or not all(map(errors.concrete, (alpha, task.weights))):
+        return alpha
+    left = np.array(alpha)
+    for name, _ in task.tasks:
+        at = task.of(name)
+        own, w = left[at, at].copy(), None if task.weights is None else np.asarray(task.weights)[at]
+        left[at, at] = 0
+        mixed = w is not None and np.ptp(w) > 0 and np.any(own - np.diag(np.diag(own)))
+        if not np.allclose(own, own.T) or mixed:
+            raise errors.fail("alpha", f"be symmetric in the task {name}, of equal weights there", "is not")
+    if np.any(left):
+        raise errors.fail("alpha", "act within each task of a stack", "connects tasks")
+    return alpha
+
+
 def check_loop(law, *references) -> None:
     """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
     errors.kind("law", law, Law)
@@ -134,7 +177,7 @@ class Evaluation(NamedTuple):
     x: Callable  # () to the task coordinates of the tip (m,)
     rows: Float[Array, "m n"]  # of the task Jacobian, weighted
     apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
-    least: Float[Array, ""]  # estimate of the least singular value
+    least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed what the task asked for
     task_velocity: Float[Array, " m"] | None = None  # what was asked of the task, weighted
@@ -155,13 +198,15 @@ def evaluate_at(law: Law, q, at) -> Evaluation:
 @precise
 def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
-    rows, velocity = weighted(law, at.rows), weighted(law, velocity)
+    rows, velocity, inverse = weighted(law, at.rows), weighted(law, velocity), law.inverse
+    if getattr(inverse, "by_error", False):
+        inverse = functools.partial(inverse, e=weighted(law, at.e))
     limited = False
     if law.limits is None:
-        made = law.inverse(rows)
+        made = inverse(rows)
         qdot = through(made.apply, rows, velocity, null)
     else:
-        made = law.limits(law.inverse, law.chain, q, rows, velocity, null)
+        made = law.limits(inverse, law.chain, q, rows, velocity, null)
         qdot, limited = made.qdot, made.limited
     return Evaluation(
         qdot=qdot,
@@ -169,12 +214,17 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         x=at.x,
         rows=rows,
         apply=made.apply,
-        least=made.least,
+        least=made.least if not law.task.tasks else least_of_tasks(law.task, rows),
         correct=lambda h, r: correct(law, q, rows, made, h, r),
         limited=limited,
         task_velocity=velocity,
         memory=getattr(made, "memory", None),
     )
+
+
+def least_of_tasks(task: Task, rows):
+    """(tasks,) the least singular value of each task's own rows: conflicts of tasks are no singularity."""
+    return jnp.stack([least_of(rows[task.of(name)]) for name, _ in task.tasks])
 
 
 class Observation(NamedTuple):

@@ -72,6 +72,8 @@ def to_dataset(
     }
     if run.path_time is not None:
         variables["path_time"] = (instant, run.path_time, about("time on the path, which waits", "s"))
+    if run.task_status is not None:
+        variables["task_status"] = ((*step, "task"), run.task_status, about("status bits of each task", "1") | flags)
     labels = {
         "joint": ("joint", list(law.chain.joint_names), about("joint", "1")),
         "joint_unit": ("joint", list(q_units), about("unit of the joint's value", "1")),
@@ -79,6 +81,9 @@ def to_dataset(
         "axis_unit": ("axis", list(x_units), about("unit of the task coordinate", "1")),
         "step": ("step", np.arange(N), about("step", "1")),
     }
+    if run.tasks:
+        labels["task"] = ("task", [name for name, _, _ in run.tasks], about("task", "1"))
+        labels["axis_task"] = ("axis", [name for name, a, b in run.tasks for _ in range(a, b)], about("its task", "1"))
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
         labels["time"] = ("time", first, about("time", "s"))

@@ -19,6 +19,7 @@ from cnclik.law.law import check_loop
 from cnclik.law.paths import hold_at
 from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64, of_numbers
+from cnclik.record import replace
 from cnclik.robot.chain import REVOLUTE, with_one_tip
 from cnclik.robot.kinematics import as_joint_values, jacobian
 from cnclik.robot.model import one_off

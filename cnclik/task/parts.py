@@ -232,15 +232,18 @@ class Joints(Vector):
 
     wanted: tuple[str, ...] | None  # names of joints; None: all
     which: tuple[int, ...] | None = None  # once the robot is known
-    names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     tip, to = "joints", None
 
     @property
     def m(self):
-        if self.wanted is None and self.which is None:
+        return len(self.names)
+
+    @property
+    def names(self):
+        if self.wanted is None:
             raise errors.fail("task", "name its joints where no robot is known", "is joints() of all of them")
-        return len(self.wanted if self.which is None else self.which)
+        return self.wanted
 
     def on(self, chain):
         """The part of this robot."""
@@ -248,7 +251,7 @@ class Joints(Vector):
             return self
         wanted = chain.joint_names if self.wanted is None else self.wanted
         which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
-        return replace(self, which=which, names=wanted, units=tuple(chain.units[i] for i in which))
+        return replace(self, wanted=tuple(wanted), which=which, units=tuple(chain.units[i] for i in which))
 
     def aim(self, position, rotation):
         return position

@@ -65,11 +65,19 @@ class Task:
 
     def of(self, name: str) -> slice:
         """Where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
+        its = self.slices[self._parts_of(name)]
+        return slice(its[0].start, its[-1].stop)
+
+    def alone(self, name: str) -> Task:
+        """One of a stack's tasks."""
+        weights = None if self.weights is None else self.weights[self.of(name)]  # type: ignore[index]
+        return Task(parts=self.parts[self._parts_of(name)], weights=weights)
+
+    def _parts_of(self, name) -> slice:
         known = [task for task, _ in self.tasks]
         i = known.index(errors.one_of("name", name, known))
         first = sum(count for _, count in self.tasks[:i])
-        its = self.slices[first : first + self.tasks[i][1]]
-        return slice(its[0].start, its[-1].stop)
+        return slice(first, first + self.tasks[i][1])
 
     def on(self, chain) -> Task:
         """The task of this robot. Raises: ArgumentError for tips and joints that it has not."""
@@ -234,7 +242,7 @@ def _task(weights, *parts):
 
 
 def _weights(task, weights):
-    if any(isinstance(part, Joints) and part.wanted is None and part.which is None for part in task.parts):
+    if any(isinstance(part, Joints) and part.wanted is None for part in task.parts):
         return weights  # how many there are, the robot will say
     weights = errors.array("weights", weights, (task.m,))
     if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):

@@ -1,0 +1,322 @@
+"""Stacks of tasks: rows of several tips, weights, levels, gains and references of each; what can't be is refused.
+
+Oracles: Pinocchio for tips and for one tip in another's frame, NumPy's least squares, the recursion of Siciliano and
+Slotine, and the theorem that the loop's rates are real and within the gains.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.law.reference import aims_of
+from cnclik.robot.model import modelled
+from cnclik.task.parts import At
+from cnclik.task.task import error, rows
+from tests.oracles import close
+from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS, postures
+from tests.robot.test_urdf import Pinocchio, oracle
+
+FEET = ["left_ankle_roll_link", "right_ankle_roll_link"]
+HUMANOID = ck.load_urdf(G1, tips=[*ARMS, *FEET, "torso_link"])
+STACK = ck.stack(
+    feet=ck.pose(tip=FEET[0]) & ck.pose(tip=FEET[1]),
+    hands=ck.pose(tip=ARMS[0], weights=[1.0] * 3 + [0.3] * 3) & ck.position(tip=ARMS[1]),
+    torso=ck.orientation("xy", tip="torso_link"),
+)
+PLANAR = ck.planar_arm([0.5, 0.4, 0.3, 0.2])
+
+
+@jax.jit
+def seen(robot, task, q, reference):
+    at = At(robot, q)
+    return error(task, at, aims_of(reference, task, 0.0)), rows(task, at)
+
+
+def test_rows_are_those_of_every_tip():
+    """Against Pinocchio; breaks for rows of another tip, or columns of another joint."""
+    q, where = postures(HUMANOID, 3), Pinocchio(G1, oracle(G1)[0])
+    for row in q:
+        made = np.asarray(seen(modelled(HUMANOID), STACK, row, ck.hold_at(HUMANOID, STACK, row))[1])
+        each = [where.at(HUMANOID.joint_names, row, tip, "pelvis")[2] for tip in (*FEET, *ARMS, "torso_link")]
+        wanted = np.concatenate([*each[:3], each[3][:3], each[4][3:5]])
+        close(made, wanted, atol=1e-12)
+
+
+def test_a_tip_in_the_frame_of_another():
+    """Rows are derivatives of what Pinocchio says of one gripper as seen from the other."""
+    robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
+    task = ck.pose(tip=GRIPPERS[0], relative_to=GRIPPERS[1])
+    where = Pinocchio(BAXTER, oracle(BAXTER)[0])
+    for q in postures(robot, 3, seed=1):
+
+        def at(q):
+            return where.at(robot.joint_names, q, GRIPPERS[0], GRIPPERS[1])
+
+        position, rotation = at(q)[:2]
+        e, made = seen(modelled(robot), task, q, ck.hold(position, rotation))
+        close(e, 0, atol=1e-12)
+        h = 1e-6
+        for i, step in enumerate(h * np.eye(robot.n)):
+            (p, r), (p0, r0) = at(q + step)[:2], at(q - step)[:2]
+            turned = (r - r0) @ rotation.T / (2 * h)
+            wanted = [*(p - p0) / (2 * h), turned[2, 1], turned[0, 2], turned[1, 0]]
+            close(np.asarray(made)[:, i], wanted, atol=1e-8)
+
+
+def test_joints_and_functions_are_tasks():
+    robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
+    q = postures(robot, 1)[0]
+
+    def apart(robot, q):
+        left, right = (ck.forward(robot, q, tip=tip).position for tip in GRIPPERS)
+        return jnp.linalg.norm(left - right)[None]
+
+    task = ck.stack(some=ck.joints(robot.joint_names[2:4]), apart=ck.function(apart, ["distance"], ["m"]))
+    assert task.names == (*(f"some.{name}" for name in robot.joint_names[2:4]), "apart.distance")
+    law = ck.Law(robot, task, alpha={"some": 5.0, "apart": 5.0}, inverse=ck.damped(1e-4))
+    aims = ck.references(some=ck.hold([0.1, 0.2]), apart=ck.hold([0.5]))
+    run = ck.solve(law, aims, q, 0.05, 100)
+    close(run.q[-1, 2:4], [0.1, 0.2], atol=1e-5)
+    left, right = (np.asarray(ck.forward(robot, run.q[-1], tip=tip).position) for tip in GRIPPERS)
+    assert np.linalg.norm(left - right) == pytest.approx(0.5, abs=1e-5)
+
+
+# --- the law ------------------------------------------------------------------------------------------
+
+
+def step_of(law, reference, q):
+    """Joint velocity of the law's own, as an explicit Euler step has it."""
+    return np.asarray(ck.step(law, reference, q, 0.0, 1e-3, "EE").qdot)
+
+
+def moving(q, seed=0):
+    """References some way off the posture's own tips, moving."""
+    rng, task = np.random.default_rng(seed), STACK
+
+    def off(tip, turn=True):
+        at = ck.forward(HUMANOID, q, tip=tip)
+        where, v = np.asarray(at.position), 0.1 * rng.normal(size=3)
+        start = where + 0.05 * rng.normal(size=3)
+        return ck.line(start, start + v, duration=1.0, rotation=np.asarray(at.rotation) if turn else None)
+
+    feet, hands = ({tip: off(tip) for tip in tips} for tips in (FEET, ARMS))
+    torso = ck.hold(None, np.asarray(ck.forward(HUMANOID, q, tip="torso_link").rotation))
+    return ck.references(feet=ck.references(**feet), hands=ck.references(**hands), torso=torso), task
+
+
+@pytest.mark.parametrize("alpha", [3.0, {"feet": 50.0, "hands": 10.0, "torso": [5.0, 2.0]}])
+def test_a_weighted_step_is_numpys_least_squares(alpha):
+    q = postures(HUMANOID, 1, seed=2)[0]
+    aims, task = moving(q)
+    law, lam = ck.Law(HUMANOID, task, alpha=alpha, inverse=ck.damped(0.05)), 0.05
+    e, j = (np.asarray(v) for v in seen(modelled(HUMANOID), law.task, q, aims))
+    gains = np.concatenate([np.full(12, 50.0), np.full(9, 10.0), [5.0, 2.0]]) if isinstance(alpha, dict) else 3.0
+    xdot = []
+    for name, tips in (("feet", FEET), ("hands", ARMS)):
+        for tip in tips:
+            v = np.asarray(aims[name][tip].curve.end) - np.asarray(aims[name][tip].curve.start)
+            xdot += [*v] if tip == ARMS[1] else [*v, 0, 0, 0]
+    w, v = np.asarray(task.weights), np.array([*xdot, 0, 0]) + gains * e
+    matrix = np.concatenate([w[:, None] * j, lam * np.eye(HUMANOID.n)])
+    wanted = np.linalg.lstsq(matrix, np.concatenate([w * v, np.zeros(HUMANOID.n)]), rcond=None)[0]
+    close(step_of(law, aims, q), wanted, atol=1e-9)
+
+
+def recursion(levels, lams):
+    """Damped priorities with the projectors that match (Siciliano & Slotine 1991): [(J, v)] of each level."""
+    n = levels[0][0].shape[1]
+    q, null = np.zeros(n), np.eye(n)
+    for (j, v), lam in zip(levels, lams, strict=True):
+        s = np.linalg.inv(j @ null @ j.T + lam**2 * np.eye(len(j)))
+        q = q + null @ j.T @ s @ (v - j @ q)
+        null = null - null @ j.T @ s @ j @ null
+    return q
+
+
+@pytest.mark.parametrize("lams", [(1e-4, 1e-2, 0.1), (1e-2, 1e-2, 1e-2), (1e-3, 0.05, 0.2)])
+def test_levels_are_the_recursion(lams):
+    """Breaks for a damping that is another level's, or squared twice."""
+    q, order = postures(HUMANOID, 1, seed=3)[0], ("torso", "feet", "hands")
+    aims, task = moving(q, 1)
+    task = ck.replace(task, weights=None)
+    law = ck.Law(HUMANOID, task, alpha=4.0, feedforward=0.0, inverse=ck.levels(*([n] for n in order), damping=lams))
+    e, j = (np.asarray(v) for v in seen(modelled(HUMANOID), law.task, q, aims))
+    wanted = recursion([(j[task.of(name)], 4.0 * e[task.of(name)]) for name in order], lams)
+    close(step_of(law, aims, q), wanted, atol=1e-8 * np.abs(wanted).max())
+
+
+def test_a_damping_of_each_task_is_a_level_of_its_own():
+    q = postures(HUMANOID, 1, seed=4)[0]
+    aims, task = moving(q, 2)
+    lams = {"feet": 1e-3, "hands": 0.05, "torso": 0.1}
+    one = ck.Law(HUMANOID, task, alpha=4.0, inverse=ck.damped(lams))
+    other = ck.replace(one, inverse=ck.levels(["feet"], ["hands"], ["torso"], damping=(1e-3, 0.05, 0.1)))
+    close(step_of(one, aims, q), step_of(other, aims, q), atol=0)
+
+
+def conflict(damping):
+    """Three joints, and tip and elbow asked to go opposite ways: what is missed of the first level."""
+    arm = ck.load_urdf(BAXTER, tips=GRIPPERS)
+    tip = GRIPPERS[0]
+    task = ck.stack(first=ck.position(tip=tip), second=ck.position(tip=tip))
+    q = 0.3 + np.zeros(arm.n)
+    x = np.asarray(ck.forward(arm, q, tip=tip).position)
+    law = ck.Law(arm, task, alpha=1.0, inverse=ck.levels(["first"], ["second"], damping=damping))
+    aims = ck.references(first=ck.hold(x), second=ck.hold(x + np.array([0.1, 0.0, 0.0])))
+    j = np.asarray(ck.jacobian(arm, q, tip=tip))[:3]
+    return float(np.linalg.norm(j @ step_of(law, aims, q)))
+
+
+def test_what_a_conflict_leaks_goes_as_the_dampings_squared():
+    leaks = [conflict((lam, 0.1)) for lam in (1e-2, 1e-3, 1e-4)]
+    ratios = np.array(leaks[:-1]) / np.array(leaks[1:])
+    close(ratios, 100.0, rtol=0.03)
+    assert leaks[0] < 1e-2 * 0.1 * 1.1
+
+
+def test_rates_are_real_and_within_the_gains():
+    """The theorem of priorities as damping, on conflicts: J is of fewer joints than rows, or of rank one."""
+    rng = np.random.default_rng(5)
+    task = ck.stack(a=ck.joints(["1", "2", "3"]), b=ck.joints(["4", "5"]), c=ck.joints(["6", "7", "8"]))
+    of = ck.levels(["a"], ["b"], ["c"], damping=(1e-3, 1e-2, 0.1)).on(task)
+
+    @jax.jit
+    @jax.vmap
+    def mapped(j):
+        return jax.vmap(of(j).apply, out_axes=1)(jnp.eye(8))
+
+    n, gains = 5, np.repeat([40.0, 1.0, 10.0], [3, 2, 3])
+    j = rng.normal(size=(10_000, 8, n))
+    j[::2] = j[::2, :, :1] * j[::2, :1, :] + 1e-6 * j[::2]
+    rates = np.linalg.eigvals(j @ np.asarray(mapped(j)) * gains)
+    assert np.abs(rates.imag).max() < 1e-6 * 40 and rates.real.min() > -1e-6 * 40
+    assert rates.real.max() < 40 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("method", "factor"), [("EE", lambda z: 1 - z), ("EXP-EE", lambda z: np.exp(-z)), ("IE", lambda z: 1 / (1 + z))]
+)
+def test_each_task_has_its_own_factor(method, factor):
+    """Of an error that is left after a step, exactly, where the tasks don't fight; to first order in the error."""
+    robot, Ts = ck.load_urdf(BAXTER, tips=GRIPPERS), 0.01
+    task = ck.stack(left=ck.position(tip=GRIPPERS[0]), right=ck.position(tip=GRIPPERS[1]))
+    q = 0.4 + np.zeros(robot.n)
+    aims = {tip: np.asarray(ck.forward(robot, q, tip=tip).position) + 1e-6 for tip in GRIPPERS}
+    reference = ck.references(left=ck.hold(aims[GRIPPERS[0]]), right=ck.hold(aims[GRIPPERS[1]]))
+    for z in (0.1, 0.7, 1.5):
+        law = ck.Law(robot, task, alpha={"left": z / Ts, "right": 0.3 * z / Ts})
+        run = ck.solve(law, reference, q, Ts, 1, method, ck.chord(4))
+        made = np.asarray(run.e[1] / run.e[0])
+        close(made, np.repeat([factor(z), factor(0.3 * z)], 3), atol=2e-5)
+
+
+def test_gradients_are_differences():
+    """Through weights, gains and dampings of levels, forward and reverse."""
+    q, N = 0.3 + np.zeros(HUMANOID.n), 5
+    aims, task = moving(q, 3)
+
+    @jax.jit
+    def loss(gains, lams):
+        inverse = ck.levels(["feet"], ["hands", "torso"], damping=(lams[0], lams[1]))
+        alpha = dict(zip(("feet", "hands", "torso"), gains, strict=True))
+        law = ck.Law(HUMANOID, task, alpha=alpha, inverse=inverse)
+        run = ck.solve(law, aims, q, 0.02, N, "EE")
+        return jnp.sum(run.e[-1] ** 2) + 1e-3 * jnp.sum(run.qdot**2)
+
+    at = jnp.array([20.0, 10.0, 5.0]), jnp.array([0.01, 0.05])
+    reverse, forward = jax.grad(loss, (0, 1))(*at), jax.jacfwd(loss, (0, 1))(*at)
+    for a, b in zip(reverse, forward, strict=True):
+        close(a, b, rtol=1e-9)
+    h = 1e-4
+    found = [(loss(at[0] + h * d, at[1]) - loss(at[0] - h * d, at[1])) / (2 * h) for d in np.eye(3)]
+    close(reverse[0], found, rtol=1e-5)
+
+
+def test_lanes_and_native_are_the_plain_loop():
+    q = 0.2 + 0.05 * np.random.default_rng(6).normal(size=(8, HUMANOID.n))
+    aims, task = moving(q[0], 4)
+    law = ck.Law(HUMANOID, task, alpha=5.0, inverse=ck.levels(["feet"], ["hands", "torso"], damping=(0.02, 0.1)))
+    made = np.asarray(ck.lanes(lambda q: ck.solve(law, aims, q, 0.01, 5, "EE").e[-1])(q))
+    with ck.use_engine("plain"):
+        plain = [np.asarray(ck.solve(law, aims, one, 0.01, 5, "EE").e[-1]) for one in q]
+    close(made, plain, atol=1e-12)
+
+
+def test_a_run_tells_what_each_task_did():
+    """Stretched legs are the feet's singularity and not the hands'; what grows is the hands' error alone."""
+    q = np.zeros(HUMANOID.n)
+    tip = ck.forward(HUMANOID, q, tip=ARMS[0])
+    hand = ck.hold(np.asarray(tip.position) + 0.1, np.asarray(tip.rotation))
+    held = ck.hold_at(HUMANOID, STACK, q)["hands"]
+    hands = ck.references(**(dict(zip(held.names, held.each, strict=True)) | {ARMS[0]: hand}))
+    alpha = {"feet": 10.0, "hands": 250.0, "torso": 10.0}
+    law = ck.Law(HUMANOID, STACK, alpha=alpha, inverse=ck.damped(0.02), near_singular=0.02)
+    run = ck.solve(law, ck.hold_at(HUMANOID, STACK, q, hands=hands), q, 0.01, 8, "EE")
+    bits = {name: ck.Status(int(np.bitwise_or.reduce(run[name].status))) for name in ("feet", "hands", "torso")}
+    assert bits["feet"] & ck.Status.NEAR_SINGULAR and not bits["torso"] & ck.Status.NEAR_SINGULAR
+    assert bits["hands"] & ck.Status.GROWING and not bits["feet"] & ck.Status.GROWING
+    close(run["hands"].e, run.e[:, 12:21], atol=0)
+    assert run["torso"].x.shape == (9, 2) and "hands: ‖e‖" in repr(run)
+    data = ck.to_dataset(run, law)
+    assert list(data.task.values) == ["feet", "hands", "torso"] and data.task_status.shape == (8, 3)
+    assert list(data.axis_task.values[10:13]) == ["feet", "feet", "hands"]
+    with pytest.raises(ck.ArgumentError, match="`name` must be one of feet, hands, torso"):
+        run["legs"]
+    with pytest.raises(ck.ArgumentError, match="the run is of no stack"):
+        ck.solve(ck.Law(PLANAR, ck.position("xy"), alpha=1.0), ck.hold([0.5, 0.5]), np.ones(4), 0.1, 1)["hands"]
+
+
+# --- what is refused ----------------------------------------------------------------------------------
+
+LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ck.stack(), "`tasks` must be at least one, such as hands"),
+        (lambda: ck.stack(a=ck.stack(b=LEFT)), "`a` must be a task without names of its own, but is a stack"),
+        (lambda: ck.stack(a=1), "`a` must be a task such as ck.position"),
+        (lambda: ck.stack(a=LEFT) & RIGHT, "`task` must be joined before it has names"),
+        (lambda: ck.Law(HUMANOID, ck.pose(), alpha=1.0), "`tip` must be given for a robot with several, but is not"),
+        (lambda: ck.Law(HUMANOID, ck.pose(tip="nose"), alpha=1.0), "`tip` must be one of left_rubber_hand"),
+        (lambda: law(alpha={"feet": 1.0}), "`alpha` must have a gain for each task; they are feet, hands, torso"),
+        (lambda: law(alpha={"feet": -1.0, "hands": 1.0, "torso": 1.0}), "`alpha` must not be negative"),
+        (lambda: law(alpha=np.ones((23, 23)) + 30 * np.eye(23)), "`alpha` must be symmetric in the task hands"),
+        (lambda: law(alpha=_across()), "`alpha` must act within each task of a stack, but connects tasks"),
+        (lambda: law(inverse=ck.levels(["feet"], damping=(0.1,))), "`inverse` must have each task of the law in one"),
+        (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),
+        (lambda: ck.levels(["feet"], damping=0.1), "`damping` must hold one for each of 1 levels"),
+        (lambda: ck.Law(PLANAR, ck.position("xy"), alpha={"a": 1.0}), "none: they are given names by ck.stack"),
+        (
+            lambda: run(ck.hold([0.0] * 3)),
+            r"`reference` must give a target for each, by ck.references\(feet=..., hands",
+        ),
+        (lambda: run(ck.references(feet=ck.hold([0.0] * 3))), "`reference` must be for feet and hands and torso"),
+        (
+            lambda: run(ck.hold_at(HUMANOID, STACK, np.zeros(29), hands=ck.hold([0.0] * 3))),
+            r"`reference` must give a target for each, by ck.references\(left_rubber_hand=..., right_rubber_hand=...\)",
+        ),
+        (lambda: ck.hold_at(HUMANOID, STACK, np.zeros(29), arms=ck.hold([0.0] * 3)), "`others` must be one of feet"),
+        (lambda: ck.function(abs, ["a"], []), "`units` must be as many as `names`, 1, but are 0"),
+    ],
+)
+def test_what_is_refused(make, message):
+    with pytest.raises(ck.ArgumentError, match=message):
+        make()
+
+
+def law(**changes):
+    return ck.Law(HUMANOID, STACK, **({"alpha": 1.0, "inverse": ck.damped(0.1)} | changes))
+
+
+def _across():
+    alpha = np.eye(23)
+    alpha[0, 22] = alpha[22, 0] = 0.1
+    return alpha
+
+
+def run(reference):
+    return ck.solve(law(), reference, np.zeros(29), 0.01, 2)
