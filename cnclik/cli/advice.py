@@ -133,7 +133,7 @@ def _costs(said, found) -> list:
         f"commanded velocities by {gain.velocity_noise_gain:.3g} {unit}/s RMS."
     )
     lines += [] if own else [noise]
-    if found.law.task.position:
+    if found.law.task.lengths:
         v, fed = said.speed, gain.lag_fed_forward * said.speed
         lines.append(
             f"At {v:g} m/s the tip lags by {aloud(gain.lag * v, 'm')} without feed-forward. With feed-forward the lag "

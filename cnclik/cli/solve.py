@@ -163,7 +163,7 @@ def _summary(made, trajectory, seconds):
     from cnclik.quantities import plainly
 
     law = made.law
-    parts = [("position", "m")] * bool(law.task.position) + [("rotation", "rad")] * bool(law.task.orientation)
+    parts = [("position", "m")] * bool(law.task.lengths) + [("rotation", "rad")] * bool(law.task.angles)
     names = [f"{kind}_{part}_error" for part, _ in parts for kind in ("rms", "max", "final")]
     found = measure_run(trajectory, law, made.reference, [*names, "max_qdot", "velocity_ratio", "chatter"])
     rows = []

@@ -21,6 +21,7 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, check_loop, rows_at, weighted
+from cnclik.law.shifted import true_motion
 from cnclik.measure.outcome import ending, stable
 from cnclik.record import cast
 from cnclik.robot.model import modelled, one_off
@@ -113,19 +114,18 @@ def _first(hit):
 
 
 def _position(loop):
-    return loop.run.e[..., : len(loop.law.task.position)]
+    return loop.run.e[..., np.array(loop.law.task.lengths, int)]
 
 
 def _rotation(loop):
-    return loop.run.e[..., len(loop.law.task.position) :]
+    return loop.run.e[..., np.array(loop.law.task.angles, int)]
 
 
 def _split(loop):
     """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
-    path = ref.Reference(curve=loop.reference.curve)  # its own direction, whatever is fed forward
+    path = true_motion(loop.reference, loop.law.task)  # its own direction, whatever is fed forward
     velocity = jax.vmap(lambda t: ref.sample(path, loop.law.task, t)[1])(loop.run.target_time)
-    e = _position(loop)
-    velocity = velocity[:, : e.shape[-1]]
+    e, velocity = _position(loop), velocity[:, np.array(loop.law.task.lengths, int)]
     speed = _norms(velocity)[:, None]
     tangent = jnp.where(speed > 0, velocity / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
@@ -340,7 +340,7 @@ def check(names, law: Law) -> None:
     """Raise ArgumentError unless every name is a metric that the law's task has."""
     for name in names:
         needs = METRICS[errors.one_of("metrics", name, METRICS)].needs
-        if (needs == "position" and not law.task.position) or (needs == "rotation" and not law.task.orientation):
+        if (needs == "position" and not law.task.lengths) or (needs == "rotation" and not law.task.angles):
             raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")
 
 
@@ -348,7 +348,7 @@ def unit(name: str, law: Law) -> str:
     """The unit of a metric for this law: that of its task and joints where it depends on them."""
     written = METRICS[name].unit
     joints = sorted(set(law.chain.units), reverse=True)
-    mine = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.position else "1"]}
+    mine = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.lengths else "1"]}
     head, tail = written[:1], written[1:]
     if head not in mine or tail[:1].isalpha():
         return written

@@ -20,8 +20,7 @@ def check_units(chain, task, written: dict) -> None:
 
     Args: written: {option: the unit of each number, or None}, as it was given; see `cnclik.quantities.read`.
     """
-    parts = ["m"] * bool(task.position) + ["rad"] * bool(task.orientation)
-    axes = ["m"] * len(task.position) + ["rad"] * len(task.orientation)
+    parts, axes = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), list(task.units)
     wanted = {"error_clamp": parts, "noise": axes, "tolerance": ["m", "rad"], "accept": ["m", "rad"]}
     for name, units in written.items():
         option = SWEPT.get(name)

@@ -186,10 +186,10 @@ def units(law, width=None) -> dict:
     """
     from cnclik.law.inverse import ManipulabilityDamped  # here: the table itself is read without JAX
 
-    point = ["m"] if law.task.position else []
-    if not point or (law.task.orientation and (width or 0) > 3):
+    power = len(law.task.lengths)
+    point = ["m"] if power else []
+    if not point or (law.task.angles and (width or 0) > 3):
         point.append("1")
-    power = len(law.task.position)
     known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
     known["w"] = known["J"]
     known |= {

@@ -31,10 +31,9 @@ def history(tuned):
 
 def error(tuned):
     """Norm of position and orientation error before and after."""
-    count = len(tuned.law.task.position)
-    parts = {"position error [m]": slice(count)} if count else {}
-    if tuned.law.task.orientation:
-        parts["orientation error [rad]"] = slice(count, None)
+    task = tuned.law.task
+    parts = {"position error [m]": task.lengths, "orientation error [rad]": task.angles}
+    parts = {name: part for name, part in parts.items() if part}
     size = (style.COLUMN, 0.6 + 1.5 * len(parts))
     figure, axes = plt.subplots(len(parts), 1, figsize=size, sharex=True, squeeze=False)
     for axis, (name, part) in zip(axes[:, 0], parts.items(), strict=True):

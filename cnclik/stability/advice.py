@@ -255,11 +255,11 @@ def _following(steps, drive, Ts) -> tuple:
 
 def _joint_speed(loop, Ts, speed) -> float:
     """Largest |J#_i v|/limit_i over the directions of v."""
-    count, limit = len(loop.law.task.position), np.asarray(loop.law.chain.velocity_limit, float)
-    if not count or not np.isfinite(limit).any():
+    lengths, limit = loop.law.task.lengths, np.asarray(loop.law.chain.velocity_limit, float)
+    if not lengths or not np.isfinite(limit).any():
         return np.nan
     rows = step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage, often=True)[1]
-    return float(np.max(np.linalg.norm(np.linalg.pinv(rows)[:, :count], axis=1) * speed / limit))
+    return float(np.max(np.linalg.norm(np.linalg.pinv(rows)[:, lengths], axis=1) * speed / limit))
 
 
 # --- in words -----------------------------------------------------------------------------------------

@@ -206,8 +206,8 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     at = farthest(law, wanted[0])
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
-    late, p = e[: seen.bad][-len(seen.late) :], len(law.task.position)
-    parts = ((late[:, :p], "m"), (late[:, p:], "rad"))
+    late = e[: seen.bad][-len(seen.late) :]
+    parts = ((late[:, law.task.lengths], "m"), (late[:, law.task.angles], "rad"))
     rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
     advance = _advance(t, len(seen.late), Ts)
     return Case(

@@ -142,7 +142,7 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
         outside=np.maximum(q[:bad] - np.array(law.chain.upper), np.array(law.chain.lower) - q[:bad]).max(
             0, initial=0.0
         ),
-        way=float(np.sum(np.linalg.norm(moved[:, : len(law.task.position) or None], axis=1))),
+        way=float(np.sum(np.linalg.norm(moved[:, law.task.lengths or slice(None)], axis=1))),
         bad=bad,
     )
 

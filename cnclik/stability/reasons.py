@@ -96,8 +96,8 @@ def unreachable(case) -> str:
         return ""
     said = [f"the target is {away:.3g} m beyond the stretched arm"] * (away > 0)
     if known:
-        best = [f"{made.position_error:.3g} m"] * bool(task.position)
-        best += [f"{made.orientation_error:.3g} rad"] * bool(task.orientation)
+        best = [f"{made.position_error:.3g} m"] * bool(task.lengths)
+        best += [f"{made.orientation_error:.3g} rad"] * bool(task.angles)
         kept = " within the joint limits" if made.status == ReachStatus.AT_LIMIT else ""
         said.append(f"the tip can get no nearer than {' and '.join(best)}{kept}")
     return "; ".join(said)

@@ -63,6 +63,16 @@ class Task:
     def units(self) -> tuple[str, ...]:
         return tuple(unit for part in self.parts for unit in part.units)
 
+    @property
+    def lengths(self) -> list[int]:
+        """Which of the coordinates are in m: of a pose its position."""
+        return [i for i, unit in enumerate(self.units) if unit == "m"]
+
+    @property
+    def angles(self) -> list[int]:
+        """Which of the coordinates are in rad: of a pose its orientation."""
+        return [i for i, unit in enumerate(self.units) if unit == "rad"]
+
     def of(self, name: str) -> slice:
         """Where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
         its = self.slices[self._parts_of(name)]
