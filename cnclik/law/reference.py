@@ -47,7 +47,12 @@ class Reference:
 
 @record
 class References:
-    """Desired paths of several tasks and tips, see `references`."""
+    """Desired paths of several tasks and tips, see `references`.
+
+    Attributes:
+      names: of the tasks, or tips, that they are for.
+      each: a `Reference`, or `References` by tip, of each.
+    """
 
     names: tuple[str, ...]
     each: tuple[Reference | References, ...]

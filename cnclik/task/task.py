@@ -23,11 +23,17 @@ Part = Any  # one of those in `parts`, or of the same form
 
 @record
 class Task:
-    """Task coordinates, as parts one after the other."""
+    """Task coordinates, as parts one after the other.
+
+    Attributes:
+      parts: positions, orientations, joints and functions, in the order of the coordinates.
+      weights: (m,) of the coordinates, in the least-squares sense, or None.
+      tasks: of a stack the names of its tasks, and how many parts each has.
+    """
 
     parts: tuple[Part, ...]
-    weights: Float[ArrayLike, " m"] | None = None  # of the coordinates, in the least-squares sense
-    tasks: tuple[tuple[str, int], ...] = ()  # of a stack the names of its tasks, and how many parts each has
+    weights: Float[ArrayLike, " m"] | None = None
+    tasks: tuple[tuple[str, int], ...] = ()
 
     @property
     def m(self) -> int:

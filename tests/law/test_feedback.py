@@ -57,12 +57,12 @@ def test_turns_of_one_gain(size):
     """Of a target at rest (1 − e^{−z}) e; of one that turns, that with the mean of the turn at both ends."""
     law = ck.Law(WRIST, ck.orientation(), alpha=7.0)
     e, Ts = size * np.array([0.6, -0.64, 0.48]), 0.2
-    find = jax.jit(lambda e, turn: held_feedback(law, e, turn, jnp.asarray(Ts)))
+    find = jax.jit(lambda e, turn: held_feedback(law, e, (turn,), jnp.asarray(Ts)))
     share = (1 - np.exp(-1.4)) / Ts
     turn = rotation([0.1, 0.2, -0.15])
     close(find(e, np.eye(3)), share * e, atol=1e-15 * size)
     close(find(e, turn), share * (e + turn @ e) / 2, atol=1e-14 * size)
-    at_once = jax.jit(jax.jacfwd(lambda Ts: held_feedback(law, jnp.asarray(e), jnp.eye(3), Ts)))(0.0)
+    at_once = jax.jit(jax.jacfwd(lambda Ts: held_feedback(law, jnp.asarray(e), (jnp.eye(3),), Ts)))(0.0)
     close(at_once, -0.5 * 49 * e, atol=1e-9)
 
 
@@ -85,6 +85,6 @@ def test_turns_of_gains_that_differ():
     for alpha in (np.array([1.0, 7.0, 40.0]), MATRIX):
         law = ck.Law(WRIST, ck.orientation(), alpha=alpha)
         k = np.diag(alpha) if alpha.ndim == 1 else alpha
-        find = jax.jit(lambda Ts, law=law: held_feedback(law, e, None, Ts))
+        find = jax.jit(lambda Ts, law=law: held_feedback(law, e, (None,), Ts))
         for Ts in (0.0, 1e-7, 0.2):
             close(find(Ts), wanted(k, Ts) @ e, atol=1e-10)
