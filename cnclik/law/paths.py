@@ -23,14 +23,21 @@ from cnclik.task.task import Task
 Target = poses.PoseLike | None  # see `hold`
 
 
-def hold(target: Target, rotation: ArrayLike | None = None) -> Reference:
+def hold(
+    target: Target = None, rotation: ArrayLike | None = None, *, values: Float[ArrayLike, " k"] | None = None
+) -> Reference:
     """Stay at one target: x_d(t) = target, velocity 0 (Case I of Drexler 2016).
 
     Args:
       target: (d,) position [m], d ≤ 3; or a whole pose: a `Pose`, a (4, 4) homogeneous matrix, [x, y, z, w, x, y, z],
         or an object with `translation` and `rotation` such as Pinocchio's SE3; or None for an orientation alone.
       rotation: (3, 3) rotation, or a (4,) unit quaternion w, x, y, z.
+      values: (k,) in place of them, of a task of joints or a function.
     """
+    if values is not None:
+        if target is not None or rotation is not None:
+            raise errors.fail("values", "be left out where a `target` or `rotation` is given", "is given")
+        return Reference(curve=Hold(position=errors.array("values", values, (None,)), rotation=None))
     target, rotation = _split("target", target, rotation)
     if target is None and rotation is None:
         raise errors.fail("target", "be a position or come with a `rotation`", "is None")

@@ -200,7 +200,7 @@ def pose(
 
 
 def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
-    """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target are as many values.
+    """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
 
     Args:
       names: of the joints; None: all.

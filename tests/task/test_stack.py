@@ -76,7 +76,7 @@ def test_joints_and_functions_are_tasks():
     task = ck.stack(some=ck.joints(robot.joint_names[2:4]), apart=ck.function(apart, ["distance"], ["m"]))
     assert task.names == (*(f"some.{name}" for name in robot.joint_names[2:4]), "apart.distance")
     law = ck.Law(robot, task, alpha={"some": 5.0, "apart": 5.0}, inverse=ck.damped(1e-4))
-    aims = ck.references(some=ck.hold([0.1, 0.2]), apart=ck.hold([0.5]))
+    aims = ck.references(some=ck.hold(values=[0.1, 0.2]), apart=ck.hold(values=[0.5]))
     run = ck.solve(law, aims, q, 0.05, 100)
     close(run.q[-1, 2:4], [0.1, 0.2], atol=1e-5)
     left, right = (np.asarray(ck.forward(robot, run.q[-1], tip=tip).position) for tip in GRIPPERS)

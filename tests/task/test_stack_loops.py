@@ -1,0 +1,95 @@
+"""Loops of stacks: every method keeps its order where the targets of several tips move, and pink's step is the law's."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.robot.chain import Tip
+from tests.oracles import close
+from tests.robot.test_trees import ARMS, G1, postures
+
+
+def two_arms():
+    """A planar trunk of two joints, and two arms of two joints on it."""
+    trunk = ck.planar_arm([0.5, 0.4], joint_names=["a", "b"])
+    trunk = ck.replace(trunk, tips=tuple(Tip(name=name, joint=1, offset=trunk.tip) for name in ("one", "two")))
+    arms = {name: ck.planar_arm([0.3, 0.25], joint_names=["1", "2"]) for name in ("one", "two")}
+    for name, arm in arms.items():
+        trunk = ck.join(trunk, arm, at=name, prefix=name)
+    return trunk
+
+
+ROBOT = two_arms()
+TIPS = [t.name for t in ROBOT.tips]
+Q = np.array([0.2, -0.4, 0.7, 0.5, -0.6, -0.8])
+TASK = ck.stack(one=ck.pose("xy", "z", tip=TIPS[0]), two=ck.position("xy", tip=TIPS[1]))
+PLACES = ck.stack(one=ck.position("xy", tip=TIPS[0]), two=ck.position("xy", tip=TIPS[1]))
+ALPHA = {"one": 6.0, "two": [3.0, 2.0]}
+LAWS = {
+    "levels": ck.Law(ROBOT, TASK, alpha=ALPHA, inverse=ck.levels(["one"], ["two"], damping=(0.05, 0.2))),
+    "exact": ck.Law(ROBOT, PLACES, alpha={"one": 6.0, "two": [3.0, 2.0]}),
+}
+
+
+def paths():
+    """Circles that begin a little off the tips, one of them turning."""
+    found = {}
+    for name, tip, period in (("one", TIPS[0], 3.0), ("two", TIPS[1], 2.0)):
+        at = np.asarray(ck.forward(ROBOT, Q, tip=tip).position)[:2]
+        found[name] = ck.circle(at - [0.1, 0.02], 0.1, period=period, rotation=np.eye(3) if name == "one" else None)
+    turn = np.asarray(ck.forward(ROBOT, Q, tip=TIPS[0]).rotation)
+    found["one"] = ck.replace(found["one"], curve=ck.replace(found["one"].curve, rotation=turn))
+    return ck.references(**found)
+
+
+PATHS = paths()
+ORDERS = {"EE": 1, "HEUN": 2, "RK4": 4, "CN": 2, "AB2": 2, "AB4": 4, "EXP-EE": 1, "EXP-MIDPOINT": 2, "EXP-AB2": 2}
+CASES = [(name, "levels", 1 if name.startswith("EXP") else order) for name, order in ORDERS.items()]
+CASES += [(name, "exact", ORDERS[name]) for name in ("RK4", "EXP-MIDPOINT", "EXP-AB2")]
+
+
+def ends(method, N, law="levels"):
+    return np.asarray(ck.solve(LAWS[law], PATHS, Q, 0.5 / N, N, method, ck.newton(8)).q[-1])
+
+
+@pytest.mark.parametrize(("method", "law", "order"), CASES)
+def test_methods_keep_their_orders(method, law, order):
+    """Those of docs/methods.md: with damping, exponential steps answer another question in first order."""
+    exact, N = ends("RK4", 2000, law), 320 if method == "AB4" else {4: 40, 2: 80, 1: 160}[order]
+    coarse, fine = (np.linalg.norm(ends(method, n, law) - exact) for n in (N, 2 * N))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15)
+
+
+def test_it_is_pinks_step():
+    """The same costs, gains and damping; targets next to their tips, where pink's logarithm of a pose is our error."""
+    pink, pin = pytest.importorskip("pink"), pytest.importorskip("pinocchio")
+    pytest.importorskip("daqp")
+    robot, dt = ck.load_urdf(G1, tips=ARMS), 0.01
+    model = pin.buildModelFromUrdf(str(G1))
+    q, (one, two) = postures(robot, 1, seed=7)[0], ARMS
+    full = pin.neutral(model)
+    places = [model.joints[model.getJointId(name)].idx_q for name in robot.joint_names]
+    full[places] = q
+    tasks, aims, rng = [], {}, np.random.default_rng(8)
+    for tip, costs, gain in ((one, (1.0, 0.3), 0.4), (two, (0.5, 0.5), 0.1)):
+        at = ck.forward(robot, q, tip=tip)
+        where = np.asarray(at.position) + 1e-7 * rng.normal(size=3)
+        aims[tip] = ck.hold(where, np.asarray(at.rotation))
+        tasks.append(pink.FrameTask(tip, *costs, gain=gain))
+        tasks[-1].set_target(pin.SE3(np.asarray(at.rotation), where))
+    posture = pink.PostureTask(cost=0.05, gain=0.2)
+    posture.set_target(pin.neutral(model))
+    moved = pink.solve_ik(
+        pink.Configuration(model, model.createData(), full), [*tasks, posture], dt, "daqp", damping=1e-4, limits=[]
+    )
+    weights = [[1.0] * 3 + [0.3] * 3, [0.5] * 6, np.full(robot.n, 0.05)]
+    task = ck.stack(
+        one=ck.pose(tip=one, weights=weights[0]), two=ck.pose(tip=two, weights=weights[1]),
+        rest=ck.joints(robot.joint_names, weights=weights[2]),
+    )  # fmt: skip
+    alpha = {"one": 0.4 / dt, "two": 0.1 / dt, "rest": 0.2 / dt}
+    law = ck.Law(robot, task, alpha=alpha, inverse=ck.damped(1e-2))
+    reference = ck.references(one=aims[one], two=aims[two], rest=ck.hold(values=np.zeros(robot.n)))
+    made = np.asarray(ck.step(law, reference, q, 0.0, dt, "EE").qdot)
+    joints = [model.joints[model.getJointId(name)].idx_v for name in robot.joint_names]
+    close(made, moved[joints], atol=1e-6)
