@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -237,7 +238,10 @@ def hold_at(
 
     Returns: `Reference`, or `References` of a task with several targets.
     """
-    robot, task = At(modelled(chain), errors.array("q", q, (chain.n,))), task.on(chain)
+    q, task = errors.array("q", q, (chain.n,)), task.on(chain)
+    if all(map(errors.concrete, jax.tree.leaves((chain, q)))):
+        q = np.asarray(q, float)  # NumPy compiles nothing
+    robot = At(modelled(chain), q)
 
     def one(_, parts):
         found: dict = {"position": None, "rotation": None}

@@ -1,4 +1,4 @@
-"""Loops of stacks: every method keeps its order where the targets of several tips move, and pink's step is the law's."""
+"""Loops of stacks: every method keeps its order where targets of several tips move, and the step is pink's."""
 
 import numpy as np
 import pytest
