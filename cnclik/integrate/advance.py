@@ -90,14 +90,15 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
     return step, jnp.min(made.first.least)
 
 
-def summed(law, q, step, lost):
+def summed(q, step, lost, law=None):
     """q + step and what a rounding lost there, to be added with the next step (Kahan 1965); `lost`: with the last.
+    With a law, within the position limits that it keeps.
 
     In single precision steps below half a spacing of q would else come to nothing: the loop would stop short of its
     target by ulp(q)/2/(alpha·Ts). Without derivatives: what is lost has none.
     """
     step = step + lost
-    after = inside(law, q, q + step)
+    after = q + step if law is None else inside(law, q, q + step)
     return after, jax.lax.stop_gradient(step - (after - q))
 
 

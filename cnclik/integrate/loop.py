@@ -29,6 +29,7 @@ from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.corners import Corners, corners
 from cnclik.law.law import Law, observe
+from cnclik.law.limits import room
 from cnclik.law.reference import Reference, References, check
 from cnclik.law.shifted import shifted
 from cnclik.record import cast, replace
@@ -135,14 +136,14 @@ def one(loop: Loop, starting, state: State, k):
     lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
     moved = made.q if seen is q else q + (made.q - seen)
     if loop.pace is not None:
-        made, pacing, path = _paced(loop, made, pacing, t)
+        made, pacing, path = _paced(loop, made, pacing, t, seen)
         length, moved = Ts, q + Ts * made.qdot
     if loop.model is not None and drives is not None:
         asked = made.q - seen if loop.pace is None else Ts * made.qdot
         drives = driven(loop.drive, loop.model, drives, seen, asked, Ts)
         moved = drives.x[:, 0]
     elif lost is not None:
-        moved, lost = summed(law, q, length * made.qdot, lost)
+        moved, lost = summed(q, length * made.qdot, lost, law if loop.pace is None else None)
     after = State(moved, made.history, lost, drives, late, path, pacing)
     if drives is not None or seen is not q:
         made = replace(made, qdot=1 / Ts * (moved - q))
@@ -174,7 +175,7 @@ def _between(task, measured, model):
     return jnp.concatenate([part.between(measured[where], model[where]) for part, where in parts])
 
 
-def _paced(loop, made, pacing, t):
+def _paced(loop, made, pacing, t, q):
     """(the step within the limits, where the pace is, time on the path)
 
     Where the path waits, a step of the method is made over the time that the last one took of it, share·Ts: methods
@@ -182,7 +183,7 @@ def _paced(loop, made, pacing, t):
     scaled, and a scaled step is the first of a new memory.
     """
     stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
-    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness)
+    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q, made.qdot))
     status = made.status & ~int(Status.OVER_VELOCITY)
     status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
     status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)

@@ -30,6 +30,7 @@ TURNING = 0.6  # part of the acceleration that following the path may take at a 
 BENDING = 0.5  # and part of the jerk
 EASING = 0.5  # part of the jerk with which the share comes to rest at what the path allows
 CHAIN = "chain"
+FAR = 1e6  # [s] stands for never: finite, so that derivatives are
 
 
 @record
@@ -194,8 +195,11 @@ def _largest(v):
     return _max(jnp.abs(v))
 
 
-def share(pace, state, f, Ts, stop, sharpness):
-    """(s, the next state) for an asked velocity f (n,); the velocity to take is the state's."""
+def share(pace, state, f, Ts, stop, sharpness, room=None):
+    """(s, the next state) for an asked velocity f (n,); the velocity to take is the state's.
+
+    Args: room: (n,) how far each joint may go in the direction of f [rad, m], or None where no limits are kept.
+    """
     dtype, limits = f.dtype, (pace.velocity, pace.acceleration, pace.jerk)
     v, a, j = (None if w is None else jnp.broadcast_to(jnp.asarray(w, dtype), f.shape) for w in limits)
     v = None if v is None else jnp.maximum(v, 1e-12)  # a chain may forbid a joint to move
@@ -206,6 +210,8 @@ def share(pace, state, f, Ts, stop, sharpness):
     bend = (state.bend * Ts + (turn - state.turn)) / (passed + Ts)
 
     most = jnp.ones((), dtype) if v is None else 1 / jnp.maximum(1.0, _largest(f / v))
+    if room is not None:
+        most = jnp.minimum(most, _inside(a, j, state, f, Ts, room))
     low, high, excess = _kept(a, j, state, f, Ts, most)
     leaves = excess > _whole(dtype)
     steep = _steepness(state, f, Ts)
@@ -230,15 +236,13 @@ def share(pace, state, f, Ts, stop, sharpness):
 
 def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
     """The share that the path allows, now and as far as it is seen to bend, approached with bounded jerk."""
-    caps, slowness, floor = [1.0], 0.0, 1.0
+    caps, heavy, stiff = [1.0], None, None
     if v is not None:
         room = v
         if j is not None:  # what f grows by itself has to be stopped: v + q̈²/(2 j) ≤ V
             gains = jnp.maximum(0.0, jnp.sign(f) * state.share**2 * turn)
             room = v - jnp.minimum(gains * gains / (2 * EASING * j), v / 2)
         caps.append(1 / jnp.maximum(1.0, _largest(f / room)))
-    if stop is not None:
-        stop = jnp.clip(jnp.asarray(stop, f.dtype), 1e-3 * Ts, 1e6 * Ts)
     if a is not None:
         heavy = _largest(f / a)  # its inverse is the largest ṡ
         lag = Ts if j is None else 2 * _max(jnp.where(jnp.isfinite(a), a, 0.0) / j)  # until it brakes with all it has
@@ -247,18 +251,11 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path allows at x, and what is braked by then.
         there = jnp.maximum(jnp.maximum(1.0, now), safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
         caps.append(jnp.sqrt(jnp.minimum(1.0, -_max((now - 2 * there) / there**2))))
-        if stop is not None:
-            slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
-            floor = 1 / jnp.maximum(1.0, 4 * heavy / Ts)
     if j is not None:
         stiff = _largest(f / j)
         caps.append(jnp.maximum(1.0, _largest(bend / j) / BENDING) ** (-1 / 3))
-        if stop is not None:
-            slowness = jnp.maximum(slowness, jnp.maximum(1.0, 4 * stiff / (BENDING * stop * stop)) ** (1 / 3))
-            floor = jnp.minimum(floor, 1 / jnp.maximum(1.0, 4 * stiff / Ts**2))
-    if stop is not None and (a is not None or j is not None):
-        floor = jnp.minimum(1.0, floor / jnp.maximum(sharpness, 1e-3))
-        caps.append(jnp.maximum(1 / slowness, floor))
+    if stop is not None:
+        caps.append(_before(jnp.asarray(stop, f.dtype), sharpness, heavy, stiff, Ts))
     cap = caps[0]
     for other in caps[1:]:
         cap = jnp.minimum(cap, other)
@@ -269,6 +266,32 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
     return state.share + 2 * EASING * gap * Ts / (
         jnp.sqrt((EASING * Ts) ** 2 + 2 * EASING * stiff * jnp.abs(gap)) + EASING * Ts
     )
+
+
+def _before(stop, sharpness, heavy, stiff, Ts):
+    """The share from which all motion stops in a path time `stop`, or as much of it as a corner is sharp."""
+    stop, slowness, floor = jnp.clip(stop, 1e-3 * Ts, 1e6 * Ts), 1.0, 1.0
+    if heavy is not None:
+        slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
+        floor = 1 / jnp.maximum(1.0, 4 * heavy / Ts)
+    if stiff is not None:
+        slowness = jnp.maximum(slowness, jnp.maximum(1.0, 4 * stiff / (BENDING * stop * stop)) ** (1 / 3))
+        floor = jnp.minimum(floor, 1 / jnp.maximum(1.0, 4 * stiff / Ts**2))
+    return jnp.maximum(1 / slowness, jnp.minimum(1.0, floor / jnp.maximum(sharpness, 1e-3)))
+
+
+def _inside(a, j, state, f, Ts, room):
+    """The largest share with which each joint can brake before its position limit, and no step ends beyond it."""
+    size, towards = jnp.abs(f), jnp.sign(f)
+    near = (size > 0) & (room > 0)
+    size, room = jnp.where(near, size, 1.0), jnp.where(near, jnp.minimum(room, FAR), FAR)
+    heavy, stiff = (None if w is None else size / w for w in (a, j))
+    left = room
+    if j is not None:  # until its acceleration has gone
+        speeds, gains = (jnp.maximum(0.0, towards * w) for w in (state.velocity, state.acceleration))
+        lasts = gains / j
+        left = room - lasts * (speeds + gains * lasts / 3)
+    return -_max(-jnp.minimum(_before(left / size, 1.0, heavy, stiff, Ts), room / (size * Ts)))
 
 
 def _kept(a, j, state, f, Ts, most):

@@ -297,7 +297,17 @@ def within(law, q, qdot, Ts):
 
 def inside(law, q, after):
     """Joint values after a step from q, within the position limits that the law respects, or as far outside as q."""
-    chain = law.chain
-    if not getattr(law.limits, "positions", law.limits is not None) or not chain.bounded:
+    if not _keeps_positions(law):
         return after
-    return jnp.clip(after, jnp.minimum(chain.lower, q), jnp.maximum(chain.upper, q))
+    return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))
+
+
+def room(law, q, qdot):
+    """(n,) how far the joints may go in the direction of their velocities, or None where the law keeps no position."""
+    if not _keeps_positions(law):
+        return None
+    return jnp.maximum(jnp.where(qdot < 0, q - law.chain.lower, law.chain.upper - q), 0.0)
+
+
+def _keeps_positions(law):
+    return getattr(law.limits, "positions", law.limits is not None) and law.chain.bounded
