@@ -17,7 +17,7 @@ from cnclik.reaching import asked, strategy
 from cnclik.reaching.native_source import lanes_of, look_of, search_source
 from cnclik.reaching.seeds import SETS, SIZE, compared, seeds
 from cnclik.reaching.units import of_joints
-from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.chain import REVOLUTE, with_one_tip
 from cnclik.robot.posture import arm_length
 
 SEEDS = 64  # postures that are written into the source, by default
@@ -40,10 +40,11 @@ def trace_reach(request: Request, count: int) -> Reaching:
     """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
     errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
     law, least = request.law, LEAST * np.finfo(request.dtype).eps
+    with_one_tip(law.chain)
     search = asked.asked_of(law.chain, law.task, TOLERANCE, None, None, count + 1, strategy.ENDLESS, 0, True, True)
     chain, task, sets = search.chain, search.task, next(sets for sets in SHIPPED if count % sets == 0)
     n, p, turned, units = chain.n, len(task.position), bool(task.orientation), ", ".join(dict.fromkeys(law.chain.units))
-    features = compared(seeds(chain), task).features.transpose(0, 2, 1).reshape(-1, 13)[:count]
+    features = compared(chain, task).features[0].transpose(0, 2, 1).reshape(-1, 13)[:count]
     parameters = [
         Field("tolerance", (2,), about="of position [m] and orientation [rad]", value=np.maximum(TOLERANCE, least)),
         Field("tries", (), INT, about="starts, at most", value=count + 1),
@@ -93,7 +94,7 @@ def _call(reaching, names) -> str:
     tables = {"lower": lower, "upper": upper, "jump": np.full(of.chain.n, np.inf), "periods": of.periods}
     tables |= {"turns": of.turns(), "middle": known.middle, "width": known.width, "roots": roots}
     tables |= {"postures": reaching.postures, "own": own}
-    factors = compared(known, of.task).factors
+    factors = compared(of.chain, of.task).factors[0]
     written = [_table(names, "Real", name, values) for name, values in tables.items()]
     written += [_table(names, "float", name, v) for name, v in (("features", reaching.features), ("factors", factors))]
     pose = [f"  pose[{axis}] = input->position[{k}] * {c(1 / of.unit)};" for k, axis in enumerate(of.task.linear)]

@@ -9,6 +9,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import Recent
 from cnclik.precision import as_numbers
+from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.seeds import turned
 from cnclik.reaching.step import STATIONARY
@@ -16,7 +17,7 @@ from cnclik.reaching.strategy import LONGER, SURE
 from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import kept, leaf, record
-from cnclik.robot.chain import Chain, with_one_tip
+from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
 from cnclik.shapes import AnyArray, Float, Number
 from cnclik.task.task import Task
@@ -66,7 +67,7 @@ class Asked:
         return np.where(upper - lower >= self.periods, self.periods, 0.0)
 
     def finite(self, pose, near, xp=np):
-        """Which targets (..., 12), and what is near them, hold numbers alone."""
+        """Which targets (..., t), and what is near them, hold numbers alone."""
         return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
     def sure(self, looks):
@@ -86,11 +87,13 @@ class Asked:
         return xp.where(found, status, unsure)
 
     def too_far(self, pose, xp=np):
-        """Which targets (..., 12) are farther from the first joint than the stretched arm is long."""
-        axes = self.task.linear
-        if not axes:
-            return xp.zeros(pose.shape[:-1], bool)
-        return beyond_arm(self.chain, pose[..., np.array(axes)], axes, xp) > self.tolerance[0]
+        """Which targets (..., t) have one farther from the first joint than the stretched arm is long."""
+        far = xp.zeros(pose.shape[:-1], bool)
+        for k, aim in enumerate(aims(self.task)):
+            if aim.linear and aim.to is None:
+                at, number = pose[..., WIDTH * k + np.array(aim.linear)], self.chain.tip_number(aim.tip)
+                far = far | (beyond_arm(self.chain, at, aim.linear, xp, number) > self.tolerance[0])
+        return far
 
     def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:
         """The record of answers: of one target, or of (B,) with that axis first.
@@ -142,7 +145,7 @@ def asked_of(chain, *rest) -> Asked:
 
     Args: as `Asked` has them. Raises: ArgumentError for those that can't be asked.
     """
-    with_one_tip(chain)
+    errors.kind("chain", chain, Chain)
     key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
     try:
         hash(key)
@@ -164,13 +167,14 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         errors.number("jump", jump, positive=True)
     for name, (value, most) in numbers.items():
         errors.integer(name, value, at_least=1, at_most=most)
-    tolerance, (own, unit) = _pair("tolerance", tolerance), in_units(chain)
+    tolerance, (own, unit), task = _pair("tolerance", tolerance), in_units(chain), task_of(task).on(chain)
+    aims(task)
     if jump is not None and unit != 1.0 and "m" in chain.units:
         jump = jump / np.array(of_joints(chain, unit))
     return Asked(
         chain=own,
         unit=unit,
-        task=task_of(task),
+        task=task,
         tolerance=np.array([tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # of a chord, as looked at
         accept=None if accept is None else _pair("accept", accept) / np.array([unit, 1.0]),
         jump=leaf(jump),

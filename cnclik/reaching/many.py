@@ -20,7 +20,7 @@ TARGETS = 1 << 16  # answers that are compared at a time
 
 
 def many(asked: Asked, pose, near, progress=None) -> Reached:
-    """Answers for (B, 12) targets, near (B, n) or None."""
+    """Answers for (B, t) targets, near (B, n) or None."""
     B = len(pose)
     if B > POOL:  # what a search remembers of each target is several times as large as the answer
         parts = []
@@ -32,7 +32,7 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
 
 
 def path(asked: Asked, pose, progress=None) -> Reached:
-    """Answers for the targets (B, 12) of a path, each from the answer before it."""
+    """Answers for the targets (B, t) of a path, each from the answer before it."""
     return _engine(asked, often(asked.chain, len(pose))).along(pose, progress)
 
 
@@ -50,7 +50,7 @@ def often(chain, targets) -> bool:
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
-    """Up to `solutions` different answers for each of (B, 12) targets: the nearest of those that many tries lead to."""
+    """Up to `solutions` different answers for each of (B, t) targets: the nearest of those that many tries lead to."""
     first = many(asked, pose, near, progress)
     often(asked.chain, len(pose) * PATIENCE)
     engine, size, made = _engine(asked, True), max(TARGETS // (MOST_DRAWN + solutions), 1), []

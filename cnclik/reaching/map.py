@@ -65,8 +65,8 @@ def reachability(
     middle = np.array([float(x) for x in chain.joints[0].origin.position])
     over = PLANES.get(where, (0, 1, 2))
     if span is None:
-        known = seeds(chain)
-        span = 1.08 * np.abs(known.tips[:, over] / known.scale - middle[list(over)]).max()
+        tips = frames(modelled(chain), seeds(chain).postures).position
+        span = 1.08 * np.abs(tips[:, over] - middle[list(over)]).max()
     span = float(errors.number("span", span, positive=True))
     places = tuple(middle[i] + np.linspace(-span, span, cells) for i in over)
     grid = np.stack(np.meshgrid(*places, indexing="ij"), -1).reshape(-1, len(over))

@@ -17,6 +17,7 @@ from cnclik import errors
 from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.plan import in_c
+from cnclik.reaching.aims import told_apart
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
@@ -59,7 +60,7 @@ def native_for(asked: Asked, soon: bool):
         return None
     made = asked.__dict__.get("_native")
     if made is None:
-        name = f"_native_{asked.task.position}_{asked.task.orientation}_{asked.task.weights is None}"
+        name = f"_native_{told_apart(asked.task)}_{asked.task.weights is None}"
         if not (soon or Native.libraries < AT_ONCE or name in asked.chain.__dict__):
             return None
         with _building:
@@ -93,7 +94,7 @@ class Native:
 
     def __init__(self, asked: Asked, library):
         known = seeds(asked.chain)
-        to, (lower, upper) = compared(known, asked.task), asked.limited()
+        to, (lower, upper) = compared(asked.chain, asked.task), asked.limited()
         self.first, *self.rest = map(_as_c, phases(asked))
         given: dict = {"lower": lower, "upper": upper, "turns": asked.turns(), "periods": asked.periods}
         given |= {name: getattr(known, name) for name in ("postures", "middle", "width")}
@@ -107,7 +108,7 @@ class Native:
         self.empty[()] = tuple(empty)
 
     def reached(self, pose, near, progress=None) -> Reached:
-        """Answers for (B, 12) targets, near (B, n) or None."""
+        """Answers for (B, t) targets, near (B, n) or None."""
         B, rows = len(pose), self._rows(len(pose))
         made = np.empty(B, self.empty.dtype)
         made["found"] = 0
@@ -155,14 +156,14 @@ class Native:
                 found = self._told(made[done : done + 1], pose[k : k + 1], at)
 
     def tried(self, pose, near, number, wide=False) -> Found:
-        """What for each of (B, 12) targets the try of a number (B,) comes to, by itself; `wide`: free of all bounds."""
+        """What for each of (B, t) targets the try of a number (B,) comes to, by itself; `wide`: free of all bounds."""
         made = np.full(len(pose), self.empty)
         for k in np.unique(number).tolist():
             self._on(made, number == k, pose, near, alone(self.first, wide)._replace(done=k, tries=k + 1))
         return _found(made)
 
     def descended(self, pose, near, start) -> Found:
-        """What a careful search from one posture (B, n) comes to for each of (B, 12) targets."""
+        """What a careful search from one posture (B, n) comes to for each of (B, t) targets."""
         made = np.full(len(pose), self.empty)
         made["places"][:, 0], made["costs"][:, 0] = start, 0.0
         self._on(made, np.ones(len(pose), bool), pose, near, self.first._replace(tries=1, downhill=CAREFUL))

@@ -13,11 +13,12 @@ from cnclik.engine.routine import INT, Field, read
 from cnclik.engine.source import vectors
 from cnclik.engine.to_c import Writer
 from cnclik.reaching import strategy
+from cnclik.reaching.aims import WIDTH, aims, owners
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.search import SCATTER
 from cnclik.reaching.seeds import SETS, SIZE, STRETCHES
-from cnclik.reaching.step import Search, iterate
+from cnclik.reaching.step import Search, in_parts, iterate
 from cnclik.record import cast
 from cnclik.robot.model import modelled
 
@@ -49,6 +50,7 @@ def search_source(chain, task, real, sets, size, by_near, told) -> str:
     Args: real: type of numbers. sets, size: of the seeds. by_near: tries about `near`. told: what else is defined.
     """
     numbers = told | {"N": chain.n, "M": task.m, "SETS": sets, "SIZE": size, "SCATTER": SCATTER, "BY_NEAR": by_near}
+    numbers |= {"AIMS": len(aims(task)), "OWNERS": ", ".join(map(str, owners(task, chain)))}
     numbers |= {"STRETCHES": len(STRETCHES), "STRETCHED": ", ".join(map(str, STRETCHES))}
     numbers |= {"TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}
     numbers |= {name: getattr(strategy, name) for name in strategy.NUMBERS}
@@ -62,12 +64,12 @@ def look_of(chain, task, dtype):
     state = [Field("q", (n,)), Field("best", (n,)), Field("squares", (2,))]
     state += [Field(name, ()) for name in ("cost", "steep", "trust")] + [Field("arrived", (), INT)]
     own = [Field("careful", (), INT), Field("low", (n,)), Field("high", (n,)), Field("tolerance", (2,))]
-    own += [Field("position", (3,)), Field("rotation", (3, 3)), Field("roots", (task.m,))]
+    own += [Field("target", (WIDTH * len(aims(task)),)), Field("roots", (task.m,))]
 
-    def one(q, best, squares, cost, steep, trust, arrived, careful, low, high, tolerance, position, rotation, roots):
+    def one(q, best, squares, cost, steep, trust, arrived, careful, low, high, tolerance, target, roots):
         zero = jnp.zeros((), dtype)
         at = Search(q, best, squares, cost, steep, trust, zero, arrived != 0)
-        of, pose, bounds = cast(modelled(chain), dtype), (position, rotation), (low, high)
+        of, pose, bounds = cast(modelled(chain), dtype), in_parts(task, target), (low, high)
         made = iterate(of, task, at, pose, bounds, tolerance, careful != 0, None if task.weights is None else roots)
         return [made.q, made.best, made.squares, made.cost, made.steep, made.trust, made.arrived.astype(jnp.int32)]
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.law.reference import Reference, References
+from cnclik.reaching.aims import aims
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import Reached, fields
@@ -25,7 +28,7 @@ from cnclik.task.task import Task
 @np.errstate(over="ignore", invalid="ignore")  # squares of targets beyond any robot: such lanes say so by themselves
 def reach(
     chain: Chain,
-    targets: PoseLike | tuple[ArrayLike | None, ArrayLike | None],
+    targets: PoseLike | tuple[ArrayLike | None, ArrayLike | None] | Mapping[str, Any] | Reference | References,
     *,
     task: str | Task = "pose",
     tolerance: ArrayLike = (1e-6, 1e-6),
@@ -41,7 +44,7 @@ def reach(
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> Reached:
-    """Joint values that put the tip at each of some targets, or the reason why none do.
+    """Joint values that put the tip, or several, at each of some targets, or the reason why none do.
 
     Called with numbers it works in float64 whatever the setting, on all cores, and returns NumPy arrays; the same
     numbers give the same answers. Where there is a C compiler the search is native, built when a chain is first asked
@@ -54,8 +57,9 @@ def reach(
       chain: the robot.
       targets: one target or an array of them along a first axis: 4×4 transforms; position and quaternion
         [x, y, z, w, x, y, z]; positions (3,) for a position task; rotations (3, 3) or quaternions (4,) for an
-        orientation task; a `Pose`; or a pair (positions, rotations). [m]
-      task: "pose", "position", "orientation" or a `Task`, of which weights count for the nearest pose.
+        orientation task; a `Pose`; or a pair (positions, rotations). [m] Of several tips a dict of such targets by the
+        names of a stack's tasks, or of the tips; or held `references`. One target may be shared by a batch of others.
+      task: "pose", "position", "orientation" or a `Task` of tips, of which weights count for the nearest pose.
       tolerance: of position [m] and orientation [rad], to search for.
       accept: a wider pair: what is within it is ACCEPTED where the tolerance is not met.
       near: joint values (n,) or (B, n) to search from, such as where the arm is now, within the limits or not;
@@ -99,6 +103,7 @@ def reach(
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
     xp, around = np if known else jnp, None if previous else near
+    several_tips = {"targets": pose} if len(aims(asked.task)) > 1 else {}
     pose, inner, moved = inward(asked, pose, around, xp)
     if not known:
         made = traced(asked, pose, inner)
@@ -110,5 +115,7 @@ def reach(
         made = several(asked, pose, inner, solutions, progress)
     else:
         made = many(asked, pose, inner, progress)
-    made = outward(asked, made, chain, around, moved, xp)
-    return replace(made, **{name: v[0] for name, v in fields(made).items()}) if alone else made
+    made, each = outward(asked, made, chain, around, moved, xp), several_tips
+    if alone:
+        each = {name: v[0] for name, v in (fields(made) | each).items()}
+    return replace(made, **each) if each else made

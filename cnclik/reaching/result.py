@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import enum
+from typing import NamedTuple
 
 import numpy as np
 
+from cnclik import errors
+from cnclik.reaching.aims import WIDTH, aims
 from cnclik.record import record
+from cnclik.robot import poses
 from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import task_jacobians
 from cnclik.shapes import AnyArray, Bool, Float, Int
+from cnclik.task.parts import At
 from cnclik.task.task import Task
 
 
@@ -29,9 +35,18 @@ class ReachStatus(enum.IntEnum):
 PER_TARGET = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
 
 
+class Missed(NamedTuple):
+    """What a task, or a tip, misses of its targets."""
+
+    position_error: Float[np.ndarray, " *B"]  # [m]
+    orientation_error: Float[np.ndarray, " *B"]  # [rad]
+
+
 @record
 class Reached:
     """Answers for B targets; for one target without the axis B, with k `solutions` with an axis k after it.
+
+    Errors are of the tip that misses most; of several tips `reached["left"]` are those of one task of a stack, or tip.
 
     NumPy arrays in float64; under jit, vmap and grad JAX's, in its dtype.
     """
@@ -46,6 +61,7 @@ class Reached:
     chain: Chain  # that was asked of
     task: Task  # and for what
     solutions: int = 1  # that were asked for, of each target
+    targets: Float[AnyArray, "*B t"] | None = None  # of several tips, in the base frame: see `aims`
 
     @property
     def solved(self) -> Bool[AnyArray, " *B"]:
@@ -65,11 +81,34 @@ class Reached:
         found[known] = np.linalg.svd(rows[known], compute_uv=False)[:, -1]
         return found.reshape(q.shape[:-1])
 
+    def __getitem__(self, name: str) -> Missed:
+        """The errors of a task of a stack, or of a tip of several, by its name; worked out when they are asked for."""
+        names, some = dict.fromkeys(aim.path[0] for aim in aims(self.task)), []
+        errors.one_of("name", name, names)
+        if self.targets is None:
+            return Missed(np.asarray(self.position_error), np.asarray(self.orientation_error))
+        at, every = At(modelled(self.chain), np.asarray(self.q, float)), np.asarray(self.targets, float)
+        every = every[..., None, :] if self.solutions > 1 else every
+        for k, aim in enumerate(aims(self.task)):
+            if aim.path[0] == name:
+                own = every[..., WIDTH * k : WIDTH * (k + 1)]
+                some.append(_missed(aim, own, at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)))
+        return Missed(*(np.max(v, axis=0) for v in zip(*some, strict=True)))
+
     def __str__(self):
         status = np.atleast_1d(np.asarray(self.status))
         parts = ", ".join(f"{number:,} {name}" for name, number in count(status).items())
         targets, each = status.size // self.solutions, f", {self.solutions:,} solutions of each" * (self.solutions > 1)
         return f"{targets:,} target{'s' * (targets != 1)}{each}: {parts}"
+
+
+@np.errstate(invalid="ignore")  # where there is no answer
+def _missed(aim, target, position, rotation):
+    """Errors of positions (..., 3) and rotations (..., 3, 3) of a tip."""
+    away = (target[..., :3] - position)[..., np.array(aim.linear, int)]
+    turn = target[..., 3:].reshape(*target.shape[:-1], 3, 3) @ rotation.mT
+    chord = 2 * np.linalg.norm(poses.quaternions(turn)[..., 1:][..., np.array(aim.angular, int)], axis=-1)
+    return np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1))
 
 
 def width(n: int) -> int:

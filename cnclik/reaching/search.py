@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from cnclik.reaching.aims import aims, owners
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.seeds import SETS, STRETCHES, Compared, nearest, spans, starts, turned
 from cnclik.reaching.step import Search, begin, in_parts, iterate
@@ -114,13 +115,18 @@ def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     ends, number, (low, high) = spans(asked.chain), asked.seed + k, bounds
     middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
     scattered = number.astype(np.uint32) * SCATTER
-    first = number % len(postures) if to is None else nearest(to, pose, number % SETS)
-    seed = postures[jnp.where(k < SETS, first, (scattered >> 20) % len(postures))]
+    own, count = owners(asked.task, asked.chain), len(aims(asked.task))
+    first = jnp.full(count, number % len(postures)) if to is None else nearest(to, pose, number % SETS)
+    which = jnp.where(k < SETS, first, (scattered >> 20) % len(postures))
+    seed = postures[which[own], np.arange(len(own))]
     stretch = jnp.where(k < SETS, 1.0, jnp.asarray(STRETCHES)[number % len(STRETCHES)]).astype(pose.dtype)
     q = starts(seed, near, asked.periods, ends, low, high, stretch, jnp)
     some = (scattered >> 16) % PLACES
-    by = (k >= SETS) & (number % SELDOM == 0) & jnp.isfinite(made.costs[some])
-    q = jnp.where(by, made.places[some] + NEARBY * (seed - middle), q)
+    by = (k >= SETS) & (number % SELDOM <= (count > 1)) & jnp.isfinite(made.costs[some])
+    if count > 1:  # of several tips one begins elsewhere
+        q = jnp.where(by & (own != number // SELDOM % count), made.places[some], q)
+    else:
+        q = jnp.where(by, made.places[some] + NEARBY * (seed - middle), q)
     if near is not None:
         shift = AROUND * k.astype(pose.dtype) / PLAIN * 2 * (postures[number % len(postures)] - middle) / width
         q = jnp.where(k < PLAIN, turned(near + shift, near, asked.periods, low, high, jnp), q)
@@ -133,14 +139,14 @@ def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
 def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Found:
     """What so many tries come to, from number k on.
 
-    Args: pose: (12,). near: (n,) or None.
+    Args: pose: the target. near: (n,) or None.
     """
     bounds = narrowed(phase.low, phase.high, phase.jump, near, jnp)
     number, downhill = k + jnp.arange(together, dtype=jnp.int32), phase.downhill > 0
     q, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
     plain = (number < PLAIN) & ~downhill
     most = jnp.where(downhill, phase.downhill, jnp.where(plain, STEPS, CAREFUL))
-    at, parts = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q), in_parts(pose)
+    at, parts = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q), in_parts(of.asked.task, pose)
     own = Try(at, jnp.zeros_like(number), most, ~plain, ~there, jnp.zeros_like(there))
     roots, order = None if of.asked.task.weights is None else phase.roots, jnp.arange(together)
 

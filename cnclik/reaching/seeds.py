@@ -12,11 +12,13 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.reaching.aims import aims, told_apart
 from cnclik.record import kept, record
 from cnclik.robot.chain import Chain
-from cnclik.robot.model import frames, modelled
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length, evenly
 from cnclik.shapes import Float
+from cnclik.task.parts import At
 
 SETS, SIZE = 16, 256
 STRETCHES = 1.0, 4.0, 1.0, 2.0  # of tries beyond the sets, by their number: half begin with most joints at limits
@@ -25,13 +27,11 @@ TURN = 0.2  # of an arm's length, that a radian or so of orientation counts for 
 
 @record
 class Seeds:
-    """Postures, and where their tips are."""
+    """Postures that fill the joint space."""
 
     postures: Float[np.ndarray, "K n"]  # K = SETS · SIZE: sets, each of which fills the joint space by itself
-    tips: Float[np.ndarray, "K 12"]  # position [arm lengths], and rotation times TURN
     middle: Float[np.ndarray, " n"]  # of the ranges that they fill
     width: Float[np.ndarray, " n"]
-    scale: float  # what a target's position is multiplied with [1/m]
 
 
 def seeds(chain: Chain) -> Seeds:
@@ -84,37 +84,42 @@ def starts(seed, near, periods, ends, low, high, stretch=1.0, xp=np):
 def _made(chain: Chain) -> Seeds:
     low, high = spans(chain)
     postures = low + (high - low) * evenly(SETS * SIZE, chain.n)
-    at = frames(modelled(chain), postures)
-    scale = 1.0 / arm_length(chain)
-    tips = np.concatenate([at.position * scale, TURN * at.rotation.reshape(-1, 9)], axis=1)
-    return Seeds(postures=postures, tips=tips, middle=(low + high) / 2, width=high - low, scale=scale)
+    return Seeds(postures=postures, middle=(low + high) / 2, width=high - low)
 
 
 @record
 class Compared:
-    """What targets are compared by: (distance to a seed)² is features · [factors · target, 1], and what all share."""
+    """What targets are compared by: (distance to a seed)² is features · [factors · target, 1], and what all share.
 
-    features: Float[np.ndarray, "SETS 13 SIZE"]
-    factors: Float[np.ndarray, 12]
+    For each of the task's aims: a joint starts where it has the tip near that it moves, see `aims.owners`.
+    """
 
-
-def compared(found: Seeds, task) -> Compared:
-    """What the seeds are to targets of a task, made once for them."""
-    name = f"_compared_{task.position}_{bool(task.orientation)}"
-    return kept(found, name, lambda found: _compared(found, task))
+    features: Float[np.ndarray, "A SETS 13 SIZE"]
+    factors: Float[np.ndarray, "A 12"]
 
 
-def _compared(found, task):
-    counts = np.array([i in task.linear for i in range(3)] + [bool(task.orientation)] * 9, float)
-    tips = found.tips * counts
-    features = np.concatenate([-2.0 * tips, np.sum(tips * tips, axis=1)[:, None]], axis=1)
-    features = np.ascontiguousarray(features.reshape(SETS, SIZE, 13).transpose(0, 2, 1), np.float32)
-    factors = counts * np.concatenate([[found.scale] * 3, [TURN] * 9])
-    return Compared(features=features, factors=factors.astype(np.float32))
+def compared(chain: Chain, task) -> Compared:
+    """What a chain's seeds are to targets of a task, made once for them."""
+    return kept(chain, f"_compared_{told_apart(task)}", lambda chain: _compared(chain, task))
+
+
+def _compared(chain, task):
+    robot, scale = At(modelled(chain), seeds(chain).postures), 1.0 / arm_length(chain)
+    features, factors = [], []
+    for aim in aims(task):
+        counts = np.array([i in aim.linear for i in range(3)] + [bool(aim.angular)] * 9, float)
+        turned = TURN * robot.rotation(aim.tip, aim.to).reshape(-1, 9)
+        tips = counts * np.concatenate([robot.position(aim.tip, aim.to) * scale, turned], axis=1)
+        own = np.concatenate([-2.0 * tips, np.sum(tips * tips, axis=1)[:, None]], axis=1)
+        features.append(own.reshape(SETS, SIZE, 13).transpose(0, 2, 1))
+        factors.append(counts * np.concatenate([[scale] * 3, [TURN] * 9]))
+    features, factors = (np.ascontiguousarray(v, np.float32) for v in (features, factors))
+    return Compared(features=features, factors=factors)
 
 
 def nearest(to: Compared, target, number):
-    """Index of the seed of set `number` that is nearest to a target (12,), in float32; traced."""
-    asked = jnp.concatenate([target * to.factors, jnp.ones(1, target.dtype)]).astype(np.float32)
-    distances = jnp.einsum("ij,i->j", jnp.asarray(to.features)[number], asked, precision="highest")
-    return jnp.argmin(distances) + SIZE * number
+    """Indices (aims,) of the seeds of set `number` that are nearest to a target, in float32; traced."""
+    scaled = target.reshape(to.factors.shape) * to.factors
+    asked = jnp.concatenate([scaled, jnp.ones((len(scaled), 1), target.dtype)], axis=1).astype(np.float32)
+    distances = jnp.einsum("aij,ai->aj", jnp.asarray(to.features)[:, number], asked, precision="highest")
+    return jnp.argmin(distances, axis=1) + SIZE * number

@@ -10,6 +10,7 @@ from cnclik.hints import LIGHT_COMPILE, as_here, quick_jit
 from cnclik.integrate.lanes import tiled
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
+from cnclik.reaching.aims import aims, told_apart
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, given, nothing, told, tries
@@ -17,8 +18,10 @@ from cnclik.reaching.seeds import SETS, SIZE, compared, seeds, spans
 from cnclik.reaching.step import in_parts, look
 from cnclik.reaching.strategy import CAREFUL, FAR, PLAIN, alone, narrowed, phases
 from cnclik.record import cast, kept, placed, replace
-from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import evenly, start_posture
+from cnclik.task.parts import At
+from cnclik.task.task import rows
 from cnclik.threads import cores, side_by_side
 
 BLOCK = 32  # targets that one call answers, one after the other
@@ -27,9 +30,9 @@ CAPACITY, TILE = 2048, 32  # targets of a call that makes their first tries side
 
 
 def traced(asked, pose, near):
-    """Answers for (B, 12) targets as part of another program."""
+    """Answers for (B, t) targets as part of another program."""
     if all(map(errors.concrete, jax.tree.leaves(asked.chain))):
-        postures, to = seeds(asked.chain).postures, compared(seeds(asked.chain), asked.task)
+        postures, to = seeds(asked.chain).postures, compared(asked.chain, asked.task)
     else:  # where their tips are depends on what is traced
         low, high = spans(asked.chain)
         postures, to = low + (high - low) * evenly(SETS * SIZE, asked.chain.n), None
@@ -43,7 +46,7 @@ def traced(asked, pose, near):
 
 
 def answer(asked, postures, to, pose, near, made, done, derivative=False) -> dict:
-    """Fields of the record of one target (12,), of which so many tries have been `made`."""
+    """Fields of the record of one target, of which so many tries have been `made`."""
     dtype = pose.dtype
     chain, held_pose, held_near = lax.stop_gradient((asked.chain, pose, near))
     of = given(replace(asked, chain=chain), postures, to, dtype)
@@ -67,13 +70,13 @@ def refined(chain, task, target, q, held, found):
     q, held = lax.stop_gradient((q, held))
     chain = cast(modelled(chain), q.dtype)
     held_chain, held_target = lax.stop_gradient((chain, target))
-    e, _ = look(chain, task, q, in_parts(target))
-    if 0 < len(task.angular) < 3:  # what is left of the turn about other axes turns these with it
-        rows = -jax.jacfwd(lambda v: look(held_chain, task, v, in_parts(held_target))[0])(q)
+    e, _ = look(chain, task, q, in_parts(task, target))
+    if any(len(aim.angular) in (1, 2) for aim in aims(task)):  # what is left about other axes turns these with it
+        j = -jax.jacfwd(lambda v: look(held_chain, task, v, in_parts(task, held_target))[0])(q)
     else:
-        rows = jacobian_rows(held_chain, frames(held_chain, q), task.linear, task.angular)
-    rows = jnp.where(held, 0.0, rows)
-    step = dense.cholesky_solve(dense.cholesky(dense.shifted(rows @ rows.T, tiny_shift(rows))), e) @ rows
+        j = rows(task, At(held_chain, q))
+    j = jnp.where(held, 0.0, j)
+    step = dense.cholesky_solve(dense.cholesky(dense.shifted(j @ j.T, tiny_shift(j))), e) @ j
     return q + jnp.where(found, step - lax.stop_gradient(step), 0.0)
 
 
@@ -81,7 +84,7 @@ def refined(chain, task, target, q, held, found):
 
 
 def _rows(asked, postures, to, pose, near, made, done, count, at=None, begins=False):
-    """The rows of the record for the first `count` of some targets (K, 12), and the last answer.
+    """The rows of the record for the first `count` of some targets (K, t), and the last answer.
 
     Args:
       made: what so many tries came to for each (`done`).
@@ -122,16 +125,16 @@ class Programs:
 
     def __init__(self, asked):
         task, chain = asked.task, asked.chain
-        name = f"_seeds_of_{task.position}_{bool(task.orientation)}"
+        name = f"_seeds_of_{told_apart(task)}"
         self.asked, self.first = asked, phases(asked)[0]
         with jax.enable_x64(True):
             self.shared = (
                 placed(asked),
-                *kept(chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(seeds(chain), task)))),
+                *kept(chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(chain, task)))),
             )
 
     def reached(self, pose, near, progress=None) -> Reached:
-        """Answers for (B, 12) targets, near (B, n) or None."""
+        """Answers for (B, t) targets, near (B, n) or None."""
         asked, B, n = self.asked, len(pose), self.asked.chain.n
         made, left, rows, done = nothing((B,), n), np.arange(B), np.empty((B, width(n))), 0
 
@@ -171,13 +174,13 @@ class Programs:
         return from_rows(chain, task, rows)
 
     def tried(self, pose, near, number, wide=False) -> Found:
-        """What for each of (B, 12) targets the try of a number (B,) comes to, by itself; `wide`: free of all bounds."""
+        """What for each of (B, t) targets the try of a number (B,) comes to, by itself; `wide`: free of all bounds."""
         made = nothing((len(pose),), self.asked.chain.n)
         self._try(made, pose, near, np.arange(len(pose)), alone(self.first, wide), number)
         return made
 
     def descended(self, pose, near, start) -> Found:
-        """What a careful search from one posture (B, n) comes to for each of (B, 12) targets."""
+        """What a careful search from one posture (B, n) comes to for each of (B, t) targets."""
         made = nothing((len(pose),), self.asked.chain.n)
         made.places[:, 0], made.costs[:, 0] = start, 0.0
         self._try(made, pose, near, np.arange(len(pose)), self.first._replace(downhill=CAREFUL), np.zeros(len(pose)))

@@ -13,6 +13,7 @@ The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a tur
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -23,10 +24,11 @@ from cnclik.engine.tracing import is_read
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
-from cnclik.robot.model import frames, jacobian_rows
+from cnclik.reaching.aims import WIDTH, aims
 from cnclik.robot.rotations import quaternion_from_rotation
 from cnclik.shapes import Array, Bool, Float
-from cnclik.task.task import Task
+from cnclik.task.parts import At, places
+from cnclik.task.task import Task, rows
 
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9
@@ -42,7 +44,7 @@ class Search(NamedTuple):
 
     q: Float[Array, " n"]  # where to look next
     best: Float[Array, " n"]  # the posture of the least error so far
-    squares: Float[Array, " 2"]  # its squared position and orientation error [m², rad²]
+    squares: Float[Array, " 2"]  # its squared position and orientation error [m², rad²], each the largest of all tips
     cost: Float[Array, ""]  # and their weighted sum; infinite before the first look
     steep: Float[Array, ""]  # squared length of the cost's free gradient there, over ‖e‖² ‖J‖²; 0 where no step helps
     trust: Float[Array, ""]  # τ
@@ -56,9 +58,13 @@ def begin(q, zero) -> Search:
     return Search(q, q, jnp.stack([far, far]), far, far, zero + 1.0, zero, never)
 
 
-def in_parts(target):
-    """Position and rotation of a target (12,)."""
-    return target[:3], target[3:].reshape(3, 3)
+def in_parts(task: Task, target):
+    """What each part of a task is to reach, of a target: twelve numbers for each of its `aims`."""
+    found = []
+    for k, aim in enumerate(aims(task)):
+        own = target[WIDTH * k : WIDTH * (k + 1)]
+        found += [part.aim(own[:3], own[3:].reshape(3, 3)) for part in aim.parts]
+    return tuple(found)
 
 
 @precise
@@ -66,11 +72,11 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
     """Look at `q`, and step on; a search that has arrived stays.
 
     Args:
-      target: position (3,) and rotation. bounds: lower and upper (n,). tolerance: [m], [rad].
+      target: see `in_parts`. bounds: lower and upper (n,). tolerance: [m], [rad].
       careful: whether to take back steps that did not help; may be traced.
       roots: of weights of the task's coordinates (m,); the task's own are not looked at.
     """
-    _, rows, squares, weighted = _look(chain, task, at.q, target, roots)
+    _, j, squares, weighted = _look(chain, task, at.q, target, roots)
     low, high = bounds
     cost = weighted @ weighted
     here = (squares[0] <= tolerance[0] ** 2) & (squares[1] <= tolerance[1] ** 2)
@@ -78,7 +84,7 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
     helped = jnp.where(cost < at.cost, jnp.maximum(at.trust * SHRINK, LEAST_TRUST), at.trust)
     changed = jnp.where(better, helped, jnp.minimum(at.trust * GROW, MOST_TRUST))
     trust = jnp.where(careful, changed, at.trust)
-    step, steep = _step(rows, weighted, cost, at.q, low, high, trust)
+    step, steep = _step(j, weighted, cost, at.q, low, high, trust)
 
     def choose(wanted, new, old):
         return jnp.where(wanted, new, old)
@@ -107,21 +113,29 @@ def look(chain, task: Task, q, target):
 
 def _look(chain, task, q, target, roots):
     """The error, the rows of J, the error's squares, and the error by its weights' roots, as the rows are."""
-    at = frames(chain, q)
-    e, squares = _error(task, at.position, at.rotation, *target)
-    rows = jacobian_rows(chain, at, task.linear, task.angular)
+    at = At(chain, q)
+    each = [_error(part, at, aim) for part, aim in zip(task.parts, target, strict=True)]
+    e, j, squares = jnp.concatenate(each), rows(task, at), _squares(task, each)
     if roots is None:
-        return e, rows, squares, e
-    return e, roots[:, None] * rows, squares, roots * e
+        return e, j, squares, e
+    return e, roots[:, None] * j, squares, roots * e
 
 
-def _error(task, position, rotation, position_d, rotation_d):
-    """e (m,), and the squares of its two parts (2,)."""
-    where, turn = (position_d - position)[np.array(task.linear, int)], jnp.zeros(0, position.dtype)
-    if task.orientation:
-        turn = 2.0 * quaternion_from_rotation(rotation_d @ rotation.T)[1:][np.array(task.angular)]
-    zero = 0.0 * position[0]
-    return jnp.concatenate([where, turn]), jnp.stack([where @ where + zero, turn @ turn + zero])
+def _error(part, at, aim):
+    """What is missing of a part, a turn as a chord."""
+    if not part.turns:
+        return part.error(at, aim)
+    return 2.0 * quaternion_from_rotation(aim @ at.rotation(part.tip, part.to).T)[1:][places(part.axes)]
+
+
+def _squares(task, each):
+    """The squares of the errors of position and orientation (2,), each that of the tip that misses most."""
+    found, rest, zero = [], iter(each), 0.0 * each[0][0]
+    for aim in aims(task):
+        own = [(part.turns, next(rest)) for part in aim.parts]
+        kinds = [[e for turns, e in own if turns == kind] for kind in (False, True)]
+        found.append(jnp.stack([sum((e @ e for e in some), zero) for some in kinds]))
+    return functools.reduce(jnp.maximum, found)
 
 
 def _step(rows, e, cost, q, low, high, trust):

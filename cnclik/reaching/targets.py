@@ -1,11 +1,14 @@
-"""Targets: the many ways to say where the tip shall be, read into 12 numbers each."""
+"""Targets: the many ways to say where the tip shall be, or several, read into 12 numbers for each tip."""
 
 import functools
+from collections.abc import Mapping
 
 import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.law.reference import Reference, References
+from cnclik.reaching.aims import aims
 from cnclik.robot import poses
 from cnclik.task.task import Task, orientation, pose, position
 
@@ -28,78 +31,122 @@ def _named(name):
 
 
 def read(targets, task: Task, base=None):
-    """Targets as ((B, 12) position and rows of the rotation, whether it was one alone).
+    """Targets as ((B, t) position and rows of the rotation of each aim, whether it was one alone).
 
     Args:
       targets: see `cnclik.reach`. base: where the chain's base stands in the targets' frame, a pose or one per target.
 
     Raises: ArgumentError for shapes that don't fit, and rotations that are none; numbers that are not finite pass.
     """
-    where, turn = _parts(targets, task)
+    each = [_counted(name, aim, *_parts(name, given, aim)) for name, given, aim in _each("targets", targets, task)]
+    sizes = {size for *_, size in each if size is not None}
+    if len(sizes) > 1:
+        found = " and ".join(f"{size or 'one'} in {name}" for name, *_, size in each)
+        raise errors.fail("targets", "have one target for each tip, or as many for each", f"have {found}")
+    alone, size = not sizes, sizes.pop() if sizes else 1
+    xp, stands, made = poses.library([row[2:4] for row in each], base), None if base is None else _base(base, size), []
+    for _, aim, where, turn, _ in each:
+        where = xp.zeros(3) if where is None else where
+        turn = xp.eye(3) if turn is None else turn
+        if stands is not None and aim.to is None:
+            back = xp.swapaxes(stands[1], -1, -2)
+            where = xp.einsum("...ij,...j->...i", back, where - stands[0])
+            turn = back @ turn
+        for own in (where.reshape(-1, 3), turn.reshape(-1, 9)):
+            made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
+    made = xp.concatenate(made, axis=1)
+    return np.ascontiguousarray(made, float) if xp is np else made, alone
+
+
+def _each(name, given, task):
+    """(name, target, aim) of each of a task's aims, of what is given by the names of tasks and tips."""
+    every = aims(task)
+    if len(every) == 1 and not isinstance(given, (Mapping, References)):
+        return [(name, given, every[0])]
+    return _by_name(name, given, [(aim.path, aim) for aim in every])
+
+
+def _by_name(name, given, due):
+    keys = list(dict.fromkeys(path[0] for path, _ in due if path))
+    if isinstance(given, References):
+        given = dict(zip(given.names, given.each, strict=True))
+    if not isinstance(given, Mapping):
+        if len(due) > 1:
+            needed = ", ".join(f"{key!r}: ..." for key in keys)
+            raise errors.fail(name, f"be a target for each tip, {{{needed}}}", f"is {type(given).__name__}")
+        return [(name, given, due[0][1])]
+    if set(given) != set(keys):
+        others = ", ".join(map(str, given)) or "none"
+        raise errors.fail(name, f"be for {' and '.join(keys) or 'a tip'}", f"is for {others}")
+    under = {key: [(path[1:], aim) for path, aim in due if path[:1] == (key,)] for key in keys}
+    return [found for key in keys for found in _by_name(f"{name}[{key!r}]", given[key], under[key])]
+
+
+def _counted(name, aim, where, turn):
+    """With how many there are; None of one alone. Raises: ArgumentError unless there are as many of both."""
     counts = {None if v.ndim == own else len(v) for v, own in ((where, 1), (turn, 2)) if v is not None}
     if len(counts) > 1:
         found = " and ".join("one" if c is None else f"{c}" for c in sorted(counts, key=lambda c: c or 0))
-        raise errors.fail("targets", "have as many positions as rotations", f"have {found}")
+        raise errors.fail(name, "have as many positions as rotations", f"have {found}")
     (size,) = counts
-    single, size = size is None, 1 if size is None else size
-    where, turn = (None if v is None else v[None] if single else v for v in (where, turn))
     if size == 0:
-        raise errors.fail("targets", "hold at least one target", "hold none")
-    xp = poses.library(where, turn, base)
-    where = xp.zeros((size, 3)) if where is None else where
-    turn = xp.broadcast_to(xp.eye(3), (size, 3, 3)) if turn is None else turn
-    if base is not None:
-        stands = poses.whole("base", base)
-        if stands is None:
-            raise errors.fail("base", f"be {poses.FORMS}, or one of them per target", f"has shape {np.shape(base)}")
-        if stands[0].ndim == 2 and len(stands[0]) != size:
-            raise errors.fail("base", f"be one pose or {size}, one per target", f"holds {len(stands[0])}")
-        back = xp.swapaxes(stands[1], -1, -2)
-        where = xp.einsum("...ij,...j->...i", back, where - stands[0])
-        turn = back @ turn
-    made = xp.concatenate([where, turn.reshape(size, 9)], axis=1)
-    return np.ascontiguousarray(made, float) if xp is np else made, single
+        raise errors.fail(name, "hold at least one target", "hold none")
+    return name, aim, where, turn, size
 
 
-def _parts(targets, task):
-    """Positions (..., 3) or None, rotations (..., 3, 3) or None."""
+def _base(base, size):
+    """Positions and rotations of where the base stands, one or as many as there are targets."""
+    stands = poses.whole("base", base)
+    if stands is None:
+        raise errors.fail("base", f"be {poses.FORMS}, or one of them per target", f"has shape {np.shape(base)}")
+    if stands[0].ndim == 2 and len(stands[0]) != size:
+        raise errors.fail("base", f"be one pose or {size}, one per target", f"holds {len(stands[0])}")
+    return stands
+
+
+def _parts(name, targets, aim):
+    """Positions (..., 3) or None, rotations (..., 3, 3) or None, of a target in any form."""
+    if isinstance(targets, Reference):
+        if not targets.still:
+            raise errors.fail(name, "stand still, as ck.hold(...) does", f"is {targets!r}")
+        targets = targets.curve.position, targets.curve.rotation
     if isinstance(targets, tuple) and len(targets) == 2 and not np.isscalar(targets[0]):
         where, turn = targets
-        where = None if where is None and not task.position else _positions(where)
-        turn = None if turn is None and not task.orientation else poses.rotations("targets", turn, finite=False)
+        where = None if where is None and not aim.linear else _positions(name, where)
+        turn = None if turn is None and not aim.angular else poses.rotations(name, turn, finite=False)
         return where, turn
-    four = not task.position and poses.shape_of(targets) == (4, 4) and _are_quaternions(targets)
-    found = None if four else poses.whole("targets", targets, finite=False)
+    four = not aim.linear and poses.shape_of(targets) == (4, 4) and _are_quaternions(name, targets)
+    found = None if four else poses.whole(name, targets, finite=False)
     if found is not None:
         return found
-    targets = errors.array("targets", targets, finite=False)
+    targets = errors.array(name, targets, finite=False)
     shape = targets.shape
-    if not task.orientation and shape[-1:] == (3,) and len(shape) in (1, 2):
-        return _positions(targets), None
-    if not task.position:
-        return None, poses.rotations("targets", targets, finite=False)
+    if not aim.angular and shape[-1:] == (3,) and len(shape) in (1, 2):
+        return _positions(name, targets), None
+    if not aim.linear:
+        return None, poses.rotations(name, targets, finite=False)
     if shape[-1:] == (3,) and len(shape) in (1, 2):
         must = f"be {_FORMS['pose']}, one or an array of them"
-        raise errors.fail("targets", must, "holds positions alone, which are for task position (--task position)")
-    kind = "pose" if task.orientation else "position"
-    raise errors.fail("targets", f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
+        raise errors.fail(name, must, "holds positions alone, which are for task position (--task position)")
+    kind = "pose" if aim.angular else "position"
+    raise errors.fail(name, f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
 
 
-def _positions(value):
-    value = errors.array("targets", value, (3,), (None, 3), finite=False)
+def _positions(name, value):
+    value = errors.array(name, value, (3,), (None, 3), finite=False)
     return np.asarray(value, float) if errors.concrete(value) else value
 
 
-def _are_quaternions(found) -> bool:
+def _are_quaternions(name, found) -> bool:
     """Whether a 4×4 array is four unit quaternions and no transform. Raises ArgumentError where it could be both."""
     if not all(map(errors.concrete, jax.tree.leaves(found))):
         return False
-    found = np.asarray(errors.array("targets", found, finite=False), float)
+    found = np.asarray(errors.array(name, found, finite=False), float)
     with np.errstate(all="ignore"):
         off = np.abs(np.sqrt((found * found).sum(axis=1)) - 1).max()
     if not np.array_equal(found[3], [0, 0, 0, 1]):
         return off <= poses.NORM
     if off <= poses.ROUGH:  # such as the identity
         must = "say whether it is a transform, T[None], or four quaternions, (None, quaternions)"
-        raise errors.fail("targets", must, "could be both")
+        raise errors.fail(name, must, "could be both")
     return False

@@ -5,10 +5,13 @@ A search adds metres to radians. In a unit near the arm's size the two are compa
 metre.
 """
 
+import functools
+
 import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.record import kept, replace
 from cnclik.robot import fixed
@@ -60,34 +63,46 @@ def _offset(offset, unit):
 def inward(asked, pose, near, xp=np):
     """What is asked of a search in the chain's unit, and how much farther off the targets are.
 
-    Args: pose: targets (B, 12) [m]. near: (B, n) [rad, m] or None.
+    Args: pose: targets (B, t) [m]. near: (B, n) [rad, m] or None.
 
     Returns: pose, near, and (B,) [units] by how much each target was moved towards the first joint, or None: of one
-    that is farther off than `FAR` only the direction matters.
+    that is farther off than `FAR` only the direction matters. Of several tips' that of the one moved most.
     """
+    every = aims(asked.task)
     if asked.unit != 1.0:
-        pose = pose * xp.asarray([1.0 / asked.unit] * 3 + [1.0] * 9, pose.dtype)
+        pose = pose * xp.asarray(([1.0 / asked.unit] * 3 + [1.0] * 9) * len(every), pose.dtype)
         near = None if near is None else near / xp.asarray(of_joints(asked.chain, asked.unit), near.dtype)
-    if not asked.task.linear or (xp is np and _is_close(pose)):
+    if not any(aim.linear for aim in every) or (xp is np and _is_close(pose)):
         return pose, near, None
-    first = xp.stack(asked.chain.joints[0].origin.position).astype(pose.dtype)
-    away = pose[:, :3] - first
+    parts, moved = [], []
+    for k, aim in enumerate(every):
+        where, by = _nearer(asked.chain, aim, pose[:, WIDTH * k : WIDTH * k + 3], xp)
+        parts += [where, pose[:, WIDTH * k + 3 : WIDTH * (k + 1)]]
+        moved.append(by)
+    return xp.concatenate(parts, axis=1), near, functools.reduce(xp.maximum, moved)
+
+
+def _nearer(chain, aim, where, xp):
+    """The positions (B, 3) of an aim, those nearer that are too far off, and by how much (B,)."""
+    if not aim.linear:
+        return where, xp.zeros(len(where), where.dtype)
+    first = xp.stack(chain.joints[aim.way(chain)[0]].origin.position if aim.to is None else [0.0] * 3)
+    first = first.astype(where.dtype)
+    away = where - first
     counts = jax.lax.stop_gradient(away) if xp is not np else away
-    counts = counts[:, np.array(asked.task.linear)]
+    counts = counts[:, np.array(aim.linear)]
     most = xp.max(xp.abs(counts), axis=1)
     shrink = xp.where(most > FAR, FAR / xp.maximum(most, FAR), 1.0)[:, None]
     length = most * xp.sqrt(xp.sum((counts / xp.maximum(most, 1.0)[:, None]) ** 2, axis=1))
-    near_enough = xp.where(shrink < 1, first + shrink * away, pose[:, :3])
-    return (
-        xp.concatenate([near_enough, pose[:, 3:]], axis=1),
-        near,
-        xp.where(most > FAR, length - shrink[:, 0] * length, 0),
-    )
+    near_enough = xp.where(shrink < 1, first + shrink * away, where)
+    return near_enough, xp.where(most > FAR, length - shrink[:, 0] * length, 0)
 
 
 def _is_close(pose) -> bool:
     """Whether no target is so far off: of one alone by Python's numbers, which are quicker than NumPy's."""
-    return max(map(abs, pose[0, :3].tolist())) <= FAR if len(pose) == 1 else not (np.abs(pose[:, :3]) > FAR).any()
+    if pose.shape == (1, WIDTH):
+        return max(map(abs, pose[0, :3].tolist())) <= FAR
+    return not (np.abs(pose.reshape(-1, WIDTH)[:, :3]) > FAR).any()
 
 
 def outward(asked, made: Reached, chain: Chain, near, moved, xp=np) -> Reached:

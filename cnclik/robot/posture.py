@@ -1,6 +1,6 @@
 """Posture: how long an arm is, whether it is planar, how far postures are from singular, and where to start.
 
-A task is anything with `linear` and `angular`, the components of the tip's velocity that it controls.
+A task is anything with `jacobians`, and `lengths`, the coordinates that are in m.
 """
 
 import functools
@@ -12,20 +12,21 @@ import numpy as np
 from cnclik import errors
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.fixed import IDENTITY
-from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
 
 
-def arm_length(chain: Chain, least=1e-3):
+def arm_length(chain: Chain, least=1e-3, number=None):
     """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
 
-    Of several tips that of the farthest. A float; traced where the chain's geometry is.
+    Of the tip of a number, or of several that of the farthest. A float; traced where the chain's geometry is.
     """
     ways = [
         [*(chain.joints[i].origin.position for i in chain.way(k)[1:]), tip.offset.position]
         for k, tip in enumerate(chain.tips)
+        if number in (None, k)
     ]
     if all(errors.concrete(x) for way in ways for p in way for x in p):
         return max(least, *(sum(math.hypot(*map(float, p)) for p in way) for way in ways))
@@ -33,19 +34,20 @@ def arm_length(chain: Chain, least=1e-3):
     return functools.reduce(jnp.maximum, lengths, least)
 
 
-def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np):
+def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
     """By how much points are farther from the first joint than the stretched arm is long [m], for sure.
 
-    Args: points: (..., len(axes)), their coordinates along those axes.
+    Args: points: (..., len(axes)), their coordinates along those axes. number: of the tip.
     Returns: (...,), negative within reach; −∞ where a joint slides, as the arm has then no length of its own.
     """
-    if any(joint.kind != REVOLUTE for joint in chain.joints):
+    way = [chain.joints[i] for i in chain.way(number)]
+    if any(joint.kind != REVOLUTE for joint in way):
         return xp.full(points.shape[:-1], -math.inf)
-    origin = chain.joints[0].origin.position
+    origin = way[0].origin.position
     away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
     size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # squares stay finite
-    rounding = 64 * float(np.finfo(away.dtype).eps)
-    return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - (1 + rounding) * arm_length(chain)
+    longest = (1 + 64 * float(np.finfo(away.dtype).eps)) * arm_length(chain, number=number)  # with room for rounding
+    return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - longest
 
 
 def is_planar(chain: Chain) -> bool:
@@ -58,14 +60,13 @@ def is_planar(chain: Chain) -> bool:
 
 def task_jacobians(chain: Chain, task, postures):
     """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which compiles nothing."""
-    model = modelled(chain)
-    return jacobian_rows(model, frames(model, np.asarray(postures, float)), task.linear, task.angular)
+    return task.jacobians(modelled(chain), np.asarray(postures, float))
 
 
 def least_singular_values(chain: Chain, task, postures):
     """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
     j = task_jacobians(chain, task, postures)
-    j[:, : len(task.linear)] /= arm_length(chain)
+    j[:, task.lengths] /= arm_length(chain)
     return np.linalg.svd(j, compute_uv=False)[:, -1]
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record, replace
 from cnclik.robot.model import Frames, Model, frames, jacobian_rows
-from cnclik.robot.rotations import axial, crossed, exp_so3, log_quaternion, log_so3, turn_from
+from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, turn_from
 
 AXES = "xyz"
 _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
@@ -34,7 +34,8 @@ _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
 class At:
     """A robot at joint values q (n,), as the parts of a task see it: places and motion of its tips.
 
-    A tip is seen from the base, or from another tip `to`, in its frame, as it moves itself.
+    A tip is seen from the base, or from another tip `to`, in its frame, as it moves itself. Where all are NumPy's
+    numbers, q may be (..., n).
     """
 
     def __init__(self, chain: Model, q):
@@ -51,12 +52,13 @@ class At:
         """(3,) [m]"""
         if to is None:
             return self.frames(tip).position
-        return self.frames(to).rotation.T @ (self.frames(tip).position - self.frames(to).position)
+        away = self.frames(tip).position - self.frames(to).position
+        return (away[..., None, :] @ self.frames(to).rotation)[..., 0, :]
 
     def rotation(self, tip, to=None):
         """(3, 3)"""
         own = self.frames(tip).rotation
-        return own if to is None else self.frames(to).rotation.T @ own
+        return own if to is None else self.frames(to).rotation.mT @ own
 
     def rows(self, tip, to, linear, angular):
         """Rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
@@ -64,10 +66,11 @@ class At:
             return jacobian_rows(self.chain, self.frames(tip), linear, angular)
         every, at, other = (0, 1, 2), self.frames(tip), self.frames(to)
         own, its = (jacobian_rows(self.chain, one, every, every) for one in (at, other))
-        turned = other.rotation.T
-        v = turned @ (own[:3] - its[:3] + crossed(at.position - other.position) @ its[3:])
-        w = turned @ (own[3:] - its[3:])
-        return jnp.concatenate([v[np.array(linear, int)], w[np.array(angular, int)]])
+        (v, w), (vo, wo) = ((each[..., :3, :], each[..., 3:, :]) for each in (own, its))
+        xp, turned, away = library(own, its), other.rotation.mT, (at.position - other.position)[..., None]
+        v = turned @ (v - vo + xp.cross(away, wo, axis=-2))
+        both = xp.concatenate([v, turned @ (w - wo)], axis=-2)
+        return both[..., np.array([*linear, *(3 + i for i in angular)], int), :]
 
 
 def places(axes) -> np.ndarray:

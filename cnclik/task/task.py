@@ -15,6 +15,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.record import brief, record, replace
+from cnclik.robot.rotations import library
 from cnclik.shapes import ArrayLike, Float
 from cnclik.task.parts import AXES, At, Function, Joints, Orientation, Position, places
 
@@ -107,6 +108,10 @@ class Task:
             return self
         task = replace(self, parts=parts)
         return task if task.weights is None else replace(task, weights=_weights(task, task.weights))
+
+    def jacobians(self, robot, postures):
+        """Task Jacobians (K, m, n) of a `Model` of arrays at (K, n) postures, in NumPy; of tips' coordinates alone."""
+        return rows(self, At(robot, postures))
 
     # --- of a task of one tip's pose alone ---
 
@@ -289,4 +294,5 @@ def error(task: Task, robot: At, aims):
 
 def rows(task: Task, robot: At):
     """The rows of the task Jacobian (m, n), before weighting."""
-    return jnp.concatenate([part.rows(robot) for part in task.parts])
+    each = [part.rows(robot) for part in task.parts]
+    return library(*each).concatenate(each, axis=-2)

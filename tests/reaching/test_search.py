@@ -22,7 +22,7 @@ def asked(chain):
 
 def test_tries_beyond_the_sets_start_elsewhere():
     chain = ck.panda()
-    to, phase = compared(seeds(chain), pose()), strategy.phases(asked(chain))[1]
+    to, phase = compared(chain, pose()), strategy.phases(asked(chain))[1]
     of = search.given(asked(chain), seeds(chain).postures, to, np.float64)
     made, bounds = search.nothing((), chain.n, float, jnp), (np.array(chain.lower), np.array(chain.upper))
 
@@ -36,7 +36,7 @@ def test_tries_beyond_the_sets_start_elsewhere():
 def test_tries_call_no_lapack():
     """Blocks of them run side by side."""
     chain = ck.panda()
-    of = search.given(asked(chain), seeds(chain).postures, compared(seeds(chain), pose()), np.float64)
+    of = search.given(asked(chain), seeds(chain).postures, compared(chain, pose()), np.float64)
     phase, made = strategy.phases(asked(chain))[0], search.nothing((), chain.n, float, jnp)
     traced = jax.make_jaxpr(lambda target: search.tries(of, phase, made, target, None, 0, 1))(np.eye(1, 12)[0])
     assert not shares_threads(traced.jaxpr)

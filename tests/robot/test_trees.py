@@ -194,7 +194,7 @@ def arms(tips=tuple(ARMS), **options):
         (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
         (lambda: ck.jacobian(ck.panda(), np.zeros(7), tip="hand"), "`tip` must be one of tip, but is 'hand'"),
         (lambda: ck.Law(arms(), ck.position(), alpha=1.0), "`tip` must be given for a robot with several"),
-        (lambda: ck.reach(arms(), np.eye(4)), "`chain` must have one tip"),
+        (lambda: ck.reach(arms(), np.eye(4)), "`tip` must be given for a robot with several"),
         (lambda: ck.join(ck.panda(), ck.panda()), "`prefix` must tell the names of both robots apart"),
         (lambda: ck.join(ck.panda(), 3), "`other` must be a Chain"),
     ],

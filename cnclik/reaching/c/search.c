@@ -10,7 +10,7 @@ typedef struct { /* what a search comes to for a target; `search.Found` in Pytho
 } Found;
 
 typedef struct { /* of B targets; the same as `native._Call` */
-  const Real *pose, *near; /* (B, 12), (B, N) or NULL */
+  const Real *pose, *near; /* (B, AIMS, 12), (B, N) or NULL */
   const uint8_t *skip; /* (B) or NULL: nothing is tried for those */
   Found *made; /* (B) */
   Real *rows; /* (B, 2 N + 5) or NULL: of targets that are found, what `result.from_rows` reads */
@@ -18,7 +18,7 @@ typedef struct { /* of B targets; the same as `native._Call` */
   const Real *lower, *upper, *jump; /* (N) limits; INFINITY, where no jump is asked for */
   const Real *periods, *turns; /* (N) what a joint turns by to the same posture, or 0; where several turns fit */
   const Real *postures, *middle, *width; /* (SETS * SIZE, N), (N), (N) of the seeds */
-  const float *features, *factors; /* (SETS, 13, SIZE), (12) */
+  const float *features, *factors; /* (AIMS, SETS, 13, SIZE), (AIMS, 12) */
   const Real *roots; /* (M) of weights */
   Real tolerance[2];
   int64_t done, tries, budget, seed; /* tries before; in all */
@@ -43,10 +43,11 @@ typedef int32_t J;
 #define EITHER(mask, a, b) ((mask) ? (a) : (b))
 #endif
 
-/* The seed of a set whose tip is nearest to a target. */
-static int64_t nearest(const Asked *a, const Real *pose, int64_t set)
+/* The seed of a set whose tip is nearest to one of a target's aims. */
+static const Real *nearest(const Asked *a, int64_t target, int64_t aim, int64_t set)
 {
-  const float *features = a->features + set * 13 * SIZE;
+  const float *features = a->features + (aim * SETS + set) * 13 * SIZE, *factors = a->factors + aim * 12;
+  const Real *pose = a->pose + (target * AIMS + aim) * 12;
   F shortest;
   J where, at;
   float asked[12], smallest = INFINITY;
@@ -54,7 +55,7 @@ static int64_t nearest(const Asked *a, const Real *pose, int64_t set)
   memset(&shortest, 0, sizeof shortest);
   memset(&where, 0, sizeof where);
   memset(&at, 0, sizeof at);
-  for (int i = 0; i < 12; ++i) asked[i] = (float)pose[i] * a->factors[i];
+  for (int i = 0; i < 12; ++i) asked[i] = (float)pose[i] * factors[i];
   for (int i = 0; i < WF; ++i) {
     LANE(shortest, i) = INFINITY;
     LANE(at, i) = i;
@@ -77,7 +78,7 @@ static int64_t nearest(const Asked *a, const Real *pose, int64_t set)
       found = LANE(where, i);
     }
   }
-  return set * SIZE + found;
+  return a->postures + (set * SIZE + found) * N;
 }
 
 /* A joint's value by whole turns as near to `about` as the bounds let it be; as `seeds.turned`. */
@@ -98,27 +99,33 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   const int64_t k = own->number, number = a->seed + k;
   const int plain = k < PLAIN && !a->downhill, by = plain && k < BY_NEAR && a->near != NULL;
   static const Real stretches[] = {STRETCHED};
+  static const int owners[N] = {OWNERS};
   const Real stretch = k < SETS ? 1 : stretches[number % STRETCHES];
-  const Real *start, *place = NULL;
-  if (a->downhill) {
-    start = made->places[k];
-  } else if (by) {
-    start = a->postures + number % (SETS * SIZE) * N;
-  } else if (k < SETS) {
-    start = a->postures + nearest(a, a->pose + 12 * target, number % SETS) * N;
-  } else {
-    const uint32_t any = (uint32_t)number * SCATTER, some = (any >> 16) % PLACES;
-    start = a->postures + (any >> 20) % (SETS * SIZE) * N;
-    place = number % SELDOM == 0 && made->costs[some] < INFINITY ? made->places[some] : NULL;
+  const Real *starts[AIMS], *place = NULL; /* where the joints that an aim owns begin */
+  for (int aim = 0; aim < AIMS; ++aim) {
+    if (a->downhill) {
+      starts[aim] = made->places[k];
+    } else if (by) {
+      starts[aim] = a->postures + number % (SETS * SIZE) * N;
+    } else if (k < SETS) {
+      starts[aim] = nearest(a, target, aim, number % SETS);
+    } else {
+      const uint32_t any = (uint32_t)number * SCATTER, some = (any >> 16) % PLACES;
+      starts[aim] = a->postures + (any >> 20) % (SETS * SIZE) * N;
+      place = number % SELDOM <= (AIMS > 1) && made->costs[some] < INFINITY ? made->places[some] : NULL;
+    }
   }
   for (int j = 0; j < N; ++j) {
     const Real low = LANE(s->low[j], i), high = LANE(s->high[j], i), width = a->width[j] > 1e-9 ? a->width[j] : 1e-9;
-    const Real about = a->near == NULL ? 0 : a->near[target * N + j], from = (start[j] - a->middle[j]) / width;
-    Real q = start[j];
+    const Real start = starts[owners[j]][j], from = (start - a->middle[j]) / width;
+    const Real about = a->near == NULL ? 0 : a->near[target * N + j];
+    Real q = start;
     if (by) {
       q = turned(about + AROUND * (Real)k / PLAIN * 2 * from, about, a->periods[j], low, high);
-    } else if (place != NULL) {
+    } else if (place != NULL && AIMS == 1) {
       q = place[j] + NEARBY * (q - a->middle[j]);
+    } else if (place != NULL && owners[j] != number / SELDOM % AIMS) { /* of several tips one begins elsewhere */
+      q = place[j];
     } else if (!a->downhill) { /* as `seeds.starts` */
       if (a->near != NULL) q = turned(q, about, a->periods[j], low, high);
       if (q < low || q > high || (stretch > 1 && high - low < INFINITY)) q = low + (high - low) * (stretch * from + 0.5);
@@ -149,8 +156,7 @@ static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
     LANE(s->high[j], i) = most(least(a->high[j], about + a->jump[j]), a->low[j]);
     LANE(s->low[j], i) = low;
   }
-  for (int j = 0; j < 3; ++j) LANE(s->position[j], i) = a->pose[12 * target + j];
-  for (int j = 0; j < 9; ++j) LANE(s->rotation[j], i) = a->pose[12 * target + 3 + j];
+  for (int j = 0; j < 12 * AIMS; ++j) LANE(s->target[j], i) = a->pose[12 * AIMS * target + j];
   own->target = target;
   own->number = a->done;
   if (a->done == 0) made->cost = INFINITY;
@@ -162,7 +168,7 @@ static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
     for (int k = 0; k < PLACES; ++k) made->costs[k] = INFINITY;
   }
   own->looks = made->looks;
-  for (int j = 0; j < 12; ++j) sum += 0 * a->pose[12 * target + j];
+  for (int j = 0; j < 12 * AIMS; ++j) sum += 0 * a->pose[12 * AIMS * target + j];
   for (int j = 0; j < N && a->near != NULL; ++j) sum += 0 * a->near[target * N + j];
   return sum == 0 && !(a->skip != NULL && a->skip[target]) && begin(a, s, own, i);
 }

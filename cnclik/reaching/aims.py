@@ -1,0 +1,62 @@
+"""Aims: what a task wants of its tips, one after the other; a target has t = 12 numbers for each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import kept, record
+from cnclik.robot.chain import Chain
+from cnclik.task.parts import places
+from cnclik.task.task import Part, Task
+
+WIDTH = 12  # of an aim's target: a position [m], and the rows of a rotation
+
+
+@record
+class Aim:
+    """Position, orientation or both of one tip."""
+
+    path: tuple[str, ...]  # its name: of a stack's task, of the tip where there are several
+    parts: tuple[Part, ...]  # of the task: the coordinates that count
+    tip: str | None
+    to: str | None  # the tip from which it is seen; None: the base
+    linear: tuple[int, ...]  # axes of the position
+    angular: tuple[int, ...]
+
+    def way(self, chain: Chain) -> list[int]:
+        """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
+        own, other = (chain.way(chain.tip_number(tip)) for tip in (self.tip, self.to or self.tip))
+        return own if self.to is None else sorted(set(own) ^ set(other))
+
+
+def aims(task: Task) -> tuple[Aim, ...]:
+    """The aims of a task. Raises: ArgumentError for coordinates that are no tip's, and for a tip that has two aims."""
+    return kept(task, "_aims", _aims)
+
+
+def _aims(task):
+    found = []
+    for path, own in task.targets:
+        if not all(hasattr(part, "axes") for part in own.parts):
+            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(own.names)}")
+        if path in [aim.path for aim in found]:
+            raise errors.fail("task", "have what it wants of a tip in one place", f"has {path[-1]} in two")
+        tip, to = own.parts[0].tip, own.parts[0].to
+        axes = [[i for part in own.parts if part.turns == turns for i in places(part.axes)] for turns in (False, True)]
+        linear, angular = (tuple(map(int, of)) for of in axes)
+        if len({*linear, *(3 + i for i in angular)}) < len(linear + angular):
+            raise errors.fail("task", "have each axis of a tip once", f"has {', '.join(own.names)}")
+        found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular))
+    return tuple(found)
+
+
+def told_apart(task: Task) -> str:
+    """A text that is another's where the aims are."""
+    return str([aim.parts for aim in aims(task)])
+
+
+def owners(task: Task, chain: Chain) -> np.ndarray:
+    """(n,) which of the aims each joint moves; of several the first."""
+    ways = [{chain.joints[i].coordinate for i in aim.way(chain)} for aim in aims(task)]
+    return np.array([next((k for k, way in enumerate(ways) if i in way), 0) for i in range(chain.n)], np.int32)

@@ -1,0 +1,318 @@
+"""Several tips at once: every answer by Pinocchio; targets by name; what is out of reach, and what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.engine.compiler import can_build
+from cnclik.reaching.aims import owners
+from cnclik.reaching.seeds import spans
+from cnclik.robot.model import modelled
+from cnclik.robot.poses import quaternions
+from cnclik.task.parts import At
+from tests.oracles import close
+from tests.reaching.test_reach import both_ways
+from tests.robot.test_trees import BAXTER, GRIPPERS, ROBOTS, ROOT
+from tests.robot.test_urdf import Pinocchio, oracle
+
+ARMS = {
+    "baxter": (GRIPPERS, "base"),
+    "pr2": (["l_gripper_tool_frame", "r_gripper_tool_frame"], "base_footprint"),
+    "talos": (["gripper_left_base_link", "gripper_right_base_link"], "base_link"),
+}
+LEFT, RIGHT = GRIPPERS
+TWO = ck.load_urdf(BAXTER, tips=GRIPPERS)
+TASK = ck.stack(left=ck.pose(tip=LEFT), right=ck.pose(tip=RIGHT))
+HANDS = ck.pose(tip=LEFT) & ck.position(tip=RIGHT)
+
+
+def drawn(robot, count, seed=0):
+    return np.random.default_rng(seed).uniform(*spans(robot), (count, robot.n))
+
+
+def where(robot, q, tip, to=None):
+    """Positions (B, 3) and rotations (B, 3, 3) of a tip."""
+    at = At(modelled(robot), q)
+    return at.position(tip, to), at.rotation(tip, to)
+
+
+def matrices(pose):
+    made = np.tile(np.eye(4), (len(pose[0]), 1, 1))
+    made[:, :3, 3], made[:, :3, :3] = pose
+    return made
+
+
+def angle(one, other):
+    return 2 * np.arcsin(np.minimum(np.linalg.norm(one - other) / 8**0.5, 1))
+
+
+@both_ways
+@pytest.mark.parametrize("name", ["baxter", pytest.param("pr2", marks=pytest.mark.slow), "talos"])
+def test_every_answer_is_one(name):
+    """By Pinocchio's forward kinematics, and within the limits; errors are those of the tip that misses most."""
+    (tips, base), path = ARMS[name], ROOT / ROBOTS[name]
+    robot, other = ck.load_urdf(path, tips=tips), Pinocchio(path, oracle(path)[0])
+    task = ck.stack(left=ck.pose(tip=tips[0]), right=ck.pose(tip=tips[1]))
+    q = drawn(robot, 60)
+    due = {side: where(robot, q, tip) for side, tip in zip(("left", "right"), tips, strict=True)}
+    made, sides = ck.reach(robot, due, task=task), {}
+    assert made.solved.all() and made.evaluations.mean() < 100
+    assert (made.q >= np.array(robot.lower)).all() and (made.q <= np.array(robot.upper)).all()
+    for side, tip in zip(due, tips, strict=True):
+        there = [other.at(robot.joint_names, v, tip, base)[:2] for v in made.q]
+        away = [np.linalg.norm(at[0] - p) for at, p in zip(there, due[side][0], strict=True)]
+        turn = [angle(at[1], r) for at, r in zip(there, due[side][1], strict=True)]
+        close(made[side].position_error, away, atol=1e-12)
+        close(made[side].orientation_error, turn, atol=1e-12)
+        sides[side] = away, turn
+    close(made.position_error, np.max([away for away, _ in sides.values()], axis=0), atol=1e-12)
+    close(made.orientation_error, np.max([turn for _, turn in sides.values()], axis=0), atol=1e-12)
+    assert made.position_error.max() <= 1e-6 and made.orientation_error.max() <= 1e-6
+    least = ck.jacobian(robot, made.q[0], tip=tips[0]), ck.jacobian(robot, made.q[0], tip=tips[1])
+    close(made.least_singular_value[0], np.linalg.svd(np.concatenate(least))[1].min(), rtol=1e-9)
+
+
+def test_a_target_has_all_the_forms_of_a_single_one():
+    q = drawn(TWO, 3, seed=1)
+    left, right = where(TWO, q, LEFT), where(TWO, q, RIGHT)
+    whole = ck.reach(TWO, {"left": left, "right": right}, task=TASK)
+    poses = jax.vmap(lambda q: ck.forward(TWO, q, tip=RIGHT))(q)
+    for form in (matrices(right), poses, np.concatenate([right[0], quaternions(right[1])], axis=1)):
+        made = ck.reach(TWO, {"right": form, "left": matrices(left)}, task=TASK)
+        close(made.q, whole.q, atol=1e-6)
+    held = ck.references(left=ck.hold(left[0][1], left[1][1]), right=ck.hold(right[0][1], right[1][1]))
+    for one in (held, {"left": (left[0][1], left[1][1]), "right": matrices(right)[1]}):
+        made = ck.reach(TWO, one, task=TASK)
+        assert made.q.shape == (TWO.n,) and made["left"].position_error.shape == ()
+        close(made.q, whole.q[1], atol=0)
+    shared = ck.reach(TWO, {"left": left, "right": (right[0][0], right[1][0])}, task=TASK)
+    assert shared.solved.all() and shared.q.shape == (3, TWO.n)
+    close(shared.q[0], whole.q[0], atol=0)
+    close(where(TWO, shared.q, RIGHT)[0], np.tile(right[0][0], (3, 1)), atol=1e-6)
+
+
+@both_ways
+def test_tasks_joined_and_tasks_of_several_tips():
+    """By the names of tips; of a position alone the rest is free; one arm of a robot with two."""
+    q = drawn(TWO, 12, seed=2)
+    left, right = where(TWO, q, LEFT), where(TWO, q, RIGHT)
+    due = {LEFT: left, RIGHT: right[0]}
+    made, nested = ck.reach(TWO, due, task=HANDS), ck.reach(TWO, {"hands": due}, task=ck.stack(hands=HANDS))
+    assert made.solved.all()
+    close(nested.q, made.q, atol=0)
+    close(nested["hands"].position_error, made.position_error, atol=1e-12)
+    close(where(TWO, made.q, RIGHT)[0], right[0], atol=1e-6)
+    close(where(TWO, made.q, LEFT)[1], left[1], atol=3e-6)
+    near = q + 0.05
+    alone = ck.reach(TWO, left, task=ck.pose(tip=LEFT), near=near)
+    other = [i for i in range(TWO.n) if i not in {TWO.joints[k].coordinate for k in TWO.way(0)}]
+    assert alone.solved.all() and len(other) == 7
+    close(alone.q[:, other], np.clip(near, TWO.lower, TWO.upper)[:, other], atol=1e-12)
+    close(where(TWO, alone.q, LEFT)[0], left[0], atol=1e-6)
+
+
+@both_ways
+def test_the_same_coordinates_in_one_task_or_in_two():
+    """On one robot: a pose has one target, a position and an orientation by their names have two."""
+    q = drawn(TWO, 12, seed=12)
+    left = where(TWO, q, LEFT)
+    whole = ck.reach(TWO, left, task=ck.pose(tip=LEFT))
+    task = ck.stack(place=ck.position(tip=LEFT), turn=ck.orientation(tip=LEFT))
+    apart = ck.reach(TWO, {"place": left[0], "turn": left[1]}, task=task)
+    for made in (whole, apart):
+        assert made.solved.all()
+        close(where(TWO, made.q, LEFT)[0], left[0], atol=1e-6)
+        close(where(TWO, made.q, LEFT)[1], left[1], atol=3e-6)
+    assert not apart["place"].orientation_error.any() and apart["turn"].orientation_error.any()
+
+
+@both_ways
+def test_one_tip_seen_from_the_other():
+    """As Pinocchio has it; alone, and while the other goes somewhere."""
+    q, other = drawn(TWO, 12, seed=3), Pinocchio(BAXTER, oracle(BAXTER)[0])
+    seen = [other.at(TWO.joint_names, v, RIGHT, LEFT)[:2] for v in q]
+    apart, turned = (np.array(v) for v in zip(*seen, strict=True))
+    relative = ck.pose(tip=RIGHT, relative_to=LEFT)
+    alone = ck.reach(TWO, (apart, turned), task=relative, base=[1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0])
+    there = np.array([1.0, 2.0, 3.0]) + where(TWO, q, LEFT)[0]
+    task = ck.stack(place=ck.position(tip=LEFT), grip=relative)
+    both = ck.reach(TWO, {"place": there, "grip": (apart, turned)}, task=task, base=[1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0])
+    for made in (alone, both):
+        assert made.solved.all()
+        for v, p, r in zip(made.q, apart, turned, strict=True):
+            position, rotation = other.at(TWO.joint_names, v, RIGHT, LEFT)[:2]
+            assert np.linalg.norm(position - p) <= 1.0001e-6 and angle(rotation, r) <= 1.0001e-6
+    close(where(TWO, both.q, LEFT)[0] + [1.0, 2.0, 3.0], there, atol=1e-6)
+    close(both["grip"].orientation_error, both.orientation_error, atol=1e-12)
+
+
+def test_each_arm_starts_where_its_own_tip_is_near():
+    found = owners(TASK, TWO)
+    mine = {TWO.joints[i].coordinate for i in TWO.way(1)}
+    assert {i for i in range(TWO.n) if found[i] == 1} == mine and len(mine) == 7
+
+
+@both_ways
+def test_near_with_jump_solutions_and_paths():
+    q = drawn(TWO, 20, seed=4)
+    near = np.clip(q + np.random.default_rng(5).uniform(-0.2, 0.2, q.shape), TWO.lower, TWO.upper)
+    due = {"left": where(TWO, q, LEFT), "right": where(TWO, q, RIGHT)}
+    made = ck.reach(TWO, due, task=TASK, near=near, jump=0.3)
+    assert made.solved.all() and np.abs(made.q - near).max() <= 0.3 + 1e-9
+    close(made.distance, np.abs(made.q - near).max(axis=1), atol=0)
+    three = ck.reach(TWO, due, task=TASK, solutions=3)
+    assert (three.status <= 0).mean() > 0.9 and three.q.shape == (20, 3, TWO.n)
+    assert np.abs(three.q[:, 1] - three.q[:, 0]).max(axis=1).min() >= 0.1
+    close(three["left"].position_error.max(), three.position_error.max(), atol=1e-6)
+    line = q[0] + np.linspace(0, 0.3, 20)[:, None] * np.sign(-q[0])
+    along = {"left": where(TWO, line, LEFT), "right": where(TWO, line, RIGHT)}
+    path = ck.reach(TWO, along, task=TASK, near="previous", jump=0.2)
+    assert path.solved.all() and np.abs(np.diff(path.q, axis=0)).max() <= 0.2 + 1e-9
+
+
+@pytest.mark.skipif(not can_build(), reason="there is no C compiler")
+def test_c_and_jax_make_the_same_tries():
+    """Also those that keep one arm where it is; of the hardest postures, and to rounding."""
+    q = drawn(TWO, 40, seed=10)
+    at_limit = np.random.default_rng(11).random(q.shape) < 0.6
+    q = np.where(at_limit, np.where(q > 0, TWO.upper, TWO.lower), q)
+    due = {"left": where(TWO, q, LEFT), "right": where(TWO, q, RIGHT)}
+    one = ck.reach(TWO, due, task=TASK)
+    with ck.use_engine("xla"):
+        other = ck.reach(ck.replace(TWO), due, task=TASK)
+    assert one.solved.all() and other.solved.all() and (one.evaluations > 16 * 20).sum() > 5
+    assert (one.evaluations == other.evaluations).mean() > 0.6
+    gap = one.evaluations / other.evaluations
+    assert ((gap > 0.95) & (gap < 1.05)).mean() > 0.8
+
+
+# --- no answer ----------------------------------------------------------------------------------------
+
+
+def test_farther_than_one_arm_is_long_is_out_of_reach():
+    """Of the arm that the target is for: an elbow does not get to where the hand does."""
+    q = drawn(TWO, 1, seed=6)
+    left, right = (tuple(v[0] for v in where(TWO, q, tip)) for tip in GRIPPERS)
+    far = (right[0] + [0.0, -4.0, 0.0], right[1])
+    for explain in (True, False):
+        made = ck.reach(TWO, {"left": left, "right": far}, task=TASK, explain=explain)
+        assert made.status == ck.ReachStatus.OUT_OF_REACH and (np.isnan(made.q).all() == (not explain))
+    assert made.evaluations == 0 and np.isnan(made["left"].position_error)
+    both = ck.reach(TWO, {"left": left, "right": far}, task=TASK)
+    assert both["right"].position_error > 2 and both.position_error == pytest.approx(both["right"].position_error)
+    robot = ck.load_urdf(BAXTER, tips={"hand": LEFT, "elbow": "left_lower_elbow"})
+    place = where(robot, np.zeros((1, robot.n)), "hand")[0][0]
+    task = ck.position(tip="elbow")
+    assert ck.reach(robot, place, task=task, explain=False).status == ck.ReachStatus.OUT_OF_REACH
+    assert ck.reach(robot, place, task=ck.position(tip="hand"), explain=False).solved
+
+
+@both_ways
+def test_a_pair_that_is_rigid_and_is_asked_to_part():
+    """Two points of one link, asked to be farther apart than they are: each misses by half of it."""
+    robot = ck.load_urdf(BAXTER, tips={"one": LEFT, "other": (LEFT, [0.0, 0.0, 0.2])})
+    task = ck.stack(a=ck.position(tip="one"), b=ck.position(tip="other"))
+    at = where(robot, np.array([[0.4, -0.3, 0.2, 1.6, 0.1, 0.9, 0.3]]), "one")
+    along = at[1][0, :, 2]
+    middle = at[0][0] + 0.1 * along
+    for gap in (0.1, 0.3):
+        due = {"a": middle - gap / 2 * along, "b": middle + gap / 2 * along}
+        made = ck.reach(robot, due, task=task)
+        assert made.status == ck.ReachStatus.OUT_OF_REACH
+        close(made.position_error, 0.05, atol=1e-4)
+        close(made["a"].position_error, 0.05, atol=1e-4)
+        for alone, place in (("one", due["a"]), ("other", due["b"])):
+            assert ck.reach(robot, place, task=ck.position(tip=alone)).solved
+    made = ck.reach(robot, due, task=ck.replace(task, weights=np.repeat([9.0, 1.0], 3)))
+    close([made["a"].position_error, made["b"].position_error], [0.01, 0.09], atol=1e-3)
+    due["b"] = due["a"] + 0.2 * along
+    assert ck.reach(robot, due, task=task).solved
+
+
+def test_a_pair_beyond_the_limits_is_not_called_out_of_reach():
+    held = ck.replace(TWO, lower=(-0.2,) * TWO.n, upper=(0.2,) * TWO.n)
+    q = drawn(TWO, 12, seed=7)
+    due = {"left": where(TWO, q, LEFT), "right": where(TWO, q, RIGHT)}
+    made = ck.reach(held, due, task=TASK)
+    assert set(made.status.tolist()) <= {ck.ReachStatus.AT_LIMIT, ck.ReachStatus.OUT_OF_BUDGET}
+    assert (made.status == ck.ReachStatus.AT_LIMIT).mean() > 0.7
+    assert ck.reach(held, due, task=TASK, limits=False).solved.all()
+    lost = due["left"][0].copy()
+    lost[3, 1] = np.nan
+    due["left"] = lost, due["left"][1]
+    assert ck.reach(TWO, due, task=TASK).status.tolist() == [6 if k == 3 else 0 for k in range(12)]
+
+
+def test_far_beyond_squares():
+    """A tip's target of 1e200 m overflows nothing, and is told as it is."""
+    q = drawn(TWO, 1, seed=8)
+    due = {"left": where(TWO, q, LEFT), "right": (where(TWO, q, RIGHT)[0] + 1e200, where(TWO, q, RIGHT)[1])}
+    made = ck.reach(TWO, due, task=TASK)
+    assert made.status[0] == ck.ReachStatus.OUT_OF_REACH
+    close([made.position_error[0], made["right"].position_error[0]], 3**0.5 * 1e200, rtol=1e-6)
+
+
+# --- in one's own JAX code ----------------------------------------------------------------------------
+
+
+def test_gradients_are_differences():
+    q = 0.3 + 0.1 * drawn(TWO, 1, seed=9)[0]
+    left, right = (tuple(v[0] for v in where(TWO, q[None], tip)) for tip in GRIPPERS)
+
+    def elbow(shift):
+        due = {LEFT: (jnp.asarray(left[0]) + shift[:3], left[1]), RIGHT: jnp.asarray(right[0]) + shift[3:]}
+        made = ck.reach(TWO, due, task=HANDS, near=q, tolerance=(1e-10, 1e-10))
+        return jnp.sum(ck.forward(TWO, made.q, tip=RIGHT).position[:2])
+
+    close(jax.grad(elbow)(jnp.zeros(6)), [0, 0, 0, 1, 1, 0], atol=1e-6)
+
+
+# --- what is refused ----------------------------------------------------------------------------------
+
+EYE = np.eye(4)
+
+
+def ask(targets, task=TASK, **options):
+    return lambda: ck.reach(TWO, targets, task=task, **options)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (ask(EYE), r"`targets` must be a target for each tip, {'left': ..., 'right': ...}, but is ndarray"),
+        (ask({"left": EYE}), "`targets` must be for left and right, but is for left"),
+        (ask({"left": EYE, "rigth": EYE}), "`targets` must be for left and right, but is for left, rigth"),
+        (ask({"left": EYE, "right": np.zeros(3)}), r"`targets\['right'\]` must be 4×4 transforms"),
+        (ask({"left": EYE, "right": 2 * EYE}), r"`targets\['right'\]` must hold a rotation"),
+        (ask({"left": EYE[None][[0, 0]], "right": EYE[None][[0, 0, 0]]}), "as many for each, but have 2 in .*'left'"),
+        (ask({"left": EYE, "right": np.zeros((0, 4, 4))}), r"`targets\['right'\]` must hold at least one target"),
+        (ask({"left": {"nose": EYE}, "right": EYE}), r"`targets\['left'\]` must be for left_gripper, but is for nose"),
+        (ask({LEFT: EYE}, HANDS), f"`targets` must be for {LEFT} and {RIGHT}, but is for {LEFT}"),
+        (ask({"left": ck.line([0, 0, 0], [1, 0, 0], duration=1.0), "right": EYE}), "must stand still, as ck.hold"),
+        (ask(EYE, "pose"), "`tip` must be given for a robot with several"),
+        (ask(EYE, ck.pose(tip="nose")), "`tip` must be one of left_gripper, right_gripper"),
+        (ask(EYE, ck.pose(tip=LEFT) & ck.joints()), "`task` must be of positions and orientations of tips, but has"),
+        (ask(EYE, ck.position(tip=LEFT) & ck.pose(tip=RIGHT) & ck.orientation(tip=LEFT)), "in one place, but has left"),
+        (
+            ask(EYE, ck.position(tip=LEFT) & ck.position("x", tip=LEFT)),
+            "have each axis of a tip once, but has x, y, z, x",
+        ),
+        (ask({"left": EYE, "right": EYE}, near=np.zeros(7)), "`near` must have shape"),
+        (lambda: ck.reach(3, EYE), "`chain` must be a Chain, but is int"),
+        (
+            lambda: ck.export.c(ck.Law(TWO, ck.pose(tip=LEFT), alpha=1.0), out="x", what="reach"),
+            "`chain` must have one tip",
+        ),
+    ],
+)
+def test_what_is_refused(call, message):
+    with pytest.raises(ck.ArgumentError, match=message):
+        call()
+
+
+def test_a_name_that_is_no_task():
+    made = ck.reach(TWO, ck.hold_at(TWO, TASK, np.full(TWO.n, 0.3)), task=TASK)
+    with pytest.raises(ck.ArgumentError, match="`name` must be one of left, right, but is 'up'"):
+        made["up"]
