@@ -30,27 +30,16 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 def run(args: Args) -> None:
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
-    from cnclik.measure.files import plain, save_csv, save_netcdf
+    from cnclik.measure.files import plain
     from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
-    from cnclik.writing import output_folder
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    data_files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
-    whole = dict(files=[*data_files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
-    with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
-        with progress.bar("steps") as report:
-            trajectory, seconds = _march(made, report)
-        from cnclik.measure.dataset import to_dataset
-
-        data = to_dataset(trajectory, made.law, config=config)
-        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
-        if args.csv:
-            folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
+    trajectory, seconds, data, written, refused = _kept(made, args, config)
     with progress.bar("verdict"):
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
@@ -67,12 +56,13 @@ def run(args: Args) -> None:
         print("\n".join([title, loop, *where]))
         print_table(facts, box=None, padding=(0, 2, 0, 0))
         print(answer)
+    if refused is not None:
+        raise refused
     figures = _figures(data, made) if args.figures or args.report else {}
-    written = []
     with args.figures_first(), progress.bar("figures") as report:
-        written = draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
+        written += draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
     if not args.json:
-        print(f"Wrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
+        print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
     args.write_report(
         title,
         answer,
@@ -91,6 +81,31 @@ _CAPTIONS = {
     "status": "What was wrong in each step; an empty line is good.",
     "tip": "Path of the tip, and of its target, in the base frame.",
 }
+
+
+def _kept(made, args, config):
+    """(trajectory, time per step, its dataset, names of the files written, what refused one of them or None)."""
+    from cnclik.measure.files import save_csv, save_netcdf
+    from cnclik.writing import Refused, output_folder
+
+    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
+    whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
+    data = refused = None
+    try:
+        with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
+            with progress.bar("steps") as report:
+                trajectory, seconds = _march(made, report)
+            from cnclik.measure.dataset import to_dataset
+
+            data = to_dataset(trajectory, made.law, config=config)
+            folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+            if args.csv:
+                folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
+    except Refused as error:  # the answer is given all the same
+        if data is None:
+            raise
+        refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
+    return trajectory, seconds, data, folder.made, refused
 
 
 def _loop(made, written) -> str:

@@ -110,7 +110,7 @@ def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, caps
 
 
 def test_a_disk_that_is_full_at_any_write_loses_no_file_before_it(solved, tmp_path, monkeypatch, capsys):
-    """Every write of the command fails once: each file that was finished is in the folder."""
+    """Every write of the command fails once: each file that was finished is in the folder, and the answer is given."""
     names, check = {p.name for p in solved.iterdir()}, writing._check_target
     for failing in itertools.count():
         calls, out = itertools.count(), tmp_path / f"out{failing}"
@@ -124,8 +124,11 @@ def test_a_disk_that_is_full_at_any_write_loses_no_file_before_it(solved, tmp_pa
         try:
             main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--csv", "--out", str(out)])
         except SystemExit as left:
-            said = capsys.readouterr().err.strip().splitlines()
+            shown = capsys.readouterr()
+            said = shown.err.strip().splitlines()
             assert left.code == 2 and "No space left on device" in said[-1]
+            assert ("another --out" in said[-1]) == (failing < 2) and "joint velocity" in shown.out
+            assert "No progress: " in shown.out, shown.out
             found = {p.name for p in out.glob("*.*")} - {writing.LIST}
             assert found < names and len(found) == failing
         else:
