@@ -26,6 +26,7 @@ from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
 from .integrate.trajectory import Trajectory as Trajectory
+from .law.bounded import bounded as bounded
 from .law.inverse import (
     damped as damped, error_damped as error_damped, levels as levels,
     manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,

@@ -97,8 +97,8 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     r"pseudoinverse\(\)": "--inverse pseudoinverse",
     r"N = (\d+) steps": r"--N \1",
     r"period = (\S+) s": r"--period \1",
-    r"limits saturation\(\)": "--limits saturation",
-    r"limits saturation\((\S+?)\)": r"--limits saturation --limit-rate \1",
+    r"limits (saturation|bounded)\(\)": r"--limits \1",
+    r"limits (saturation|bounded)\((\S+?)\)": r"--limits \1 --limit-rate \2",
     "feedback commanded": "--feedback commanded",
 }
 

@@ -31,10 +31,28 @@ def _region(item, needed) -> Counter:
         return max((_block(b, needed) for b in item.blocks), key=Counter.total)
     if isinstance(item, Scan):
         return Counter({kind: count * item.length for kind, count in _block(item.block, needed).items()})
-    again = item.then[item.carries.index(item.begins)] if item.begins in item.carries else None
-    if again is None or not again.known or again.value:  # else it ends after its first round
-        raise UnsupportedError("a `while` loop without a bound that is known has no C form")
-    return _block(item.block, needed)
+    rounds = _rounds(item)
+    return Counter({kind: count * rounds for kind, count in _block(item.block, needed).items()})
+
+
+def _rounds(loop) -> int:
+    """The most rounds of a `while`: one where its first ends it, or as many as it counts while a count is too small."""
+    begins = loop.begins
+    again = loop.then[loop.carries.index(begins)] if begins in loop.carries else None
+    if again is not None and again.known and not again.value:
+        return 1
+    for asked in (begins, *begins.args) if begins.op == "and" else (begins,):
+        if asked.op == "lt" and asked.args[0] in loop.carries and asked.args[1].known:
+            count, end = asked.args
+            first, then = (of[loop.carries.index(count)] for of in (loop.first, loop.then))
+            if (
+                first.known
+                and then.op == "add"
+                and count in then.args
+                and any(a.known and a.value == 1 for a in then.args)
+            ):
+                return max(int(end.value) - int(first.value), 0)
+    raise UnsupportedError("a `while` loop without a bound that is known has no C form")
 
 
 def _kind(op) -> str:

@@ -1,5 +1,6 @@
 """What the loop is asked to do: q̇ = f(q, t)."""
 
+from cnclik.law.bounded import bounded
 from cnclik.law.inverse import (
     damped,
     error_damped,
@@ -19,6 +20,7 @@ __all__ = [
     "Law",
     "Reference",
     "References",
+    "bounded",
     "causal",
     "circle",
     "damped",

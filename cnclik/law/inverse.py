@@ -183,8 +183,8 @@ def damped_apply(rows, shift):
     if m > n and jnp.ndim(shift):  # rows that count alike: λ J/λᵢ, with the least λ of all
         least = jnp.min(shift)
         alike = jnp.sqrt(least / shift)
-        apply, factor, _ = damped_apply(alike[:, None] * rows, least)
-        return lambda t: apply(alike * t), factor, shift
+        apply, factor, made = damped_apply(alike[:, None] * rows, least)
+        return lambda t: apply(alike * t), factor, shift * (made / least)
     wide = dense.wide_side(rows)
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))

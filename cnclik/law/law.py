@@ -19,7 +19,8 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.inverse import Factored, Pseudoinverse, damped_apply, least_of, through
+from cnclik.law.bounded import Bounded, undamped
+from cnclik.law.inverse import Factored, Pseudoinverse, Transpose, damped_apply, least_of, through
 from cnclik.law.limits import Limited
 from cnclik.law.null import evaluated
 from cnclik.precision import precise
@@ -44,8 +45,8 @@ class Law:
         by name. A rate, not the dimensionless gain per step of pink and mink, which is z = alpha·Ts.
       inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
         error_damped(...), levels(...).
-      limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), or None
-        for not at all.
+      limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), bounded(), or
+        None for not at all.
       null_velocity: joint velocity q̇₀ asked for in the null space: (n,) [rad/s, m/s], or a function of q.
       feedforward: factor of the desired velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: (position [m], orientation [rad]) beyond which the error is shortened before the gain, or None.
@@ -91,9 +92,10 @@ class Law:
         if not callable(self.inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
         if self.limits is not None and not callable(self.limits):
-            raise errors.fail(
-                "limits", "be None, velocity_scaling(), weighted_least_norm() or saturation()", f"is {self.limits!r}"
-            )
+            known = "velocity_scaling(), weighted_least_norm(), saturation() or bounded()"
+            raise errors.fail("limits", f"be None, {known}", f"is {self.limits!r}")
+        if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
+            raise undamped(self.inverse)
         if self.null_velocity is not None and not callable(self.null_velocity):
             object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
 

@@ -124,6 +124,20 @@ def weighted_least_norm(rate: Number = 10.0) -> Weighted:
     return Weighted(rate=positive("rate", rate))
 
 
+# --- bounds -------------------------------------------------------------------------------------------
+
+
+def bounds(rate, chain, q):
+    """The least and largest velocities that the joints may have: ±V, and rate · (limit − q)."""
+    most = jnp.minimum(chain.velocity_limit, FAR)
+
+    def bound(limit, unlimited):
+        room = jnp.where(jnp.isfinite(limit), limit - q, unlimited)
+        return jnp.clip(rate * room, -most, most)
+
+    return bound(chain.lower, -FAR * FAR), bound(chain.upper, FAR * FAR)
+
+
 # --- saturation in the null space ---------------------------------------------------------------------
 
 
@@ -151,7 +165,7 @@ class Saturated:
         if not (chain.bounded or chain.slowed):
             qdot = through(plain.apply, rows, velocity, null)
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, limited=False)
-        low, high = self._bounds(chain, q)
+        low, high = bounds(self.rate, chain, q)
         # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
         # all of them false for NaN, so that no lane that is not finite passes for one at rest.
         zero = (jnp.sum(q) + jnp.sum(velocity)) * 0.0
@@ -214,16 +228,6 @@ class Saturated:
         # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
         qdot = jnp.clip(found.qdot + zero, low, high)
         return Limited(qdot=qdot, apply=factored.apply, least=plain.least, limited=found.limited)
-
-    def _bounds(self, chain, q):
-        """The least and largest velocities that the joints may have."""
-        most = jnp.minimum(chain.velocity_limit, FAR)
-
-        def bound(limit, unlimited):
-            room = jnp.where(jnp.isfinite(limit), limit - q, unlimited)
-            return jnp.clip(self.rate * room, -most, most)
-
-        return bound(chain.lower, -FAR * FAR), bound(chain.upper, FAR * FAR)
 
 
 def _beyond_reach(rows, velocity):

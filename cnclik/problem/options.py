@@ -82,8 +82,8 @@ OPTIONS = {
     "threshold": Option(NUMBER, "Manipulability or least singular value below which the last two are damped.",
                         unit="w", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(LIMITS)}.", "none"),
-    "limit_rate": Option(NUMBER, "Of weighted-least-norm and saturation: rate at which a joint may near its limit "
-                         "[1/s]; 1/Ts, at most 10, by default.", unit="1/s", must="positive"),
+    "limit_rate": Option(NUMBER, "Of weighted-least-norm, saturation and bounded: rate at which a joint may near "
+                         "its limit [1/s]; 1/Ts, at most 10, by default.", unit="1/s", must="positive"),
     "error_clamp": Option(NUMBERS, "Largest position [m] and orientation [rad] error that the gain sees: what settles "
                           "before far targets.", unit="m, rad", must="positive"),
     "feedforward": Option(NUMBER, "Factor of the desired velocity: 1 tracks (default), 0 is pure feedback."),

@@ -48,6 +48,7 @@ LIMITS = {  # they take the rate [1/s] at which a joint may near its limit
     "velocity-scaling": Takes("law.limits:velocity_scaling"),
     "weighted-least-norm": Takes("law.limits:weighted_least_norm", takes=("rate",)),
     "saturation": Takes("law.limits:saturation", takes=("rate",)),
+    "bounded": Takes("law.bounded:bounded", takes=("rate",)),
 }
 REFERENCES = {
     "hold": Takes("problem.reference:hold", takes=("target",)),

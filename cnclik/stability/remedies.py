@@ -6,6 +6,7 @@ import numpy as np
 
 from cnclik.integrate.pace import CHAIN
 from cnclik.integrate.stage import Picard
+from cnclik.law.bounded import Bounded
 from cnclik.law.inverse import Transpose
 from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
@@ -256,7 +257,7 @@ def inside(case) -> tuple:
     q, chain, pace, limits = case.start.q, case.law.chain, case.pace, case.law.limits
     if np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
         return ()
-    rate, change = float(limits.rate) if isinstance(limits, Saturated) else math.inf, {}
+    rate, change = float(limits.rate) if isinstance(limits, (Bounded, Saturated)) else math.inf, {}
     if pace is not None and pace.smooth:
         v = float(np.max(np.asarray(chain.velocity_limit if pace.velocity in (CHAIN, None) else pace.velocity, float)))
         a, j = (math.inf if one is None else float(np.min(np.asarray(one))) for one in (pace.acceleration, pace.jerk))
@@ -264,16 +265,18 @@ def inside(case) -> tuple:
         change = {"limit_rate": float(f"{most:.2g}")} if most else {}
     if reasons.keeps_positions(case.law) and not 0 < change.get("limit_rate", 0.0) < rate:
         return ()
-    words = f"keep the joints inside with limits saturation({', '.join(map(str, change.values()))})"
-    return (Remedy(change={"limits": "saturation"} | change, words=words, mends="limits"),)
+    name = "bounded" if isinstance(limits, Bounded) else "saturation"
+    words = f"keep the joints inside with limits {name}({', '.join(map(str, change.values()))})"
+    return (Remedy(change={"limits": name} | change, words=words, mends="limits"),)
 
 
 def less_pull(case) -> tuple:
     """What ends the pull of a null-space velocity at the task."""
-    exact = Remedy(change={"inverse": "pseudoinverse", "damping": None}, words="use pseudoinverse()")
+    exact: tuple = (Remedy(change={"inverse": "pseudoinverse", "damping": None}, words="use pseudoinverse()"),)
+    exact = () if isinstance(case.law.limits, Bounded) else exact  # which needs damping
     slower = Remedy(change={"null_gain": 0.3}, words="slow the null-space velocity to 0.3 of what it is")
     damping = getattr(case.law.inverse, "damping", None)
     if damping is None:
-        return (exact, slower)
+        return (*exact, slower)
     less = 0.3 * float(np.max(np.asarray(damping)))
-    return (exact, Remedy(change={"damping": less}, words=f"less damping, damped({less:.2g})"), slower)
+    return (*exact, Remedy(change={"damping": less}, words=f"less damping, damped({less:.2g})"), slower)

@@ -43,6 +43,7 @@ LIMITS = {
     "velocity-scaling": ck.velocity_scaling,
     "weighted-least-norm": ck.weighted_least_norm,
     "saturation": ck.saturation,
+    "bounded": ck.bounded,
 }
 NULL = {
     "none": lambda chain, task: None,

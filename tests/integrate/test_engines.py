@@ -31,6 +31,7 @@ KEPT = {
     "scaled": ck.velocity_scaling(),
     "weighted": ck.weighted_least_norm(),
     "saturated": ck.saturation(),
+    "bounded": ck.bounded(),
 }
 NULL = {
     "none": lambda arm, task: None,
@@ -57,10 +58,12 @@ QUICK = [  # every part once
     ("weighted", "singular", "weighted", "manipulability", 4),
     ("position", "damped", "free", "none", 5),
     ("position", "pseudoinverse", "scaled", "none", 6),
+    ("weighted", "singular", "bounded", "posture", 1),
 ]
 WHOLE = [  # every inverse with every limit
     pytest.param(list(TASKS)[i % 3], *pair, list(NULL)[i % 5], i % 7, marks=pytest.mark.slow)
     for i, pair in enumerate(itertools.product(INVERSES, KEPT))
+    if pair[1] != "bounded" or pair[0] not in ("pseudoinverse", "transpose")
 ]
 
 

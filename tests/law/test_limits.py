@@ -136,7 +136,7 @@ def redundant(limits, **more):
     return arm, law, ck.line(start, [-0.6, 0.9], duration=3.0), q0
 
 
-@pytest.mark.parametrize("limits", [ck.saturation(), ck.weighted_least_norm()])
+@pytest.mark.parametrize("limits", [ck.saturation(), ck.weighted_least_norm(), ck.bounded()])
 def test_a_redundant_arm_tracks_within_limits(limits):
     arm, law, reference, q0 = redundant(limits)
     run = ck.solve(law, reference, q0, 0.01, 400)
@@ -156,7 +156,7 @@ def test_damping_does_not_stop_a_saturated_arm(inverse):
     assert np.abs(run.e[-1]).max() < 5e-3 and np.abs(run.e).max() < 0.06
 
 
-@pytest.mark.parametrize("limits", [ck.saturation(2.0), ck.weighted_least_norm(2.0)])
+@pytest.mark.parametrize("limits", [ck.saturation(2.0), ck.weighted_least_norm(2.0), ck.bounded(2.0)])
 def test_a_start_outside_comes_back_while_the_task_goes_on(limits):
     arm, law, _, q0 = redundant(limits)
     q0 = np.array([0.5, 1.0, 0.5])

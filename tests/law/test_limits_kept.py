@@ -26,7 +26,8 @@ KINDS = {
     "narrow": ([0.2 - 1e-3, -2.0], [0.2 + 1e-3, 2.0]),
     "none": ([-INF, -INF], [INF, INF]),
 }
-LIMITS = {"scaling": ck.velocity_scaling(), "weights": ck.weighted_least_norm(), "saturation": ck.saturation()}
+LIMITS = {"scaling": ck.velocity_scaling(), "weights": ck.weighted_least_norm()}
+LIMITS |= {"saturation": ck.saturation(), "bounded": ck.bounded()}
 # A tableau whose combination of slopes may be faster than each of them.
 EXTREME = ck.Method(name="EXTREME", A=((), (0.25,)), b=(-1.0, 2.0), c=(0.0, 0.25), order=2, source="b < 0")
 METHODS = {
@@ -44,7 +45,7 @@ METHODS = {
     "EXP-AB2": ("EXP-AB2", ck.picard(5)),
 }
 QUICK = {("weights", "EE"), ("saturation", "IE picard"), ("weights", "EXP-AB2"), ("saturation", "EXP-MIDPOINT")}
-QUICK |= {("scaling", "EXTREME"), ("weights", "ZNN4")}
+QUICK |= {("scaling", "EXTREME"), ("weights", "ZNN4"), ("bounded", "EE"), ("bounded", "CN chord")}
 
 
 def law_of(limits, lower, upper, speed, arm=ARM, **more):
@@ -153,7 +154,7 @@ URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link 
 <joint name="tip" type="fixed"><parent link="d"/><child link="e"/><origin xyz="0.5 0 0"/></joint></robot>"""
 
 
-@pytest.mark.parametrize("limits", ["weights", "saturation"])
+@pytest.mark.parametrize("limits", ["weights", "saturation", "bounded"])
 def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
     """One-sided, and a joint of one value: with the first passed, joint 1 went to −1.796."""
     (tmp_path / "arm.urdf").write_text(URDF)
@@ -169,7 +170,7 @@ def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
     assert q[:, 0].min() >= 0.0 and np.abs(q[:, 1]).max() <= 2.0 and np.all(q[:, 2] == 0.5)
 
 
-@pytest.mark.parametrize("limits", ["weights", "saturation"])
+@pytest.mark.parametrize("limits", ["weights", "saturation", "bounded"])
 def test_a_joint_of_one_value_is_no_joint(limits):
     """The arm moves as one whose second joint is welded, and is not at a limit all the time."""
     bend = 0.9
@@ -192,7 +193,7 @@ def mirrored(i):
 
 
 @pytest.mark.parametrize("method", ["EE", pytest.param("EXP-AB2", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("limits", ["weights", "saturation"])
+@pytest.mark.parametrize("limits", ["weights", "saturation", "bounded"])
 def test_a_mirrored_axis_gives_a_mirrored_run(limits, method):
     def run(arm, low, high, speed, q0, target):
         return ck.solve(law_of(limits, low, high, speed, arm), ck.hold(target), q0, TS, N, method).q

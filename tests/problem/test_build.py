@@ -224,7 +224,7 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"posture": [0] * 7, "posture_rate": 0}, "`posture_rate` must be positive"),
         (
             {"limit_rate": 2.0},
-            "`limit_rate` must come with limits weighted-least-norm or saturation, but comes with none",
+            "`limit_rate` must come with limits weighted-least-norm or saturation or bounded, but comes with none",
         ),
         ({"limits": "velocity-scaling", "limit_rate": 2.0}, "`limit_rate` must come with limits"),
         ({"limits": "saturation", "limit_rate": -2.0}, "`limit_rate` must be positive"),

@@ -105,6 +105,7 @@ def _value(rng):
             "panda",
             "damped",
             "saturation",
+            "bounded",
             "line",
             "lissajous",
             "xyrz",

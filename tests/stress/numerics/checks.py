@@ -53,8 +53,8 @@ def _told(kind, m, run):
     lost = finite & ~flagged & (size > 1.001 * far(q.dtype)) & ((status & Status.DIVERGED) == 0)
     if lost.any():
         return f"{m.about}: |q| = {size[lost][0]:.3g} without a word"
-    explicit = kind.method in ("EE", "EXP-EE") and 10.0 * m.Ts <= 1  # of which `saturation` promises it
-    if kind.limits == "saturation" and explicit and finite.all():
+    explicit = kind.method in ("EE", "EXP-EE") and 10.0 * m.Ts <= 1  # of which these promise it
+    if kind.limits in ("saturation", "bounded") and explicit and finite.all():
         speed, inside = (
             np.abs(np.asarray(run.qdot, float)),
             np.abs(q).max(0) <= np.maximum(2, np.abs(q[0])) * (1 + 1e-5),

@@ -1,0 +1,260 @@
+"""Bounded least squares: the least that SciPy finds, its derivatives, levels, and how many passes it takes."""
+
+import functools
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+import cnclik as ck
+from cnclik.law.bounded import Problem, descent
+from cnclik.law.law import rows_at
+from cnclik.robot.model import modelled
+from tests.robot.test_trees import ARMS, G1
+
+RATE, FASTEST = 8.0, 6.0  # [1/s, rad/s]; a rate that divides without rounding
+FEET = ["left_ankle_roll_link", "right_ankle_roll_link"]
+WEIGHTS = [1.0] * 3 + [0.5] * 3
+ORDER = ([*FEET, *ARMS], ["torso_link"])
+
+
+@functools.cache
+def robot_and_task(name):
+    if name == "panda":
+        return ck.panda(), ck.pose(weights=WEIGHTS)
+    robot = ck.load_urdf(G1, tips=[*FEET, "torso_link", *ARMS])
+    return robot, ck.stack(**{tip: ck.pose(tip=tip, weights=WEIGHTS) for tip in (*FEET, "torso_link", *ARMS)})
+
+
+class Draws(NamedTuple):
+    """Postures with joints next to and beyond their limits, and what is asked of them."""
+
+    rows: np.ndarray  # (count, m, n), weighted
+    velocity: np.ndarray  # (count, m), weighted
+    null: np.ndarray  # (count, n)
+    low: np.ndarray
+    high: np.ndarray
+    q: np.ndarray
+
+
+def draws(name, count, seed, null=0.0) -> Draws:
+    """Velocities from 0.03 to 10 times what joints do, a tenth of them out of their reach."""
+    robot, task = robot_and_task(name)
+    rng, lower, upper = np.random.default_rng(seed), np.array(robot.lower), np.array(robot.upper)
+    q = rng.uniform(lower, upper, (count, robot.n))
+    at_lower, near = rng.random(q.shape) < 0.5, rng.uniform(-0.01, 0.1, q.shape)
+    q = np.where(rng.random(q.shape) < 0.25, np.where(at_lower, lower + near, upper - near), q)
+    law = ck.Law(robot, task, alpha=1.0, inverse=ck.damped(1.0))
+    moving = ck.replace(law, chain=modelled(robot))
+    rows = np.asarray(jax.jit(jax.vmap(lambda q: rows_at(moving, q).rows))(q)) * np.asarray(law.task.weights)[:, None]
+    size = 10 ** rng.uniform(-1.5, 1.0, (count, 1))
+    velocity = np.einsum("kmn,kn->km", rows, 2 * size * rng.normal(size=q.shape))
+    velocity += 0.1 * size * rng.normal(size=velocity.shape)
+    most = np.minimum(np.array(robot.velocity_limit), FASTEST)
+    low, high = (np.clip(RATE * (limit - q), -most, most) for limit in (lower, upper))
+    return Draws(rows, velocity, null * size * rng.normal(size=q.shape), low, high, q)
+
+
+def act(limits, inverse, rows, velocity, null, low, high):
+    """A limits method at q = 0 of a chain whose velocities have these bounds."""
+    far = jnp.full_like(low, jnp.inf)
+    chain = SimpleNamespace(bounded=True, slowed=True, lower=low / RATE, upper=high / RATE, velocity_limit=far)
+    return limits(inverse, chain, jnp.zeros_like(low), rows, velocity, null)
+
+
+def least(rows, velocity, null, low, high, shift):
+    """SciPy's."""
+    root = 1 / np.sqrt(np.broadcast_to(shift, velocity.shape))
+    a = np.concatenate([root[:, None] * rows, np.eye(len(low))])
+    b = np.concatenate([root * velocity, null])
+    return lsq_linear(a, b, (low, np.maximum(high, low + 1e-14)), method="bvls", tol=1e-14, max_iter=1000).x
+
+
+def levels():
+    return ck.levels(*ORDER, damping=(1e-2, 0.1)).on(robot_and_task("g1")[1])
+
+
+INVERSES = {
+    "damped": lambda: ck.damped(0.05),
+    "little": lambda: ck.damped(1e-3),
+    "singular": lambda: ck.singular_damped(0.1, 0.3),
+    "levels": levels,
+}
+CASES = [("panda", "damped"), ("panda", "little"), ("panda", "singular"), ("g1", "damped"), ("g1", "little")]
+CASES += [("g1", "levels")]
+
+
+def check_least(name, inverse, count, seed):
+    made, drawn = INVERSES[inverse](), draws(name, count, seed, null=0.3)
+
+    def one(*of):
+        done = act(ck.bounded(RATE), made, *of)
+        return done.qdot, done.limited, made(of[0]).shift
+
+    qdot, limited, shift = map(np.asarray, jax.jit(jax.vmap(one))(*drawn[:5]))
+    assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
+    for k in range(count):
+        wanted = least(*(v[k] for v in drawn[:5]), shift[k])
+        np.testing.assert_allclose(qdot[k], wanted, atol=1e-8 * max(np.abs(wanted).max(), 1e-3), err_msg=f"draw {k}")
+        assert limited[k] == np.any((wanted <= drawn.low[k] + 1e-12) | (wanted >= drawn.high[k] - 1e-12))
+    assert 0.5 < limited.mean() < 1
+
+
+@pytest.mark.parametrize(("name", "inverse"), CASES)
+def test_it_is_the_least_within_bounds(name, inverse):
+    check_least(name, inverse, 150 if name == "panda" else 40, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "inverse"), CASES)
+def test_it_is_the_least_within_bounds_of_60_000(name, inverse):
+    check_least(name, inverse, 10_000, seed=2)
+
+
+def test_it_is_what_daqp_finds():
+    daqp = pytest.importorskip("daqp")
+    drawn, made = draws("g1", 20, seed=3), levels()
+    qdot = jax.jit(jax.vmap(lambda *of: act(ck.bounded(RATE), made, *of).qdot))(*drawn[:5])
+    root = 1 / np.where(np.array(made.level) == 0, 1e-2, 0.1)
+    for k, (rows, velocity, _, low, high, _) in enumerate(zip(*drawn, strict=True)):
+        b = root[:, None] * rows
+        sense = np.zeros(len(low), np.intc)
+        found = daqp.solve(
+            b.T @ b + np.eye(len(low)), -b.T @ (root * velocity), np.zeros((0, len(low))), high, low, sense
+        )
+        np.testing.assert_allclose(qdot[k], found[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["panda", "g1"])
+def test_single_precision(name):
+    drawn = draws(name, 300, seed=4)
+
+    def one(*of):
+        rate, damping = (jnp.asarray(v, of[0].dtype) for v in (RATE, 0.05))
+        return act(ck.bounded(rate), ck.damped(damping), *of).qdot
+
+    run = jax.jit(jax.vmap(one))
+    wide, narrow = run(*drawn[:5]), run(*(v.astype(np.float32) for v in drawn[:5]))
+    assert narrow.dtype == np.float32
+    size = np.abs(wide).max(1, keepdims=True)
+    np.testing.assert_allclose(narrow / size, wide / size, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["panda", pytest.param("g1", marks=pytest.mark.slow)])
+def test_lanes_are_the_same(name):
+    robot, task = robot_and_task(name)
+    law = ck.Law(
+        ck.replace(robot, velocity_limit=(1.0,) * robot.n),
+        task,
+        alpha=20.0,
+        inverse=ck.damped(0.05),
+        limits=ck.bounded(),
+    )
+    q = draws(name, 40, seed=5).q
+    reference = ck.hold_at(robot, task, q[0])
+
+    def end(q):
+        run = ck.solve(law, reference, q, 0.01, 3, "EE")
+        return run.q[-1], run.status[-1]
+
+    for made, wanted in zip(ck.lanes(end, cores=1)(q), jax.jit(jax.vmap(end))(q), strict=True):
+        np.testing.assert_allclose(made, wanted, atol=1e-9)
+    assert np.any(np.asarray(wanted) & ck.Status.AT_LIMIT)
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("name", ["panda", "g1"])
+def test_derivatives_are_differences(name, mode):
+    drawn, rng = draws(name, 20, seed=6, null=0.3), np.random.default_rng(6)
+    toward = [rng.normal(size=v.shape) * np.abs(v).max() for v in drawn[:5]]
+    ends = rng.normal(size=drawn.low.shape)
+
+    def value(of, end):
+        return end @ act(ck.bounded(RATE), ck.damped(0.05), *of).qdot
+
+    def slope(of, toward, end):
+        if mode == "forward":
+            return jax.jvp(lambda of: value(of, end), (of,), (toward,))[1]
+        return sum(jnp.sum(g * t) for g, t in zip(jax.grad(value)(of, end), toward, strict=True))
+
+    def differences(of, toward, end):
+        h = 1e-7
+        ahead, behind = (value([v + s * t for v, t in zip(of, toward, strict=True)], end) for s in (h, -h))
+        return (ahead - behind) / (2 * h)
+
+    made, wanted = (np.asarray(jax.jit(jax.vmap(f))(list(drawn[:5]), toward, ends)) for f in (slope, differences))
+    np.testing.assert_allclose(made, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_a_second_derivative_is_a_difference():
+    drawn = draws("panda", 20, seed=7)
+
+    def along(s, rows, velocity, null, low, high):
+        return jnp.sum(
+            act(ck.bounded(RATE), ck.damped(0.05), rows * (1 + s * jnp.sin(rows)), velocity, null, low, high).qdot
+        )
+
+    first, second = (jax.jit(jax.vmap(f, (None, 0, 0, 0, 0, 0))) for f in (jax.grad(along), jax.grad(jax.grad(along))))
+    h, second = 1e-6, second(0.0, *drawn[:5])
+    ahead, behind = (np.asarray(first(s, *drawn[:5])) for s in (h, -h))
+    np.testing.assert_allclose(second, (ahead - behind) / (2 * h), rtol=1e-4, atol=1e-4)
+
+
+def test_every_pass_costs_less():
+    drawn = draws("g1", 200, seed=8)
+    b, w = drawn.rows / 1e-3, drawn.velocity / 1e-3
+    of = Problem(b, w, drawn.null, drawn.low, drawn.high)
+    run = jax.jit(jax.vmap(descent, (0, 0, None)))
+    before = np.inf
+    for passes in range(14):
+        found = run(of, drawn.null, passes)
+        qdot = np.asarray(found.qdot)
+        cost = np.sum((np.einsum("kmn,kn->km", b, qdot) - w) ** 2, 1) + np.sum((qdot - drawn.null) ** 2, 1)
+        assert np.all((qdot >= drawn.low) & (qdot <= drawn.high)) and np.all(cost <= before * (1 + 1e-12))
+        before = cost
+    assert np.mean(found.settled) > 0.99
+
+
+def test_the_lower_level_gives_way_first():
+    """Where the first level can be had within bounds it is, but for (λ₁/λ₂)²; clipping gives it up."""
+    drawn, (_, task) = draws("g1", 100, seed=9), robot_and_task("g1")
+    first = np.isin(np.arange(task.m), np.concatenate([np.arange(task.m)[task.of(name)] for name in ORDER[0]]))
+    # Of hands and feet what some velocity within bounds does; of the torso whatever is asked.
+    inner = np.random.default_rng(9).uniform(drawn.low, drawn.high)
+    inner = np.einsum("kmn,kn->km", drawn.rows, inner)
+    velocity = np.where(first, inner, drawn.velocity)
+    made = ck.levels(*ORDER, damping=(1e-4, 0.1)).on(task)
+
+    def one(rows, velocity, low, high):
+        null = jnp.zeros_like(low)
+        return act(ck.bounded(RATE), made, rows, velocity, null, low, high).qdot, made(rows).apply(velocity)
+
+    qdot, free = map(np.asarray, jax.jit(jax.vmap(one))(drawn.rows, velocity, drawn.low, drawn.high))
+    missed, clipped = (
+        np.abs(np.einsum("kmn,kn->km", drawn.rows, v) - velocity)[:, first].max(1)
+        for v in (qdot, np.clip(free, drawn.low, drawn.high))
+    )
+    size = np.abs(velocity).max(1)
+    assert np.max(missed / size) < 1e-3 < 0.05 < np.median(clipped / size)
+
+
+@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.transpose()])
+def test_an_inverse_without_damping_is_refused(inverse):
+    with pytest.raises(ck.ArgumentError, match=r"`inverse` must be damped.* with limits bounded\(\), but is "):
+        ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=inverse, limits=ck.bounded())
+
+
+def test_an_inverse_of_ones_own_without_damping_is_refused():
+    law = ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=lambda rows: ck.transpose()(rows), limits=ck.bounded())
+    with pytest.raises(ck.ArgumentError, match="`inverse` must be damped"):
+        ck.step(law, ck.hold([0.3, 0.0, 0.5], np.eye(3)), np.zeros(7), 0.0, 0.01, "EE")
+
+
+@pytest.mark.parametrize(("name", "value"), [("rate", 0.0), ("rate", -1.0), ("passes", 0), ("passes", 2.5)])
+def test_arguments_are_refused(name, value):
+    with pytest.raises(ck.ArgumentError, match=f"`{name}`"):
+        ck.bounded(**{name: value})
