@@ -111,3 +111,8 @@ def _scalars(item):
             queue += n.args
         elif n.op != "input" or not n.shape:
             yield n
+
+
+def read_for(result):
+    """The scalar nodes that a result is, or that its row is made of."""
+    return _scalars(result) if result.shape else (result,)

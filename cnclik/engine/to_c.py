@@ -9,7 +9,7 @@ import numpy as np
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation, number, text, vector
-from cnclik.engine.pieces import in_pieces
+from cnclik.engine.pieces import in_pieces, read_for
 from cnclik.engine.row_texts import RowTexts, needed_rows, places_needed
 from cnclik.engine.stacks import Rows
 
@@ -351,7 +351,7 @@ class Writer(RowTexts):
         for node in self.given:
             if node.number in self.needed and not node.shape:
                 self.declare(node, self.load(node, "0"))
-        self.block(self.graph.root, [n for out in self.outs if not isinstance(out, Rows) for n in cells_of(out)])
+        self.block(self.graph.root, [n for out in self.outs for c in cells_of(out) for n in read_for(c)])
         for o, out in enumerate(self.outs):
             if o in self.direct:
                 continue

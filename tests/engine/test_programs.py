@@ -251,6 +251,21 @@ def test_long_bodies_are_written_in_pieces(monkeypatch):
 
 
 @NEEDS_C
+def test_rows_that_are_results_read_scalars_of_any_piece(monkeypatch):
+    from cnclik.engine import source
+
+    def fn(x):
+        rows = lax.scan(lambda c, i: (jnp.cos(c) + i, c[0] * i), x, jnp.arange(6.0))[1]
+        for _ in range(8):
+            x = jnp.sin(A @ x)
+        return rows[1:] - rows[:-1] > 0.1 * rows[:-1] + jnp.sqrt(x @ x)
+
+    monkeypatch.setattr(source, "LONG", 50)
+    monkeypatch.setattr(source, "PIECE", 20)
+    check(fn, batch(3))
+
+
+@NEEDS_C
 def test_zeros_of_a_model_vanish_and_others_stay():
     eye = np.eye(3)
 
