@@ -10,7 +10,7 @@ from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
 from .engine.plan import use_engine as use_engine
-from .errors import ArgumentError as ArgumentError
+from .errors import ArgumentError as ArgumentError, Remark as Remark
 from .hints import use_hints as use_hints
 from .integrate.drive import Drive as Drive
 from .integrate.history import History as History
