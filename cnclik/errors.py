@@ -45,6 +45,15 @@ def fail(name: str, must: str, found) -> ArgumentError:
     return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 
+@contextlib.contextmanager
+def within(where: str):
+    """Context manager: an error of an argument `name` is one of `where.name`."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise ArgumentError(str(error).replace("Argument `", f"Argument `{where}.", 1)) from None
+
+
 def reason(error: Exception) -> str:
     """What an error of the file system, or of a name that is none, says."""
     return getattr(error, "strerror", None) or str(error)

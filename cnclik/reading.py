@@ -4,7 +4,9 @@ import contextlib
 import contextvars
 import os
 import pathlib
+import re
 import stat
+import tomllib
 
 from cnclik import errors
 
@@ -57,3 +59,24 @@ def read_bytes(argument: str, path, what: str, *, most: int | None = None) -> by
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         raise errors.fail(argument, f"name {what} that can be read", f"{shown}: {errors.reason(error)}") from None
+
+
+def read_toml(argument: str, path) -> dict:
+    """What a TOML file holds. Raises: as `read_bytes`, and for what is no TOML or is nested too deeply to be read."""
+    text, shown = read_bytes(argument, path, "a TOML file", most=1 << 20), os.fspath(path)
+    try:
+        return toml(text.decode())
+    except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
+        raise errors.fail(argument, "be a TOML file", f"{shown!r} is not: {error}") from None
+    except RecursionError:
+        raise errors.fail(argument, "be nested less deeply", f"{shown!r} is nested too deeply to be read") from None
+
+
+def toml(text: str) -> dict:
+    """What a TOML text holds. Raises: ValueError where it holds nothing, or would take the reader minutes."""
+    if _LONG_KEY.search(text):  # the reader's time grows with the square of a key's parts
+        raise ValueError("a key has too many parts")
+    return tomllib.loads(text)
+
+
+_LONG_KEY = re.compile(r"""(\.\s*[\w"'-][^.,\n\[\]]*){64}""")

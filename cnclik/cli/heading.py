@@ -10,7 +10,9 @@ def name_and_tip(name, tip) -> str:
 
 
 def robot_and_task(name, tip, task) -> str:
-    """Such as "panda, tip flange, task x y z rx ry rz"."""
+    """Such as "panda, tip flange, task x y z rx ry rz", or "baxter, tasks hands, rest"."""
+    if task.tasks:
+        return f"{name}, tasks {', '.join(one for one, _ in task.tasks)}"
     return f"{name_and_tip(name, tip)}, task {' '.join(task.names)}"
 
 
@@ -41,7 +43,7 @@ def dead_time(made) -> str:
 
 
 def start_and_target(made, given: dict) -> list:
-    """Two sentences: the joint values that the loop begins with, and where its path begins.
+    """Sentences: the joint values that the loop begins with, and where its path begins; of a stack what its tasks are.
 
     Args: given: what the user gave, as `cnclik.cli.problem.table` has it.
     """
@@ -50,10 +52,51 @@ def start_and_target(made, given: dict) -> list:
     units = ", ".join(dict.fromkeys(made.law.chain.units))
     named = any(given.get(name) is not None for name in PATH) or str(given.get("reference")).lower().endswith(".csv")
     begins = " (on the path)" if given.get("begin") == "on-path" else "" if "q0" in given else " (default)"
-    return [
-        f"Start: q0 = {in_words(made.q0)} {units}{begins}.",
-        f"{_first_point(made, given.get('reference', 'hold'), '' if named else ' (default)')}.",
-    ]
+    start = f"Start: q0 = {in_words(made.q0)} {units}{begins}."
+    if made.tables is not None:
+        return [start, *(f"{_of_stack(made, name, table)}." for name, table in made.tables.items())]
+    return [start, f"{_first_point(made, given.get('reference', 'hold'), '' if named else ' (default)')}."]
+
+
+def _of_stack(made, name, table) -> str:
+    """What a task of a stack is: of which tips, its level, gain and path."""
+    import numpy as np
+
+    from cnclik.record import in_words
+
+    law, own = made.law, made.law.task.alone(name)
+    tips = " and ".join(path[-1] for path, _ in own.targets)
+    what = f"{own.m} joints" if tips == "joints" else f"{' '.join(own.targets[0][1].names)} of {tips}"
+    alpha = np.asarray(law.alpha, float)
+    alpha = alpha if alpha.ndim == 0 else alpha[(law.task.of(name),) * alpha.ndim]
+    alpha, z = (in_words(v[0] if v.ndim == 1 and np.ptp(v) == 0 else v) for v in (alpha, alpha * made.Ts))
+    gain = f"alpha = {alpha.removesuffix('.')} 1/s{'' if 'alpha' in table else ' (of all)'}, z = {z.removesuffix('.')}"
+    paths = "; ".join(_path_of_stack(made, name, one) for one in own.targets)
+    return f"{name}: {what}{_level_of(law, name)}; {gain}; {paths}{'' if 'reference' in table else ' (default)'}"
+
+
+def _level_of(law, name) -> str:
+    """The level of a task of a stack, such as ", level 1 of 2 (Damped, λ = 0.001)"; "" where there are none."""
+    if not hasattr(law.inverse, "names"):
+        return ""
+    level = next(i for i, names in enumerate(law.inverse.names) if name in names)
+    one = law.inverse.damping[level]
+    return f", level {level + 1} of {len(law.inverse.names)} ({type(one).__name__}, λ = {float(one.damping):g})"
+
+
+def _path_of_stack(made, name, target) -> str:
+    """A path of a stack's task, such as "circle from 0.7 0.9 -0.05 m"."""
+    import numpy as np
+
+    from cnclik.law.reference import aims_of
+
+    path, parts = target
+    one = made.reference[name]
+    one = one if hasattr(one, "curve") else one[path[-1]]
+    kind, aim = type(one.curve).__name__.lower(), np.asarray(aims_of(one, parts, 0.0)[0], float)
+    if parts.parts[0].turns or len(aim) > 3:
+        return kind
+    return f"{kind} from {' '.join(f'{v:.4g}' for v in aim)} {parts.parts[0].units[0]}"
 
 
 def _first_point(made, name, default) -> str:

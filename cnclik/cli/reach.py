@@ -12,7 +12,7 @@ from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.heading import robot_and_task
-from cnclik.cli.problem import RobotOptions, TaskOptions, look_at_units
+from cnclik.cli.problem import RobotOptions, TaskOptions, look_at_units, refuse_stack
 from cnclik.cli.remarks import print_json
 
 
@@ -62,6 +62,7 @@ def run(args: Args) -> None:
     from cnclik.problem.names import robot_and_tip, robot_name, task_from
 
     _check(args)
+    refuse_stack(args)
     chain, tip = robot_and_tip(args.robot, args.tip, args.base, args.lengths)
     task = task_from(args.task, chain)
     look_at_units(args, {} if args.target is None else {"target": args.target}, chain, task)

@@ -34,18 +34,20 @@ def run(args: Args) -> None:
     from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
 
-    made = problem(args)
+    made = problem(args, stacks=True)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
+    config |= {} if made.tables is None else {"tasks": made.tables}
     trajectory, seconds, data, written, refused = _kept(made, args, config)
     with progress.bar("verdict"):
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
     given = table(args)
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
-    loop = "; ".join(filter(None, (f"{_loop(made, args.written)}, along {args.reference}", drive_words(made))))
+    along = f", along {args.reference}" * (made.tables is None)
+    loop = "; ".join(filter(None, (f"{_loop(made, args.written)}{along}", drive_words(made))))
     where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
@@ -69,7 +71,10 @@ def run(args: Args) -> None:
         facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
         figures=figures,
         captions=_CAPTIONS,
-        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": told.radius})),
+        lines=() if made.tables is None else ("The moving robot is left out: so far it shows robots with one tip.",),
+        motions=None
+        if made.tables is not None
+        else lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": told.radius})),
         dtype=str(trajectory.q.dtype),
     )
 
@@ -114,11 +119,13 @@ def _loop(made, written) -> str:
 
     from cnclik.record import in_words
 
+    stage = f" by {made.stage}" * made.method.implicit
+    head = f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}"
+    if made.tables is not None:  # each of its tasks says its gain
+        return head
     gain = np.asarray(made.law.alpha, float)
     alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
-    stage = f" by {made.stage}" * made.method.implicit
-    alpha = f"alpha = {alpha} 1/s{unless_given(written, 'alpha')}"
-    return f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}, {alpha}, z = alpha·Ts = {z}"
+    return f"{head}, alpha = {alpha} 1/s{unless_given(written, 'alpha')}, z = alpha·Ts = {z}"
 
 
 def _march(made, report):
@@ -152,9 +159,14 @@ def _rows(data):
     header = ["time", *(f"q_{j}" for j in joints), *(f"x_{a}" for a in axes), *(f"e_{a}" for a in axes)]
     header += [*(f"qdot_{j}" for j in joints), "status"]
     points = np.hstack([data.time.values[:, None], data.q.values, data.x.values, data.e.values]).tolist()
-    steps = [[*qdot, bits] for qdot, bits in zip(data.qdot.values.tolist(), data.status.values.tolist(), strict=True)]
+    bits = data.status.values[:, None]
+    if "task" in data.dims:
+        header += [f"status_{name}" for name in data.task.values]
+        bits = np.hstack([bits, data.task_status.values])
+    steps = [[*qdot, *own] for qdot, own in zip(data.qdot.values.tolist(), bits.tolist(), strict=True)]
+    last = [""] * (len(header) - len(points[0]))
     yield header
-    yield from (point + step for point, step in zip(points, [*steps, [""] * (len(joints) + 1)], strict=True))
+    yield from (point + step for point, step in zip(points, [*steps, last], strict=True))
 
 
 def _figures(data, made) -> dict:
@@ -173,22 +185,20 @@ def _summary(made, trajectory, seconds):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
-    from cnclik.integrate.status import count
     from cnclik.measure.metrics import measure_run
     from cnclik.quantities import plainly
 
     law = made.law
-    parts = [("position", "m")] * bool(law.task.lengths) + [("rotation", "rad")] * bool(law.task.angles)
-    names = [f"{kind}_{part}_error" for part, _ in parts for kind in ("rms", "max", "final")]
-    found = measure_run(trajectory, law, made.reference, [*names, "max_qdot", "velocity_ratio", "chatter"])
-    rows = []
-    for part, unit in parts:
-        rms, largest, last = (_number(found[f"{kind}_{part}_error"]) for kind in ("rms", "max", "final"))
-        rows.append((f"{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"))
+    found = measure_run(trajectory, law, made.reference, ["max_qdot", "velocity_ratio", "chatter"])
+    if law.task.tasks:
+        each = [(f"{name} ", trajectory[name], law.task.alone(name)) for name, _ in law.task.tasks]
+    else:
+        each = [("", trajectory, law.task)]
+    rows = [row for one in each for row in _of_task(*one)]
     if trajectory.path_time is not None:
         done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
         rows.append(("path", f"{done:.4g} s of it in {whole:.4g} s: it waits for the robot"))
-    rows.append(("steps", ", ".join(f"{k} {v}" for k, v in count(trajectory.status).items() if v)))
+    rows.append(("steps", _counted(trajectory.status)))
     unit, share = found.units["max_qdot"], float(found.velocity_ratio)
     part = f"{100 * share:.3g} % of" if share < 10 else f"{plainly(share)} times"
     of = f", {part} a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
@@ -198,6 +208,27 @@ def _summary(made, trajectory, seconds):
         rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))
     rows.append(("time per step", f"{plainly(1e6 * seconds)} µs"))
     return rows
+
+
+def _of_task(name, run, task):
+    """Rows of what a task's error was, and of a stack's task how many of its steps have which status."""
+    import numpy as np
+
+    kinds = ("position", "rotation") if hasattr(task.parts[0], "axes") else ("joint", "joint")
+    for part, unit, some in zip(kinds, ("m", "rad"), (task.lengths, task.angles), strict=True):
+        if some:
+            size = np.linalg.norm(np.asarray(run.e, float)[:, some], axis=1)
+            size = np.where(np.isfinite(size), size, np.inf)
+            rms, largest, last = map(_number, (np.sqrt(np.mean(size**2)), size.max(), size[-1]))
+            yield f"{name}{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"
+    if name:
+        yield f"{name}steps", _counted(run.status)
+
+
+def _counted(status) -> str:
+    from cnclik.integrate.status import count
+
+    return ", ".join(f"{k} {v}" for k, v in count(status).items() if v)
 
 
 def _number(value) -> str:

@@ -83,6 +83,8 @@ def to_dataset(
     }
     if run.tasks:
         labels["task"] = ("task", [name for name, _, _ in run.tasks], about("task", "1"))
+        tips = [tip for _, one in law.task.targets for tip in [_tip(one, law.chain)] * one.m]
+        labels["axis_tip"] = ("axis", tips, about("the tip whose coordinate it is", "1"))
         labels["axis_task"] = ("axis", [name for name, a, b in run.tasks for _ in range(a, b)], about("its task", "1"))
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
@@ -92,6 +94,13 @@ def to_dataset(
     variables = {name: (d, np.asarray(v), words) for name, (d, v, words) in variables.items()}
     found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(run.q.dtype))
     return found if config is None else found.assign_attrs(config=as_json(config))
+
+
+def _tip(task, chain) -> str:
+    """The tip of a task of one; with another behind it, as seen from which it is."""
+    part = task.parts[0]
+    tip = chain.tips[0].name if part.tip is None else part.tip
+    return tip if part.to is None else f"{tip} in {part.to}"
 
 
 def as_json(config) -> str:

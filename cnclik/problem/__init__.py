@@ -5,7 +5,7 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "options": ["DEFAULTS", "OPTIONS"],
+        "options": ["DEFAULTS", "OF_TASK", "OPTIONS"],
         "reference": ["REFERENCES", "reference_from"],
         "build": ["Problem", "problem_from"],
         "names": ["inverse_from", "limits_from", "method_from", "robot_from", "stage_from", "start_from", "task_from"],

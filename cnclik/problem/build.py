@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.paths import causal
-from cnclik.law.reference import Reference
+from cnclik.law.reference import Reference, References, of_each
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import (
     gain_from,
@@ -35,6 +36,7 @@ from cnclik.problem.names import (
 )
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
+from cnclik.problem.stack import gains_from, inverse_of, read_stack, references_of, stack_from, tables_from, tips_of
 from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.robot.chain import Chain
 from cnclik.shapes import AnyArray, ArrayLike, Float, Number
@@ -48,12 +50,13 @@ class Problem:
     """What `solve` needs, `solve(*p.loop)`, what a robot adds to it, and its name; `run()` has all of it.
 
     `drive` and `pace` are None where nothing was said of them. `noise` (m,) or a number is the standard deviation of
-    the measured error, or None, `seed` that of what is drawn. `tip` is what the robot's tip is called.
+    the measured error, or None, `seed` that of what is drawn. `tip` is what the robot's tip is called; `tables` are
+    those of a stack, as they were given.
     """
 
     name: str
     law: Law
-    reference: Reference
+    reference: Reference | References
     q0: Float[AnyArray, " n"]
     Ts: Number
     N: int
@@ -64,6 +67,7 @@ class Problem:
     noise: ArrayLike | None = None
     seed: int = 0
     tip: str = ""
+    tables: Mapping[str, Mapping[str, Any]] | None = None
 
     @property
     def loop(self) -> tuple:
@@ -81,11 +85,15 @@ class Problem:
         return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
 
 
-def problem_from(robot: str | os.PathLike | Chain, **options: Any) -> Problem:
+def problem_from(
+    robot: str | os.PathLike | Chain, *, tasks: Mapping[str, Mapping[str, Any]] | None = None, **options: Any
+) -> Problem:
     """A whole problem from a flat table of names and numbers, such as a sweep file's `[fixed]`.
 
     Args:
       robot: a URDF file, panda, ur5, planar:1,1 …, or a `Chain`.
+      tasks: of a stack {name of a task: {option: value}}, options of `cnclik.problem.OF_TASK`, as the tables of a
+        file have them that `stack` names.
       options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which say what each means and its
         default; None is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be
         the record itself. Numbers may be traced.
@@ -95,6 +103,10 @@ def problem_from(robot: str | os.PathLike | Chain, **options: Any) -> Problem:
     given = as_written({name: value for name, value in options.items() if value is not None})
     for key in given:
         errors.one_of("option", key, SWEPT)
+    if "stack" in given:
+        if tasks is not None:
+            raise errors.fail("tasks", "be left out where `stack` is given", f"are {', '.join(tasks)}")
+        tasks = read_stack(given["stack"])
     given, written = in_own_units(given)
     v = dict.fromkeys(SWEPT) | DEFAULTS | given
     if "M" in given and hasattr(v["stage"], "tolerance"):
@@ -103,22 +115,27 @@ def problem_from(robot: str | os.PathLike | Chain, **options: Any) -> Problem:
     N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"])
-    task = task_from(v["task"], chain)
+    tables = None if tasks is None else tables_from(tasks, given)
+    tips = None if tables is None else tips_of(tables)
+    chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"], tips)
+    task = task_from(v["task"], chain) if tables is None else stack_from(tables, chain)
     check_units(chain, task, written)
-    law = _law(chain, task, v, Ts)
+    law = _law(chain, task, v, Ts, tables)
     q0 = start_from(chain, task, v["q0"])
-    path = {name: v[name] for name in PATH}
-    reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
     seed = errors.seed(given.get("seed", 0))
-    if errors.one_of("begin", v["begin"], BEGINS) == "on-path":
-        q0 = on_path(chain, task, reference, q0)
+    begin = errors.one_of("begin", v["begin"], BEGINS)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
+    if tables is None:
+        path = {name: v[name] for name in PATH}
+        reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
+        q0 = on_path(chain, task, reference, q0) if begin == "on-path" else q0
+    else:
+        reference = references_of(tables, chain, task, q0, N * Ts)
     return Problem(
         name=robot_name(robot, v["tip"]),
         tip=tip,
         law=law,
-        reference=causal(reference) if unknown else reference,
+        reference=of_each(lambda one, _: causal(one), reference, task) if unknown else reference,
         q0=q0,
         Ts=Ts,
         N=N,
@@ -128,17 +145,22 @@ def problem_from(robot: str | os.PathLike | Chain, **options: Any) -> Problem:
         pace=_pace(chain, given),
         noise=v["noise"],
         seed=seed,
+        tables=None if tables is None else {name: one.given for name, one in tables.items()},
     )
 
 
-def _law(chain, task, v, Ts) -> Law:
-    inverse = inverse_from(v["inverse"], v["damping"], v["threshold"])
-    if task.m > chain.n and isinstance(inverse, Pseudoinverse):
-        require_free(chain, task)
+def _law(chain, task, v, Ts, tables) -> Law:
+    damping = {name: v[name] for name in ("inverse", "damping", "threshold")}
+    if tables is None:
+        alpha, inverse = gain_from(v["alpha"]), inverse_from(*damping.values())
+        if task.m > chain.n and isinstance(inverse, Pseudoinverse):
+            require_free(chain, task)
+    else:
+        alpha, inverse = gains_from(tables, v["alpha"]), inverse_of(tables, task, chain, **damping)
     return Law(
         chain,
         task,
-        alpha=gain_from(v["alpha"]),
+        alpha=alpha,
         inverse=inverse,
         limits=limits_from(v["limits"], Ts, v["limit_rate"]),
         null_velocity=null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),

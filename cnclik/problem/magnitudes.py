@@ -21,7 +21,8 @@ def check_units(chain, task, written: dict) -> None:
     Args: written: {option: the unit of each number, or None}, as it was given; see `cnclik.quantities.read`.
     """
     parts, axes = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), list(task.units)
-    wanted = {"error_clamp": parts, "noise": axes, "tolerance": ["m", "rad"], "accept": ["m", "rad"]}
+    wanted: dict = {} if hasattr(task.parts[0], "axes") else {"target": axes}
+    wanted |= {"error_clamp": parts, "noise": axes, "tolerance": ["m", "rad"], "accept": ["m", "rad"]}
     for name, units in written.items():
         option = SWEPT.get(name)
         of_joints = name in ("near", "jump", "velocity_limit") or (option is not None and option.unit.startswith("q"))
@@ -49,7 +50,7 @@ def remark_on(given: dict, chain, task, Ts, written: dict) -> None:
     for name in _JOINTS:
         if isinstance(bare.get(name), (tuple, list)) and len(bare[name]) == chain.n:
             _remark_on_joints(name, bare[name], chain)
-    _remark_on_lengths(bare, chain, task)
+    remark_on_lengths(bare, chain, task)
 
 
 def remark_on_times(bare: dict, Ts) -> None:
@@ -82,31 +83,40 @@ def _remark_on_joints(name, values, chain):
         )
 
 
-def _remark_on_lengths(bare, chain, task):
-    length = _length_of(chain, task)
-    for name in (*_POINTS, *_LENGTHS):
-        if name not in bare or length is None:
-            continue
+def remark_on_lengths(bare: dict, chain, task, where="") -> None:
+    """Remarks on points and lengths without a unit that are probably in another one.
+
+    Args: where: the table that they stand in, where they are no options of the command line.
+    """
+    named = [name for name in (*_POINTS, *_LENGTHS) if name in bare]
+    length = _length_of(chain, task) if named else None
+    for name in named if length is not None else ():
         values = np.atleast_1d(np.asarray(bare[name], float))
         if name in _POINTS:
             values = values[:-4] if task.orientation and len(values) > 4 else values
             axes = (0, 1, 2) if len(values) == 3 else task.linear
-            far = len(values) == len(axes) and beyond_arm(chain, values, axes) > (_FAR - 1) * length
+            number = chain.tip_number(task.parts[0].tip)
+            far = len(values) == len(axes) and beyond_arm(chain, values, axes, number=number) > (_FAR - 1) * length
         else:
             far = np.abs(values).max() > _FAR * length
         if far:
+            write = f'{name} = "{_text(values)} mm"' if where else f"--{name} {_text(values)} mm"
             errors.remark(
-                f"`{name}` has {np.abs(values).max():g} m, and the arm is {length:.3g} m long. Millimetres are written "
-                f"with their unit: --{name} {_text(values)} mm."
+                f"`{where}{name}` has {np.abs(values).max():g} m, and the arm is {length:.3g} m long. Millimetres are "
+                f"written with their unit: {write}."
             )
 
 
-def remark_on_places(file: str, places, chain, task) -> None:
-    """A remark on positions (N, axes) of a file, most of which are so far out of reach that millimetres are meant."""
+def remark_on_places(file: str, places, chain, task, tip=None) -> None:
+    """A remark on positions (N, axes) of a file, most of which are so far out of reach that millimetres are meant.
+
+    Args: tip: whose they are; None: the only one's.
+    """
     places, length = np.asarray(places, float), _length_of(chain, task)
     if length is None or not places.size:
         return
-    away = beyond_arm(chain, places, (0, 1, 2) if places.shape[-1] == 3 else task.linear)
+    axes = (0, 1, 2) if places.shape[-1] == 3 else task.linear
+    away = beyond_arm(chain, places, axes, number=chain.tip_number(tip))
     far = int(np.sum(away > (_FAR - 1) * length))
     if far > 0.5 * len(places):
         errors.remark(

@@ -12,6 +12,7 @@ from cnclik import errors, quantities
 from cnclik.integrate.method import named
 from cnclik.law import null
 from cnclik.problem import words
+from cnclik.record import replace
 from cnclik.robot import urdf
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
@@ -45,10 +46,13 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
     return robot_and_tip(text, tip, base, lengths)[0]
 
 
-def robot_and_tip(text, tip=None, base=None, lengths=None) -> tuple:
-    """(chain, what its tip is called, "" where nobody says). Args: as `robot_from`."""
+def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
+    """(chain, what its tip is called, "" where nobody says).
+
+    Args: as `robot_from`; tips: of several in place of one {name: the argument that names it}.
+    """
     if isinstance(text, Chain):
-        return text, tip or ""
+        return text, tip or ", ".join(tips or ())
     if not isinstance(text, (str, pathlib.Path)):
         raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {text!r}")
     name, colon, parts = str(text).partition(":")
@@ -67,6 +71,9 @@ def robot_and_tip(text, tip=None, base=None, lengths=None) -> tuple:
             raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
         links = fitting("robot", name, words.URDF, given)
         tree = read_urdf(name)
+        if tips:
+            links["tips"] = [urdf.link_of(tree, argument, link) for link, argument in tips.items()]
+            return urdf.chain(tree, **links), ", ".join(tips)
         return urdf.chain(tree, **links), urdf.tip_of(tree, **links)
     robot = words.ROBOTS[name]
     return robot.make(**fitting("robot", name, robot, given)), robot.tip
@@ -81,29 +88,39 @@ def robot_name(text, tip=None) -> str:
     return f"{name} {tip}" if tip else name
 
 
-def task_from(text, chain: Chain | None = None) -> task.Task:
+def task_from(text, chain: Chain | None = None, **of) -> task.Task:
     """`pose`, `position`, `orientation`, or task coordinates by name such as `xy`, `rz`, `xyzrxry`.
 
     On a planar arm the three words mean its plane: xy with rz, xy, rz. By default `pose` where the chain has
     the joints for it, else `position`.
+
+    Args: of: `tip`, `relative_to` and `weights`, as `cnclik.pose` takes them.
     """
     if isinstance(text, task.Task):
         return text
     flat = chain is not None and is_planar(chain)
     if text is None:
-        text = "pose" if not flat and (chain is None or chain.n >= 6) else "position"
+        text = "pose" if not flat and (chain is None or _moved_by(chain, of) >= 6) else "position"
     if isinstance(text, str) and text in words.TASKS:
         axes, turns = ("xy", "z") if flat else ("xyz", "xyz")
         axes, turns = axes * (text != "orientation"), turns * (text != "position")
     else:
         found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
         if not found or not text:
-            must = f"be {', '.join(words.TASKS)}, or coordinates such as xy or xyrz"
+            kinds = words.STACKED if of else words.TASKS
+            must = f"be {', '.join(kinds)}, or coordinates such as xy or xyrz"
             raise errors.fail("task", must, f"is {text!r}")
         axes, turns = found[1], found[2].replace("r", "")
     if not turns:
-        return task.position(axes)
-    return task.pose(axes, turns) if axes else task.orientation(turns)
+        return task.position(axes, **of)
+    return task.pose(axes, turns, **of) if axes else task.orientation(turns, **of)
+
+
+def _moved_by(chain, of) -> int:
+    """How many coordinates move a tip as seen from where it is."""
+    ways = [chain.way(chain.tip_number(of.get("tip")))]
+    ways += [chain.way(chain.tip_number(of["relative_to"]))] if of.get("relative_to") else []
+    return len({chain.joints[i].coordinate for way in ways for i in way})
 
 
 _APART = 1e-3  # least singular value, lengths in the arm's own, below which coordinates aren't moved apart
@@ -137,7 +154,10 @@ def require_free(chain: Chain, task) -> None:
 def start_from(chain: Chain, task, q0=None):
     """q0 (n,) [rad, m], checked; by default a posture inside the limits and away from singularities."""
     if q0 is None:
-        return start_posture(chain, task)
+        poses = [one for _, one in task.targets if hasattr(one.parts[0], "axes")]
+        return start_posture(
+            chain, *(replace(one, parts=tuple(replace(p, to=None) for p in one.parts)) for one in poses)
+        )
     q0 = errors.array("q0", q0, (chain.n,))
     return np.asarray(q0, float) if errors.concrete(q0) else q0
 

@@ -17,18 +17,19 @@ from cnclik.problem.words import (
     METHODS,
     REFERENCES,
     ROBOTS,
+    STACKED,
     STAGES,
     TASKS,
 )
 from cnclik.quantities import SAMPLES, read_each
 
-NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
+NAME, NAMES, NUMBER, NUMBERS, INTEGER = "name", "names", "number", "numbers", "integer"
 
 
 class Option(NamedTuple):
     """One option of a problem."""
 
-    kind: str  # NAME, NUMBER, NUMBERS or INTEGER
+    kind: str  # NAME, NAMES, NUMBER, NUMBERS or INTEGER
     help: str
     default: Any = None
     unit: str = "1"  # "q": that of the joints; "J", "w", "x": of a singular value, threshold, point
@@ -53,6 +54,8 @@ OPTIONS = {
     "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
     "task": Option(NAME, f"{_listed(TASKS)}, or coordinates such as xy or xyrz; pose where there are joints enough "
                    "for it."),
+    "stack": Option(NAME, "FILE.toml of several tasks, each with its tip, gain, level and path, in place of --task, "
+                    "--tip and --reference."),
     "reference": Option(NAME, f"{_listed(REFERENCES)}, or FILE.csv of waypoints: time, position, optional quaternion "
                         "w x y z.", "hold"),
     "target": Option(NUMBERS, f"{_of('target')}: the point, as position [m] and for a pose optionally a quaternion "
@@ -138,6 +141,21 @@ SWEPT = OPTIONS | MEASURED | PACE
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
 
+OF_TASK = {  # of one task of a stack: a table of a stack's file
+    "task": Option(NAME, f"{_listed(STACKED)}, or coordinates such as xy or xyrz; pose where the tip has joints enough "
+                   "for it, joints where those are given."),
+    "tip": Option(NAMES, "The tip, or several: then it is the same task for each."),
+    "relative_to": Option(NAME, "Tip in whose frame, and as seen from which, the task is; the base by default."),
+    "joints": Option(NAMES, "Of joints: their names; all by default."),
+    "weights": Option(NUMBERS, "Weights of its coordinates in the least-squares sense, one each (for each tip).",
+                      must="positive"),
+    "alpha": OPTIONS["alpha"]._replace(default=None),
+    "level": Option(INTEGER, "Its level of priority: 1 comes first, tasks of equal numbers share what there is.",
+                    must="positive"),
+    **{name: OPTIONS[name] for name in ("inverse", "damping", "threshold")},
+    **{name: OPTIONS[name] for name in ("reference", *PATH)},
+}  # fmt: skip
+
 _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
 
 
@@ -148,32 +166,35 @@ def check_values(where: str, name: str, values) -> None:
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
 
-def in_own_units(given: dict) -> tuple:
+def in_own_units(given: dict, options=SWEPT) -> tuple:
     """({option: value} with texts such as "34ms" as numbers in the option's own unit, {option: the units of each}).
 
     A list may hold texts, too.
 
+    Args: options: {name: Option} of which they are.
     Raises: ArgumentError for a text that is no such numbers, or has no unit.
     """
     made, written = dict(given), {}
-    texts = [name for name, value in given.items() if SWEPT[name].kind != NAME and _written(value, SWEPT[name].kind)]
-    for name in sorted(texts, key=lambda name: SWEPT[name].unit == SAMPLES):  # once the sampling time is known
+    texts = [name for name, value in given.items() if _written(value, options[name].kind)]
+    for name in sorted(texts, key=lambda name: options[name].unit == SAMPLES):  # once the sampling time is known
         Ts, alone = made.get("Ts", DEFAULTS["Ts"]), isinstance(given[name], str)
-        if SWEPT[name].unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
+        if options[name].unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
             raise errors.fail(name, "be in samples where `Ts` is traced", f"is {given[name]!r}")
         try:
-            found = read_each([given[name]] if alone else given[name], SWEPT[name].unit, Ts)
+            found = read_each([given[name]] if alone else given[name], options[name].unit, Ts)
         except ValueError as error:
             raise errors.fail(name, "be a number, or a text of numbers with their unit", str(error)) from None
         written[name] = found.written
-        if (whole := SWEPT[name].kind == INTEGER) and not found[0].is_integer():
-            raise errors.fail(name, "be an integer", f"is {given[name]!r}, {found[0]:g} {SWEPT[name].unit}")
+        if (whole := options[name].kind == INTEGER) and not found[0].is_integer():
+            raise errors.fail(name, "be an integer", f"is {given[name]!r}, {found[0]:g} {options[name].unit}")
         made[name] = list(found) if len(found) > 1 or not alone else int(found[0]) if whole else found[0]
     return made, written
 
 
 def _written(value, kind) -> bool:
-    """Whether an option's value is a text, or, where it may be several numbers, a list that holds one."""
+    """Whether an option of numbers is given as a text, or, where it may be several, as a list that holds one."""
+    if kind in (NAME, NAMES):
+        return False
     several = kind == NUMBERS and isinstance(value, (list, tuple))
     return isinstance(value, str) or (several and any(isinstance(v, str) for v in value))
 

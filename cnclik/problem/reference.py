@@ -18,11 +18,13 @@ from cnclik.problem.names import fitting
 from cnclik.problem.tables import read_poses
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
+from cnclik.record import replace
 from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.kinematics import forward
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.shapes import Array, Float
+from cnclik.task.parts import At
 from cnclik.task.task import Task
 
 _WRITTEN = {"start": "from", "end": "to"}  # `from` is no name in Python
@@ -40,9 +42,10 @@ class ArmAtStart(NamedTuple):
     """What a path may be filled in from."""
 
     chain: Chain
-    task: Task
+    task: Task  # of the only tip, told by its coordinates
     q0: Float[Array, " n"]
     here: tuple  # position and rotation of the tip at q0
+    tips: tuple = (None, None)  # names of the tip, and of the one as seen from which it is
 
 
 def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> ref.Reference:
@@ -65,7 +68,9 @@ def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> re
       horizon: length of the run [s], the default of `period`.
       given: the options named above; `from` and `to` are `start` and `end`.
     """
-    arm = ArmAtStart(chain, task, q0, _tip(chain, q0))
+    tips = task.parts[0].tip, task.parts[0].to
+    coordinates = replace(task, parts=tuple(replace(part, tip=None, to=None) for part in task.parts))
+    arm = ArmAtStart(chain, coordinates, q0, _tip(chain, q0, *tips), tips)
     given = as_written(given)
     if str(name).lower().endswith(".csv"):
         fitting("reference", name, words.Takes(), given)
@@ -144,9 +149,10 @@ def _needs_position(name, task):
 # --- points -------------------------------------------------------------------------------------------
 
 
-def _tip(chain, q):
-    at = forward(chain, q)
-    return _known(at.position), _known(at.rotation)
+def _tip(chain, q, tip, to):
+    """Position and rotation of a tip, in the base frame or in that of another tip."""
+    at = At(modelled(chain), np.asarray(q, float) if errors.concrete(q) else q)
+    return _known(at.position(tip, to)), _known(at.rotation(tip, to))
 
 
 def _known(values):
@@ -166,7 +172,7 @@ def _away(arm):
             size[joint.coordinate] = arm_length(chain) / 10
     xp = np if errors.concrete(q0) and all(map(errors.concrete, size)) else jnp
     size = xp.minimum(xp.stack([xp.asarray(s, float) for s in size]), (upper - lower) / 4)
-    return _tip(chain, q0 + xp.where(middle >= q0, size, -size))
+    return _tip(chain, q0 + xp.where(middle >= q0, size, -size), *arm.tips)
 
 
 def _point(name, given, task, default):
@@ -217,6 +223,6 @@ def _waypoints(arm, file):
         raise errors.fail("reference", "hold times that increase", f"{name} has {first:g} and then {second:g}")
     positions = np.stack([p for p, _ in points]) if arm.task.position else None
     rotations = np.stack([r for _, r in points]) if arm.task.orientation else None
-    if positions is not None:
-        remark_on_places(name, positions, arm.chain, arm.task)
+    if positions is not None and arm.tips[1] is None:
+        remark_on_places(name, positions, arm.chain, arm.task, arm.tips[0])
     return ref.waypoints(table[:, 0], positions, rotations)

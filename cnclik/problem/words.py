@@ -36,6 +36,7 @@ ROBOTS = {
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
+STACKED = (*TASKS, "joints")  # of a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),
     "damped": Takes("law.inverse:damped", needs=("damping",)),

@@ -81,14 +81,16 @@ def evenly(count: int, n: int, first: int = 0):
     return np.mod(0.5 + np.outer(np.arange(first, first + count), base ** -np.arange(1.0, n + 1)), 1.0)
 
 
-def start_posture(chain: Chain, task):
-    """A posture (n,) [rad, m] well inside the limits and away from singularities of the task.
+def start_posture(chain: Chain, *tasks):
+    """A posture (n,) [rad, m] well inside the limits and away from singularities of the tasks, each of one tip.
 
-    The middle of the limits (0 for joints without) if the task Jacobian is well conditioned there; else, of 256
-    fixed postures spread around it, the one with the largest least singular value.
+    The middle of the limits (0 for joints without) if the task Jacobians are well conditioned there; else, of 256
+    fixed postures spread around it, the one with the largest least singular value, as a share of each task's largest.
     """
-    postures = spread_postures(chain)
-    least = least_singular_values(chain, task, postures)
+    postures, least = spread_postures(chain), np.ones(1)
+    for task in tasks:
+        own = least_singular_values(chain, task, postures)
+        least = np.minimum(least, own / (own.max() or 1.0))
     return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
 
 

@@ -48,7 +48,7 @@ def load_urdf(
 
 def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=None, freeze=None) -> Chain:
     """The robot of a tree that was read before. Args and raises: as `load_urdf`."""
-    base = tree.root if base is None else _link(tree, "base", base)
+    base = tree.root if base is None else link_of(tree, "base", base)
     if tips is None:
         end = tip_of(tree, tip, base)
         ends = {end: (end, Offset())}
@@ -114,7 +114,7 @@ def _ends(tree, tips) -> dict:
     found = {}
     for name, end in named.items():
         link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
-        found[name] = _link(tree, "tips", link), offset_of("tips", where, places=True)
+        found[name] = link_of(tree, "tips", link), offset_of("tips", where, places=True)
     return found
 
 
@@ -143,9 +143,9 @@ def _moved(kind, axis, value) -> Offset:
 
 def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
     """The name of the last link: the one given, or the only one that can be meant. Args and raises: as `load_urdf`."""
-    base = tree.root if base is None else _link(tree, "base", base)
+    base = tree.root if base is None else link_of(tree, "base", base)
     if tip is not None:
-        return _link(tree, "tip", tip)
+        return link_of(tree, "tip", tip)
     candidates = tree.tips(base)
     if not candidates and base != tree.root:
         raise errors.fail("tip", f"be given, as no moving joint hangs on {base!r} of {tree.file}", "is not")
@@ -209,7 +209,7 @@ def _odd(tree, tip, edge, turned):
     return errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
 
 
-def _link(tree, name, link):
+def link_of(tree, name, link):
     if isinstance(link, str) and link in tree.links:
         return link
     padded = [known for known in tree.links if isinstance(link, str) and known.strip() == link.strip()]

@@ -10,19 +10,21 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cnclik import errors
-from cnclik.integrate.status import Status
+from cnclik.integrate.status import OWN, Status
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
 from cnclik.precision import of_numbers
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import is_planar
 from cnclik.show import style
 from cnclik.show.viewer.motion import from_arrays
+from cnclik.task.parts import AXES
 
 _TIME = "time $t$ [s]"
 _PARTS = {
-    "m": {"label": "position error ‖e‖ [m]", "color": style.BLUE},
-    "rad": {"label": "orientation error ‖e‖ [rad]", "color": style.ORANGE, "linestyle": style.DASH},
+    "m": ("position error ‖e‖ [m]", {"color": style.BLUE}),
+    "rad": ("orientation error ‖e‖ [rad]", {"color": style.ORANGE, "linestyle": style.DASH}),
 }
 _BITS = [bit for bit in Status if bit]
 
@@ -52,6 +54,8 @@ def joint_paths(data, chain=None):
         for look, one in _methods(data):
             panel.plot(data.time, one.q.values[:, i], **look)
         room = max(np.ptp(q), 0.1)
+        if np.ptp(q) <= 1e-9:  # rounding would fill the panel
+            panel.set_ylim(np.median(q) - room, np.median(q) + room)
         for bound in () if chain is None else (chain.lower[i], chain.upper[i]):
             if q.min() - room < bound < q.max() + room:
                 panel.axhline(bound, label="limit", **style.LIMIT)
@@ -80,7 +84,7 @@ def joint_velocities(data, chain=None):
 
 
 def error(data):
-    """Norms of the position and of the orientation error against time, on a logarithmic scale."""
+    """Norms of the position and of the orientation error against time, on a logarithmic scale; of each task."""
     figure, panel = plt.subplots(figsize=(style.COLUMN, 2.2))
     _draw_error(panel, data)
     panel.set_xlabel(_TIME)
@@ -89,23 +93,35 @@ def error(data):
 
 
 def status(data):
-    """What was wrong in each step, one line per status bit; an empty line is good."""
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_BITS)))
+    """What was wrong in each step, one line per status bit, and per task where it is its own; an empty line is good."""
+    figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_status_rows(data))))
     _draw_status(panel, data)
     panel.set_xlabel(_TIME)
     return figure
 
 
 def tip(data, chain):
-    """The path of the tip and where it was to be, in space; of a planar robot in its plane."""
-    known = (data[name].values for name in ("time", "q", "x", "e", "status"))
-    motion = from_arrays(chain, *known, axes=data.axis.values, units=data.axis_unit.values, name="")
-    axes = "xy" if is_planar(chain) else "xyz"
+    """The path of the tip and where it was to be, in space; of a planar robot in its plane. A panel for each tip."""
+    axes, every = "xy" if is_planar(chain) else "xyz", _paths(data, chain)
     space = {} if len(axes) == 2 else {"subplot_kw": {"projection": "3d"}}
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 3.2), **space)
-    paths = [(motion.way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
-    if motion.target is not None:
-        paths.append((motion.target[:, : len(axes)], {"color": "0.6", "linewidth": 2.4, "label": "target"}))
+    columns = 2 if len(every) == 4 else min(len(every), 3)
+    rows = -(-len(every) // columns)
+    size = (style.COLUMN, 3.2) if columns == 1 else (style.PAGE / 3 * columns, 0.4 + 2.5 * rows)
+    figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=size, **space)
+    for panel in grid.flat[len(every) :]:
+        panel.set_axis_off()
+    for panel, (name, *paths) in zip(grid.flat, every, strict=False):
+        _draw_tip(panel, axes, *paths, alone=len(every) == 1)
+        if len(every) > 1:
+            panel.set_title(name, pad=2)
+    style.legend(figure, max(grid.flat, key=lambda panel: len(panel.get_lines())))
+    return figure
+
+
+def _draw_tip(panel, axes, way, target, alone):
+    paths = [(way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
+    if target is not None:
+        paths.append((target[:, : len(axes)], {"color": "0.6", "linewidth": 2.4, "label": "target"}))
     for points, look in paths:
         marker = {"marker": "o", "markevery": [-1]}  # where it ends; of a target that stays this is all there is
         panel.plot(*points.T, **marker, **look)
@@ -115,13 +131,30 @@ def tip(data, chain):
     room = max(0.55 * (high - low).max(), 1e-3)  # of a tip that rests, a millimetre
     for name, middle in zip(axes, (low + high) / 2, strict=True):
         panel.set(**{f"{name}lim": (middle - room, middle + room), f"{name}label": f"${name}$ [m]"})
-        getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4))
-    if space:
-        panel.set_box_aspect((1, 1, 1), zoom=0.82)  # room for the labels
+        getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4 if alone else 3))
+    if len(axes) > 2:
+        panel.set_box_aspect((1, 1, 1), zoom=0.82 if alone else 0.7)  # room for the labels
     else:
         panel.set_aspect("equal")
-    style.legend(figure, panel)
-    return figure
+
+
+def _paths(data, chain):
+    """(name, (K, 3) positions, (K, 3) targets or None) of each tip, up to the first instant that is not finite."""
+    known = (data[name].values for name in ("time", "q", "x", "e", "status"))
+    if "axis_tip" not in data.coords:
+        motion = from_arrays(chain, *known, axes=data.axis.values, units=data.axis_unit.values, name="")
+        return [("tip", motion.way, motion.target)]
+    finite = np.isfinite(data.q.values).all(1) & np.isfinite(data.e.values).all(1)
+    q, found = data.q.values[: None if finite.all() else max(int(np.argmin(finite)), 1)], []
+    for i, one in enumerate(chain.tips):
+        way = np.array(frames(modelled(chain), np.asarray(q, float), i).position)
+        target, known = way.copy(), False
+        for k, name in enumerate(data.axis.values):
+            axis = str(name).rpartition(".")[2]
+            if data.axis_tip.values[k] == one.name and axis in AXES:
+                target[:, AXES.index(axis)], known = (data.x.values + data.e.values)[: len(q), k], True
+        found.append((one.name, way, target if known else None))
+    return found
 
 
 def overview(data, chain):
@@ -220,26 +253,51 @@ def _per_joint(data, draw, symbol, per=""):
 
 def _draw_error(panel, data):
     norms = []
-    for unit, look in _PARTS.items():
-        part = data.e.values[:, data.axis_unit.values == unit]
-        if part.size:
-            norm = np.linalg.norm(part, axis=1)
-            panel.plot(data.time, np.where(norm > 0, norm, np.nan), **look)
-            norms.append(norm)
+    for label, look, some in _error_parts(data):
+        norm = np.linalg.norm(data.e.values[:, some], axis=1)
+        panel.plot(data.time, np.where(norm > 0, norm, np.nan), label=label, **look)
+        norms.append(norm)
     style.log_errors(panel, norms)
     panel.set_ylabel("error norm")
+
+
+def _error_parts(data):
+    """(label, look, which coordinates) of each line: positions and orientations, of each task a colour."""
+    units = data.axis_unit.values
+    if "axis_task" not in data.coords:
+        return [(label, look, units == unit) for unit, (label, look) in _PARTS.items() if (units == unit).any()]
+    found = []
+    for i, task in enumerate(data.task.values):
+        for unit in dict.fromkeys(units[data.axis_task.values == task]):
+            look = {"color": style.COLORS[i % len(style.COLORS)], "linestyle": style.DASH if unit == "rad" else "-"}
+            found.append((f"{task} [{unit}]", look, (data.axis_task.values == task) & (units == unit)))
+    return found
+
+
+def _status_rows(data):
+    """(label, whether each step has it) of each line; of a stack one for each task where it is the task's own."""
+    found = []
+    for bit in _BITS:
+        words = bit.name.replace("_", " ").lower()
+        if "task_status" in data and bit & OWN:
+            each = zip(data.task.values, data.task_status.values.T, strict=True)
+            found += [(f"{words}: {task}", (status & bit.value) != 0) for task, status in each]
+        else:
+            found.append((words, (data.status.values & bit.value) != 0))
+    return found
 
 
 def _draw_status(panel, data):
     edges = data.time.values
     if not data.status.values.any():
         panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
-    for row, bit in enumerate(_BITS):
-        bad = np.flatnonzero(data.status.values & bit.value)
+    rows = _status_rows(data)
+    for row, (_, has) in enumerate(rows):
+        bad = np.flatnonzero(has)
         together = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)  # neighbouring steps as one bar
         spans = [(edges[steps[0]], edges[steps[-1] + 1] - edges[steps[0]]) for steps in together if steps.size]
         panel.broken_barh(spans, (row - 0.35, 0.7), color=style.VERMILION, linewidth=0)
-    panel.set_yticks(range(len(_BITS)), [bit.name.replace("_", " ").lower() for bit in _BITS])
-    panel.set_ylim(len(_BITS) - 0.4, -0.6)
+    panel.set_yticks(range(len(rows)), [label for label, _ in rows])
+    panel.set_ylim(len(rows) - 0.4, -0.6)
     panel.set_xlim(edges[0], edges[-1])
     panel.grid(axis="y", visible=False)

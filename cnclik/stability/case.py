@@ -39,8 +39,9 @@ class Case:
 
     Attributes:
       loop: Ts, method, stage, drive. end, start: postures of the run's last and first instant, where it is judged.
-      wanted: (k, p) positions wanted over the last quarter, or None. target, turn: position and rotation wanted at the
-        one of them that is farthest beyond the stretched arm, or at the end where none is beyond it.
+      wanted: (k, p) positions wanted over the last quarter, or None. wanted_velocity: (k, m) task velocities.
+      target, turn: position and rotation wanted at the one of them that is farthest beyond the stretched arm, or at
+        the end where none is beyond it.
       behind: how far the target moves in a step (RMS, last quarter). path: time that the whole path takes [s], 0 where
         it is held or nobody knows; period: the same as an option, negative where a circle is followed in the other
         sense, 0 where it is none.
@@ -48,7 +49,8 @@ class Case:
       overshoot: how far beyond the target an error lands there, as a share of itself.
       advance: how far the path's time got in the last quarter's steps, of theirs: at a pace it waits for the robot.
       fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold, at the run's pace.
-      e: weighted error at the end. size: of the last quarter's error, in words. more: pace and noise of the run.
+      e: weighted error at the end. errors: (N + 1, m), up to the first that is not finite.
+      size: of the last quarter's error, in words. more: pace and noise of the run.
     """
 
     law: Law
@@ -59,6 +61,7 @@ class Case:
     end: Instant
     start: Instant
     wanted: np.ndarray | None
+    wanted_velocity: np.ndarray
     target: np.ndarray | None
     turn: np.ndarray | None
     behind: float
@@ -71,6 +74,7 @@ class Case:
     advance: float
     fold: float
     e: np.ndarray
+    errors: np.ndarray
     size: str
     more: dict
 
@@ -181,7 +185,7 @@ class Case:
         from cnclik.reaching.public import reach  # here: most runs end where nothing is asked of it
 
         chain, task = self.law.chain, replace(self.law.task, weights=None)
-        if task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
+        if not task.of_one_tip or task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
             return None
         position, rotation = np.zeros(3), np.eye(3) if self.turn is None else self.turn
         if target is not None:
@@ -219,12 +223,14 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         end=end,
         start=start,
         wanted=wanted[0],
+        wanted_velocity=wanted[2],
         target=None if wanted[0] is None else wanted[0][at],
         turn=None if wanted[1] is None else wanted[1][at],
-        behind=rms(np.linalg.norm(np.asarray(wanted[2]), axis=1)) * Ts,
+        behind=rms(np.linalg.norm(wanted[2], axis=1)) * Ts,
         path=whole(reference),
-        period=float(getattr(reference.curve, "period", getattr(reference.curve, "duration", 0.0))),
+        period=_period(reference),
         e=weighted,
+        errors=e[: seen.bad],
         size=" and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size),
         more=more,
         advance=advance,
@@ -256,12 +262,21 @@ def farthest(law, places) -> int:
     return int(np.argmax(away)) if away.max() > 0 else -1
 
 
-def whole(reference: ref.Reference) -> float:
-    """Time that a path takes, once around or from end to end [s]; 0 of a held one, or where nobody knows."""
-    curve = reference.curve
-    if hasattr(curve, "times"):
-        return float(curve.times[-1] - curve.times[0])
-    return abs(float(getattr(curve, "period", getattr(curve, "duration", 0.0))))
+def whole(reference: ref.Reference | ref.References) -> float:
+    """Time that a path takes, once around or from end to end [s]; 0 of a held one, or where nobody knows; of several
+    the longest.
+    """
+    if isinstance(reference, ref.References):
+        return max(map(whole, reference.each))
+    if hasattr(reference.curve, "times"):
+        return float(reference.curve.times[-1] - reference.curve.times[0])
+    return abs(_period(reference))
+
+
+def _period(reference) -> float:
+    """The time of a path as an option, 0.0 where it is none, or of each of several paths."""
+    curve = getattr(reference, "curve", None)
+    return float(getattr(curve, "period", getattr(curve, "duration", 0.0)))
 
 
 def _at_rest(law, end, e, Ts, method, stage, drive) -> dict:

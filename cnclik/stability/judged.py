@@ -14,10 +14,11 @@ from cnclik.integrate.status import Status
 from cnclik.quantities import plainly
 from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import NEARLY, PLENTY, UNSTABLE
+from cnclik.stability.case import LEAST, NEARLY, PLENTY, UNSTABLE
 from cnclik.stability.observed import VISIBLE, rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
+from cnclik.stability.stacked import SHARED, each_task
 
 AROUND = 3  # times around a path that tell, however slow a direction of the loop is
 # Share of the joint speed off its mean, from which on what is unstable at rest shakes at a pace. A sine has
@@ -33,6 +34,7 @@ class Behaviour(enum.StrEnum):
 
     SETTLED = "settled"
     LAGGING = "settled with lag"
+    PARTLY = "settled in part"  # of a stack: some of its tasks
     CONVERGING = "converging"
     UNDECIDED = "too short to tell"
     RINGING = "ringing"
@@ -59,6 +61,8 @@ def judged(case):
     if case.steps - 1 <= case.dead and case.dead:
         what = f"the run is over before its dead time of {case.dead} steps is; {error}"
         return Behaviour.UNDECIDED, what, remedies.longer(case)
+    if not law.task.of_one_tip:
+        return _stack(case, error)
     return (_moving if case.moving else _held)(case, error)
 
 
@@ -174,12 +178,40 @@ def _moving(case, error):
     if limited:  # more velocity may be more than they let through
         return Behaviour.LAGGING, what, remedies.slower_path(case, 0.5)
     if float(case.law.feedforward) != 1.0:
-        words = "feed the velocity forward (feedforward=1)"
-        return Behaviour.LAGGING, what, (Remedy(change={"feedforward": 1.0}, words=words),)
+        return Behaviour.LAGGING, what, (_fed_forward(),)
     held_back = case.pace is not None and (not case.waits or case.advance < NEARLY)
     slower = remedies.slower_path(case, 0.25 if held_back else 0.5)
     raised = remedies.raised(case)
     return Behaviour.LAGGING, what, (*raised, *(slower if held_back or not raised else ()))
+
+
+def _stack(case, error):
+    """A run of several tasks: each by its own error, and the loop by its step."""
+    each, quarter = each_task(case), "over the last quarter of the run the errors are at most"
+    said, left = f"{quarter}: {', '.join(one.words for one in each)}", [one for one in each if not one.settled]
+    if case.radius > UNSTABLE and (left or not case.moving) and not _slow_enough(case):
+        return _unstable(case, error)
+    if _shakes(case) and not (case.seen.arrived and case.seen.fades):
+        return _shaking(case, said)
+    if _rings(case):
+        return _ringing(case, said)
+    if not left:
+        return Behaviour.SETTLED, f"{said}; {_radius(case)}", ()
+    if case.covered < 1 or case.steps < LEAST + case.dead:
+        return undecided(case, said)
+    if any(one.shrinks for one in left):
+        return Behaviour.CONVERGING, f"{said}; {_radius(case)}", remedies.to_the_end(case)
+    if at := reasons.at_limits(case):
+        return Behaviour.AT_LIMIT, f"{at}, and {said}", ()
+    if case.moving and float(case.law.feedforward) != 1.0:
+        return Behaviour.LAGGING, said, (_fed_forward(),)
+    all_left = Behaviour.LAGGING if case.moving else Behaviour.STALLED
+    kind = all_left if len(left) == len(each) else Behaviour.PARTLY
+    return kind, f"{said}; {SHARED}; {_radius(case)}", ()
+
+
+def _fed_forward():
+    return Remedy(change={"feedforward": 1.0}, words="feed the velocity forward (feedforward=1)")
 
 
 def _rounded(case, error):

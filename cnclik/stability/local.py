@@ -32,11 +32,13 @@ def resting(law, at: Instant) -> tuple[Law, Instant]:
 
 @one_off
 def targets(reference, task, t):
-    """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...)."""
+    """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...); the first
+    two are known of a task of one tip's pose.
+    """
 
     def one(t):
         aims, velocity = ref.sample(reference, task, t)
-        found = {part.turns: aim for part, aim in zip(task.parts, aims, strict=True)}
+        found = {part.turns: aim for part, aim in zip(task.parts, aims, strict=True)} if task.of_one_tip else {}
         return found.get(False), found.get(True), velocity
 
     return jax.vmap(one)(t)

@@ -7,7 +7,7 @@ import numpy as np
 from cnclik.integrate.pace import CHAIN
 from cnclik.integrate.stage import Picard
 from cnclik.law.bounded import Bounded
-from cnclik.law.inverse import Transpose
+from cnclik.law.inverse import Levels, Transpose
 from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import forward
@@ -99,8 +99,11 @@ def lower(case) -> tuple:
         at, held = ends[int(np.argmin(shares))]
         scaled = replace(at, alpha=np.asarray(at.alpha, float) * share)
         best = share * fastest_share(scaled, held, *case.loop)
+        why = "settles soonest"
+        if law.task.tasks:  # what settles soonest is what the slowest of its tasks asks for
+            best, why = 0.5 * share, "is half of that"
         change = {"alpha": _gain(law, best)} | (within[0].change if within else {})
-        words = f"reduce {_words(law, share, 'below')} ({_amount(law, best)} settles soonest)"
+        words = f"reduce {_words(law, share, 'below')} ({_amount(law, best)} {why})"
         words += f" and {within[0].words}" if within else ""
         made = [Remedy(change=change, words=words, mends="motion")]
         if within:
@@ -166,6 +169,8 @@ def gentle(case, mends="error") -> tuple:
     """Damping and a clamp with which a step from anywhere is small and within the velocity limits: ‖q̇‖ ≤ alpha ‖e‖/(2λ)
     of what the clamp leaves of e."""
     law, Ts, size = case.law, case.loop[0], min(1.0, arm_length(case.law.chain))
+    if isinstance(law.inverse, Levels):  # one damping for all would take their priority
+        return ()
     rate = float(np.max(np.abs(np.asarray(law.alpha, float))))
     damping = max(0.1 * size, 3 * float(np.max(np.asarray(getattr(law.inverse, "damping", 0.0)))))
     most = min(float(np.min(np.array(law.chain.velocity_limit, float))), SMALL / Ts)

@@ -20,7 +20,7 @@ from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
 from cnclik.law.law import Law
 from cnclik.law.paths import hold
-from cnclik.law.reference import Reference
+from cnclik.law.reference import Reference, References, of_each
 from cnclik.record import record, replace
 from cnclik.shapes import AnyArray, ArrayLike, Float
 from cnclik.stability.case import brief
@@ -48,7 +48,7 @@ class Run:
     """A loop as `solve` is told of it, the rotation that is wanted at its end, and the noise of its measured error."""
 
     law: Law
-    reference: Reference
+    reference: Reference | References
     q0: np.ndarray
     N: int
     method: Method | Multistep
@@ -98,10 +98,17 @@ def changed(run: Run, change: dict) -> Run:
 
 def _path(run, change):
     """The reference with what a remedy changes of it, which is taken out of the change."""
-    reference, curve = run.reference, run.reference.curve
     if "target" in change:
         return hold(np.asarray(change.pop("target"), float), run.turn)
-    shift, speed = np.asarray(change.pop("shift", np.zeros(3)), float), np.asarray(change.pop("speed", 1.0), float)
+    names = {"shift", "speed", "period"} & set(change)
+    of_path = {name: np.asarray(change.pop(name), float) for name in names}
+    return (
+        of_each(lambda one, _: _changed_path(one, **of_path), run.reference, run.law.task) if names else run.reference
+    )
+
+
+def _changed_path(reference, shift=np.zeros(3), speed=np.ones(()), period=None):
+    curve = reference.curve
     fields = [name for name in PLACES if getattr(curve, name, None) is not None]
     if speed != 1 or (shift.any() and not fields):
         told = reference.feedforward
@@ -110,9 +117,9 @@ def _path(run, change):
     elif shift.any():
         moved = {name: np.asarray(getattr(curve, name), float) for name in fields}
         curve = replace(curve, **{name: at + shift[: len(at)] for name, at in moved.items()})
-    if "period" in change:
+    if period is not None:
         field = "period" if hasattr(curve, "period") else "duration"
-        curve = replace(curve, **{field: np.asarray(float(change.pop("period")))})
+        curve = replace(curve, **{field: period})
     return replace(reference, curve=curve)
 
 

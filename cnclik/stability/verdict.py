@@ -34,7 +34,12 @@ CALM = 0.02  # share of the joint speed that is reversed, below which a loop doe
 LESS = 0.3  # ratio of errors below which it does not diverge
 SAME = 0.75, 1.9  # ratios between which an error stays
 _STAY = (Behaviour.STALLED, Behaviour.AT_LIMIT)
-_FINE = (Behaviour.SETTLED, Behaviour.LAGGING, Behaviour.CONVERGING)  # what a robot does as well, within its limits
+_FINE = (
+    Behaviour.SETTLED,
+    Behaviour.LAGGING,
+    Behaviour.PARTLY,
+    Behaviour.CONVERGING,
+)  # what a robot does as well, within its limits
 TOO_FAST = 2.0  # ratio of a joint's velocity and its limit from which on a robot does something else than the run
 
 

@@ -14,8 +14,6 @@ import math
 import operator
 import os
 import pathlib
-import re
-import tomllib
 import zlib
 
 import jax
@@ -32,7 +30,7 @@ from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import robot_from, stage_from
-from cnclik.reading import read_bytes
+from cnclik.reading import read_toml, toml
 from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
@@ -222,12 +220,8 @@ def read(path, changes=()) -> Spec:
     from cnclik.sweeps.check import parse
 
     path = errors.path("SPEC", path)
-    text = read_bytes("SPEC", path, "a TOML file", most=1 << 20)
+    written = read_toml("SPEC", path)
     try:
-        try:
-            written = _toml(text.decode())
-        except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
-            raise errors.fail("SPEC", "be a TOML file", f"{str(path)!r} is not: {error}") from None
         for change in changes:
             _change(written, change)
         return parse(written, path.stem, path.parent)
@@ -235,22 +229,12 @@ def read(path, changes=()) -> Spec:
         raise errors.fail("SPEC", "be nested less deeply", f"{str(path)!r} is nested too deeply to be read") from None
 
 
-def _toml(text) -> dict:
-    """What a TOML text holds. Raises: ValueError where it holds nothing, or would take the reader minutes."""
-    if _LONG_KEY.search(text):  # the reader's time grows with the square of a key's parts
-        raise ValueError("a key has too many parts")
-    return tomllib.loads(text)
-
-
-_LONG_KEY = re.compile(r"""(\.\s*[\w"'-][^.,\n\[\]]*){64}""")
-
-
 def _change(written, change):
     name, equals, text = map(str.strip, change.partition("="))
     if not equals or not name:
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
     try:
-        value = _toml(f"value = {text}")["value"]
+        value = toml(f"value = {text}")["value"]
     except ValueError:
         value = text  # a bare word, such as CN, or an expression
     fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))

@@ -116,6 +116,12 @@ class Task:
     # --- of a task of one tip's pose alone ---
 
     @property
+    def of_one_tip(self) -> bool:
+        """Whether it is of one tip's pose in the base frame."""
+        alone = not self.tasks and len(self.targets) == 1
+        return alone and all(part.to is None and hasattr(part, "axes") for part in self.parts)
+
+    @property
     def position(self) -> str:
         """Letters of the axes along which one tip is placed."""
         return "".join(part.axes for part in _pose(self) if not part.turns)
@@ -151,7 +157,7 @@ class Task:
 
 def _pose(task):
     """The parts of a task of one tip's pose. Raises: ArgumentError for others."""
-    if task.tasks or len(task.targets) > 1 or any(part.to or not hasattr(part, "axes") for part in task.parts):
+    if not task.of_one_tip:
         raise errors.fail("task", "be of one tip's pose for this", f"is {task!r}")
     return task.parts
 

@@ -54,6 +54,8 @@ def read_motions(path, robot=None) -> list:
 def _motion(found, path, robot):
     """What a file holds, by its names, as a motion."""
     config = found.pop("config", None) or _beside(path)
+    if "tasks" in config:
+        raise errors.fail("FILE", "be a run of one task so far", f"{path.name} is of a stack")
     if robot is None and "robot" in config:
         robot = robot_of(config["robot"], *(config.get(name) for name in ("tip", "base", "lengths")))
     if robot is None:

@@ -1,0 +1,234 @@
+"""Stacks in plain names: tables of several tasks, from a file or a dict, turned into task, gain, J# and references."""
+
+from __future__ import annotations
+
+import functools
+import os
+import pathlib
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from cnclik import errors
+from cnclik.law.inverse import Pseudoinverse, Transpose, levels
+from cnclik.law.paths import hold, hold_at
+from cnclik.law.reference import References, of_each, references
+from cnclik.problem.magnitudes import check_units, remark_on_lengths
+from cnclik.problem.names import fitting, gain_from, inverse_from, task_from
+from cnclik.problem.options import DEFAULTS, NAME, NAMES, OF_TASK, PATH, in_own_units
+from cnclik.problem.reference import as_written, reference_from
+from cnclik.problem.words import REFERENCES
+from cnclik.reading import read_toml
+from cnclik.record import replace
+from cnclik.robot.chain import Chain
+from cnclik.task.parts import Joints
+from cnclik.task.task import Task, joints, stack
+
+_NAME = re.compile(r"[A-Za-z_]\w*")
+_DAMPING = ("inverse", "damping", "threshold")  # options of a loop that a level may have of its own
+# Options of a loop with one task, and what there is with a stack.
+_OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
+_OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
+_OF_ONE |= dict.fromkeys(("manipulability", "begin"), "it is of one tip's task so far")
+
+
+class Table(NamedTuple):
+    """One task of a stack as it was given."""
+
+    where: str  # "tasks.NAME"
+    given: dict  # {option: value}, numbers in the option's own unit
+    written: dict  # {option: the unit of each number, or None}
+
+    @property
+    def tips(self) -> list:
+        """Names of its tips; [None] where none is given."""
+        tip = self.given.get("tip")
+        return list(tip) if isinstance(tip, (list, tuple)) else [tip]
+
+
+def read_stack(file) -> dict:
+    """The tables of a stack's file: {name of a task: {option: value}}."""
+    written = read_toml("stack", file)
+    for key in written:
+        if key != "tasks":
+            hint = errors.nearest(key, ["tasks"]) or ": a stack has [tasks.NAME] tables alone"
+            raise errors.fail("stack", "hold known keys", f"holds {key!r}{hint}")
+    tables, folder = written.get("tasks", {}), pathlib.Path(file).parent
+    for table in tables.values() if isinstance(tables, dict) else ():
+        if isinstance(table, dict) and os.path.isfile(path := folder / str(table.get("reference"))):
+            table["reference"] = str(path)  # a file of waypoints beside it
+    return tables
+
+
+def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str, Table]:
+    """Tables of tasks, checked, with texts such as "50 mm" as numbers.
+
+    Args: given: options of the whole loop, by the names that a user writes.
+    Raises: ArgumentError naming the entry that does not fit, such as `tasks.hands.alpha`.
+    """
+    for name, instead in _OF_ONE.items():
+        if given.get(name) is not None and given[name] != DEFAULTS.get(name):
+            raise errors.fail(name, f"be left out with a stack: {instead}", f"is {given[name]!r}")
+    if not isinstance(tasks, Mapping) or not tasks:
+        raise errors.fail("tasks", "be tables of tasks, [tasks.NAME]", f"is {tasks!r}" if tasks else "are none")
+    found = {}
+    for name, table in tasks.items():
+        where = f"tasks.{name}"
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise errors.fail("tasks", "have names of letters, digits and _", f"has {name!r}")
+        if not isinstance(table, Mapping):
+            raise errors.fail(where, "be a table of a task's options", f"is {table!r}")
+        table = as_written({key: value for key, value in table.items() if value is not None})
+        for key in table:
+            if key not in OF_TASK:
+                hint = errors.nearest(key, OF_TASK) or f" (known are {', '.join(OF_TASK)})"
+                raise errors.fail(where, "hold known options", f"holds {key!r}{hint}")
+        with errors.within(where):
+            _check_names(table)
+            units = OF_TASK | ({"target": OF_TASK["target"]._replace(unit="q")} if _is_joints(table) else {})
+            found[name] = Table(where, *in_own_units(table, units))
+    return found
+
+
+def _check_names(table):
+    for key, value in table.items():
+        kind = OF_TASK[key].kind
+        names = value if kind == NAMES and isinstance(value, (list, tuple)) and value else [value]
+        if kind in (NAME, NAMES) and not all(isinstance(one, str) for one in names):
+            must = "be a name or a list of names" if kind == NAMES else "be a name"
+            raise errors.fail(key, must, f"is {value!r}")
+        if len(set(map(str, names))) < len(names):
+            raise errors.fail(key, "hold different names", f"is {value!r}")
+
+
+def _is_joints(table) -> bool:
+    return table.get("task", "joints" if "joints" in table else None) == "joints"
+
+
+def tips_of(tables) -> dict:
+    """{name of a link that the robot must have as a tip: the argument that names it}."""
+    found: dict = {}
+    for one in tables.values():
+        for key, names in (("tip", one.tips), ("relative_to", [one.given.get("relative_to")])):
+            for name in names:
+                if name is not None:
+                    found.setdefault(name, f"{one.where}.{key}")
+    return found
+
+
+def stack_from(tables, chain: Chain) -> Task:
+    """The task with the names of its tasks, on its robot."""
+    made = {}
+    for name, one in tables.items():
+        with errors.within(one.where):
+            made[name] = _task(one, chain)
+            check_units(chain, made[name], one.written)
+        for _, own in made[name].targets:
+            if own.of_one_tip:
+                bare = {key: value for key, value in one.given.items() if not any(one.written.get(key, ()))}
+                remark_on_lengths(bare, chain, own, f"{one.where}.")
+                break
+    return stack(**made)
+
+
+def _task(one, chain) -> Task:
+    weights = one.given.get("weights")
+    if _is_joints(one.given):
+        for key in ("tip", "relative_to"):
+            if key in one.given:
+                raise errors.fail(key, "be left out for the task 'joints'", f"is {one.given[key]!r}")
+        return joints(one.given.get("joints"), weights=weights).on(chain)
+    if "joints" in one.given:
+        raise errors.fail("joints", "come with the task 'joints'", f"comes with {one.given['task']!r}")
+    about = {"relative_to": one.given.get("relative_to"), "weights": weights}
+    made = None
+    for tip in one.tips:
+        own = task_from(one.given.get("task"), chain, tip=tip, **about).on(chain)
+        made = own if made is None else made & own
+    return made
+
+
+def gains_from(tables, alpha):
+    """The gain of a stack: of each task its own, or that of all."""
+    if not any("alpha" in one.given for one in tables.values()):
+        return gain_from(alpha)
+    found = {}
+    for name, one in tables.items():
+        with errors.within(one.where):
+            found[name] = gain_from(one.given.get("alpha", alpha))
+    return found
+
+
+def inverse_of(tables, task: Task, chain: Chain, **of_all):
+    """J# of a stack: that of all, where no task has a damping or a level of its own; else levels."""
+    own = {key for one in tables.values() for key in one.given} & {"level", *_DAMPING}
+    if not own:
+        found = inverse_from(*(of_all[key] for key in _DAMPING))
+        if isinstance(found, Pseudoinverse) and task.m > chain.n:
+            must = f"be given for {task.m} coordinates of tasks and {chain.n} joints, such as 0.05"
+            raise errors.fail("damping", must, "is not")
+        return found
+    numbered, groups = "level" in own, {}
+    for i, (name, one) in enumerate(tables.items()):
+        if numbered and "level" not in one.given:
+            raise errors.fail(f"{one.where}.level", "be given where others have one", "is not")
+        level = errors.integer(f"{one.where}.level", one.given.get("level", i + 1), at_least=1)
+        groups.setdefault(level, []).append(name)
+    order = sorted(groups)
+    each = [_of_level([tables[name] for name in groups[level]], of_all) for level in order]
+    if numbered:
+        _check_order(tables, [groups[level] for level in order], each)
+    return levels(*(groups[level] for level in order), damping=each)
+
+
+def _of_level(own, of_all):
+    """The damping of one level: what one of its tasks gives, or the loop's."""
+    first = next((one for one in own if set(_DAMPING) & set(one.given)), own[0])
+    given = {key: first.given.get(key) for key in _DAMPING}
+    with errors.within(first.where):
+        if first.given.get("damping", of_all["damping"]) is None:
+            must = "be given, for its level or for all tasks, such as 0.001 for the first level and 0.05 for the next"
+            raise errors.fail("damping", must, "is not")
+        found = inverse_from(*(of_all[key] if value is None else value for key, value in given.items()))
+        if isinstance(found, (Pseudoinverse, Transpose)):
+            raise errors.fail("inverse", "be one with a damping, in a stack with levels", f"is {given['inverse']!r}")
+    for one in own:
+        for key, value in given.items():
+            if one.given.get(key) not in (None, value):
+                raise errors.fail(f"{one.where}.{key}", f"be that of its level, {value!r}", f"is {one.given[key]!r}")
+    return found
+
+
+def _check_order(tables, groups, each):
+    """What comes first has the least damping: that is what makes it come first."""
+    known = all(errors.concrete(one.damping) for one in each)
+    for i in range(1, len(each) if known else 0):
+        before, now = float(each[i - 1].damping), float(each[i].damping)
+        if now <= before:
+            name = next((n for n in groups[i] if "damping" in tables[n].given), groups[i][0])
+            must = f"be larger than that of the level before, {before:g}, which has priority by its smaller damping"
+            raise errors.fail(f"tasks.{name}.damping", must, f"is {now:g}")
+
+
+def references_of(tables, chain: Chain, task: Task, q0, horizon) -> References:
+    """The paths of a stack's tasks, of each tip; without one it stays where q0 has it."""
+    made = {}
+    for name, one in tables.items():
+        with errors.within(one.where):
+            own = replace(task.alone(name), weights=None)
+            made[name] = of_each(functools.partial(_path, one, chain, q0, horizon), None, own)
+    return references(**made)
+
+
+def _path(one, chain, q0, horizon, _, task):
+    """The path of one target of a task."""
+    kind, path = one.given.get("reference", "hold"), {key: one.given.get(key) for key in PATH}
+    if isinstance(task.parts[0], Joints):
+        errors.one_of("reference", kind, ("hold",))
+    if kind == "hold":
+        path = fitting("reference", kind, REFERENCES[kind], path)
+        if "target" not in path:
+            return hold_at(chain, task, q0)
+        if isinstance(task.parts[0], Joints):
+            return hold(values=errors.array("target", path["target"], (task.m,)))
+    return reference_from(kind, chain, task, q0, horizon=horizon, **path)

@@ -1,0 +1,274 @@
+"""Stacks in plain names: what the tables of a file build, from the same words as one task, and what is refused."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.errors import Remark
+from cnclik.law.reference import aims_of
+from cnclik.problem import OF_TASK
+from tests.oracles import close
+from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS
+
+FILE = """
+[tasks.hands]
+task = "pose"
+tip = ["left_gripper", "right_gripper"]
+alpha = 10
+weights = [1, 1, 1, 0.3, 0.3, 0.3]
+damping = 1e-3
+level = 1
+reference = "circle"
+radius = "50mm"
+period = "4 s"
+
+[tasks.rest]
+task = "joints"
+alpha = [1.0]
+level = 2
+damping = 0.1
+"""
+ROBOT = ck.load_urdf(BAXTER, tips=GRIPPERS)
+
+
+def made(tables, robot=ROBOT, **options):
+    return ck.problem_from(robot, tasks=tables, **({"N": 5} | options))
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    file = tmp_path_factory.mktemp("stack") / "stack.toml"
+    file.write_text(FILE)
+    return ck.problem_from(BAXTER, stack=file, N=400)
+
+
+def test_a_file_is_the_law_by_hand(problem):
+    """The same joint values, to the bit, as of records that are made one by one."""
+    task = ck.stack(
+        hands=ck.pose(tip=GRIPPERS[0], weights=[1, 1, 1, 0.3, 0.3, 0.3])
+        & ck.pose(tip=GRIPPERS[1], weights=[1, 1, 1, 0.3, 0.3, 0.3]),
+        rest=ck.joints(ROBOT.joint_names),
+    )
+    inverse = ck.levels(["hands"], ["rest"], damping=(1e-3, 0.1))
+    law = ck.Law(ROBOT, task, alpha={"hands": 10.0, "rest": 1.0}, inverse=inverse)
+    q0 = np.asarray(problem.q0)
+
+    def circle(tip):
+        at = ck.forward(ROBOT, q0, tip=tip)
+        center = np.asarray(at.position, float) - [0.05, 0, 0]
+        return ck.circle(center, 0.05, period=4.0, rotation=np.asarray(at.rotation, float))
+
+    aims = ck.references(hands=ck.references(**{tip: circle(tip) for tip in GRIPPERS}), rest=ck.hold(values=q0))
+    run, hand = problem.run(), ck.solve(law, aims, q0, 0.01, 400, problem.method, problem.stage)
+    close(run.q, hand.q, atol=1e-6)
+    assert problem.tip == "left_gripper, right_gripper" and problem.tables["hands"]["radius"] == 0.05
+    assert np.abs(run["hands"].e).max() < 1e-3 < np.abs(run["rest"].e).max()
+
+
+def test_q0_is_well_away_from_singularities_of_every_tip(problem):
+    for tip in GRIPPERS:
+        assert ck.manipulability(ROBOT, problem.q0, ck.pose(), tip=tip) > 0.01
+
+
+def test_what_is_left_out():
+    """A task without path stays where q0 has it, a gain is that of all, and a task is a pose where there are joints."""
+    p = made({"hand": {"tip": GRIPPERS[0]}, "rest": {"joints": ["left_s0", "left_s1"]}}, alpha=3.0, damping=0.05)
+    assert p.law.task.names == (
+        *(f"hand.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+        "rest.left_s0",
+        "rest.left_s1",
+    )
+    assert float(p.law.alpha) == 3.0 and float(p.law.inverse.damping) == 0.05
+    close(p.run().e, 0, atol=1e-6)
+    finger = {"tip": "link_3.0_tip"}
+    from tests.robot.test_trees import ROBOTS, ROOT
+
+    assert made({"finger": finger}, robot=ROOT / ROBOTS["allegro"]).law.task.names == (
+        "finger.x",
+        "finger.y",
+        "finger.z",
+    )
+
+
+def test_one_tip_needs_no_name():
+    p = made({"place": {"task": "position"}, "rest": {"task": "joints", "target": "0 -45 0 -90 0 90 45 deg"}}, "panda",
+             damping=0.1)  # fmt: skip
+    close(aims_of(p.reference, p.law.task, 0.0)[1], np.deg2rad([0, -45, 0, -90, 0, 90, 45]), atol=1e-12)
+    with pytest.raises(
+        ck.ArgumentError, match=r"`tasks.place.tip` must be given for .*baxter.urdf|`tip` must be given"
+    ):
+        made({"place": {"task": "position"}}, BAXTER)
+
+
+def test_one_tip_as_seen_from_another():
+    p = made({"apart": {"task": "pose", "tip": GRIPPERS[0], "relative_to": GRIPPERS[1], "reference": "line"}}, N=20)
+    left, right = (ck.forward(ROBOT, p.q0, tip=tip) for tip in GRIPPERS)
+    where = np.asarray(right.rotation).T @ (np.asarray(left.position) - np.asarray(right.position))
+    close(p.reference["apart"].curve(0.0)[0], where, atol=1e-6)
+    assert np.abs(p.run().e[0]).max() < 1e-6
+
+
+def test_a_path_in_a_file_lies_beside_the_stack(tmp_path):
+    (tmp_path / "way.csv").write_text("time,x,y,z\n0,0.7,0.3,0.2\n1,0.7,0.4,0.2\n")
+    (tmp_path / "stack.toml").write_text('[tasks.a]\ntask = "position"\ntip = "left_gripper"\nreference = "way.csv"\n')
+    p = ck.problem_from(BAXTER, stack=tmp_path / "stack.toml", N=5)
+    close(p.reference["a"].curve(1.0)[0], [0.7, 0.4, 0.2], atol=1e-6)
+
+
+def test_a_level_has_one_damping_and_tasks_without_levels_have_their_own():
+    one, two, three = ({"tip": GRIPPERS[0], "task": task} for task in ("position", "rx", "ry"))
+    p = made({"b": two | {"level": 2}, "a": one | {"level": 1, "damping": 0.01},
+              "c": three | {"level": 2, "inverse": "singular-damped", "damping": 0.1, "threshold": 0.2}})  # fmt: skip
+    assert p.law.inverse.names == (("a",), ("b", "c"))
+    assert [type(one).__name__ for one in p.law.inverse.damping] == ["Damped", "SingularDamped"]
+    p = made({"b": two | {"damping": 0.2}, "a": one}, damping=0.05)
+    assert [float(one.damping) for one in p.law.inverse.damping] == [0.2, 0.05]
+
+
+def test_gradients_go_through_gains_and_dampings():
+    def last(alpha, damping):
+        tables = {"a": {"task": "position", "tip": GRIPPERS[0], "alpha": alpha, "target": [0.7, 0.3, 0.2]},
+                  "r": {"task": "joints", "damping": damping}}  # fmt: skip
+        p = made(tables, damping=1e-2, method="EE")
+        return p.run()["a"].e[-1] @ p.run()["a"].e[-1]
+
+    at = np.array([5.0, 0.3])
+    with jax.enable_x64(True):
+        found = jax.grad(lambda v: last(*v))(jax.numpy.asarray(at))
+        h = 1e-4 * np.eye(2)
+        wanted = [(last(*(at + d)) - last(*(at - d))) / 2e-4 for d in h]
+    close(found, wanted, rtol=1e-4)
+
+
+HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
+
+
+@pytest.mark.parametrize(
+    ("tables", "options", "told"),
+    [
+        ({"hands": HAND | {"alhpa": 1}}, {}, r"`tasks.hands` must .* but holds 'alhpa' \(did you mean 'alpha'"),
+        ({"hands": HAND | {"alpha": -1}}, {}, "`tasks.hands.alpha` must be at least 0, but is -1"),
+        ({"hands": HAND | {"alpha": [1, 2]}}, {}, r"alpha.*hands.* must have shape"),
+        ({"hands": HAND | {"radius": "5kg", "reference": "circle"}}, {}, "`tasks.hands.radius` must be a number"),
+        ({"hands": HAND | {"radius": 0.1}}, {}, "`tasks.hands.radius` must be left out for the reference 'hold'"),
+        ({"hands": HAND | {"reference": "cirle"}}, {}, r"`tasks.hands.reference` .*you mean 'circle'"),
+        ({"hands": HAND | {"task": "poses"}}, {}, "`tasks.hands.task` must be pose, position, orientation, joints, or"),
+        ({"hands": HAND | {"tip": "left_griper"}}, {}, r"`tasks.hands.tip` .*did you mean 'left_gripper'"),
+        ({"hands": HAND | {"tip": [GRIPPERS[0]] * 2}}, {}, "`tasks.hands.tip` must hold different names"),
+        ({"hands": HAND | {"tip": 1}}, {}, "`tasks.hands.tip` must be a name or a list of names, but is 1"),
+        ({"hands": HAND | {"relative_to": "nose"}}, {}, "`tasks.hands.relative_to` must be one of the"),
+        ({"hands": HAND | {"weights": [1, 2]}}, {}, r"`tasks.hands.weights` must have shape \(3,\)"),
+        ({"hands": HAND | {"weights": [1, 2, -1]}}, {}, "`tasks.hands.weights` must be positive"),
+        ({"hands": HAND | {"damping": "5"}}, {}, "`tasks.hands.damping` must be a number, or a text"),
+        ({"hands": HAND, "rest": REST | {"tip": "a"}}, {}, "`tasks.rest.tip` must be left out for the task 'joints'"),
+        ({"hands": HAND | {"joints": ["left_s0"]}}, {}, "`tasks.hands.joints` must come with the task 'joints'"),
+        ({"rest": REST | {"joints": ["left_s"]}}, {}, r"`tasks.rest.joints` must be one of .* but is 'left_s' "),
+        ({"rest": REST | {"target": [1.0]}}, {}, r"`tasks.rest.target` must have shape"),
+        ({"rest": REST | {"target": "1 m", "joints": ["left_s0"]}}, {}, "`tasks.rest.target` .*is in rad, and m is"),
+        ({"rest": REST | {"reference": "circle"}}, {}, "`tasks.rest.reference` must be one of hold, but is 'circle'"),
+        ({"hands": HAND, "rest": REST}, {}, "`damping` must be given for 17 coordinates of tasks and 14 joints"),
+        ({"hands": HAND | {"level": 1}, "rest": REST}, {}, "`tasks.rest.level` must be given where others"),
+        ({"hands": HAND | {"level": 1}}, {}, "`tasks.hands.damping` must be given, for its level or for all tasks"),
+        ({"hands": HAND | {"level": 0, "damping": 1}}, {}, "`tasks.hands.level` must be at least 1"),
+        (
+            {"hands": HAND | {"level": 1, "damping": 0.1}, "rest": REST | {"level": 2, "damping": 0.05}},
+            {},
+            "`tasks.rest.damping` must be larger than that of the level before, 0.1",
+        ),
+        (
+            {"hands": HAND | {"level": 1, "damping": 0.1}, "rest": REST | {"level": 1, "damping": 0.05}},
+            {},
+            "`tasks.rest.damping` must be that of its level, 0.1, but is 0.05",
+        ),
+        ({"hands": HAND | {"inverse": "transpose"}}, {"damping": 0.1}, "`tasks.hands.damping` must be left out"),
+        ({"a b": HAND}, {}, "`tasks` must have names of letters, digits and _, but has 'a b'"),
+        ({"hands": 1}, {}, "`tasks.hands` must be a table of a task's options, but is 1"),
+        ({}, {}, r"`tasks` must be tables of tasks, \[tasks.NAME\], but are none"),
+        ({"hands": HAND}, {"task": "pose"}, "`task` must be left out with a stack: its tasks have their own"),
+        ({"hands": HAND}, {"reference": "circle"}, "`reference` must be left out with a stack"),
+        ({"hands": HAND}, {"end": [1, 2, 3]}, "`to` must be left out with a stack"),
+        ({"hands": HAND}, {"posture": [0] * 14}, "`posture` must be left out .*: a posture is one of its"),
+        ({"hands": HAND}, {"begin": "on-path"}, "`begin` must be left out with a stack"),
+        ({"hands": HAND}, {"stack": "a.toml"}, "`tasks` must be left out where `stack` is given"),
+    ],
+)  # fmt: skip
+def test_what_is_refused(tables, options, told):
+    with pytest.raises(ck.ArgumentError, match=told):
+        made(tables, BAXTER if "`tasks.hands.tip`" in told or "relative_to" in told else ROBOT, **options)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[task.hands]", r"`stack` must hold known keys, but holds 'task' \(did you mean 'tasks'"),
+        ("Ts = 1", r"holds 'Ts': a stack has \[tasks.NAME\] tables alone"),
+        ("[tasks", "`stack` must be a TOML file"),
+        ("", r"`tasks` must be tables of tasks, \[tasks.NAME\], but are none"),
+    ],
+)
+def test_a_file_that_is_none(tmp_path, text, told):
+    (tmp_path / "stack.toml").write_text(text)
+    with pytest.raises(ck.ArgumentError, match=told):
+        ck.problem_from(BAXTER, stack=tmp_path / "stack.toml")
+
+
+def test_millimetres_are_remarked_on():
+    with pytest.warns(Remark, match=r'`tasks.a.radius` has 80 m, .*with their unit: radius = "80 mm"'):
+        made({"a": HAND | {"tip": GRIPPERS, "reference": "circle", "radius": 80.0, "damping": 0.1}})
+
+
+# --- what became of it --------------------------------------------------------------------------------
+
+
+def judged(p):
+    return ck.verdict(p.law, p.reference, p.run(), Ts=p.Ts, method=p.method, stage=p.stage)
+
+
+def test_a_verdict_tells_what_each_task_did(problem):
+    told = judged(problem)
+    assert told.kind == "settled in part" and told.radius < 1
+    assert (
+        "hands " in told.sentence
+        and "(follows), rest " in told.sentence
+        and "out of reach is not known" in told.sentence
+    )
+
+
+def test_a_verdict_of_a_stack_that_settles_and_of_one_that_shakes():
+    tables = {
+        "hands": HAND | {"target": "700 300 200 mm", "alpha": 20.0, "damping": 0.01},
+        "rest": REST | {"damping": 0.5},
+    }
+    q0 = 0.3 + np.zeros(14)
+    fine = judged(made(tables, N=600, q0=q0, alpha=1e-3))
+    assert "hands " in fine.sentence and "settled)" in fine.sentence, fine.sentence
+    tables["hands"]["alpha"] = 250.0
+    shaking = judged(made(tables, N=600, q0=q0, method="EE"))
+    assert shaking.kind in ("shaking", "diverging") and shaking.radius > 1
+    assert shaking.remedies and "Reduce alpha" in shaking.sentence, shaking.sentence
+
+
+def test_far_targets_are_no_crash_and_no_guess():
+    told = judged(
+        made({"hands": HAND | {"target": [5.0, 0, 0], "damping": 0.3}, "rest": REST | {"damping": 0.6}}, N=300)
+    )
+    assert told.kind != "out of reach" and np.isfinite(told.error)
+
+
+def test_a_humanoid_in_c(monkeypatch):
+    """47 coordinates on 29 joints: so long that its program is written in pieces."""
+    feet = [f"{side}_ankle_roll_link" for side in ("left", "right")]
+    tables = {"feet": {"tip": feet, "damping": 1e-3}, "hands": {"tip": ARMS, "task": "position", "damping": 0.05},
+              "rest": REST | {"damping": 0.5}}  # fmt: skip
+    p = made(tables, G1, N=3, method="EE")
+    assert (p.law.task.m, p.law.chain.n) == (47, 29)
+    with ck.use_engine("plain"):
+        plain = dataclasses.replace(p).run()
+    close(p.run().q, plain.q, atol=1e-6)
+
+
+def test_every_option_of_a_task_says_what_it_is():
+    assert all(one.help.endswith(".") for one in OF_TASK.values())
