@@ -1,8 +1,8 @@
 """`python -m tests.bench.reach_several`: `cnclik.reach` for both arms of a robot at once, as a table in Markdown.
 
-Targets are poses of both grippers made by forward kinematics: of postures drawn within the limits, and of such of which
-any share of the joints, from none to all, is at a limit. CPU time, one process; 10,000 targets each, of which 300 are
-also asked for one at a time, and 1,000 without a C compiler.
+Targets are poses of both grippers, and of G1's hands and feet, made by forward kinematics: of postures drawn within the
+limits, and of such of which any share of the joints, from none to all, is at a limit. CPU time, one process; 10,000
+targets each, of which 300 are also asked for one at a time, and 1,000 without a C compiler.
 
     python -m tests.bench.reach_several --robots baxter --targets 2000
 """
@@ -23,6 +23,10 @@ ARMS = {
     "baxter": ("baxter_description/urdf/baxter.urdf", "left_gripper", "right_gripper"),
     "pr2": ("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame", "r_gripper_tool_frame"),
     "talos": ("talos_data/robots/talos_full_v2.urdf", "gripper_left_base_link", "gripper_right_base_link"),
+    "g1": (
+        "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+        *("left_rubber_hand", "right_rubber_hand", "left_ankle_roll_link", "right_ankle_roll_link"),
+    ),
 }
 ALONE, BY_JAX, ROUNDS = 300, 1000, 3
 COLUMNS = (
@@ -39,15 +43,15 @@ COLUMNS = (
 
 
 def asked(name):
-    """A robot, the task of both grippers, and their poses at postures (B, n)."""
+    """A robot, the task of its tips, and their poses at postures (B, n)."""
     file, *tips = ARMS[name]
     robot = ck.load_urdf(robots() / file, tips=tips)
 
     def poses(q):
         at = At(modelled(robot), q)
-        return {side: (at.position(tip), at.rotation(tip)) for side, tip in zip(("left", "right"), tips, strict=True)}
+        return {tip: (at.position(tip), at.rotation(tip)) for tip in tips}
 
-    return robot, ck.stack(left=ck.pose(tip=tips[0]), right=ck.pose(tip=tips[1])), poses
+    return robot, ck.stack(**{tip: ck.pose(tip=tip) for tip in tips}), poses
 
 
 def drawn(robot, count):
@@ -75,7 +79,7 @@ def rows(name, count):
     bare, rng = ck.replace(robot), np.random.default_rng(8)
 
     def some(due, near, ids, chain=robot):
-        part = {side: (p[ids], r[ids]) for side, (p, r) in due.items()}
+        part = {tip: (p[ids], r[ids]) for tip, (p, r) in due.items()}
         return ck.reach(chain, part, task=task, near=None if near is None else near[ids])
 
     for kind, q in drawn(robot, count).items():
