@@ -254,6 +254,24 @@ def test_far_beyond_squares():
     close([made.position_error[0], made["right"].position_error[0]], 3**0.5 * 1e200, rtol=1e-6)
 
 
+@both_ways
+def test_a_robot_in_millimetres():
+    """Its unit is another; targets, bases, errors and what is known of the arms' lengths are in it, too."""
+
+    def longer(place):
+        return ck.replace(place, position=tuple(1e3 * x for x in place.position))
+
+    joints = tuple(ck.replace(joint, origin=longer(joint.origin)) for joint in TWO.joints)
+    robot = ck.replace(TWO, joints=joints, tips=tuple(ck.replace(tip, offset=longer(tip.offset)) for tip in TWO.tips))
+    q = drawn(robot, 12, seed=13)
+    left, right = where(robot, q, LEFT), where(robot, q, RIGHT)
+    made = ck.reach(robot, {"left": left, "right": right}, task=TASK, tolerance=(1e-3, 1e-6))
+    assert made.solved.all() and made["left"].position_error.max() <= 1e-3
+    close(made.position_error, np.maximum(made["left"].position_error, made["right"].position_error), atol=1e-9)
+    beyond = ck.reach(robot, {"left": left, "right": (right[0] - [0, 4e3, 0], right[1])}, task=TASK, explain=False)
+    assert (beyond.status == ck.ReachStatus.OUT_OF_REACH).all()
+
+
 # --- in one's own JAX code ----------------------------------------------------------------------------
 
 
