@@ -289,17 +289,19 @@ class _Writer:
     def where_needed(self, block, results, here):
         """Results of a branch by a loop that runs once if some lane takes it; of other lanes nothing is said.
 
-        What it needs is carried through the loop, and ends as 0: XLA moves what does not change in a loop out of it.
+        What it needs passes a barrier: XLA moves what does not change in a loop out of it.
         """
         reals = [n for n in _needs(block, results) if n.number in self.values and n.dtype.kind == "f"]
+        values = list(map(self.whole, reals))
 
         def body(state):
-            inner = self.within(reals, state[1], state[0])
+            goes, seen = lax.optimization_barrier((state[0], values))
+            inner = self.within(reals, seen, goes)
             inner.block(block)
-            return jnp.zeros_like(here), list(map(jnp.zeros_like, state[1])), list(map(inner.whole, results))
+            return jnp.zeros_like(here), list(map(inner.whole, results))
 
         empty = [jnp.zeros(n.shape, n.dtype) for n in results]
-        return lax.while_loop(lambda state: state[0], body, (here, list(map(self.whole, reals)), empty))[2]
+        return lax.while_loop(lambda state: state[0], body, (here, empty))[1]
 
 
 def _at(x, places):
