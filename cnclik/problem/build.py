@@ -116,7 +116,7 @@ def problem_from(
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
     tables = None if tasks is None else tables_from(tasks, given)
-    tips = None if tables is None else tips_of(tables)
+    tips = None if tables is None else tips_of({name: one.given for name, one in tables.items()})
     chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"], tips)
     task = task_from(v["task"], chain) if tables is None else stack_from(tables, chain)
     check_units(chain, task, written)

@@ -39,12 +39,6 @@ class Table(NamedTuple):
     given: dict  # {option: value}, numbers in the option's own unit
     written: dict  # {option: the unit of each number, or None}
 
-    @property
-    def tips(self) -> list:
-        """Names of its tips; [None] where none is given."""
-        tip = self.given.get("tip")
-        return list(tip) if isinstance(tip, (list, tuple)) else [tip]
-
 
 def read_stack(file) -> dict:
     """The tables of a stack's file: {name of a task: {option: value}}."""
@@ -105,15 +99,19 @@ def _is_joints(table) -> bool:
     return table.get("task", "joints" if "joints" in table else None) == "joints"
 
 
-def tips_of(tables) -> dict:
-    """{name of a link that the robot must have as a tip: the argument that names it}."""
+def tips_of(tasks) -> dict:
+    """{name of a link that the robot must have as a tip: the argument that names it}, of {task: {option: value}}."""
     found: dict = {}
-    for one in tables.values():
-        for key, names in (("tip", one.tips), ("relative_to", [one.given.get("relative_to")])):
-            for name in names:
+    for task, given in tasks.items():
+        for key in ("tip", "relative_to"):
+            for name in _several(given.get(key)):
                 if name is not None:
-                    found.setdefault(name, f"{one.where}.{key}")
+                    found.setdefault(name, f"tasks.{task}.{key}")
     return found
+
+
+def _several(names) -> list:
+    return list(names) if isinstance(names, (list, tuple)) else [names]
 
 
 def stack_from(tables, chain: Chain) -> Task:
@@ -142,7 +140,7 @@ def _task(one, chain) -> Task:
         raise errors.fail("joints", "come with the task 'joints'", f"comes with {one.given['task']!r}")
     about = {"relative_to": one.given.get("relative_to"), "weights": weights}
     made = None
-    for tip in one.tips:
+    for tip in _several(one.given.get("tip")):
         own = task_from(one.given.get("task"), chain, tip=tip, **about).on(chain)
         made = own if made is None else made & own
     return made

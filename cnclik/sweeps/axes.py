@@ -24,7 +24,7 @@ def read(name, value, joints=0) -> Axis:
     where = f"axes.{name}"
     with np.errstate(all="ignore"):  # between ends that are huge there are numbers that aren't finite: `axis` tells
         values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
-    if name in NAMES:
+    if name.rpartition(".")[2] in NAMES:
         if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
             raise errors.fail(where, "be a list of names", f"is {values!r}")
         values = {v: v for v in values}
@@ -37,7 +37,7 @@ def read(name, value, joints=0) -> Axis:
         raise errors.fail(where, "hold numbers", f"is {value!r}")
     found = axis(name, values, where)
     if found.inner:
-        check_values(where, name, found.values)
+        check_values(where, name.rpartition(".")[2], found.values)
     return found
 
 

@@ -13,6 +13,7 @@ from cnclik import errors
 from cnclik.integrate.drive import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
+from cnclik.problem.options import OF_TASK
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
@@ -60,10 +61,10 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     for key in ("question", "expectation"):
         if not isinstance(written.get(key), str) or not written[key].strip():
             raise errors.fail(key, "be a sentence", "is missing" if key not in written else f"is {written[key]!r}")
-    fixed, axes, bundles = _table(written, "fixed"), _table(written, "axes"), _bundles(written)
-    _check_names(fixed, axes, bundles)
-    wide = any(axis_forms.per_joint(n, value) for n, value in axes.items())
-    joints = _widest(fixed, axes, bundles) if wide else 0
+    fixed, bundles = _table(written, "fixed"), _bundles(written)
+    tasks = {name: _table(written["tasks"], name, "tasks.") for name in _table(written, "tasks")}
+    axes = _of_tasks(_table(written, "axes"), tasks)
+    _check_names(fixed, axes, bundles, tasks)
     unit_names = _table(written, "units")
     for named, unit in unit_names.items():
         if not isinstance(unit, str):
@@ -76,13 +77,17 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
         metrics=_metrics(written.get("metrics", list(metrics.DEFAULT))),
         fixed=fixed,
-        axes={n: axis_forms.read(n, value, joints) for n, value in axes.items()},
+        tasks=tasks,
+        axes={},
         written=axes,
         bundles=bundles,
         units=unit_names,
         figures=(),
         folder=pathlib.Path(folder),
     )
+    wide = any(axis_forms.per_joint(n, value) for n, value in axes.items())
+    joints = _widest(spec) if wide else 0
+    spec = dataclasses.replace(spec, axes={n: axis_forms.read(n, value, joints) for n, value in axes.items()})
     spec = dataclasses.replace(spec, axes=_compiled_in(spec))
     spec.shape()  # not too many programs, before each of them is tried
     _check_loops(spec)
@@ -122,6 +127,23 @@ def _bundles(written) -> dict:
     return found
 
 
+def _of_tasks(axes, tasks) -> dict:
+    """Axes with those of tasks' options by one name, such as "tasks.hands.alpha"."""
+    found = {}
+    for name, value in axes.items():
+        for task in _table(axes, "tasks", "axes.") if name == "tasks" else ():
+            found |= {f"tasks.{task}.{key}": v for key, v in _table(value, task, "axes.tasks.").items()}
+        found |= {} if name == "tasks" else {name: value}
+    for name in found:
+        if name.startswith("tasks."):
+            _, task, *key = name.split(".")
+            errors.one_of(f"axes.{name}", task, list(tasks))
+            errors.one_of(f"axes.{name}", ".".join(key), OF_TASK)
+            if key[0] in tasks[task]:
+                raise errors.fail(f"axes.{name}", f"not be in [tasks.{task}] as well", "is in both")
+    return found
+
+
 def _where(name, label):
     return f"cases.{label}" if name == "case" else f"bundles.{name}.{label}"
 
@@ -134,7 +156,7 @@ def _metrics(names):
     return tuple(dict.fromkeys(names))
 
 
-def _check_names(fixed, axes, bundles):
+def _check_names(fixed, axes, bundles, tasks):
     """Every name is an option or used by an expression; every name used is defined, once, and not by itself."""
     tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
@@ -170,9 +192,19 @@ def _check_names(fixed, axes, bundles):
             for need in needs - everywhere - (set(table) if table is not fixed else set()):
                 hint = meant(need, sorted(everywhere | set(table)))
                 raise errors.fail(name, "use names that have a value", f"uses {need!r}{hint}")
+    for task, table in tasks.items():
+        known_keys(f"tasks.{task}", table, OF_TASK)
+        for key, value in table.items():
+            where = f"tasks.{task}.{key}"
+            needs = expression.names(where, value) if expression.is_one(where, key, value) else set()
+            used |= needs
+            for need in needs - everywhere:
+                hint = meant(need, sorted(everywhere))
+                raise errors.fail(where, "use names that have a value", f"uses {need!r}{hint}")
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
-            if name not in OPTIONS and name not in used:
+            known = name in OPTIONS or name in used or (table is axes and name.startswith("tasks."))
+            if not known:
                 raise unknown_key(where, name, (*OPTIONS, *sorted(used)))
     for name in REQUIRED:
         if name not in everywhere:
@@ -210,16 +242,17 @@ def _check_cycles(known):
         walk(name, [])
 
 
-def _widest(fixed, axes, bundles) -> int:
+def _widest(spec) -> int:
     """Joints of the widest robot there may be: samples per joint are drawn for it, each arm takes its share."""
-    robots = [{"robot": v} for v in axis_forms.read("robot", axes["robot"], 0).values] if "robot" in axes else [{}]
+    axes, named = spec.written, [name for name in ("robot", "stack") if name in spec.written]
+    every = [[(name, v) for v in axis_forms.read(name, axes[name], 0).values] for name in named]
     most = 0
-    for known, robot in itertools.product(_given(fixed, bundles), robots):
+    for known, *chosen in itertools.product(_given(spec.fixed, spec.bundles), *every):
         lengths = known.get("lengths", axes.get("lengths"))
         # Their number is all that counts.
         count = {"lengths": np.ones(np.shape(lengths)[-1])} if isinstance(lengths, list) else {}
-        known = known | robot | count
-        most = max(most, joints_of(known, known.get))
+        known = known | dict(chosen) | count
+        most = max(most, joints_of(known, known.get, spec))
     return most
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.problem.options import SWEPT
+from cnclik.problem.options import NAME, NAMES, OF_TASK, SWEPT
 
 DEEPEST = 100  # of brackets and signs inside one another
 MOST = 2.0**1000  # of a number in between: Python's integers would grow until memory is gone
@@ -113,6 +113,18 @@ def names(name: str, value) -> set:
         return tree.needs
     found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     return found - _FUNCTIONS - set(_CONSTANTS)
+
+
+def is_one(name: str, option: str, value) -> bool:
+    """Whether an option of a task is to be worked out: it is of numbers, and none of them is written with its unit."""
+    if option not in OF_TASK or OF_TASK[option].kind in (NAME, NAMES):
+        return False
+    if isinstance(value, (list, tuple)):
+        return all(is_one(name, option, v) for v in value)
+    try:
+        return not isinstance(value, str) or not isinstance(parse(name, value), _Written)
+    except errors.ArgumentError:  # such as degrees, where a point's are metres: who builds the task reads it
+        return False
 
 
 def units(name: str, value) -> tuple:

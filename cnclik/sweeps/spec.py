@@ -5,7 +5,8 @@ Everything a loop depends on is a named value, by the names of `cnclik.problem.O
 their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
 stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
-the error is measured that is fed back.
+the error is measured that is fed back. `[tasks.NAME]` are the tables of a stack of tasks, whose options may be
+expressions, too; an axis tasks.NAME.OPTION varies one.
 """
 
 import dataclasses
@@ -29,7 +30,8 @@ from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
-from cnclik.problem.names import robot_from, stage_from
+from cnclik.problem.names import robot_and_tip, stage_from
+from cnclik.problem.stack import read_stack, tips_of
 from cnclik.reading import read_toml, toml
 from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
@@ -39,7 +41,8 @@ from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
 from cnclik.sweeps.labels import UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
-TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
+TABLES = ("fixed", "tasks", "axes", "cases", "bundles", "units", "figure")
+FILES = ("robot", "reference", "stack")  # options that may name one
 LIMIT = "limit"
 PIECES = 8  # blocks of a program, at least, where there are lanes enough
 OPTIONS = options.SWEPT
@@ -60,6 +63,7 @@ class Spec:
     lanes: int | None
     metrics: tuple
     fixed: dict
+    tasks: dict  # {task: {option: value}} of a stack; {} where there is none
     axes: dict  # name -> Axis
     written: dict  # name -> the axis as written
     bundles: dict  # axis -> {label: {name: value}}; "case" first
@@ -83,6 +87,11 @@ class Spec:
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick)
 
+    @property
+    def stacked(self) -> bool:
+        """Whether its loops are of several tasks."""
+        return bool(self.tasks) or "stack" in self.axes or any("stack" in table for table in self.tables())
+
     def tables(self) -> list:
         """[fixed], and the tables of all bundles."""
         return [self.fixed, *(table for labels in self.bundles.values() for table in labels.values())]
@@ -100,11 +109,11 @@ class Spec:
         def look(name):
             if name == LIMIT:
                 return self._limit(look)
-            if name in NAMES:
+            if name.rpartition(".")[2] in NAMES:
                 return known[name]
             value = expression.evaluate(name, known[name], look)
             # Samples are as wide as the widest arm.
-            return value[: joints_of(known, look)] if per_joint(name, self.written.get(name)) else value
+            return value[: joints_of(known, look, self)] if per_joint(name, self.written.get(name)) else value
 
         return known, look
 
@@ -115,17 +124,33 @@ class Spec:
 
     def build(self, /, **values) -> Problem:
         """One loop."""
-        known, _ = self.lookup(**values)
+        known, look = self.lookup(**values)
         v = self.values(**values)
-        for name in ("robot", "reference"):
-            v[name] = str(self.file(v[name]) or v[name])
+        for name in FILES:
+            if name in v:
+                v[name] = str(self.file(v[name]) or v[name])
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        made = problem_from(**v)
+        made = problem_from(**v, tasks=self._stack(known, look))
         written = {name: expression.units(name, known[name]) for name in v if name not in NAMES}
         check_units(made.law.chain, made.law.task, written)
         return made
+
+    def _stack(self, known, look) -> dict | None:
+        """The tables of one loop's stack, expressions worked out; None where the spec has none."""
+        made = {task: dict(table) for task, table in self.tasks.items()}
+        for task, table in made.items():
+            for key, value in table.items():
+                if key == "reference":
+                    table[key] = str(self.file(value) or value)
+                elif expression.is_one(f"tasks.{task}.{key}", key, value):
+                    table[key] = expression.evaluate(f"tasks.{task}.{key}", value, look)
+        for name in known:
+            if name.startswith("tasks."):
+                _, task, key = name.split(".")
+                made[task][key] = look(name)
+        return made or None
 
     def file(self, text) -> pathlib.Path | None:
         """The file that a name stands for, relative to the spec's folder, or None."""
@@ -163,7 +188,7 @@ class Spec:
         known = UNITS | {name: "1" for name in self.bundles}
         for name, one in self.axes.items():
             width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
-            known[name] = options.units(law, width).get(name, known.get(name, ""))
+            known[name] = options.units(law, width).get(name.rpartition(".")[2], known.get(name, ""))
         return known | self.units
 
     def data(self) -> dict:
@@ -176,9 +201,11 @@ class Spec:
             "cases": self.bundles.get("case", {}),
         }
         bundles = {name: labels for name, labels in self.bundles.items() if name != "case"}
-        named = [table[name] for table in self.tables() for name in ("robot", "reference") if name in table]
-        named += [v for name in ("robot", "reference") if name in self.axes for v in self.axes[name].values]
+        tables = [*self.tables(), *(self.tasks.values())]
+        named = [table[name] for table in tables for name in FILES if name in table]
+        named += [v for name in FILES if name in self.axes for v in self.axes[name].values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
+        about |= {"tasks": self.tasks} if self.tasks else {}
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
 
 
@@ -187,10 +214,11 @@ def _evaluations(p) -> float:
     return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
 
 
-def joints_of(known, look) -> int:
+def joints_of(known, look, spec) -> int:
     """Number of joints of a loop's robot, which nothing else may depend on."""
-    lengths = look("lengths") if "lengths" in known else None
-    return robot_from(known["robot"], known.get("tip"), known.get("base"), lengths).n
+    lengths, file = look("lengths") if "lengths" in known else None, known.get("stack")
+    tips = tips_of(spec.tasks if file is None else read_stack(spec.file(file) or file))
+    return robot_and_tip(known["robot"], known.get("tip"), known.get("base"), lengths, tips)[0].n
 
 
 @functools.cache
@@ -239,7 +267,7 @@ def _change(written, change):
         value = text  # a bare word, such as CN, or an expression
     fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))
     *path, key = name.split(".")
-    if not path or len(path) != {"fixed": 1, "axes": 1, "units": 1, "cases": 2, "bundles": 3}.get(path[0]):
+    if not path or len(path) != {"fixed": 1, "axes": 1, "units": 1, "tasks": 2, "cases": 2, "bundles": 3}.get(path[0]):
         if name in (*KEYS, *TABLES):
             written[name] = value
             return

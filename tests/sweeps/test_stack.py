@@ -1,0 +1,104 @@
+"""Sweeps over stacks of tasks: tables in the spec or in a file, options that are expressions or axes of their own."""
+
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik import sweeps
+from cnclik.errors import ArgumentError
+from cnclik.sweeps import check, spec
+from tests.oracles import close
+from tests.robot.test_trees import BAXTER, GRIPPERS
+
+TEXT = f"""
+question = "Which gains?"
+expectation = "These."
+metrics = ["final_error", "final_position_error"]
+[fixed]
+robot = "{BAXTER}"
+N = 5
+method = "EE"
+size = 0.05
+[tasks.hands]
+task = "position"
+tip = {GRIPPERS}
+reference = "circle"
+radius = "2*size"
+period = "2 s"
+damping = "10 * least"
+[tasks.rest]
+task = "joints"
+target = "0 -45 0 45 0 45 0 0 -45 0 45 0 45 0 deg"
+damping = 0.3
+[axes]
+least = [1e-3, 1e-2]
+[axes.tasks]
+hands.alpha = [5, 10, 20]
+"""
+
+
+def test_a_sweep_is_its_loops():
+    """Every option of a task may be an expression, and an axis by its own name."""
+    made = check.parse(tomllib.loads(TEXT))
+    assert made.shape().shape == (2, 3) and made.all_units()["tasks.hands.alpha"] == "1/s"
+    data = sweeps.run_spec(made)
+    tables = {
+        "hands": {"task": "position", "tip": GRIPPERS, "reference": "circle", "radius": "100mm", "period": 2.0,
+                  "damping": 0.1, "alpha": 20.0},
+        "rest": {"task": "joints", "target": np.deg2rad([0, -45, 0, 45, 0, 45, 0] * 2), "damping": 0.3},
+    }  # fmt: skip
+    with jax.enable_x64(True):
+        run = ck.problem_from(BAXTER, tasks=tables, N=5, method="EE").run()
+    close(data.final_error.values[1, 2], np.linalg.norm(run.e[-1]), rtol=1e-9)
+    close(data.final_position_error.values[1, 2], np.linalg.norm(run["hands"].e[-1]), rtol=1e-9)
+    assert len(np.unique(data.final_error)) == 6
+
+
+def test_a_file_of_tasks_may_be_an_axis(tmp_path):
+    head, tasks, axes = TEXT.partition("[tasks.hands]")[0], "[tasks.hands]" + TEXT.partition("[tasks.hands]")[2], ""
+    tasks = tasks.partition("[axes]")[0].replace("2*size", "50mm").replace('"10 * least"', "0.1")
+    (tmp_path / "one.toml").write_text(tasks)
+    (tmp_path / "two.toml").write_text(tasks.replace("50mm", "90mm"))
+    axes = '[axes]\nstack = ["one.toml", "two.toml"]\nq0 = { samples = 2, low = -0.1, high = 0.1 }\n'
+    (tmp_path / "spec.toml").write_text(head.replace("size = 0.05\n", "") + axes)
+    made = spec.read(tmp_path / "spec.toml")
+    data = sweeps.run_spec(made)
+    assert data.final_error.shape == (2, 2) and len(made.data()["files"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("radius", "raduis"), r"`tasks.hands` must hold known keys, but holds 'raduis' \(did you mean 'radius'"),
+        (
+            ("2*size", "2*sise"),
+            r"`tasks.hands.radius` must use names that have a value, but uses 'sise' \(did you mean",
+        ),
+        (("hands.alpha", "hand.alpha"), r"`axes.tasks.hand.alpha` must be one of hands, rest, but is 'hand'"),
+        (("hands.alpha", "hands.alhpa"), r"`axes.tasks.hands.alhpa` must be one of .* \(did you mean 'alpha'"),
+        (
+            ("hands.alpha = [5,", "hands.damping = [5,"),
+            r"`axes.tasks.hands.damping` must not be in \[tasks.hands\] as well",
+        ),
+        (("hands.alpha = [5,", "hands.alpha = [-5,"), "`axes.tasks.hands.alpha` must hold values that are at least 0"),
+        (("size = 0.05", 'size = 0.05\ntask = "pose"'), "`task` must be left out with a stack"),
+        (("size = 0.05", 'size = 0.05\nstack = "a.toml"'), "`tasks` must be left out where `stack` is given"),
+        (
+            ("size = 0.05", 'size = 0.05\n"tasks.rest.alpha" = 1'),
+            "`fixed` must hold known keys, but holds 'tasks.rest.alpha'",
+        ),
+        (("size = 0.05", "size = 0.05\nsiz = 1"), "`fixed` must hold known keys, but holds 'siz'"),
+    ],
+)
+def test_what_is_refused(change, told):
+    with pytest.raises(ArgumentError, match=told):
+        check.parse(tomllib.loads(TEXT.replace(*change)))
+
+
+def test_an_option_of_a_task_is_set_from_the_command_line(tmp_path):
+    (tmp_path / "spec.toml").write_text(TEXT)
+    made = spec.read(tmp_path / "spec.toml", ["tasks.rest.damping=0.5", "tasks.hands.period=3 s"])
+    assert made.tasks["rest"]["damping"] == 0.5 and made.tasks["hands"]["period"] == "3 s"
