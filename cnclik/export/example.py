@@ -4,11 +4,13 @@ import jax
 import numpy as np
 
 from cnclik.export.source import GROUPS
+from cnclik.export.trace import place, targets
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.integrate.status import Status
+from cnclik.law.paths import hold_at
+from cnclik.law.reference import by_target
 from cnclik.measure.files import markdown
 from cnclik.reaching.result import ReachStatus
-from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import start_posture
 from cnclik.version import __version__
 
@@ -23,11 +25,13 @@ def inputs(request, program) -> dict:
     start = np.asarray(start_posture(chain, task), float)
     q = start + random.uniform(-0.2, 0.2, (COUNT, chain.n))
     known = {"q": q, "t": np.linspace(0, 1, COUNT)[:, None], "Ts": np.full((COUNT, 1), 0.01)}
-    if any(f.name in ("position", "rotation") for f in program.inputs["input"]):
-        targets = [forward(chain, row + random.uniform(-0.05, 0.05, chain.n)) for row in q]
-        known["position"] = np.array([np.asarray(x.position)[list(task.linear)] for x in targets])
-        known["rotation"] = np.array([np.ravel(x.rotation) for x in targets])
-        known["velocity"] = random.uniform(-0.1, 0.1, (COUNT, task.m))
+    if len(program.inputs["input"]) > len(known):
+        held = [by_target(hold_at(chain, task, row + random.uniform(-0.05, 0.05, chain.n)), task) for row in q]
+        for i, (before, parts) in enumerate(targets(task)):
+            for part in parts.parts:
+                which = "rotation" if part.turns else "position"
+                known[before + place(part)] = np.array([np.ravel(getattr(one[i][0].curve, which)) for one in held])
+            known[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.m))
     made = {}
     for group, fields in program.inputs.items():
         for f in fields:

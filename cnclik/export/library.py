@@ -279,7 +279,8 @@ def _solver(made, function, addresses):
         function(*addresses, N, columns)
         t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
         t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
-        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(made.manifest["evaluations"], N)))
+        count, tasks = made.manifest["evaluations"], tuple(map(tuple, made.manifest["tasks"]))
+        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(count, N)), tasks=tasks)
 
     return solve
 

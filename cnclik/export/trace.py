@@ -1,5 +1,6 @@
 """Trace: what is exported, as a graph with named arguments and results."""
 
+import re
 from typing import NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import growing
 from cnclik.law.curves import Hold
 from cnclik.law.law import Law, observe
-from cnclik.law.reference import Reference, tangent
+from cnclik.law.reference import Reference, References, of_each, tangent
 from cnclik.record import cast, replace
 from cnclik.robot.model import frames, jacobian_rows, modelled
 
@@ -28,7 +29,7 @@ class Request(NamedTuple):
     """What is to be exported."""
 
     law: Law
-    reference: Reference | None  # None: the target is an argument
+    reference: Reference | References | None  # None: the target is an argument
     method: Method | Multistep
     stage: Stage
     dtype: np.dtype
@@ -60,16 +61,13 @@ class Stepping:
     def __init__(self, request: Request, *, timed):
         """timed: whether the time is an argument even where the target is one, which then moves with its velocity."""
         self.request, law = request, request.law
-        n, p, m = law.chain.n, len(law.task.position), law.task.m
+        n, m = law.chain.n, law.task.m
         tree = (law, request.stage) if request.reference is None else (law, request.stage, request.reference)
         parameters, self.put = fields.parameters(tree, request.runtime)
         units = ", ".join(dict.fromkeys(law.chain.units))
         given = [Field("q", (n,), about=f"joint values [{units}]")]
         if request.reference is None:
-            given += [Field("position", (p,), about="desired position in the task's coordinates [m]")] * bool(p)
-            turned = Field("rotation", (3, 3), about="desired rotation, row by row", value=np.eye(3))
-            given += [turned] * bool(law.task.orientation)
-            given += [Field("velocity", (m,), about="desired task velocity [m/s, rad/s]", value=np.zeros(m))]
+            given += [field for before, parts in targets(law.task) for field in _of_target(before, parts)]
         if timed or request.reference is not None:
             given += [Field("t", (), about="time [s]", value=0.0)]
         given += [Field("Ts", (), about="sampling time [s]")]
@@ -125,11 +123,53 @@ def _start(dtype):
     return of_the_model(jnp.zeros((), dtype))
 
 
+def targets(task) -> list:
+    """[(what stands before the names of a target's arguments, its parts)]: hands_, where a task has a name."""
+    every = task.targets
+    if len(every) == 1 and not task.tasks:
+        return [("", every[0][1])]
+    shared = [path[:-1] for path, _ in every]
+    words = ["_".join(path if shared.count(path[:-1]) > 1 or not path[:-1] else path[:-1]) for path, _ in every]
+    words = [re.sub(r"[^A-Za-z0-9_]", "_", word) for word in words]
+    for i, word in enumerate(words):  # names that differ in nothing that C knows, and those that begin with a number
+        words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"task_{word}"
+    return [(f"{word}_", parts) for word, (_, parts) in zip(words, every, strict=True)]
+
+
+def _of_target(before, parts):
+    """The arguments of a target: where it is, and how fast it moves."""
+    of = f" of {before[:-1]}" if before else " in the task's coordinates"
+    for part in parts.parts:
+        if part.turns:
+            about = f"desired rotation{of if before else ''}, row by row"
+            yield Field(f"{before}rotation", (3, 3), about=about, value=np.eye(3))
+        else:
+            unit = ", ".join(dict.fromkeys(part.units))
+            about = f"desired {place(part)}{of} [{unit}]"
+            yield Field(before + place(part), (part.m,), about=about)
+    unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
+    about = f"desired task velocity{of if before else ''} [{unit}]"
+    yield Field(f"{before}velocity", (parts.m,), about=about, value=np.zeros(parts.m))
+
+
+def place(part) -> str:
+    """What the argument of a part's target is called."""
+    return "rotation" if part.turns else "position" if hasattr(part, "axes") else "values"
+
+
 def _target(law, inputs):
-    """The target as an argument: where it is, and how fast it moves."""
-    curve = Hold(position=inputs.get("position"), rotation=inputs.get("rotation"))
-    moving = tangent(Reference(curve=curve, feedforward=inputs["velocity"]), law.task, _start(inputs["q"].dtype))
-    return replace(moving, feedforward=None)
+    """The targets as arguments: where they are, and how fast they move."""
+    named, t = iter(targets(law.task)), _start(inputs["q"].dtype)
+
+    def one(_, parts):
+        before, _ = next(named)
+        given: dict = {"position": None, "rotation": None}
+        for part in parts.parts:
+            given["rotation" if part.turns else "position"] = inputs[before + place(part)]
+        moving = tangent(Reference(curve=Hold(**given), feedforward=inputs[f"{before}velocity"]), parts, t)
+        return replace(moving, feedforward=None)
+
+    return of_each(one, None, law.task)
 
 
 # --- geometry alone -----------------------------------------------------------------------------------

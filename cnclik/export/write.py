@@ -151,16 +151,14 @@ def configuration(request: Request) -> list:
     lines.append(f"{request.what} for {brief(law.chain)}, in {request.dtype}")
     if request.what in ("fk", "jacobian"):
         return lines
-    lines.append(f"task: {' '.join(law.task.names)} [{' '.join(law.task.units)}]")
+    lines.append(repr(law.task).replace("Task", "task", 1))
     if request.what == "reach":
         return lines
     stage = f" by {request.stage}" if request.method.implicit else ""
     lines.append(f"method: {request.method}{stage} ({request.method.source})")
     lines.append(f"inverse: {brief(law.inverse)}")
     lines.append(f"limits: {brief(law.limits)}; null space: {brief(law.null_velocity)}")
-    target = (
-        "an argument: position, rotation, velocity" if request.reference is None else brief(request.reference.curve)
-    )
+    target = "an argument: position, rotation, velocity" if request.reference is None else brief(request.reference)
     lines.append(f"target: {target}")
     return [line.replace("−", "-").encode("ascii", "replace").decode() for line in lines]
 
@@ -185,6 +183,8 @@ def _wanted(names) -> tuple:
 def manifest(request, program, names, looped=None) -> dict:
     """What a program that calls the functions must know."""
 
+    task = request.law.task
+
     def row(f):
         value = None if f.value is None else np.asarray(f.value).tolist()
         return {"name": f.name, "shape": list(f.shape), "kind": f.kind, "value": value}
@@ -198,6 +198,7 @@ def manifest(request, program, names, looped=None) -> dict:
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
         "outputs": [row(f) for f in program.outputs["output"]],
         "evaluations": _evaluations(request),
+        "tasks": [[name, at.start, at.stop] for name, at in ((n, task.of(n)) for n, _ in task.tasks)],
         "batch": looped
         and {
             "inputs": [row(f) for group, fields in looped.inputs.items() for f in fields if group != "steps"],

@@ -52,7 +52,9 @@ class Trajectory:
         names = [task for task, _, _ in self.tasks]
         i = names.index(errors.one_of("name", name, names)) if names else _no_tasks(name)
         own = slice(*self.tasks[i][1:])
-        status = (self.status & ~int(OWN)) | self.task_status[..., i]  # type: ignore[index]
+        status = self.status
+        if self.task_status is not None:
+            status = (status & ~int(OWN)) | self.task_status[..., i]
         return replace(self, x=self.x[..., own], e=self.e[..., own], status=status, tasks=(), task_status=None)
 
     @property

@@ -139,15 +139,15 @@ class Path:
 @record
 class Tangent:
     t: Float[Array, ""]  # where it touches the path that it stands for
-    position: Float[Array, " d"]
-    velocity: Float[Array, " d"]
+    position: Float[Array, " d"] | None
+    velocity: Float[Array, " d"] | None
     rotation: Rotation
     spin: Float[Array, " 3"] | None  # angular velocity in the base frame
 
     def __call__(self, t):
         on = t - self.t
         turned = self.rotation if self.spin is None else exp_so3(on * self.spin) @ self.rotation
-        return self.position + on * self.velocity, turned
+        return None if self.position is None else self.position + on * self.velocity, turned
 
 
 def _progress(t, duration):

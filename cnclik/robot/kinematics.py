@@ -89,9 +89,9 @@ def manipulability(
 
     Args:
       q, tip: as for `forward`.
-      task: a task from `cnclik.law`; by default the whole 6-row geometric Jacobian.
+      task: what is controlled, as of a law, which names its own tips; by default the whole 6-row geometric Jacobian.
     """
-    if not (task is None or isinstance(getattr(task, "linear", None), tuple)):  # a task's class is of a room above
+    if not (task is None or callable(getattr(task, "rows_at", None))):  # a task's class is of a room above
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     q = as_joint_values(chain, q)
     return _manipulability(chain, task, q, tip=chain.tip_number(tip))
@@ -99,8 +99,10 @@ def manipulability(
 
 @functools.partial(one_off, static_argnames="tip")
 def _manipulability(chain, task, q, *, tip):
-    axes = ((0, 1, 2), (0, 1, 2)) if task is None else (task.linear, task.angular)
     chain = cast(modelled(chain), q.dtype)
-    rows = jacobian_rows(chain, frames(chain, q, tip), *axes)
+    if task is None:
+        rows = jacobian_rows(chain, frames(chain, q, tip), (0, 1, 2), (0, 1, 2))
+    else:
+        rows = task.rows_at(chain, q)
     rows = rows if len(rows) <= chain.n else rows.T
     return safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))

@@ -1,6 +1,6 @@
 """Posture: how long an arm is, whether it is planar, how far postures are from singular, and where to start.
 
-A task is anything with `jacobians`, and `lengths`, the coordinates that are in m.
+Of a task, whose class is of a room above, `rows_at`, `lengths` and `apart` are used.
 """
 
 import functools
@@ -60,14 +60,17 @@ def is_planar(chain: Chain) -> bool:
 
 def task_jacobians(chain: Chain, task, postures):
     """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which compiles nothing."""
-    return task.jacobians(modelled(chain), np.asarray(postures, float))
+    return np.array(task.rows_at(modelled(chain), np.asarray(postures, float)))
 
 
 def least_singular_values(chain: Chain, task, postures):
-    """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own."""
+    """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own.
+
+    Of a stack the least of its tasks' own.
+    """
     j = task_jacobians(chain, task, postures)
     j[:, task.lengths] /= arm_length(chain)
-    return np.linalg.svd(j, compute_uv=False)[:, -1]
+    return np.min([np.linalg.svd(j[:, own], compute_uv=False)[:, -1] for own in task.apart], axis=0)
 
 
 def evenly(count: int, n: int, first: int = 0):

@@ -269,7 +269,9 @@ class Joints(Vector):
         return robot.q[np.array(self.which)]
 
     def rows(self, robot: At):
-        return jnp.eye(robot.chain.n, dtype=robot.q.dtype)[np.array(self.which)]
+        q = robot.q
+        rows = np.eye(robot.chain.n)[np.array(self.which)].astype(q.dtype)
+        return library(q).broadcast_to(rows, (*q.shape[:-1], *rows.shape))
 
 
 @record
@@ -301,7 +303,8 @@ class Function(Vector):
         return made
 
     def rows(self, robot: At):
-        return jax.jacfwd(lambda q: self.x(At(robot.chain, q)))(robot.q)
+        made = jax.jacfwd(lambda q: self.x(At(robot.chain, q)))
+        return made(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(made)(robot.q))
 
 
 def _values(given, part, what):

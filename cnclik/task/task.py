@@ -71,6 +71,15 @@ class Task:
         return tuple(unit for part in self.parts for unit in part.units)
 
     @property
+    def apart(self) -> list[slice]:
+        """Where the coordinates of each of a stack's tasks stand; all of them where there is no stack."""
+        return [self.of(name) for name, _ in self.tasks] or [slice(None)]
+
+    def rows_at(self, chain, q):
+        """The task Jacobian (..., m, n) of a `Model` at q (n,), or in NumPy (..., n), before weighting."""
+        return rows(self, At(chain, q))
+
+    @property
     def lengths(self) -> list[int]:
         """Which of the coordinates are in m: of a pose its position."""
         return [i for i, unit in enumerate(self.units) if unit == "m"]
@@ -108,10 +117,6 @@ class Task:
             return self
         task = replace(self, parts=parts)
         return task if task.weights is None else replace(task, weights=_weights(task, task.weights))
-
-    def jacobians(self, robot, postures):
-        """Task Jacobians (K, m, n) of a `Model` of arrays at (K, n) postures, in NumPy; of tips' coordinates alone."""
-        return rows(self, At(robot, postures))
 
     # --- of a task of one tip's pose alone ---
 
