@@ -25,7 +25,7 @@ from cnclik.integrate.method import Method, early_steps, evaluations_of
 from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import Status, growing, too_fast
+from cnclik.integrate.status import Status, growing, growing_each, too_fast
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.corners import Corners, corners
 from cnclik.law.law import Law, observe
@@ -230,7 +230,6 @@ def run(loop: Loop, q0, *, end=False):
         return made
     t, reference = made.target_time, loop.reference
     if each:
-        of = {name: reference[name] if isinstance(reference, References) else reference for name, _ in each}
-        grown = [growing(task.alone(name), of[name], t, made.e[:, at]) for name, at in each]
-        made = replace(made, task_status=jnp.stack(grown, axis=1) | jnp.asarray(made.task_status))
+        grown = growing_each(task, reference, t, made.e)
+        made = replace(made, task_status=grown | jnp.asarray(made.task_status))
     return replace(made, status=made.status | growing(task, reference, t, made.e))

@@ -134,6 +134,21 @@ GROWTH = 1.01  # an error that is larger than this times the one before has grow
 REVERSAL = 0.999  # and so has one that swung to the other side and is larger than this times the one before
 
 
+def growing_each(task, reference, t, e):
+    """GROWING or 0 for each step and each task of a stack, (N, tasks).
+
+    As `growing`, of its own error; what the motion of all targets explains, and what the errors of the other tasks
+    shrank by, is no growth of its own: tasks that share joints move each other.
+    """
+    moved, found = motion(reference, task, t), []
+    for name, _ in task.tasks:
+        at = task.of(name)
+        others = np.delete(np.arange(task.m), at)
+        rest = safe_sqrt(jnp.sum(e[:, others] ** 2, axis=1))
+        found.append(_grown(e[:, at], moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
+    return jnp.stack(found, axis=1)
+
+
 def growing(task, reference, t, e):
     """GROWING or 0 for each step, (N,), from the errors e (N + 1, m) at the instants t (N + 1,).
 
@@ -141,9 +156,13 @@ def growing(task, reference, t, e):
     what the target's own motion in the step explains, and rounding, 64 eps (1 + ‖e[k]‖). Where |R(z)| < 1 the loop
     stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes.
     """
+    return _grown(e, motion(reference, task, t))
+
+
+def _grown(e, explained):
     size = safe_sqrt(jnp.sum(e * e, axis=1))
     along = jnp.sum(e[1:] * e[:-1], axis=1)
     rounding = 64 * jnp.finfo(e.dtype).eps * (1 + size[:-1])
     factor = jnp.where(along < 0, REVERSAL, GROWTH)
-    grown = size[1:] > factor * size[:-1] + motion(reference, task, t) + rounding
+    grown = size[1:] > factor * size[:-1] + explained + rounding
     return jnp.where(grown, int(Status.GROWING), 0)

@@ -94,7 +94,10 @@ def manipulability(
     if not (task is None or callable(getattr(task, "rows_at", None))):  # a task's class is of a room above
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     q = as_joint_values(chain, q)
-    return _manipulability(chain, task, q, tip=chain.tip_number(tip))
+    if task is None:
+        return _manipulability(chain, None, q, tip=chain.tip_number(tip))
+    task = task.about(tip)
+    return _manipulability(chain, task.on(chain) if isinstance(chain, Chain) else task, q, tip=0)
 
 
 @functools.partial(one_off, static_argnames="tip")

@@ -42,18 +42,25 @@ def _placed(joints, parents, base):
 
 
 def join(
-    chain: Chain, other: Chain, *, at: str | None = None, transform: PoseLike | None = None, prefix: str = ""
+    chain: Chain,
+    other: Chain,
+    *,
+    at: str | None = None,
+    transform: PoseLike | None = None,
+    prefix: str = "",
+    keep: bool = False,
 ) -> Chain:
     """A robot with another one mounted on a tip: an arm on a torso, a hand on an arm.
 
-    Its coordinates are those of `chain`, then those of `other`. Its tips are those of `chain` but for the one that
-    carries `other`, then the tips of `other`.
+    Its coordinates are those of `chain`, then those of `other`. Its tips are those of `chain`, but for the one that
+    carries `other` unless it is kept, then the tips of `other`.
 
     Args:
       at: name of the tip of `chain` that carries it; None: the only one.
       transform: where the base of `other` is, as seen from that tip: a (3,) position [m] or a pose, as for `with_tool`;
         None: there.
       prefix: before the names of other's joints and tips, such as "left_".
+      keep: whether the tip that carries it stays one, such as a torso's, for another arm.
     Raises: ArgumentError where a name would stand twice.
     """
     number = errors.kind("chain", chain, Chain).tip_number(at)
@@ -64,7 +71,7 @@ def join(
     for joint, parent in zip(_placed(other.joints, other.parents, start), other.parents, strict=True):
         parent = carrier.joint if parent < 0 else count + parent
         joints.append(replace(joint, parent=parent, coordinate=chain.n + joint.coordinate))
-    tips = [t for i, t in enumerate(chain.tips) if i != number]
+    tips = [t for i, t in enumerate(chain.tips) if i != number or keep]
     tips += [Tip(name=prefix + t.name, joint=count + t.joint, offset=t.offset) for t in other.tips]
     names = [*chain.joint_names, *(prefix + name for name in other.joint_names)]
     for several in (names, [t.name for t in tips]):

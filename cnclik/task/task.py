@@ -91,19 +91,18 @@ class Task:
 
     def of(self, name: str) -> slice:
         """Where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
-        its = self.slices[self._parts_of(name)]
-        return slice(its[0].start, its[-1].stop)
-
-    def alone(self, name: str) -> Task:
-        """One of a stack's tasks."""
-        weights = None if self.weights is None else self.weights[self.of(name)]  # type: ignore[index]
-        return Task(parts=self.parts[self._parts_of(name)], weights=weights)
-
-    def _parts_of(self, name) -> slice:
         known = [task for task, _ in self.tasks]
         i = known.index(errors.one_of("name", name, known))
         first = sum(count for _, count in self.tasks[:i])
-        return slice(first, first + self.tasks[i][1])
+        its = self.slices[first : first + self.tasks[i][1]]
+        return slice(its[0].start, its[-1].stop)
+
+    def about(self, tip: str | None) -> Task:
+        """The task with those of its parts that name no tip being of this one."""
+        if tip is None:
+            return self
+        named = (replace(p, tip=tip) if hasattr(p, "axes") and p.tip is None else p for p in self.parts)
+        return replace(self, parts=tuple(named))
 
     def on(self, chain) -> Task:
         """The task of this robot. Raises: ArgumentError for tips and joints that it has not."""

@@ -4,19 +4,14 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.robot.chain import Tip
 from tests.oracles import close
 from tests.robot.test_trees import ARMS, G1, postures
 
 
 def two_arms():
     """A planar trunk of two joints, and two arms of two joints on it."""
-    trunk = ck.planar_arm([0.5, 0.4], joint_names=["a", "b"])
-    trunk = ck.replace(trunk, tips=tuple(Tip(name=name, joint=1, offset=trunk.tip) for name in ("one", "two")))
-    arms = {name: ck.planar_arm([0.3, 0.25], joint_names=["1", "2"]) for name in ("one", "two")}
-    for name, arm in arms.items():
-        trunk = ck.join(trunk, arm, at=name, prefix=name)
-    return trunk
+    trunk, arm = ck.planar_arm([0.5, 0.4], joint_names=["a", "b"]), ck.planar_arm([0.3, 0.25], joint_names=["1", "2"])
+    return ck.join(ck.join(trunk, arm, prefix="one", keep=True), arm, at="tip", prefix="two")
 
 
 ROBOT = two_arms()
