@@ -25,7 +25,7 @@ def inputs(request, program) -> dict:
     start = np.asarray(start_posture(chain, task), float)
     q = start + random.uniform(-0.2, 0.2, (COUNT, chain.n))
     known = {"q": q, "t": np.linspace(0, 1, COUNT)[:, None], "Ts": np.full((COUNT, 1), 0.01)}
-    if len(program.inputs["input"]) > len(known):
+    if any(f.name not in known for f in program.inputs["input"]):
         held = [by_target(hold_at(chain, task, row + random.uniform(-0.05, 0.05, chain.n)), task) for row in q]
         for i, (before, parts) in enumerate(targets(task)):
             for part in parts.parts:
