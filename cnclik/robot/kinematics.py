@@ -91,7 +91,7 @@ def manipulability(
       q, tip: as for `forward`.
       task: what is controlled, as of a law, which names its own tips; by default the whole 6-row geometric Jacobian.
     """
-    if not (task is None or callable(getattr(task, "rows_at", None))):  # a task's class is of a room above
+    if not (task is None or isinstance(getattr(task, "targets", None), tuple)):  # a task's class is of a room above
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     q = as_joint_values(chain, q)
     if task is None:
