@@ -91,11 +91,19 @@ class Task:
 
     def of(self, name: str) -> slice:
         """Where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
+        its = self.slices[self._parts_of(name)]
+        return slice(its[0].start, its[-1].stop)
+
+    def alone(self, name: str) -> Task:
+        """One of a stack's tasks."""
+        weights = None if self.weights is None else self.weights[self.of(name)]  # type: ignore[index]
+        return Task(parts=self.parts[self._parts_of(name)], weights=weights)
+
+    def _parts_of(self, name) -> slice:
         known = [task for task, _ in self.tasks]
         i = known.index(errors.one_of("name", name, known))
         first = sum(count for _, count in self.tasks[:i])
-        its = self.slices[first : first + self.tasks[i][1]]
-        return slice(its[0].start, its[-1].stop)
+        return slice(first, first + self.tasks[i][1])
 
     def about(self, tip: str | None) -> Task:
         """The task with those of its parts that name no tip being of this one."""
