@@ -68,7 +68,7 @@ class Measured(NamedTuple):
 
     run: Trajectory  # one lane
     law: Law
-    reference: ref.Reference
+    reference: ref.Reference | ref.References
     tolerance: Number  # on ‖e‖
 
 
@@ -307,7 +307,12 @@ DEFAULT = (
 
 
 def measure_run(
-    run: Trajectory, law: Law, reference: ref.Reference, names: Sequence[str] = DEFAULT, *, tolerance: Number = 1e-3
+    run: Trajectory,
+    law: Law,
+    reference: ref.Reference | ref.References,
+    names: Sequence[str] = DEFAULT,
+    *,
+    tolerance: Number = 1e-3,
 ) -> Metrics:
     """Metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
 

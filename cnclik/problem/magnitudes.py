@@ -90,7 +90,9 @@ def remark_on_lengths(bare: dict, chain, task, where="") -> None:
     """
     named = [name for name in (*_POINTS, *_LENGTHS) if name in bare]
     length = _length_of(chain, task) if named else None
-    for name in named if length is not None else ():
+    if length is None:
+        return
+    for name in named:
         values = np.atleast_1d(np.asarray(bare[name], float))
         if name in _POINTS:
             values = values[:-4] if task.orientation and len(values) > 4 else values

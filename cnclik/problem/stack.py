@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 import os
 import pathlib
 import re
@@ -139,11 +140,10 @@ def _task(one, chain) -> Task:
     if "joints" in one.given:
         raise errors.fail("joints", "come with the task 'joints'", f"comes with {one.given['task']!r}")
     about = {"relative_to": one.given.get("relative_to"), "weights": weights}
-    made = None
-    for tip in _several(one.given.get("tip")):
-        own = task_from(one.given.get("task"), chain, tip=tip, **about).on(chain)
-        made = own if made is None else made & own
-    return made
+    tips = _several(one.given.get("tip"))
+    return functools.reduce(
+        operator.and_, (task_from(one.given.get("task"), chain, tip=t, **about).on(chain) for t in tips)
+    )
 
 
 def gains_from(tables, alpha):

@@ -206,7 +206,8 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     last = 0 if wild else len(run.residual)
     until = 0 if seen.bad is not None else len(run.residual)
     some = np.linspace(max(until - len(seen.late) + 1, 0), until, LOOKED_AT).round().astype(int)
-    wanted = [v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some])]
+    *wanted, speeds = (v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some]))
+    velocity = np.zeros((len(some), law.task.m)) if speeds is None else speeds
     at = farthest(law, wanted[0])
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
@@ -223,10 +224,10 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         end=end,
         start=start,
         wanted=wanted[0],
-        wanted_velocity=wanted[2],
+        wanted_velocity=velocity,
         target=None if wanted[0] is None else wanted[0][at],
         turn=None if wanted[1] is None else wanted[1][at],
-        behind=rms(np.linalg.norm(wanted[2], axis=1)) * Ts,
+        behind=rms(np.linalg.norm(velocity, axis=1)) * Ts,
         path=whole(reference),
         period=_period(reference),
         e=weighted,

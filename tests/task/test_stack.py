@@ -212,28 +212,6 @@ def test_each_task_has_its_own_factor(method, factor):
         close(made, np.repeat([factor(z), factor(0.3 * z)], 3), atol=2e-5)
 
 
-def test_gradients_are_differences():
-    """Through weights, gains and dampings of levels, forward and reverse."""
-    q, N = 0.3 + np.zeros(HUMANOID.n), 5
-    aims, task = moving(q, 3)
-
-    @jax.jit
-    def loss(gains, lams):
-        inverse = ck.levels(["feet"], ["hands", "torso"], damping=(lams[0], lams[1]))
-        alpha = dict(zip(("feet", "hands", "torso"), gains, strict=True))
-        law = ck.Law(HUMANOID, task, alpha=alpha, inverse=inverse)
-        run = ck.solve(law, aims, q, 0.02, N, "EE")
-        return jnp.sum(run.e[-1] ** 2) + 1e-3 * jnp.sum(run.qdot**2)
-
-    at = jnp.array([20.0, 10.0, 5.0]), jnp.array([0.01, 0.05])
-    reverse, forward = jax.grad(loss, (0, 1))(*at), jax.jacfwd(loss, (0, 1))(*at)
-    for a, b in zip(reverse, forward, strict=True):
-        close(a, b, rtol=1e-9)
-    h = 1e-4
-    found = [(loss(at[0] + h * d, at[1]) - loss(at[0] - h * d, at[1])) / (2 * h) for d in np.eye(3)]
-    close(reverse[0], found, rtol=1e-5)
-
-
 def test_lanes_and_native_are_the_plain_loop():
     q = 0.2 + 0.05 * np.random.default_rng(6).normal(size=(8, HUMANOID.n))
     aims, task = moving(q[0], 4)

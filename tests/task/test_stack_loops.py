@@ -1,5 +1,7 @@
 """Loops of stacks: every method keeps its order where targets of several tips move, and the step is pink's."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -53,6 +55,26 @@ def test_methods_keep_their_orders(method, law, order):
     exact, N = ends("RK4", 2000, law), 320 if method == "AB4" else {4: 40, 2: 80, 1: 160}[order]
     coarse, fine = (np.linalg.norm(ends(method, n, law) - exact) for n in (N, 2 * N))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15)
+
+
+def test_gradients_are_differences():
+    """Through gains of tasks and dampings of levels, forward and reverse."""
+
+    @jax.jit
+    def loss(gains, lams):
+        inverse = ck.levels(["one"], ["two"], damping=(lams[0], lams[1]))
+        law = ck.Law(ROBOT, TASK, alpha={"one": gains[0], "two": gains[1]}, inverse=inverse)
+        run = ck.solve(law, PATHS, Q, 0.02, 4, "EE")
+        return jnp.sum(run.e[-1] ** 2) + 1e-3 * jnp.sum(run.qdot**2)
+
+    at = jnp.array([20.0, 10.0]), jnp.array([0.02, 0.1])
+    reverse, forward = jax.grad(loss, (0, 1))(*at), jax.jacfwd(loss, (0, 1))(*at)
+    for a, b in zip(reverse, forward, strict=True):
+        close(a, b, rtol=1e-9)
+    for k, h in ((0, 1e-4), (1, 1e-6)):
+        for i in range(2):
+            up, down = (tuple(v.at[i].add(s * h) if j == k else v for j, v in enumerate(at)) for s in (1, -1))
+            close(reverse[k][i], (loss(*up) - loss(*down)) / (2 * h), rtol=1e-5)
 
 
 def test_it_is_pinks_step():
