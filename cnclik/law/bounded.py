@@ -142,9 +142,11 @@ class Bounded:
             known, found = lax.stop_gradient((of, asked))
             found = descent(known, found, self.passes)
             shut = known.shut(found.qdot, found.slope)
-            # What is left is one step on the face, from wherever: it has the derivatives, and what rounding left.
+            # One step more on the face has all derivatives of the least there, and takes away what rounding left. Of
+            # a descent that was cut short it would lead anywhere, and has the derivatives alone.
             qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
             step = newton(of.hessian(), shut)(of.slope(qdot, of.w - of.b @ qdot))
+            step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
             return of.clip(qdot + step), shut.astype(asked.dtype)
 
         def locked(t):
@@ -168,7 +170,7 @@ def undamped(inverse):
     return errors.fail("inverse", "be damped, such as damped(0.05), with limits bounded()", f"is {brief(inverse)}")
 
 
-def bounded(rate: Number = 10.0, passes: int = 20) -> Bounded:
+def bounded(rate: Number = 10.0, passes: int = 40) -> Bounded:
     """Bounded least squares: of all joint velocities within bounds, those of the least weighted error.
 
     They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`, q̇₀ the null-space
@@ -179,7 +181,8 @@ def bounded(rate: Number = 10.0, passes: int = 20) -> Bounded:
 
     Args:
       rate: see `saturation` [1/s].
-      passes: Newton steps at most. One to three are the rule, and of 60,000 postures of an arm and a humanoid none took
-        more than 20; with fewer than it takes velocities are within bounds, but not the least.
+      passes: Newton steps at most. One to four are the rule; of 60,000 postures of an arm and of a humanoid none took
+        more than 17, and at levels of λ = 1e-4 and 0.1 none more than 28. With fewer than it takes velocities are
+        within bounds and cost no more than the clipped ones, but are not the least.
     """
     return Bounded(rate=positive("rate", rate), passes=errors.integer("passes", passes, at_least=1))

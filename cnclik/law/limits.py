@@ -270,7 +270,8 @@ def saturation(rate: Number = 10.0) -> Saturated:
 
     While some joint would exceed its bounds, the one that bounds the task most moves at its bound and the others
     take over its share, (J W)# (ẋ − J q̇_N) + q̇_N; where they can't, the task velocity is scaled by the largest
-    share s ∈ [0, 1] that fits, so its direction is kept. Bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint
+    share s ∈ [0, 1] that fits, so its direction is kept: of a stack all tasks slow down alike, whatever their levels,
+    see `bounded`. Bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint
     nears its limit exponentially, and one outside comes back, whatever the task asks.
 
     Args:

@@ -114,6 +114,8 @@ PACES = {"velocity": (), "acceleration": (1.0,), "jerk": (1.0, 10.0)}
         ("weights", "velocity", np.float64, 1e-12),
         ("weights", "acceleration", np.float64, 1e-3),
         ("saturation", "jerk", np.float32, 1e-6),
+        ("bounded", "jerk", np.float64, 1e-12),
+        pytest.param("bounded", "acceleration", np.float32, 1e-6, marks=pytest.mark.slow),
         pytest.param("weights", "acceleration", np.float32, 1e-3, marks=pytest.mark.slow),
         pytest.param("saturation", "acceleration", np.float64, 1e-12, marks=pytest.mark.slow),
         pytest.param("weights", "jerk", np.float64, 0.1, marks=pytest.mark.slow),

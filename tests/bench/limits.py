@@ -1,0 +1,87 @@
+"""`python -m tests.bench.limits`: what limits cost on one core, and how many passes bounded() makes (5 minutes).
+
+Random postures of the Panda and of G1 (29 joints, five tips, 30 coordinates), a quarter of the joints next to a limit;
+what is asked is 0.03 to 10 times what the joints do (`draws` of tests/law/test_bounded.py). Times are CPU time of an
+evaluation, rows of J included, by `ck.lanes`, medians of rounds in turn; passes are counted lane by lane.
+"""
+
+import functools
+import statistics
+import time
+
+import jax
+import numpy as np
+
+import cnclik as ck
+from cnclik.law.bounded import Problem, descent
+from cnclik.law.law import resolve, rows_at
+from cnclik.robot.model import modelled
+from tests.law.test_bounded import FASTEST, draws, robot_and_task
+
+COUNT, ROUNDS, SHORTEST = 60_000, 9, 0.2  # [1, 1, s]
+DAMPING = 0.05
+LIMITS = {"none": None, "saturation": ck.saturation(), "bounded": ck.bounded()}
+TIMED = {"panda": ("none", "saturation", "bounded"), "g1": ("none", "bounded")}
+
+
+def passes(name, damping):
+    """Of each draw."""
+    drawn = draws(name, COUNT, seed=0)
+
+    def one(rows, velocity, null, low, high):
+        asked = ck.damped(damping)(rows).apply(velocity)
+        found = descent(Problem(rows / damping, velocity / damping, null, low, high), asked, 60)
+        return found.passes, found.settled, ((found.qdot <= low) | (found.qdot >= high)).any()
+
+    made = jax.jit(jax.vmap(one))(*(jax.device_put(v) for v in drawn[:5]))
+    return map(np.asarray, made)
+
+
+def evaluation(name, limits, dtype):
+    """A call that evaluates the law for all draws, and how many they are."""
+    robot, task = robot_and_task(name)
+    robot = ck.replace(robot, velocity_limit=tuple(min(v, FASTEST) for v in robot.velocity_limit))
+    law = ck.Law(robot, task, alpha=1.0, inverse=ck.damped(DAMPING), limits=LIMITS[limits])
+    law = ck.replace(law, chain=modelled(robot))
+    drawn = draws(name, COUNT, seed=0)
+    asked = drawn.velocity / np.asarray(law.task.weights)
+
+    def one(q, velocity):
+        return resolve(law, q, rows_at(law, q), velocity, None).qdot
+
+    return functools.partial(ck.lanes(one, cores=1), drawn.q.astype(dtype), asked.astype(dtype))
+
+
+def seconds(call):
+    """CPU time of a call."""
+    begun, calls = time.process_time(), 0
+    while (spent := time.process_time() - begun) < SHORTEST:
+        call()
+        calls += 1
+    return spent / calls
+
+
+def main():
+    """Print both tables."""
+    print("| robot | λ | passes, mean | 99.9 % | most | not settled | at a bound |\n| --- " + "| ---: " * 6 + "|")
+    with jax.enable_x64(True):
+        for name in TIMED:
+            for damping in (0.05, 1e-3):
+                count, settled, limited = passes(name, damping)
+                row = f"{count.mean():.2f} | {np.quantile(count, 0.999):.0f} | {count.max()} | {(~settled).sum()}"
+                print(f"| {name} | {damping:g} | {row} | {limited.mean():.0%} |", flush=True)
+    print("\n| robot | dtype | limits | ns an evaluation | more than without |\n| --- | --- | --- | ---: | ---: |")
+    for name, every in TIMED.items():
+        for dtype in ("float32", "float64"):
+            with jax.enable_x64(dtype == "float64"):
+                calls = {limits: evaluation(name, limits, dtype) for limits in every}
+                for call in calls.values():
+                    call()
+                rounds = [{k: seconds(call) / COUNT * 1e9 for k, call in calls.items()} for _ in range(ROUNDS)]
+                for limits in every:
+                    own, more = (statistics.median(r[limits] - r["none"] * sub for r in rounds) for sub in (0, 1))
+                    print(f"| {name} | {dtype} | {limits} | {own:.0f} | {more:.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
