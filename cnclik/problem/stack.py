@@ -10,6 +10,8 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax
+
 from cnclik import errors
 from cnclik.law.inverse import Pseudoinverse, Transpose, levels
 from cnclik.law.paths import hold, hold_at
@@ -122,11 +124,6 @@ def stack_from(tables, chain: Chain) -> Task:
         with errors.within(one.where):
             made[name] = _task(one, chain)
             check_units(chain, made[name], one.written)
-        for _, own in made[name].targets:
-            if own.of_one_tip:
-                bare = {key: value for key, value in one.given.items() if not any(one.written.get(key, ()))}
-                remark_on_lengths(bare, chain, own, f"{one.where}.")
-                break
     return stack(**made)
 
 
@@ -215,6 +212,11 @@ def references_of(tables, chain: Chain, task: Task, q0, horizon) -> References:
         with errors.within(one.where):
             own = replace(task.alone(name), weights=None)
             made[name] = of_each(functools.partial(_path, one, chain, q0, horizon), None, own)
+        first = own.targets[0][1]
+        if first.of_one_tip:
+            known = {k: v for k, v in one.given.items() if all(map(errors.concrete, jax.tree.leaves(v)))}
+            bare = {key: v for key, v in known.items() if not any(one.written.get(key, ()))}
+            remark_on_lengths(bare, chain, first, f"{one.where}.")
     return references(**made)
 
 

@@ -21,7 +21,6 @@ metrics = ["final_error", "final_position_error"]
 robot = "{BAXTER}"
 N = 5
 method = "EE"
-size = 0.05
 [tasks.hands]
 task = "position"
 tip = {GRIPPERS}
@@ -35,6 +34,7 @@ target = "0 -45 0 45 0 45 0 0 -45 0 45 0 45 0 deg"
 damping = 0.3
 [axes]
 least = [1e-3, 1e-2]
+size = [0.05]
 [axes.tasks]
 hands.alpha = [5, 10, 20]
 """
@@ -43,7 +43,7 @@ hands.alpha = [5, 10, 20]
 def test_a_sweep_is_its_loops():
     """Every option of a task may be an expression, and an axis by its own name."""
     made = check.parse(tomllib.loads(TEXT))
-    assert made.shape().shape == (2, 3) and made.all_units()["tasks.hands.alpha"] == "1/s"
+    assert made.shape().shape == (2, 1, 3) and made.all_units()["tasks.hands.alpha"] == "1/s"
     data = sweeps.run_spec(made)
     tables = {
         "hands": {"task": "position", "tip": GRIPPERS, "reference": "circle", "radius": "100mm", "period": 2.0,
@@ -52,8 +52,8 @@ def test_a_sweep_is_its_loops():
     }  # fmt: skip
     with jax.enable_x64(True):
         run = ck.problem_from(BAXTER, tasks=tables, N=5, method="EE").run()
-    close(data.final_error.values[1, 2], np.linalg.norm(run.e[-1]), rtol=1e-9)
-    close(data.final_position_error.values[1, 2], np.linalg.norm(run["hands"].e[-1]), rtol=1e-9)
+    close(data.final_error.values[1, 0, 2], np.linalg.norm(run.e[-1]), rtol=1e-9)
+    close(data.final_position_error.values[1, 0, 2], np.linalg.norm(run["hands"].e[-1]), rtol=1e-9)
     assert len(np.unique(data.final_error)) == 6
 
 
@@ -63,7 +63,7 @@ def test_a_file_of_tasks_may_be_an_axis(tmp_path):
     (tmp_path / "one.toml").write_text(tasks)
     (tmp_path / "two.toml").write_text(tasks.replace("50mm", "90mm"))
     axes = '[axes]\nstack = ["one.toml", "two.toml"]\nq0 = { samples = 2, low = -0.1, high = 0.1 }\n'
-    (tmp_path / "spec.toml").write_text(head.replace("size = 0.05\n", "") + axes)
+    (tmp_path / "spec.toml").write_text(head + axes)
     made = spec.read(tmp_path / "spec.toml")
     data = sweeps.run_spec(made)
     assert data.final_error.shape == (2, 2) and len(made.data()["files"]) == 3
@@ -84,13 +84,13 @@ def test_a_file_of_tasks_may_be_an_axis(tmp_path):
             r"`axes.tasks.hands.damping` must not be in \[tasks.hands\] as well",
         ),
         (("hands.alpha = [5,", "hands.alpha = [-5,"), "`axes.tasks.hands.alpha` must hold values that are at least 0"),
-        (("size = 0.05", 'size = 0.05\ntask = "pose"'), "`task` must be left out with a stack"),
-        (("size = 0.05", 'size = 0.05\nstack = "a.toml"'), "`tasks` must be left out where `stack` is given"),
+        (('method = "EE"', 'method = "EE"\ntask = "pose"'), "`task` must be left out with a stack"),
+        (('method = "EE"', 'method = "EE"\nstack = "a.toml"'), "`tasks` must be left out where `stack` is given"),
         (
-            ("size = 0.05", 'size = 0.05\n"tasks.rest.alpha" = 1'),
+            ('method = "EE"', 'method = "EE"\n"tasks.rest.alpha" = 1'),
             "`fixed` must hold known keys, but holds 'tasks.rest.alpha'",
         ),
-        (("size = 0.05", "size = 0.05\nsiz = 1"), "`fixed` must hold known keys, but holds 'siz'"),
+        (('method = "EE"', 'method = "EE"\nsiz = 1'), "`fixed` must hold known keys, but holds 'siz'"),
     ],
 )
 def test_what_is_refused(change, told):
