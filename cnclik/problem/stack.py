@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import Pseudoinverse, Transpose, levels
@@ -84,6 +85,10 @@ def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str
             _check_names(table)
             units = OF_TASK | ({"target": OF_TASK["target"]._replace(unit="q")} if _is_joints(table) else {})
             found[name] = Table(where, *in_own_units(table, units))
+    for name in ("alpha", *_DAMPING):  # what nobody would use is not dropped silently
+        default = np.array_equal(np.ravel(given[name]), [DEFAULTS.get(name)]) if name in given else True
+        if not default and all(name in one.given for one in found.values()):
+            raise errors.fail(name, "be left out where every task has its own", f"is {given[name]!r}")
     return found
 
 

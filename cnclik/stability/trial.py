@@ -169,8 +169,12 @@ class Trials:
         return bool(np.allclose(end, other, rtol=1e-3, atol=1e-3, equal_nan=True))
 
     def possible(self, remedy) -> bool:
-        """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""
+        """Whether a remedy can be tried: errors of other coordinates are other errors, those of several tasks are no
+        single number that gets better, and long runs take long.
+        """
         N = self.case.steps
+        if remedy.mends == "error" and not self.case.law.task.of_one_tip:
+            return False
         return "task" not in remedy.change and remedy.change.get("N", N) <= max(MOST_TRIED, N)
 
     def better(self, remedy) -> bool:

@@ -191,6 +191,8 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND}, {"reference": "circle"}, "`reference` must be left out with a stack"),
         ({"hands": HAND}, {"end": [1, 2, 3]}, "`to` must be left out with a stack"),
         ({"hands": HAND}, {"posture": [0] * 14}, "`posture` must be left out .*: a posture is one of its"),
+        ({"hands": HAND | {"alpha": 1}}, {"alpha": (3.0,)}, "`alpha` must be left out where every task has its own"),
+        ({"hands": HAND | {"damping": 1}}, {"damping": 0.1}, "`damping` must be left out where every task has its own"),
         ({"hands": HAND}, {"begin": "on-path"}, "`begin` must be left out with a stack"),
         ({"hands": HAND}, {"stack": "a.toml"}, "`tasks` must be left out where `stack` is given"),
     ],
@@ -249,6 +251,13 @@ def test_a_verdict_of_a_stack_that_settles_and_of_one_that_shakes():
     shaking = judged(made(tables, N=600, q0=q0, method="EE"))
     assert shaking.kind in ("shaking", "diverging") and shaking.radius > 1
     assert shaking.remedies and "Reduce alpha" in shaking.sentence, shaking.sentence
+
+
+def test_what_lags_without_feed_forward_is_told_so():
+    tables = {"hands": HAND | {"reference": "circle", "radius": 0.05, "period": 2.0, "damping": 1e-3},
+              "rest": REST | {"damping": 0.5}}  # fmt: skip
+    told = judged(made(tables, N=300, feedforward=0.0))
+    assert told.kind == "settled with lag" and "Feed the velocity forward" in told.sentence, told.sentence
 
 
 def test_far_targets_are_no_crash_and_no_guess():
