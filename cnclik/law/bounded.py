@@ -175,9 +175,11 @@ def bounded(rate: Number = 10.0, passes: int = 40) -> Bounded:
 
     They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`, q̇₀ the null-space
     velocity: inside of them what the law's damped inverse gives, and at them as near to the task as can be, its
-    direction aside. Of `levels` the lower give way first, and the first as (λ₁/λ₂)². It needs an inverse with damping.
-    A descent from face to face of the box finds them, by projected Newton steps (Bertsekas 1982); derivatives are those
-    of the least on its face.
+    direction aside. Of `levels` the lower give way first, and the first as (λ₁/λ₂)². A descent from face to face of the
+    box finds them, by projected Newton steps (Bertsekas 1982); derivatives are those of the least on its face.
+
+    It needs an inverse with damping, best a constant one, or levels: where joints at their bounds leave the others
+    singular, a damping by the whole arm's singular value is none, and joints may run from bound to bound.
 
     Args:
       rate: see `saturation` [1/s].

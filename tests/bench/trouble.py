@@ -54,6 +54,8 @@ def methods(chain, q0) -> dict:
         "same, velocity scaling": (singular, CLAMP, ck.velocity_scaling()),
         "same, weighted": (singular, CLAMP, ck.weighted_least_norm()),
         "same, saturation": (singular, CLAMP, ck.saturation()),
+        "same, bounded": (singular, CLAMP, ck.bounded()),
+        "damped, bounded": (damped, CLAMP, ck.bounded()),
     }
 
 
