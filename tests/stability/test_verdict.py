@@ -555,3 +555,13 @@ def test_what_was_tried_is_said_where_nothing_mends():
     found = verdict(made.law, made.reference, made.run(), **how, noise=made.noise)
     assert found.kind == Behaviour.SHAKING and not found.remedies
     assert "tried, and no better: use damped(" in found.sentence
+
+
+def test_an_exact_inverse_is_no_remedy_where_limits_need_damping():
+    arm = ck.replace(ck.planar_arm([1.0, 1.0, 1.0]), lower=(-3.0,) * 3, upper=(3.0,) * 3, velocity_limit=(2.0,) * 3)
+    q = np.array([0.5, 0.5, 0.5])
+    pulled = dict(inverse=ck.damped(0.5), null_velocity=ck.posture([0.0, 1.2, 0.0], 2.0))
+    goal = ck.hold(np.asarray(ck.forward(arm, q).position[:2]) + 0.05)
+    found = judge(ck.Law(arm, XY, alpha=5.0, limits=ck.bounded(), **pulled), goal, 400, q, 0.01)
+    assert found.kind == Behaviour.STALLED
+    assert [list(one.change) for one in found.remedies] == [["damping"], ["null_gain"]]
