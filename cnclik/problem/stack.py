@@ -86,10 +86,14 @@ def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str
             units = OF_TASK | ({"target": OF_TASK["target"]._replace(unit="q")} if _is_joints(table) else {})
             found[name] = Table(where, *in_own_units(table, units))
     for name in ("alpha", *_DAMPING):  # what nobody would use is not dropped silently
-        default = np.array_equal(np.ravel(given[name]), [DEFAULTS.get(name)]) if name in given else True
-        if not default and all(name in one.given for one in found.values()):
+        if not _is_default(name, given.get(name)) and all(name in one.given for one in found.values()):
             raise errors.fail(name, "be left out where every task has its own", f"is {given[name]!r}")
     return found
+
+
+def _is_default(name, value) -> bool:
+    known = all(map(errors.concrete, jax.tree.leaves(value)))
+    return value is None or (known and np.ravel(value).tolist() == [DEFAULTS.get(name)])
 
 
 def _check_names(table):

@@ -84,6 +84,10 @@ def test_a_file_of_tasks_may_be_an_axis(tmp_path):
             r"`axes.tasks.hands.damping` must not be in \[tasks.hands\] as well",
         ),
         (("hands.alpha = [5,", "hands.alpha = [-5,"), "`axes.tasks.hands.alpha` must hold values that are at least 0"),
+        (
+            ("[axes.tasks]", "alpha = [1.0, 2.0]\n[axes.tasks]\nrest.alpha = [3]"),
+            "`alpha` must be left out where every",
+        ),
         (('method = "EE"', 'method = "EE"\ntask = "pose"'), "`task` must be left out with a stack"),
         (('method = "EE"', 'method = "EE"\nstack = "a.toml"'), "`tasks` must be left out where `stack` is given"),
         (
