@@ -230,6 +230,6 @@ def run(loop: Loop, q0, *, end=False):
         return made
     t, reference = made.target_time, loop.reference
     if each:
-        grown = growing_each(task, reference, t, made.e)
+        grown = growing_each(loop.law, reference, t, made.e)
         made = replace(made, task_status=grown | jnp.asarray(made.task_status))
-    return replace(made, status=made.status | growing(task, reference, t, made.e))
+    return replace(made, status=made.status | growing(loop.law, reference, t, made.e))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.law.law import metric
 from cnclik.law.reference import motion
 from cnclik.precision import of_numbers
 from cnclik.robot.rotations import safe_sqrt
@@ -134,13 +135,14 @@ GROWTH = 1.01  # an error that is larger than this times the one before has grow
 REVERSAL = 0.999  # and so has one that swung to the other side and is larger than this times the one before
 
 
-def growing_each(task, reference, t, e):
+def growing_each(law, reference, t, e):
     """GROWING or 0 for each step and each task of a stack, (N, tasks).
 
     As `growing`, of its own error; what the motion of all targets explains, and what the errors of the other tasks
-    shrank by, is no growth of its own: tasks that share joints move each other.
+    shrank by, is no growth of its own: tasks that share joints give way to each other.
     """
-    moved, found = motion(reference, task, t), []
+    task, moved, found = law.task, motion(reference, law.task, t), []
+    e = metric(law) * e
     for name, _ in task.tasks:
         at = task.of(name)
         others = np.delete(np.arange(task.m), at)
@@ -149,14 +151,17 @@ def growing_each(task, reference, t, e):
     return jnp.stack(found, axis=1)
 
 
-def growing(task, reference, t, e):
+def growing(law, reference, t, e):
     """GROWING or 0 for each step, (N,), from the errors e (N + 1, m) at the instants t (N + 1,).
 
     A step has grown where ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s; s is
     what the target's own motion in the step explains, and rounding, 64 eps (1 + ‖e[k]‖). Where |R(z)| < 1 the loop
-    stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes.
+    stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes. Of a stack
+    the norm is that which its weights and levels give errors, see `cnclik.law.law.metric`: else a task that gives way
+    to others would count as growth.
     """
-    return _grown(e, motion(reference, task, t))
+    e = metric(law) * e if law.task.tasks else e
+    return _grown(e, motion(reference, law.task, t))
 
 
 def _grown(e, explained):

@@ -20,7 +20,7 @@ from cnclik import errors, markup
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
-from cnclik.law.inverse import Factored, Pseudoinverse, Transpose, damped_apply, least_of, through
+from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
 from cnclik.law.limits import Limited
 from cnclik.law.null import evaluated
 from cnclik.precision import precise
@@ -216,7 +216,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         x=at.x,
         rows=rows,
         apply=made.apply,
-        least=made.least if not law.task.tasks else least_of_tasks(law.task, rows),
+        least=made.least if not law.task.tasks else least_of_tasks(law.task, at.rows),
         correct=lambda h, r: correct(law, q, rows, made, h, r),
         limited=limited,
         task_velocity=velocity,
@@ -227,6 +227,17 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
 def least_of_tasks(task: Task, rows):
     """(tasks,) the least singular value of each task's own rows: conflicts of tasks are no singularity."""
     return jnp.stack([least_of(rows[task.of(name)]) for name, _ in task.tasks])
+
+
+def metric(law: Law):
+    """What each coordinate's error counts, at most 1: its weight over the damping of its level.
+
+    In the norm of errors so scaled, a loop with one gain for all tasks never grows, whatever they ask of each other.
+    """
+    weights = jnp.ones(law.task.m) if law.task.weights is None else jnp.asarray(law.task.weights)
+    if isinstance(law.inverse, Levels):
+        weights = weights / jnp.stack([one.damping for one in law.inverse.damping])[np.array(law.inverse.level)]
+    return weights / jnp.max(weights)
 
 
 class Observation(NamedTuple):
