@@ -24,6 +24,7 @@ def robot_file(name) -> pathlib.Path:
         "panda": "panda_description/urdf/panda.urdf",
         "ur5": "ur_description/urdf/ur5_robot.urdf",
         "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+        "baxter": "baxter_description/urdf/baxter.urdf",
         "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
     }
     return robots() / files[name]
