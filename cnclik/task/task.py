@@ -283,18 +283,34 @@ def _task(weights, *parts):
 def _weights(task, weights):
     if any(isinstance(part, Joints) and part.wanted is None for part in task.parts):
         return weights  # how many there are, the robot will say
+    if isinstance(weights, _Several):
+        each = zip(weights, task.slices, strict=True)
+        weights = [np.ones(at.stop - at.start) if w is None else w for w, at in each]
+        weights = (np if all(map(errors.concrete, weights)) else jnp).concatenate(weights)
     weights = errors.array("weights", weights, (task.m,))
     if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
         raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
     return weights
 
 
+class _Several(list):
+    """Weights of each part, or None, until the robot says how many joints() there are."""
+
+
 def _joined(tasks):
     """The weights of several tasks, one after the other; None where none has any."""
     if all(task.weights is None for task in tasks):
         return None
-    each = [np.ones(task.m) if task.weights is None else task.weights for task in tasks]
-    return (np if all(map(errors.concrete, each)) else jnp).concatenate(each)
+    several = _Several()
+    for task in tasks:
+        if isinstance(task.weights, _Several) or task.weights is None:
+            several += task.weights or (None,) * len(task.parts)
+        elif len(task.parts) == 1:
+            several.append(task.weights)
+        else:
+            several += [task.weights[at] for at in task.slices]
+    whole = Task(parts=tuple(part for task in tasks for part in task.parts))
+    return _weights(whole, several)
 
 
 # --- where the robot is -------------------------------------------------------------------------------

@@ -83,6 +83,13 @@ def test_joints_and_functions_are_tasks():
     assert np.linalg.norm(left - right) == pytest.approx(0.5, abs=1e-5)
 
 
+def test_weights_wait_for_the_robot_to_say_how_many_joints_there_are():
+    hand = ck.position(tip=ARMS[0], weights=[2.0, 3.0, 4.0])
+    task = ck.stack(hand=hand & ck.position("x", tip=ARMS[1]), rest=ck.joints())
+    found = np.asarray(ck.Law(HUMANOID, task, alpha=1.0, inverse=ck.damped(0.1)).task.weights)
+    close(found, [2.0, 3.0, 4.0, 1.0, *np.ones(HUMANOID.n)], atol=0)
+
+
 # --- the law ------------------------------------------------------------------------------------------
 
 
