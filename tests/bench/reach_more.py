@@ -153,8 +153,10 @@ def _clipped(rows, e, cost, q, low, high, trust):
     return STEP(rows, e, cost, q, low - jnp.inf, high + jnp.inf, trust)
 
 
-NEAREST = "nearest(a, a->pose + 12 * target, number % SETS)"
-AT_RANDOM = native_source.SEARCH.replace(NEAREST, "(number % SETS * SIZE + (number + target) * 40503 % SIZE)")
+NEAREST = "nearest(a, target, aim, number % SETS)"
+AT_RANDOM = native_source.SEARCH.replace(
+    NEAREST, "a->postures + (number % SETS * SIZE + (number + target) * 40503 % SIZE) * N"
+)
 PARTS = {  # what is another in the C source, or in the traced step
     "as it is": {},
     "seeds at random, not the nearest": {(native_source, "SEARCH"): AT_RANDOM},

@@ -239,6 +239,7 @@ def test_a_verdict_tells_what_each_task_did(problem):
     )
 
 
+@pytest.mark.slow
 def test_a_verdict_of_a_stack_that_settles_and_of_one_that_shakes():
     tables = {
         "hands": HAND | {"target": "700 300 200 mm", "alpha": 20.0, "damping": 0.01},
@@ -253,6 +254,7 @@ def test_a_verdict_of_a_stack_that_settles_and_of_one_that_shakes():
     assert shaking.remedies and "Reduce alpha" in shaking.sentence, shaking.sentence
 
 
+@pytest.mark.slow
 def test_what_lags_without_feed_forward_is_told_so():
     tables = {"hands": HAND | {"reference": "circle", "radius": 0.05, "period": 2.0, "damping": 1e-3},
               "rest": REST | {"damping": 0.5}}  # fmt: skip
@@ -260,6 +262,7 @@ def test_what_lags_without_feed_forward_is_told_so():
     assert told.kind == "settled with lag" and "Feed the velocity forward" in told.sentence, told.sentence
 
 
+@pytest.mark.slow
 def test_far_targets_are_no_crash_and_no_guess():
     told = judged(
         made({"hands": HAND | {"target": [5.0, 0, 0], "damping": 0.3}, "rest": REST | {"damping": 0.6}}, N=300)
