@@ -145,8 +145,9 @@ def growing_each(law, reference, t, e):
     e = metric(law) * e
     for name, _ in task.tasks:
         at = task.of(name)
-        others = np.delete(np.arange(task.m), at)
-        rest = safe_sqrt(jnp.sum(e[:, others] ** 2, axis=1))
+        own = np.zeros(task.m, bool)
+        own[at] = True  # chosen, not indexed: an entry at a time would be read
+        rest = safe_sqrt(jnp.sum(jnp.where(own, 0.0, e) ** 2, axis=1))
         found.append(_grown(e[:, at], moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
     return jnp.stack(found, axis=1)
 
