@@ -115,7 +115,7 @@ class Stepping:
         """The GROWING bit of a step from its errors at both ends, (2, m), at two times (2,)."""
         law, _, reference, _, (times, errors) = self._apart(flat)
         law, reference = cast((law, reference), self.request.dtype)
-        return growing(law, reference, times, errors)
+        return growing(law, reference, times, errors)[0]
 
 
 def _start(dtype):

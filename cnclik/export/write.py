@@ -183,8 +183,6 @@ def _wanted(names) -> tuple:
 def manifest(request, program, names, looped=None) -> dict:
     """What a program that calls the functions must know."""
 
-    task = request.law.task
-
     def row(f):
         value = None if f.value is None else np.asarray(f.value).tolist()
         return {"name": f.name, "shape": list(f.shape), "kind": f.kind, "value": value}
@@ -198,7 +196,7 @@ def manifest(request, program, names, looped=None) -> dict:
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
         "outputs": [row(f) for f in program.outputs["output"]],
         "evaluations": _evaluations(request),
-        "tasks": [[name, at.start, at.stop] for name, at in ((n, task.of(n)) for n, _ in task.tasks)],
+        "tasks": [[name, at.start, at.stop] for name, at in request.law.task.each],
         "batch": looped
         and {
             "inputs": [row(f) for group, fields in looped.inputs.items() for f in fields if group != "steps"],

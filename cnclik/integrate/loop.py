@@ -25,7 +25,7 @@ from cnclik.integrate.method import Method, early_steps, evaluations_of
 from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import Status, growing, growing_each, too_fast
+from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.corners import Corners, corners
 from cnclik.law.law import Law, observe
@@ -222,14 +222,11 @@ def run(loop: Loop, q0, *, end=False):
         found = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, found)
     cost = evaluations_of(loop.method, loop.stage, loop.law.chain.n, loop.N)
     steps, path = found
-    task = loop.law.task
-    each = [(name, task.of(name)) for name, _ in task.tasks]
-    tasks = tuple((name, at.start, at.stop) for name, at in each)
+    tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
     made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost, tasks)
     if loop.measured:  # with noise an error grows and shrinks by chance
         return made
-    t, reference = made.target_time, loop.reference
-    if each:
-        grown = growing_each(loop.law, reference, t, made.e)
-        made = replace(made, task_status=grown | jnp.asarray(made.task_status))
-    return replace(made, status=made.status | growing(loop.law, reference, t, made.e))
+    grown, each = growing(loop.law, loop.reference, made.target_time, made.e)
+    if made.task_status is not None:
+        made = replace(made, task_status=made.task_status | each)
+    return replace(made, status=made.status | grown)

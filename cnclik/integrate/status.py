@@ -135,34 +135,26 @@ GROWTH = 1.01  # an error that is larger than this times the one before has grow
 REVERSAL = 0.999  # and so has one that swung to the other side and is larger than this times the one before
 
 
-def growing_each(law, reference, t, e):
-    """GROWING or 0 for each step and each task of a stack, (N, tasks).
-
-    As `growing`, of its own error; what the motion of all targets explains, and what the errors of the other tasks
-    shrank by, is no growth of its own: tasks that share joints give way to each other.
-    """
-    task, moved, found = law.task, motion(reference, law.task, t), []
-    e = metric(law) * e
-    for name, _ in task.tasks:
-        at = task.of(name)
-        own = np.zeros(task.m, bool)
-        own[at] = True  # chosen, not indexed: an entry at a time would be read
-        rest = safe_sqrt(jnp.sum(jnp.where(own, 0.0, e) ** 2, axis=1))
-        found.append(_grown(e[:, at], moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
-    return jnp.stack(found, axis=1)
-
-
 def growing(law, reference, t, e):
-    """GROWING or 0 for each step, (N,), from the errors e (N + 1, m) at the instants t (N + 1,).
+    """GROWING or 0 for each step, and for each task of a stack, from its errors e (N + 1, m) at t (N + 1,).
+
+    Returns: (N,), and (N, tasks) or None.
 
     A step has grown where ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s; s is
     what the target's own motion in the step explains, and rounding, 64 eps (1 + ‖e[k]‖). Where |R(z)| < 1 the loop
     stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes. Of a stack
     the norm is that which its weights and levels give errors, see `cnclik.law.law.metric`: else a task that gives way
-    to others would count as growth.
+    to others would count as growth. Of one of its tasks, what the errors of the others shrank by is no growth of its
+    own, either.
     """
-    e = metric(law) * e if law.task.tasks else e
-    return _grown(e, motion(reference, law.task, t))
+    task, moved, each = law.task, motion(reference, law.task, t), []
+    e = metric(law) * e if task.tasks else e
+    for _, at in task.each:
+        own = np.zeros(task.m, bool)
+        own[at] = True  # chosen, not indexed: an entry at a time would be read
+        rest = safe_sqrt(jnp.sum(jnp.where(own, 0.0, e) ** 2, axis=1))
+        each.append(_grown(e[:, at], moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
+    return _grown(e, moved), jnp.stack(each, axis=1) if each else None
 
 
 def _grown(e, explained):

@@ -140,12 +140,12 @@ class Levels:
     def on(self, task) -> Levels:
         """The levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
         level = {name: i for i, names in enumerate(self.names) for name in names}
-        known = [name for name, _ in task.tasks]
+        known = dict(task.each)
         if set(level) != set(known) or len(level) != sum(map(len, self.names)):
             told = ", ".join(name for names in self.names for name in names)
             have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
             raise errors.fail("inverse", f"have each task of the law in one level; they are {have}", f"has {told}")
-        spread = (level[name] for name in known for _ in range(*task.of(name).indices(task.m)))
+        spread = (level[name] for name, at in known.items() for _ in range(at.start, at.stop))
         return replace(self, level=tuple(spread))
 
     def __call__(self, rows, e=None) -> Factored:

@@ -129,11 +129,11 @@ def _not_negative(alpha):
 
 def of_tasks(task: Task, values: dict):
     """Gains of a stack's tasks, by their names, as those of its coordinates: (m,), or (m, m) where one is a matrix."""
-    known = [name for name, _ in task.tasks]
+    known = dict(task.each)
     if set(values) != set(known):
         have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
         raise errors.fail("alpha", f"have a gain for each task; they are {have}", f"has {', '.join(values)}")
-    sizes = {name: task.of(name).stop - task.of(name).start for name in known}
+    sizes = {name: at.stop - at.start for name, at in known.items()}
     each = [errors.array(f"alpha of {k}", values[k], (), (sizes[k],), (sizes[k],) * 2) for k in known]
     xp = np if all(map(errors.concrete, each)) else jnp
     if all(one.ndim < 2 for one in each):
@@ -152,8 +152,7 @@ def _within_tasks(task: Task, alpha):
     if not task.tasks or alpha.ndim < 2 or not all(map(errors.concrete, (alpha, task.weights))):
         return alpha
     left = np.array(alpha)
-    for name, _ in task.tasks:
-        at = task.of(name)
+    for name, at in task.each:
         own, w = left[at, at].copy(), None if task.weights is None else np.asarray(task.weights)[at]
         left[at, at] = 0
         mixed = w is not None and np.ptp(w) > 0 and np.any(own - np.diag(np.diag(own)))
@@ -226,7 +225,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
 
 def least_of_tasks(task: Task, rows):
     """(tasks,) the least singular value of each task's own rows: conflicts of tasks are no singularity."""
-    return jnp.stack([least_of(rows[task.of(name)]) for name, _ in task.tasks])
+    return jnp.stack([least_of(rows[at]) for _, at in task.each])
 
 
 def metric(law: Law):

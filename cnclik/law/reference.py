@@ -139,8 +139,8 @@ def sample(reference, task: Task, t):
 
 def aims_of(reference, task: Task, t) -> tuple:
     """What each part of a task is to reach at time t."""
-    found = [(part, one.curve(t)) for one, parts in by_target(reference, task) for part in parts.parts]
-    return tuple(part.aim(*target) for part, target in found)
+    found = [(parts.parts, one.curve(t)) for one, parts in by_target(reference, task)]
+    return tuple(part.aim(*target) for parts, target in found for part in parts)
 
 
 def _moving(reference, parts, t):

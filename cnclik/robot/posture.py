@@ -1,6 +1,6 @@
 """Posture: how long an arm is, whether it is planar, how far postures are from singular, and where to start.
 
-Of a task, whose class is of a room above, `rows_at`, `lengths` and `apart` are used.
+Of a task, whose class is of a room above, `rows_at`, `lengths` and `each` are used.
 """
 
 import functools
@@ -70,7 +70,8 @@ def least_singular_values(chain: Chain, task, postures):
     """
     j = task_jacobians(chain, task, postures)
     j[:, task.lengths] /= arm_length(chain)
-    return np.min([np.linalg.svd(j[:, own], compute_uv=False)[:, -1] for own in task.apart], axis=0)
+    apart = [own for _, own in task.each] or [slice(None)]
+    return np.min([np.linalg.svd(j[:, own], compute_uv=False)[:, -1] for own in apart], axis=0)
 
 
 def evenly(count: int, n: int, first: int = 0):

@@ -33,7 +33,7 @@ def each_task(case) -> list[TaskSeen]:
     """What each task of a case did. Errors below a thousandth of the stack's largest count as none."""
     task, first = case.law.task, max(ARRIVED * case.seen.size.max(), case.seen.floor)
     if task.tasks:
-        own = [(name, np.arange(task.m)[task.of(name)]) for name, _ in task.tasks]
+        own = [(name, np.arange(task.m)[at]) for name, at in task.each]
     else:
         ends = np.cumsum([parts.m for _, parts in task.targets])[:-1]
         own = [

@@ -82,8 +82,25 @@ class Vector:
     """What parts have in common whose target is a vector in their own coordinates."""
 
     turns = False  # whether the target is a rotation
-    m: Any
+    called = "values"  # what its target holds
+    names: Any
     x: Callable
+
+    @property
+    def m(self):
+        return len(self.names)
+
+    def aim(self, position, rotation):
+        return position
+
+    def check(self, position, rotation):
+        if position is None or len(position) != self.m:
+            size = "none" if position is None else f"{len(position)}"
+            raise errors.fail("reference", f"give {self.m} {self.called} ({', '.join(self.names)})", f"gives {size}")
+
+    def moved(self, position, rotation, w):
+        """The curve's target moved by w (m,)."""
+        return position + w, rotation
 
     @property
     def shape(self):
@@ -122,10 +139,6 @@ class Position(Vector):
     to: str | None = None
 
     @property
-    def m(self):
-        return len(self.axes)
-
-    @property
     def names(self):
         return tuple(self.axes)
 
@@ -143,7 +156,6 @@ class Position(Vector):
             raise errors.fail("reference", f"give positions of {wanted}", f"gives {size}")
 
     def moved(self, position, rotation, w):
-        """The curve's target moved by w (m,)."""
         at = range(self.m) if len(position) == self.m else places(self.axes)
         return position.at[np.array(at)].add(w), rotation
 
@@ -237,10 +249,7 @@ class Joints(Vector):
     which: tuple[int, ...] | None = None  # once the robot is known
     units: tuple[str, ...] = ()
     tip, to = "joints", None
-
-    @property
-    def m(self):
-        return len(self.names)
+    called = "joint values"
 
     @property
     def names(self):
@@ -255,15 +264,6 @@ class Joints(Vector):
         wanted = chain.joint_names if self.wanted is None else self.wanted
         which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
         return replace(self, wanted=tuple(wanted), which=which, units=tuple(chain.units[i] for i in which))
-
-    def aim(self, position, rotation):
-        return position
-
-    def check(self, position, rotation):
-        _values(position, self, "joint values")
-
-    def moved(self, position, rotation, w):
-        return position + w, rotation
 
     def x(self, robot: At):
         return robot.q[np.array(self.which)]
@@ -283,19 +283,6 @@ class Function(Vector):
     units: tuple[str, ...]
     tip, to = "function", None
 
-    @property
-    def m(self):
-        return len(self.names)
-
-    def aim(self, position, rotation):
-        return position
-
-    def check(self, position, rotation):
-        _values(position, self, "values")
-
-    def moved(self, position, rotation, w):
-        return position + w, rotation
-
     def x(self, robot: At):
         made = jnp.asarray(self.value(robot.chain, robot.q), robot.q.dtype)
         if made.shape != (self.m,):
@@ -305,12 +292,6 @@ class Function(Vector):
     def rows(self, robot: At):
         made = jax.jacfwd(lambda q: self.x(At(robot.chain, q)))
         return made(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(made)(robot.q))
-
-
-def _values(given, part, what):
-    if given is None or len(given) != part.m:
-        size = "none" if given is None else f"{len(given)}"
-        raise errors.fail("reference", f"give {part.m} {what} ({', '.join(part.names)})", f"gives {size}")
 
 
 def spin(rotation, drotation):

@@ -71,9 +71,11 @@ class Task:
         return tuple(unit for part in self.parts for unit in part.units)
 
     @property
-    def apart(self) -> list[slice]:
-        """Where the coordinates of each of a stack's tasks stand; all of them where there is no stack."""
-        return [self.of(name) for name, _ in self.tasks] or [slice(None)]
+    def each(self) -> tuple[tuple[str, slice], ...]:
+        """Of a stack the names of its tasks, and where the coordinates of each stand."""
+        ends = [0, *itertools.accumulate(count for _, count in self.tasks)]
+        its = [self.slices[a:b] for a, b in itertools.pairwise(ends)]
+        return tuple((n, slice(at[0].start, at[-1].stop)) for (n, _), at in zip(self.tasks, its, strict=True))
 
     def rows_at(self, chain, q):
         """The task Jacobian (..., m, n) of a `Model` at q (n,), or in NumPy (..., n), before weighting."""
@@ -91,19 +93,15 @@ class Task:
 
     def of(self, name: str) -> slice:
         """Where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
-        its = self.slices[self._parts_of(name)]
-        return slice(its[0].start, its[-1].stop)
+        known = dict(self.each)
+        return known[errors.one_of("name", name, known)]
 
     def alone(self, name: str) -> Task:
         """One of a stack's tasks."""
-        weights = None if self.weights is None else self.weights[self.of(name)]  # type: ignore[index]
-        return Task(parts=self.parts[self._parts_of(name)], weights=weights)
-
-    def _parts_of(self, name) -> slice:
-        known = [task for task, _ in self.tasks]
-        i = known.index(errors.one_of("name", name, known))
-        first = sum(count for _, count in self.tasks[:i])
-        return slice(first, first + self.tasks[i][1])
+        its = self.of(name)
+        own = (p for p, at in zip(self.parts, self.slices, strict=True) if its.start <= at.start < its.stop)
+        weights = None if self.weights is None else self.weights[its]  # type: ignore[index]
+        return Task(parts=tuple(own), weights=weights)
 
     def about(self, tip: str | None) -> Task:
         """The task with those of its parts that name no tip being of this one."""
