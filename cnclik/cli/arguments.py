@@ -58,9 +58,10 @@ class _Kind(typing.NamedTuple):
 
     base: type
     choices: tuple = ()
-    held_in: type | None = None  # tuple, or list: of an option that may be given again and again, one value each time
+    held_in: type | None = None  # tuple, of several values
     values: int | None = 1  # how many; None: any number; 0: it stands without a value
     optional: bool = False
+    repeated: bool = False  # whether it may be given again and again
 
     @property
     def numeric(self) -> bool:
@@ -88,12 +89,14 @@ def parse(Args, argv, *, prog, description):
     made = {one.field: _value(one.kind, [word]) for one, word in zip(places, loose, strict=False)}
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
     for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
-        values, written[one.name[2:].replace("-", "_")] = _in_own_units(one, typed, Ts)
+        values, units = _in_own_units(one, typed, Ts)
+        name = one.name[2:].replace("-", "_")
+        written[name] = (*written.get(name, ()), *units) if one.kind.repeated else units
         if not _fits(one.kind, values):
             found = f"{' '.join(typed)!r}" + (f", {' '.join(values)} {one.unit}" if values != typed else "")
             raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but is {found}.")
         value = _value(one.kind, values)
-        made[one.field] = [*made.get(one.field, []), *value] if one.kind.held_in is list else value
+        made[one.field] = [*made.get(one.field, []), value] if one.kind.repeated else value
         Ts = value if one.field == "Ts" else Ts
     for one in every:
         if one.field not in made and one.default is dataclasses.MISSING:
@@ -164,7 +167,7 @@ def _split(named, argv):
 def _values(one, queue) -> list:
     """The values at the head of a queue that an option takes, a unit that stands apart among them."""
     values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
-    most = 1 if one.kind.held_in is list else one.kind.values
+    most = one.kind.values
     if most is not None and values[most : most + 1] and values[most] in quantities.units(one.unit):
         most += 1
     return values[:most]
@@ -201,8 +204,10 @@ def _kind(hint) -> _Kind:
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Literal:
         return _Kind(str, choices=inner)
-    if origin in (tuple, list):
-        return _kind(inner[0])._replace(held_in=origin, values=None if origin is list or ... in inner else len(inner))
+    if origin is list:
+        return _kind(inner[0])._replace(repeated=True)
+    if origin is tuple:
+        return _kind(inner[0])._replace(held_in=tuple, values=None if ... in inner else len(inner))
     if origin:  # such as `float | None`
         return _kind(inner[0])._replace(optional=True)
     return _Kind(hint, values=0 if hint is bool else 1)

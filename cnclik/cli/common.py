@@ -47,10 +47,11 @@ class ReportOption:
 
     def motions(self, law, *runs):
         """Runs of the loop as the report's moving robot. Args: runs: (trajectory, what `motion_of` shall say of it)."""
-        from cnclik.show.viewer.files import robot_of
+        from cnclik.problem.names import robot_name
+        from cnclik.show.viewer.files import links_of
         from cnclik.show.viewer.motion import motion_of
 
-        _, name, links = robot_of(self.robot, self.tip, self.base, self.lengths)
+        name, links = robot_name(self.robot, self.tip), links_of(self.robot, self.base, law.chain)
         return [motion_of(run, law, links=links, **({"name": name} | said)) for run, said in runs]
 
     def write_report(self, title, answer, **parts) -> None:

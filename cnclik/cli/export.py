@@ -13,7 +13,8 @@ from cnclik.cli.problem import ProblemOptions, problem, table
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions, ProblemOptions):
     """Write NAME.h, NAME.c, example.c with test vectors, and a README. Without a reference among the options the target
-    is an argument of the function; with one the function takes the time."""
+    is an argument of the function; with one the function takes the time, unless --no-paths is said. Of a stack, `cnclik
+    export ROBOT --stack FILE.toml --out DIR`, each task's target is an argument such as hands_left_position."""
 
     out: Path
     """Folder for the files."""
@@ -28,6 +29,8 @@ class Args(ComputeOptions, ProblemOptions):
     """Parameters that may be set at run time, such as alpha; the others are compiled in. All by default."""
     compiled_in: bool = False
     """Compile all parameters in."""
+    paths: bool = True
+    """Compile in the paths that are given; --no-paths makes all targets arguments."""
     batch: bool = False
     """Also the loop for many lanes by vector instructions, NAME_batch.c (GCC, Clang)."""
     seeds: int | None = None
@@ -39,14 +42,13 @@ def run(args: Args) -> None:
     from cnclik.cli import progress
     from cnclik.export.example import BUILD
     from cnclik.export.write import MANIFEST, c
-    from cnclik.problem.options import PATH
 
     if args.compiled_in and args.runtime:
         raise errors.fail("runtime", "be left out with --compiled-in", f"is {' '.join(args.runtime)}")
-    made = problem(args)
-    given = table(args)
-    along = given.get("reference") != "hold" or any(name in given for name in PATH)
-    reference = made.reference if along and args.what in ("step", "solve") else None
+    made = problem(args, stacks=True)
+    given = [table(args)] if made.tables is None else made.tables.values()
+    along = args.paths and args.what in ("step", "solve") and any(map(_has_path, given))
+    reference = made.reference if along else None
     with progress.bar("C"):
         folder = c(
             made.law,
@@ -56,9 +58,19 @@ def run(args: Args) -> None:
             runtime=() if args.compiled_in else args.runtime,
             **{name: getattr(args, name) for name in ("out", "what", "dtype", "name", "batch", "seeds", "overwrite")},
         )
-    where = "along " + str(args.reference) if reference is not None else "to a target that is an argument"
+    if made.tables is None:
+        where = f"along {args.reference}" if along else "to a target that is an argument"
+    else:
+        where = "along its tasks' paths" if along else "to targets that are arguments"
     of = f", {made.method} {where}" if args.what in ("step", "solve") else ""
     print(f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}{of}")
     told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     print(f"Wrote {', '.join(sorted([*told['files'], MANIFEST]))} to {folder}/.")
     print(f"Build and test: {BUILD.format(sources=told['name'] + '.c example.c')} && ./example")
+
+
+def _has_path(given) -> bool:
+    """Whether options say of a path, or of a target, where it is."""
+    from cnclik.problem.options import PATH
+
+    return given.get("reference", "hold") != "hold" or any(name in given for name in PATH)

@@ -13,6 +13,9 @@ def robot_and_task(name, tip, task) -> str:
     """Such as "panda, tip flange, task x y z rx ry rz", or "baxter, tasks hands, rest"."""
     if task.tasks:
         return f"{name}, tasks {', '.join(one for one, _ in task.tasks)}"
+    if len(task.targets) > 1:
+        each = (f"{' '.join(one.names)} of {path[-1]}" for path, one in task.targets)
+        return f"{name}, task {'; '.join(each)}"
     return f"{name_and_tip(name, tip)}, task {' '.join(task.names)}"
 
 

@@ -11,17 +11,26 @@ from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
-from cnclik.cli.heading import robot_and_task
-from cnclik.cli.problem import RobotOptions, TaskOptions, look_at_units, refuse_stack
+from cnclik.cli.problem import RobotOptions, TaskOptions
 from cnclik.cli.remarks import print_json
+from cnclik.cli.targets import wanted_of
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
+    """Joint values that put a tip at targets; several tips at once by --tip and --target for each, or by --stack FILE,
+    whose tips and paths are then meant: `cnclik reach ROBOT --tip left --tip right --target 0.5 0.3 0.2 --target 0.5
+    -0.3 0.2 --task position`, `cnclik reach ROBOT --stack FILE.toml`."""
+
     targets: pathlib.Path | None = option(None, positional=True)
-    """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms."""
-    target: tuple[float, ...] | None = option(None, unit="x")
-    """One target, in place of TARGETS: position [m] and for a pose a quaternion w x y z."""
+    """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms. Of
+    several tips columns begin with each one's name: left.x."""
+    tip: list[str] = option(list)
+    """Last link of the chain in a URDF file; given again, another tip that has targets at the same time."""
+    target: list[tuple[float, ...]] = option(list, unit="x")
+    """One target, in place of TARGETS: position [m] and for a pose a quaternion w x y z; given again for each tip."""
+    points: int = 1
+    """Of a --stack: points of its paths, evenly over their time; 1: where they begin."""
     random: int | None = None
     """So many poses that can be reached, at random, in place of TARGETS."""
     map: Literal["xy", "xz", "yz", "box"] | None = None
@@ -59,28 +68,27 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.problem.names import robot_and_tip, robot_name, task_from
-
     _check(args)
-    refuse_stack(args)
-    chain, tip = robot_and_tip(args.robot, args.tip, args.base, args.lengths)
-    task = task_from(args.task, chain)
-    look_at_units(args, {} if args.target is None else {"target": args.target}, chain, task)
+    wanted = wanted_of(args)
     if not args.json:
-        print(robot_and_task(robot_name(args.robot, args.tip), tip, task))
+        print("\n".join([wanted.title, *wanted.lines]))
     if args.map:
-        _map(args, chain, task)
+        _map(args, wanted.chain, wanted.task)
     else:
-        _answers(args, chain, task)
+        _answers(args, wanted.chain, wanted.task, wanted.targets)
 
 
 def _check(args):
-    ways = {"TARGETS": args.targets, "--target": args.target, "--random": args.random, "--map": args.map}
+    ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random, "--map": args.map}
     given = [name for name, value in ways.items() if value is not None]
-    if len(given) != 1:
+    if len(given) > 1 or (not given and args.stack is None):
         found = f"are {' and '.join(given)}" if given else "is none of them"
-        must = "One of TARGETS, --target X Y Z, --random N and --map PLANE must be given"
+        must = "One of TARGETS, --target X Y Z, --random N, --map PLANE and --stack FILE must be given"
         raise errors.ArgumentError(f"{must}, but there {found}.")
+    if args.map and (args.stack is not None or len(args.tip) > 1):
+        raise errors.fail("map", "be left out for several tips", f"is {args.map}")
+    if errors.integer("points", args.points, at_least=1, at_most=errors.MOST) > 1 and (given or args.stack is None):
+        raise errors.fail("points", "come with the paths of a stack", f"is {args.points}")
     if args.random is not None:
         errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
     if args.path and args.near is not None:
@@ -93,25 +101,17 @@ def _options(args, *names):
     return {name: getattr(args, name) for name in names}
 
 
-def _answers(args, chain, task):
+def _answers(args, chain, task, targets):
     from cnclik.measure.answers import ENDINGS, answers, save, transforms
-    from cnclik.problem.magnitudes import remark_on_places
-    from cnclik.problem.tables import read_targets
     from cnclik.reaching.public import reach
     from cnclik.reaching.result import fields
     from cnclik.reaching.targets import read
     from cnclik.record import replace
     from cnclik.writing import checked_file, output_folder
 
-    if args.target is not None:
-        targets = [args.target]
-    else:
-        targets = _random(chain, args) if args.random else read_targets(args.targets, task)
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
-    if args.targets is not None and task.position:
-        remark_on_places(args.targets.name, transforms(pose)[:, :3, 3], chain, task)
     options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
     with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
         begun = time.perf_counter()
@@ -135,13 +135,11 @@ def _answers(args, chain, task):
         if args.out is not None:
             print(f"Wrote {args.out}.")
     if args.report is not None:
-        _report(args, made, transforms(pose), summary, first)
+        _report(args, made, answers(made, transforms(pose)), summary, first)
 
 
-def _report(args, made, targets, summary, seconds):
+def _report(args, made, data, summary, seconds):
     """The page: how many of each status, and the robot at the first targets."""
-    from cnclik.problem.names import robot_name
-
     solved = round(summary["solve_rate"] * summary["targets"])
     facts = [
         ("time", f"{seconds:.2f} s, compilation included"),
@@ -150,12 +148,18 @@ def _report(args, made, targets, summary, seconds):
     ]
     rows = [(name, f"{number:,}", _MEANING[name]) for name, number in summary["status"].items()]
     args.write_report(
-        f"{robot_name(args.robot, args.tip)}: joint values for {summary['targets']:,} targets",
+        f"{_name(args)}: joint values for {summary['targets']:,} targets",
         f"{solved:,} of {summary['targets']:,} targets are reached ({100 * summary['solve_rate']:.4g} %).",
         facts=facts,
         tables=[("What became of them", ("status", "targets", "meaning"), rows)],
-        motions=functools.partial(_motions, args, made, targets),
+        motions=functools.partial(_motions, args, made.chain, data),
     )
+
+
+def _name(args) -> str:
+    from cnclik.problem.names import robot_name
+
+    return robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
 
 
 def _largest(made) -> str:
@@ -165,27 +169,11 @@ def _largest(made) -> str:
     return ", ".join(f"{values[made.solved].max():.3g} {unit}" for values, unit in parts)
 
 
-def _motions(args, made, targets):
-    from cnclik.show.viewer.files import MOST_TARGETS, answers_motion, robot_of
+def _motions(args, chain, data):
+    from cnclik.show.viewer.files import MOST_TARGETS, answers_motion, links_of, of_answers
 
-    _, name, links = robot_of(args.robot, args.tip, args.base, args.lengths)
-    some = slice(0, MOST_TARGETS)
-    found = {key: getattr(made, key)[some] for key in ("q", "status", "position_error")} | {"targets": targets[some]}
-    return [answers_motion(made.chain, found, name=name, links=links)]
-
-
-def _random(chain, args):
-    """Poses of joint values drawn evenly within the limits."""
-    import numpy as np
-
-    from cnclik.measure.answers import transforms
-    from cnclik.reaching.seeds import spans
-    from cnclik.robot.model import frames, modelled
-
-    low, high = spans(chain)
-    q = np.random.default_rng(errors.seed(args.seed)).uniform(low, high, (args.random, chain.n))
-    at = frames(modelled(chain), q)
-    return transforms(np.concatenate([at.position, at.rotation.reshape(-1, 9)], axis=1))
+    found = of_answers(data.isel(target=slice(0, MOST_TARGETS)))
+    return [answers_motion(chain, found, name=_name(args), links=links_of(args.robot, args.base, chain))]
 
 
 def _summary(made, first, again):
@@ -209,6 +197,7 @@ def _tell(made, summary, seconds):
     """The summary for people: how many of each status and what that means; joint values of a target that is alone."""
     import numpy as np
 
+    from cnclik.reaching.aims import aims
     from cnclik.reaching.result import ReachStatus
 
     count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f} evaluations"
@@ -220,8 +209,10 @@ def _tell(made, summary, seconds):
         for row in q[np.isfinite(q).all(axis=1)]:
             shown = zip(made.chain.joint_names, row, made.chain.units, strict=True)
             print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
-        error = f"{made.position_error.flat[0]:.3g} m, {made.orientation_error.flat[0]:.3g} rad"
+        error = f"{made.position_error.flat[0]:.3g} m, {made.orientation_error.flat[0] + 0.0:.3g} rad"
         print(f"  error {error}; least singular value {made.least_singular_value.flat[0]:.3g}")
+        for aim, own in zip(aims(made.task), made.each, strict=True) if made.targets is not None else ():
+            print(f"    {aim.label}: {own.position_error.flat[0]:.3g} m, {own.orientation_error.flat[0] + 0.0:.3g} rad")
     held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
     if len(held):
         often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
@@ -243,7 +234,6 @@ _MEANING = {
 def _map(args, chain, task):
     import numpy as np
 
-    from cnclik.problem.names import robot_name
     from cnclik.reaching.map import reachability
     from cnclik.show.output import draw, drawn_by
     from cnclik.writing import output_folder
@@ -269,7 +259,7 @@ def _map(args, chain, task):
         numbers = dict(share=found.share, least_singular_value=found.least_singular_value, **places)
         folder.write("map.npz", lambda path: np.savez_compressed(path, **numbers))
     seconds = time.perf_counter() - begun
-    title = f"{robot_name(args.robot, args.tip)}: where the tip can go"
+    title = f"{_name(args)}: where the tip can go"
     about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
     figures = {"map.png": (drawn_by("reach", "reachability", found, title=title), about)}
     with args.figures_first():

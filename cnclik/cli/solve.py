@@ -71,10 +71,7 @@ def run(args: Args) -> None:
         facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
         figures=figures,
         captions=_CAPTIONS,
-        lines=() if made.tables is None else ("The moving robot is left out: so far it shows robots with one tip.",),
-        motions=None
-        if made.tables is not None
-        else lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": told.radius})),
+        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": told.radius})),
         dtype=str(trajectory.q.dtype),
     )
 

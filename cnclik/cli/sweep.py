@@ -87,7 +87,7 @@ def _report(args, spec, data, grid, seconds) -> None:
         facts=[("grid", str(grid)), ("dead time", _dead_time(spec)), ("metrics", ", ".join(spec.metrics))],
         figures=figures,
         tables=[("Metrics over the numeric axes", header, cells)],
-        motions=None if spec.stacked else lambda: loops_of(data, spec),
+        motions=lambda: loops_of(data, spec),
     )
 
 

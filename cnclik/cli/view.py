@@ -56,14 +56,16 @@ def run(args: Args) -> None:
 
 def _shown(args):
     """(motions, live)."""
+    from cnclik.problem.stack import read_stack, tips_of
     from cnclik.show.viewer import files, front
     from cnclik.show.viewer.live import Live
 
     if files.is_result(args.robot):
         named = [args.robot] if args.file is None else [args.robot, args.file]
         return [motion for one in named for motion in files.read_motions(one)][: front.MOST], None
-    robot = (args.robot, args.tip, args.base, args.lengths)
     if args.file is not None:
-        return files.read_motions(args.file, files.robot_of(*robot)), None
-    made = problem(args)
-    return [], Live(made, links=files.robot_of(*robot)[2])
+        tips = None if args.stack is None else tips_of(read_stack(args.stack))
+        robot = files.robot_of(args.robot, args.tip, args.base, args.lengths, tips)
+        return files.read_motions(args.file, robot), None
+    made = problem(args, stacks=True)
+    return [], Live(made, links=files.links_of(args.robot, args.base, made.law.chain))

@@ -109,7 +109,7 @@ class Compiled:
           N: steps, of "solve" alone.
 
         Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "reach" an `Answer`, of "fk" `cnclik.Pose`,
-          of "jacobian" (6, n); with NumPy arrays in them.
+          of "jacobian" (6, n), of several tips dicts of them; with NumPy arrays in them.
         """
         return self._call
 
@@ -303,9 +303,19 @@ def _caller(made, function, addresses):
     return call
 
 
+def _of_tips(views, make):
+    """What is made of a tip's numbers; of several tips by their names in C."""
+    each: dict = {}
+    for name, view in views.items():
+        tip, _, what = name.rpartition("_")
+        each.setdefault(tip, {})[what] = view.copy()
+    made = {tip: make(own) for tip, own in each.items()}
+    return made.get("", made)
+
+
 _RESULTS = {  # of what a function returns, and its output
-    "fk": lambda _, views: Pose(**{name: view.copy() for name, view in views.items()}),
-    "jacobian": lambda _, views: views["jacobian"].copy(),
+    "fk": lambda _, views: _of_tips(views, lambda made: Pose(**made)),
+    "jacobian": lambda _, views: _of_tips(views, lambda made: made["jacobian"]),
     "reach": lambda status, views: Answer(
         **{name: view.copy()[()] for name, view in views.items()} | {"status": ReachStatus(status)}
     ),

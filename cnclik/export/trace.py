@@ -130,10 +130,15 @@ def targets(task) -> list:
         return [("", every[0][1])]
     shared = [path[:-1] for path, _ in every]
     words = ["_".join(path if shared.count(path[:-1]) > 1 or not path[:-1] else path[:-1]) for path, _ in every]
-    words = [re.sub(r"[^A-Za-z0-9_]", "_", word) for word in words]
-    for i, word in enumerate(words):  # names that differ in nothing that C knows, and those that begin with a number
-        words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"task_{word}"
-    return [(f"{word}_", parts) for word, (_, parts) in zip(words, every, strict=True)]
+    return [(f"{word}_", parts) for word, (_, parts) in zip(_identifiers(words), every, strict=True)]
+
+
+def _identifiers(names, kind="task") -> list:
+    """Names as C may have them; what begins with a number begins with its kind."""
+    words = [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names]
+    for i, word in enumerate(words):  # names that differ in nothing that C knows
+        words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"{kind}_{word}"
+    return words
 
 
 def _of_target(before, parts):
@@ -176,20 +181,28 @@ def _target(law, inputs):
 
 
 def _of_chain(request) -> Routine:
-    """Forward kinematics, or the Jacobian."""
+    """Forward kinematics, or the Jacobian, of each tip."""
     chain, poses = request.law.chain, request.what == "fk"
     parameters, put = fields.parameters(chain, request.runtime)
+    names = [tip.name for tip in chain.tips]
+    before = [f"{word}_" for word in _identifiers(names, "tip")] if len(names) > 1 else [""]
 
     def fn(*flat):
         *values, q = flat
         chain = cast(modelled(put(values)), request.dtype)
-        at = frames(chain, q)
-        return [at.position, at.rotation] if poses else [jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))], []
+        made = []
+        for i in range(len(names)):
+            at = frames(chain, q, i)
+            made += [at.position, at.rotation] if poses else [jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))]
+        return made, []
 
-    position = Field("position", (3,), about="of the tip in the base frame [m]")
-    rotation = Field("rotation", (3, 3), about="of the tip, row by row")
-    rows = "(v, w) = J qdot in the base frame, row by row [m/s, rad/s]"
-    outputs = [position, rotation] if poses else [Field("jacobian", (6, chain.n), about=rows)]
+    outputs = []
+    for name, own in zip(names, before, strict=True):
+        of = f"of {name}" if own else "of the tip"
+        rows = f"(v, w) = J qdot {of} in the base frame, row by row [m/s, rad/s]"
+        place = Field(f"{own}position", (3,), about=f"{of} in the base frame [m]")
+        turn = Field(f"{own}rotation", (3, 3), about=f"{of}, row by row")
+        outputs += [place, turn] if poses else [Field(f"{own}jacobian", (6, chain.n), about=rows)]
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
     groups = {"parameters": parameters, "input": given, "history": []}
     return read_as(request, fn, groups, {"output": outputs, "history": []})

@@ -8,6 +8,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.dataset import about
 from cnclik.measure.files import save_csv, save_netcdf
+from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
 
 if TYPE_CHECKING:
@@ -17,15 +18,18 @@ ENDINGS = (".npz", ".nc", ".csv")
 
 
 def answers(reached: Reached, transforms) -> "xr.Dataset":
-    """Answers for (B, 4, 4) targets as an `xarray.Dataset` with dimension `target` (and `solution`), units on all."""
+    """Answers for (B, 4, 4) targets as an `xarray.Dataset` with dimension `target` (and `solution`), units on all.
+
+    Of k tips targets are (B, k, 4, 4), and there is a dimension `tip`.
+    """
     import xarray as xr
 
     dims = ("target", "solution")[: np.ndim(reached.status)]
     units = " or ".join(dict.fromkeys(reached.chain.units))
     flags = {"flag_values": [int(s) for s in ReachStatus], "flag_meanings": " ".join(s.name for s in ReachStatus)}
-
+    labels, each = [aim.label for aim in aims(reached.task)], ("tip",) if np.ndim(transforms) > 3 else ()
     variables = {
-        "transform": (("target", "row", "column"), transforms, about("target pose", "m, 1")),
+        "transform": (("target", *each, "row", "column"), transforms, about("target pose", "m, 1")),
         "q": ((*dims, "joint"), reached.q, about("joint value", units)),
         "status": (dims, reached.status, about("status", "1") | flags),
         "position_error": (dims, reached.position_error, about("position error", "m")),
@@ -35,7 +39,12 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
         "evaluations": (dims, reached.evaluations, about("evaluations", "1")),
         "distance": (dims, reached.distance, about("largest joint's distance from near", units)),
     }
-    return xr.Dataset(variables, coords={"joint": list(reached.chain.joint_names)})
+    if each:
+        places, turns = (np.stack(v, -1) for v in zip(*reached.each, strict=True))
+        variables["tip_position_error"] = ((*dims, "tip"), places, about("position error of a tip", "m"))
+        variables["tip_orientation_error"] = ((*dims, "tip"), turns, about("orientation error of a tip", "rad"))
+    coords = {"joint": list(reached.chain.joint_names)} | ({"tip": labels} if each else {})
+    return xr.Dataset(variables, coords=coords)
 
 
 def save(data: "xr.Dataset", path) -> None:
@@ -46,7 +55,8 @@ def save(data: "xr.Dataset", path) -> None:
         save_netcdf(data, path)
     elif ending == ".npz":
         arrays: dict[str, Any] = {str(name): variable.values for name, variable in data.data_vars.items()}
-        np.savez_compressed(path, targets=arrays.pop("transform"), joint=np.array(data.joint.values, str), **arrays)
+        arrays |= {str(name): np.array(values, str) for name, values in data.coords.items()}
+        np.savez_compressed(path, targets=arrays.pop("transform"), **arrays)
     else:
         save_csv(_rows(data), path)
 
@@ -58,18 +68,25 @@ def _rows(data):
     numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
     columns = [data[name].values.reshape(shape).tolist() for name in numbers]
     status, q, at_limit = (data[name].values.reshape(*shape, -1) for name in ("status", "q", "at_limit"))
-    poses = data.transform.values.reshape(shape[0], 16).tolist()
-    entries = [f"t{i}{j}" for i in range(4) for j in range(4)]
-    yield ["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *entries]
+    poses = data.transform.values.reshape(shape[0], -1).tolist()
+    tips = [f"{tip}." for tip in data.tip.values] if "tip" in data.sizes else []
+    each = [f"{tip}{name}" for name in ("position_error", "orientation_error") for tip in tips]
+    missed = [
+        data[f"tip_{name}"].values.reshape(*shape, -1) for name in ("position_error", "orientation_error") if tips
+    ]
+    entries = [f"{tip}t{i}{j}" for tip in tips or [""] for i in range(4) for j in range(4)]
+    yield ["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *each, *entries]
     for b, k in np.ndindex(shape):
         name = ReachStatus(int(status[b, k, 0])).name
         limits = " ".join(np.array(joints)[at_limit[b, k].astype(bool)])
-        found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits, *poses[b]]
+        own = [value for error in missed for value in error[b, k].tolist()]
+        found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits, *own, *poses[b]]
         yield [b, *[k] * several, name, *(v + 0.0 if isinstance(v, float) else v for v in found)]  # no −0.0
 
 
 def transforms(pose) -> np.ndarray:
-    """(B, 4, 4) of (B, 12) positions and rotations' rows."""
-    out = np.tile(np.eye(4), (len(pose), 1, 1))
-    out[:, :3, 3], out[:, :3, :3] = pose[:, :3], np.asarray(pose)[:, 3:].reshape(-1, 3, 3)
-    return out
+    """(B, 4, 4) of (B, 12) positions and rotations' rows; (B, k, 4, 4) of those of k tips, one after the other."""
+    rows = np.asarray(pose).reshape(len(pose), -1, WIDTH)
+    out = np.tile(np.eye(4), (*rows.shape[:2], 1, 1))
+    out[..., :3, 3], out[..., :3, :3] = rows[..., :3], rows[..., 3:].reshape(*rows.shape[:2], 3, 3)
+    return out if rows.shape[1] > 1 else out[:, 0]

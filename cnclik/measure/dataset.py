@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import json
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -81,11 +81,12 @@ def to_dataset(
         "axis_unit": ("axis", list(x_units), about("unit of the task coordinate", "1")),
         "step": ("step", np.arange(N), about("step", "1")),
     }
-    if run.tasks:
-        labels["task"] = ("task", [name for name, _, _ in run.tasks], about("task", "1"))
-        tips = [tip for _, one in law.task.targets for tip in [_tip(one, law.chain)] * one.m]
-        labels["axis_tip"] = ("axis", tips, about("the tip whose coordinate it is", "1"))
-        labels["axis_task"] = ("axis", [name for name, a, b in run.tasks for _ in range(a, b)], about("its task", "1"))
+    axes = axes_of(law.task, law.chain)
+    if not law.task.of_one_tip:
+        labels["axis_tip"] = ("axis", axes.tips, about("the tip whose coordinate it is", "1"))
+    if axes.tasks:
+        labels["task"] = ("task", [name for name, _ in law.task.tasks], about("task", "1"))
+        labels["axis_task"] = ("axis", axes.tasks, about("its task", "1"))
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
         labels["time"] = ("time", first, about("time", "s"))
@@ -96,11 +97,23 @@ def to_dataset(
     return found if config is None else found.assign_attrs(config=as_json(config))
 
 
-def _tip(task, chain) -> str:
-    """The tip of a task of one; with another behind it, as seen from which it is."""
-    part = task.parts[0]
-    tip = chain.tips[0].name if part.tip is None else part.tip
-    return tip if part.to is None else f"{tip} in {part.to}"
+class Axes(NamedTuple):
+    """What the coordinates of a task are, an entry of each list for each of them."""
+
+    names: Sequence[str]
+    units: Sequence[str]
+    tips: Sequence[str]  # "left", or "left in right" as seen from another; "joints" of joint values
+    tasks: Sequence[str] = ()  # of a stack: the task that it belongs to
+
+
+def axes_of(task, chain) -> Axes:
+    """The coordinates of a task."""
+    tips = []
+    for _, one in task.targets:
+        part = one.parts[0]
+        tip = chain.tips[0].name if part.tip is None else part.tip
+        tips += [tip if part.to is None else f"{tip} in {part.to}"] * one.m
+    return Axes(task.names, task.units, tips, [name for name, at in task.each for _ in range(at.start, at.stop)])
 
 
 def as_json(config) -> str:

@@ -128,9 +128,9 @@ def problem_from(
     if tables is None:
         path = {name: v[name] for name in PATH}
         reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
-        q0 = on_path(chain, task, reference, q0) if begin == "on-path" else q0
     else:
         reference = references_of(tables, chain, task, q0, N * Ts)
+    q0 = on_path(chain, task, reference, q0) if begin == "on-path" else q0
     return Problem(
         name=robot_name(robot, v["tip"]),
         tip=tip,

@@ -49,6 +49,19 @@ def meanings(argument: str, file: str, names) -> list:
     return found
 
 
+def of_tip(names, tip) -> dict:
+    """{number: the name without the tip's} of the columns that begin with it, as left_hand.x, and of times; {} of none.
+
+    Args: tip: what it may be called, several names.
+    """
+    own = {}
+    for i, name in enumerate(names):
+        before = next((one for one in tip if name.startswith((f"{one}.", f"{one}/"))), None)
+        if before is not None:
+            own[i] = name[len(before) + 1 :]
+    return {i: own.get(i, name) for i, name in enumerate(names) if i in own or clock_of(name)} if own else {}
+
+
 def words_of(name) -> list:
     """The words of a column's name in small letters: /header/stampNs is header, stamp, ns."""
     return [word for word in re.split(r"[^a-z0-9µ]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()) if word]

@@ -10,7 +10,6 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law import paths as ref
-from cnclik.law.reference import aims_of
 from cnclik.problem import words
 from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.magnitudes import remark_on_places
@@ -18,6 +17,7 @@ from cnclik.problem.names import fitting
 from cnclik.problem.tables import read_poses
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
+from cnclik.reaching.targets import wanted_at
 from cnclik.record import replace
 from cnclik.robot import poses
 from cnclik.robot.chain import REVOLUTE, Chain
@@ -121,19 +121,11 @@ def lissajous(arm, period, center=None, amplitude=None, frequency=None, phase=No
 
 
 def on_path(chain: Chain, task, reference, q0):
-    """Joint values (n,), nearest to q0, that put the tip where a path begins.
+    """Joint values (n,), nearest to q0, that put the tip where a path begins, or several where theirs do.
 
     Raises: ArgumentError where none are found.
     """
-    position = rotation = None
-    for part, aim in zip(task.parts, aims_of(reference, task, 0.0), strict=True):
-        if part.turns:
-            rotation = jnp.asarray(aim)
-        else:  # what the task doesn't control may be anything
-            place = dict(zip(task.linear, aim, strict=True))
-            xp = poses.library(*place.values())
-            position = xp.stack([xp.asarray(place.get(i, 0.0), float) for i in range(3)])
-    target = (position, rotation)
+    task, target = wanted_at(reference, task, 0.0)
     found = reach(chain, target, task=task, near=q0)
     if errors.concrete(found.status) and not found.solved:
         at = f"is on-path, and where the path begins is {ReachStatus(int(found.status)).name}"
@@ -205,7 +197,7 @@ def _waypoints(arm, file):
         some = fits.get(width)
         return None if some is None else (TIME, *some, *QUATERNION[: width - 1 - len(some)])
 
-    columns, table = read_poses("reference", file, by_place)
+    columns, table = read_poses("reference", file, by_place, () if arm.tips[0] is None else arm.tips[:1])
     if len(table) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(table)}")
     if columns:

@@ -33,7 +33,7 @@ _DAMPING = ("inverse", "damping", "threshold")  # options of a loop that a level
 # Options of a loop with one task, and what there is with a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
 _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
-_OF_ONE |= dict.fromkeys(("manipulability", "begin"), "it is of one tip's task so far")
+_OF_ONE["manipulability"] = "it is of one tip's task so far"
 
 
 class Table(NamedTuple):
@@ -131,12 +131,13 @@ def stack_from(tables, chain: Chain) -> Task:
     made = {}
     for name, one in tables.items():
         with errors.within(one.where):
-            made[name] = _task(one, chain)
+            made[name] = task_of(one, chain)
             check_units(chain, made[name], one.written)
     return stack(**made)
 
 
-def _task(one, chain) -> Task:
+def task_of(one: Table, chain: Chain) -> Task:
+    """The task that a table says, of one tip or of several."""
     weights = one.given.get("weights")
     if _is_joints(one.given):
         for key in ("tip", "relative_to"):

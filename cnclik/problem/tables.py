@@ -9,7 +9,7 @@ import re
 import numpy as np
 
 from cnclik import errors, quantities, reading
-from cnclik.problem.columns import POSITION, QUATERNION, TRANSFORM, meanings
+from cnclik.problem.columns import POSITION, QUATERNION, TRANSFORM, meanings, of_tip
 from cnclik.reading import read_bytes
 
 
@@ -27,15 +27,19 @@ def read_columns(argument: str, file, *, gaps=False) -> tuple:
     return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
 
 
-def read_poses(argument: str, file, by_place) -> tuple:
+def read_poses(argument: str, file, by_place, tip=()) -> tuple:
     """({what: column (rows,)}, numbers (rows, columns)) of a table of poses; see `columns.meanings`.
 
     Where there is no header the columns are taken by their place, of which a remark tells.
 
-    Args: by_place: function of a number of columns that returns what they are, or None for a number that fits nothing.
+    Args:
+      by_place: function of a number of columns that returns what they are, or None for a number that fits nothing.
+      tip: names of the tip that they are of: where columns begin with one, such as left_hand.x, these are taken alone.
     Raises: as `read_columns`, and for names that are unknown, or there twice.
     """
     names, rows = _cells(argument, file)
+    if own := of_tip(names, tip):
+        names, rows = tuple(own.values()), [[row[i] for i in own if i < len(row)] for row in rows]
     found = meanings(argument, pathlib.Path(file).name, names) if names else None
     table = _numbers(argument, file, rows, False)
     if found is None:
@@ -103,17 +107,20 @@ def _numbers(argument, file, rows, gaps):
     return np.array(table, float)
 
 
-def read_targets(file, task) -> np.ndarray:
-    """Targets of a file, as `cnclik.reach` takes them.
+def read_targets(file, task, number=None, tip=()) -> np.ndarray:
+    """Targets of a file, as `cnclik.reach` takes them, of a task of one tip.
 
     A CSV file has a target per row, with columns by name (`cnclik.problem.columns`), or without a header position [m]
     and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4 transform row by row. A .npy file has an array of
-    such rows or of transforms, a .npz file has it under `targets`.
+    such rows or of transforms, a .npz file has it under `targets`. Of several tips a CSV file has columns that begin
+    with each one's name, such as left_hand.x, and the others have transforms (targets, tips, 4, 4).
+
+    Args: number, tip: of several tips which one, and what it may be called.
     """
     path = pathlib.Path(file)
     ending = errors.ending("TARGETS", path, ".csv", ".npy", ".npz")
     if ending == ".csv":
-        found = _targets("TARGETS", path, task)
+        found = _targets("TARGETS", path, task, tip)
     else:
         data = io.BytesIO(read_bytes("TARGETS", path, "a file of targets"))
         try:
@@ -130,6 +137,12 @@ def read_targets(file, task) -> np.ndarray:
             lacking = isinstance(error, (KeyError, AttributeError))  # AttributeError: one array, under no name
             reason = getattr(error, "strerror", None) or ("holds no array `targets`" if lacking else "is damaged")
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
+        if number is not None:
+            if found.ndim != 4 or number >= found.shape[1]:
+                raise errors.fail(
+                    "TARGETS", "hold transforms (targets, tips, 4, 4)", f"{path.name} holds {found.shape}"
+                )
+            found = found[:, number]
     if found.size == 0:
         raise errors.fail("TARGETS", "hold at least one target", f"{path.name} holds none")
     if found.ndim == 2 and found.shape[1] == 16:
@@ -137,10 +150,13 @@ def read_targets(file, task) -> np.ndarray:
     return found
 
 
-def _targets(argument, path, task):
+def _targets(argument, path, task, tip):
     """Rows of a CSV file as targets: positions, quaternions, both, or transforms."""
     sizes = {3: POSITION, 4: QUATERNION, 7: POSITION + QUATERNION, 16: TRANSFORM}
-    columns, table = read_poses(argument, path, sizes.get)
+    if tip and not of_tip(_cells(argument, path)[0], tip):
+        must = f"have columns for each tip, such as {tip[0]}.x"
+        raise errors.fail(argument, must, f"{path.name} has none that begins so")
+    columns, table = read_poses(argument, path, sizes.get, tip)
     if not columns:
         return table
     if TRANSFORM[0] in columns:

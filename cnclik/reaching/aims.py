@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from cnclik import errors
@@ -23,6 +25,11 @@ class Aim:
     to: str | None  # the tip from which it is seen; None: the base
     linear: tuple[int, ...]  # axes of the position
     angular: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        """Its name as a text, such as "hands.left", or "right in left" of a tip as seen from another."""
+        return ".".join(self.path) + (f" in {self.to}" if self.to else "")
 
     def way(self, chain: Chain) -> list[int]:
         """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
@@ -49,6 +56,22 @@ def _aims(task):
             raise errors.fail("task", "have each axis of a tip once", f"has {', '.join(own.names)}")
         found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular))
     return tuple(found)
+
+
+def of_tips(task: Task) -> Task:
+    """What a task wants of tips, without joint values and functions of one's own. Raises: ArgumentError for nothing."""
+    kept = [hasattr(part, "axes") for part in task.parts]
+    if all(kept):
+        return task
+    if not any(kept):
+        raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(task.names)}")
+    parts, weights, tasks, left = tuple(itertools.compress(task.parts, kept)), task.weights, [], iter(kept)
+    if weights is not None:
+        weights = np.concatenate([np.arange(task.m)[at] for at in itertools.compress(task.slices, kept)])
+        weights = task.weights[weights]  # type: ignore[index]
+    for name, count in task.tasks:
+        tasks += [(name, of)] if (of := sum(itertools.islice(left, count))) else []
+    return Task(parts=parts, weights=weights, tasks=tuple(tasks))
 
 
 def told_apart(task: Task) -> str:

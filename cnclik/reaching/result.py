@@ -83,17 +83,23 @@ class Reached:
 
     def __getitem__(self, name: str) -> Missed:
         """The errors of a task of a stack, or of a tip of several, by its name; worked out when they are asked for."""
-        names, some = dict.fromkeys(aim.path[0] for aim in aims(self.task)), []
-        errors.one_of("name", name, names)
+        names = [aim.path[0] for aim in aims(self.task)]
+        errors.one_of("name", name, dict.fromkeys(names))
+        some = [own for own, of in zip(self.each, names, strict=True) if of == name]
+        return Missed(*(np.max(v, axis=0) for v in zip(*some, strict=True)))
+
+    @property
+    def each(self) -> list[Missed]:
+        """The errors of each position and orientation of a tip, in the order of the task's, see `__getitem__`."""
         if self.targets is None:
-            return Missed(np.asarray(self.position_error), np.asarray(self.orientation_error))
+            return [Missed(np.asarray(self.position_error), np.asarray(self.orientation_error))]
         at, every = At(modelled(self.chain), np.asarray(self.q, float)), np.asarray(self.targets, float)
         every = every[..., None, :] if self.solutions > 1 else every
+        found = []
         for k, aim in enumerate(aims(self.task)):
-            if aim.path[0] == name:
-                own = every[..., WIDTH * k : WIDTH * (k + 1)]
-                some.append(_missed(aim, own, at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)))
-        return Missed(*(np.max(v, axis=0) for v in zip(*some, strict=True)))
+            own = every[..., WIDTH * k : WIDTH * (k + 1)]
+            found.append(_missed(aim, own, at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)))
+        return found
 
     def __str__(self):
         status = np.atleast_1d(np.asarray(self.status))
@@ -103,12 +109,12 @@ class Reached:
 
 
 @np.errstate(invalid="ignore")  # where there is no answer
-def _missed(aim, target, position, rotation):
+def _missed(aim, target, position, rotation) -> Missed:
     """Errors of positions (..., 3) and rotations (..., 3, 3) of a tip."""
     away = (target[..., :3] - position)[..., np.array(aim.linear, int)]
     turn = target[..., 3:].reshape(*target.shape[:-1], 3, 3) @ rotation.mT
     chord = 2 * np.linalg.norm(poses.quaternions(turn)[..., 1:][..., np.array(aim.angular, int)], axis=-1)
-    return np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1))
+    return Missed(np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
 
 
 def width(n: int) -> int:

@@ -7,9 +7,10 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.reference import Reference, References
-from cnclik.reaching.aims import aims
+from cnclik.law.reference import Reference, References, aims_of
+from cnclik.reaching.aims import aims, of_tips
 from cnclik.robot import poses
+from cnclik.task.parts import places
 from cnclik.task.task import Task, orientation, pose, position
 
 TASKS = {"pose": pose, "position": position, "orientation": orientation}
@@ -56,6 +57,41 @@ def read(targets, task: Task, base=None):
             made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
     made = xp.concatenate(made, axis=1)
     return np.ascontiguousarray(made, float) if xp is np else made, alone
+
+
+def by_name(task: Task, each):
+    """Targets of a task's aims, one after the other, as `reach` takes them: by the names of tasks and tips."""
+    every, made = aims(task), {}
+    if len(every) == 1:
+        return each[0]
+    for aim, one in zip(every, each, strict=True):
+        inner = made
+        for key in aim.path[:-1]:
+            inner = inner.setdefault(key, {})
+        inner[aim.path[-1]] = one
+    return made
+
+
+def wanted_at(reference: Reference | References, task: Task, t):
+    """(what a task wants of tips, its targets as `reach` takes them) where the paths are at a time, or times (k,)."""
+
+    def of_tips_at(t):
+        return [v for v, p in zip(aims_of(reference, task, t), task.parts, strict=True) if hasattr(p, "axes")]
+
+    of, each = of_tips(task), []
+    values = iter(jax.vmap(of_tips_at)(t) if np.ndim(t) else of_tips_at(t))
+    for aim in aims(of):
+        place, rotation = {}, None
+        for part in aim.parts:
+            value = next(values)
+            rotation = value if part.turns else rotation
+            place |= {} if part.turns else {int(i): value[..., k] for k, i in enumerate(places(part.axes))}
+        position, xp = None, poses.library(*place.values())
+        if place:  # what the task doesn't control may be anything
+            anywhere = xp.zeros_like(next(iter(place.values())))
+            position = xp.stack([place.get(i, anywhere) for i in range(3)], -1)
+        each.append((position, rotation))
+    return of, by_name(of, each)
 
 
 def _each(name, given, task):

@@ -13,13 +13,11 @@ from cnclik import errors
 from cnclik.integrate.status import OWN, Status
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
-from cnclik.measure.dataset import to_dataset
+from cnclik.measure.dataset import Axes, to_dataset
 from cnclik.precision import of_numbers
-from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import is_planar
 from cnclik.show import style
 from cnclik.show.viewer.motion import from_arrays
-from cnclik.task.parts import AXES
 
 _TIME = "time $t$ [s]"
 _PARTS = {
@@ -141,20 +139,11 @@ def _draw_tip(panel, axes, way, target, alone):
 def _paths(data, chain):
     """(name, (K, 3) positions, (K, 3) targets or None) of each tip, up to the first instant that is not finite."""
     known = (data[name].values for name in ("time", "q", "x", "e", "status"))
-    if "axis_tip" not in data.coords:
-        motion = from_arrays(chain, *known, axes=data.axis.values, units=data.axis_unit.values, name="")
-        return [("tip", motion.way, motion.target)]
-    finite = np.isfinite(data.q.values).all(1) & np.isfinite(data.e.values).all(1)
-    q, found = data.q.values[: None if finite.all() else max(int(np.argmin(finite)), 1)], []
-    for i, one in enumerate(chain.tips):
-        way = np.array(frames(modelled(chain), np.asarray(q, float), i).position)
-        target, known = way.copy(), False
-        for k, name in enumerate(data.axis.values):
-            axis = str(name).rpartition(".")[2]
-            if data.axis_tip.values[k] == one.name and axis in AXES:
-                target[:, AXES.index(axis)], known = (data.x.values + data.e.values)[: len(q), k], True
-        found.append((one.name, way, target if known else None))
-    return found
+    tips = data.axis_tip.values if "axis_tip" in data.coords else [chain.tips[0].name] * data.sizes["axis"]
+    axes = Axes(data.axis.values, data.axis_unit.values, tips)
+    motion = from_arrays(chain, *known, axes=axes, name="")
+    names = [tip.name for tip in chain.tips]
+    return list(zip(names, motion.ways, motion.targets, strict=True))
 
 
 def overview(data, chain):

@@ -87,11 +87,6 @@ class Spec:
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick)
 
-    @property
-    def stacked(self) -> bool:
-        """Whether its loops are of several tasks."""
-        return bool(self.tasks) or "stack" in self.axes or any("stack" in table for table in self.tables())
-
     def tables(self) -> list:
         """[fixed], and the tables of all bundles."""
         return [self.fixed, *(table for labels in self.bundles.values() for table in labels.values())]

@@ -102,7 +102,10 @@ def test_one_target_as_solve_takes_it(capsys):
 @pytest.mark.parametrize(
     ("argv", "told"),
     [
-        ([], "One of TARGETS, --target X Y Z, --random N and --map PLANE must be given, but there is none of them."),
+        (
+            [],
+            "One of TARGETS, --target X Y Z, --random N, --map PLANE and --stack FILE must be given, but there is none",
+        ),
         (["t.csv", "--random", "3"], "are TARGETS and --random"),
         (["--target", "1", "0.2", "--map", "xy"], "are --target and --map"),
         (["--target", "1"], "`targets` must be"),

@@ -1,15 +1,20 @@
-"""`cnclik solve --stack` as a user meets it: what was asked, each task's errors, files, figures; other verbs refuse."""
+"""Stacks on the command line: `solve`, `export`, `reach` and `view` of one file; reach of several tips; refusals."""
 
 import csv
 import json
+import subprocess
+import sys
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.export.example import BUILD
 from cnclik.show import run as pictures
+from cnclik.show.viewer import files, need
 from tests.problem.test_stack import FILE
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
@@ -58,8 +63,16 @@ def test_solve(stack, tmp_path, capsys):
         assert "growing: hands" in labels and "growing: rest" in labels and "at limit" in labels
     plt.close("all")
     assert {p.suffix for p in out.iterdir() if p.name != ".cnclik"} >= {".nc", ".csv", ".png"}
-    assert "hands" in page.read_text() and "The moving robot is left out" in page.read_text()
-    assert "is of a stack" in said(capsys, "view", out / "trajectory.nc", "--html", tmp_path / "view.html")
+    assert "hands" in page.read_text() and ("<iframe" in page.read_text()) == need.has_viser()
+    (whole,), (table,) = files.read_motions(out), files.read_motions(out / "trajectory.csv")
+    assert list(whole.error) == ["hands position error [m]", "hands orientation error [rad]", "rest joint error [rad]"]
+    assert list(table.error) == list(whole.error) and whole.links[1] == GRIPPERS
+    for one, other in zip(whole.targets, table.targets, strict=True):
+        assert np.ptp(one, axis=0).max() > 0.001  # on its circle
+        np.testing.assert_allclose(one, other, atol=1e-9)
+    if need.has_viser():
+        main(["view", str(out / "trajectory.nc"), "--html", str(tmp_path / "view.html")])
+        assert (tmp_path / "view.html").stat().st_size > 700_000
 
 
 def test_as_json(stack, tmp_path, capsys):
@@ -68,10 +81,9 @@ def test_as_json(stack, tmp_path, capsys):
     assert "rest: 14 joints" in told["asked"][-1] and "hands steps" in told["facts"]
 
 
-@pytest.mark.parametrize("verb", ["tune", "export", "view", "stability", "reach"])
-def test_other_verbs_refuse(verb, stack, tmp_path, capsys):
-    more = {"export": ["--out", str(tmp_path)], "reach": ["--random", "1"]}.get(verb, [])
-    told = said(capsys, verb, BAXTER, "--stack", stack, *more)
+@pytest.mark.parametrize("verb", ["tune", "stability"])
+def test_other_verbs_refuse(verb, stack, capsys):
+    told = said(capsys, verb, BAXTER, "--stack", stack)
     assert f"`stack` must be left out for `cnclik {verb}`, which takes one task so far" in told
 
 
@@ -82,3 +94,158 @@ def test_what_is_wrong_is_one_line(stack, tmp_path, capsys):
     assert "`stack` must name a TOML file that can be read" in said(capsys, *one, "--stack", tmp_path / "none.toml")
     (tmp_path / "wrong.toml").write_text(FILE.replace("alpha = 10", 'alpha = "fast"'))
     assert "`tasks.hands.alpha` must be a number" in said(capsys, *one, "--stack", tmp_path / "wrong.toml")
+
+
+# --- export -------------------------------------------------------------------------------------------
+
+
+def test_export(stack, tmp_path, capsys):
+    """With paths the function takes the time; without them each tip's target, by the names of tasks and tips."""
+    line = ["export", str(BAXTER), "--stack", stack, "--method", "EE", "--out"]
+    main([*line, str(tmp_path / "paths")])
+    assert "baxter, tasks hands, rest: step in double, EE along its tasks' paths" in capsys.readouterr().out
+    assert "double t; " in (tmp_path / "paths" / "clik_step.h").read_text()
+    main([*line, str(tmp_path / "free"), "--no-paths"])
+    assert "EE to targets that are arguments" in capsys.readouterr().out
+    header = (tmp_path / "free" / "clik_step.h").read_text()
+    for name in ("hands_left_gripper_position[3]", "hands_right_gripper_rotation[9]", "rest_values[14]"):
+        assert name in header, name
+    for folder in ("paths", "free"):
+        build = BUILD.format(sources="clik_step.c example.c") + " && ./example"
+        subprocess.run(build, shell=True, cwd=tmp_path / folder, check=True, capture_output=True)
+
+
+def test_kinematics_of_all_tips(stack, tmp_path):
+    robot, q = ck.load_urdf(BAXTER, tips=GRIPPERS), np.linspace(-0.5, 0.5, 14)
+    for what in ("fk", "jacobian"):
+        main(["export", str(BAXTER), "--stack", stack, "--what", what, "--out", str(tmp_path / what)])
+        made = ck.export.load(tmp_path / what)(q)
+        for tip in GRIPPERS:
+            wanted = ck.forward(robot, q, tip=tip).rotation if what == "fk" else ck.jacobian(robot, q, tip=tip)
+            np.testing.assert_allclose(made[tip].rotation if what == "fk" else made[tip], wanted, atol=1e-6)
+
+
+# --- reach --------------------------------------------------------------------------------------------
+
+
+def tips_at(row, robot):
+    q = np.array([float(row[name]) for name in robot.joint_names])
+    return {tip: ck.forward(robot, q, tip=tip) for tip in GRIPPERS}
+
+
+def test_reach_along_the_paths_of_a_stack(stack, tmp_path, capsys):
+    out, robot = tmp_path / "answers.csv", ck.load_urdf(BAXTER, tips=GRIPPERS)
+    main(["reach", str(BAXTER), "--stack", stack, "--points", "5", "--out", str(out)])
+    shown = capsys.readouterr().out
+    for words in ("baxter, tasks hands, rest\n", "5 points of the paths over 4 s", "Left out: rest.", "SOLVED"):
+        assert words in shown, words
+    paths = ck.problem_from(BAXTER, stack=stack).reference["hands"]
+    for t, row in zip(np.linspace(0, 4, 5), csv.DictReader(out.open()), strict=True):
+        for tip, at in tips_at(row, robot).items():
+            place = np.array([float(row[f"hands.{tip}.t{i}3"]) for i in range(3)])
+            np.testing.assert_allclose(place, paths[tip].curve(t)[0], atol=1e-5)
+            np.testing.assert_allclose(at.position, place, atol=1e-5)
+            assert float(row[f"hands.{tip}.position_error"]) < 1e-6
+    found = files.read_motions(out, files.robot_of(BAXTER, tips=dict.fromkeys(GRIPPERS, "tip")))[0]
+    assert list(found.error) == [f"hands.{tip} position error [m]" for tip in GRIPPERS]
+    np.testing.assert_allclose(found.ways, found.targets, atol=1e-5)
+    main(["reach", str(BAXTER), "--stack", stack])
+    assert "1 target in" in (shown := capsys.readouterr().out) and "where the paths begin" in shown
+    assert "hands.left_gripper: " in shown and "least singular value" in shown
+
+
+def test_reach_of_several_tips(tmp_path, capsys):
+    """Targets by options, by columns of a table, and at random; what is written can be read again."""
+    two = ["reach", str(BAXTER), *[word for tip in GRIPPERS for word in ("--tip", tip)], "--task", "position"]
+    main([*two, "--target", "700", "300", "200", "mm", "--target", "0.7", "-0.3", "0.2"])
+    assert "SOLVED" in (shown := capsys.readouterr().out)
+    assert shown.startswith("baxter, task x y z of left_gripper; x y z of right_gripper")
+    table = tmp_path / "targets.csv"
+    head = "left_gripper.x [mm],left_gripper.y,left_gripper.z,right_gripper/x,right_gripper/y,right_gripper/z"
+    table.write_text(f"{head}\n700,0.3,0.2,0.7,-0.3,0.2\n700,0.3,0.2,9,9,9\n")
+    main([*two, str(table), "--out", str(tmp_path / "a.npz")])
+    assert "SOLVED" in (shown := capsys.readouterr().out) and "OUT_OF_REACH" in shown
+    with np.load(tmp_path / "a.npz") as data:
+        np.testing.assert_allclose(data["targets"][0, :, :3, 3], [[0.7, 0.3, 0.2], [0.7, -0.3, 0.2]])
+        assert list(data["tip"]) == GRIPPERS
+        assert data["tip_position_error"][0].max() < 1e-6 and data["tip_position_error"][1, 1] > 1
+    main([*two, str(tmp_path / "a.npz")])
+    assert "2 targets" in capsys.readouterr().out
+    main([*two[:-1], "pose", "--random", "7", "--json"])
+    assert json.loads(capsys.readouterr().out)["status"] == {"SOLVED": 7}
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[0]], "`tip` must hold different names"),
+        (["--tip", GRIPPERS[0], "--tip", "right"], "`tip` must be one of the"),
+        ([*["--tip", GRIPPERS[0], "--tip", GRIPPERS[1]], "--target", "1", "0", "0"],
+         f"`target` must be given once for each tip ({', '.join(GRIPPERS)}), but is given 1 times"),
+        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "TABLE"], "have columns for each tip, such as left_gripper.x"),
+        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "--map", "xy"], "`map` must be left out for several tips"),
+        (["--stack", "STACK", "--map", "xy"], "`map` must be left out for several tips"),
+        (["--stack", "STACK", "--tip", GRIPPERS[0]], "`tip` must be left out with a stack"),
+        (["--stack", "STACK", "--target", "1", "2", "3"], "`target` must be left out with a stack"),
+        (["--stack", "HELD", "--points", "3"], "`points` must be left out where targets stand still"),
+        (["--tip", GRIPPERS[0], "--random", "1", "--points", "3"], "`points` must come with the paths of a stack"),
+        ([], "--map PLANE and --stack FILE must be given, but there is none of them"),
+    ],
+)  # fmt: skip
+def test_what_reach_refuses(argv, told, stack, tmp_path, capsys):
+    (tmp_path / "held.toml").write_text('[tasks.a]\ntip = "left_gripper"\n')
+    (tmp_path / "table.csv").write_text("x,y,z\n1,2,3\n")
+    known = {"STACK": stack, "HELD": tmp_path / "held.toml", "TABLE": tmp_path / "table.csv"}
+    more = [] if {"--stack", "--random", "--map", "TABLE", "--target"} & {*argv} or not argv else ["--random", "1"]
+    assert told in said(capsys, "reach", BAXTER, *(known.get(word, word) for word in argv), *more)
+
+
+def test_a_loop_begins_where_all_paths_do(stack, tmp_path, capsys):
+    main(
+        [
+            "solve",
+            str(BAXTER),
+            "--stack",
+            stack,
+            "--N",
+            "20",
+            "--begin",
+            "on-path",
+            "--no-figures",
+            "--out",
+            str(tmp_path),
+        ]
+    )
+    assert "(on the path)" in capsys.readouterr().out
+    with xr.open_dataset(tmp_path / "trajectory.nc") as data:
+        assert np.abs(data.e.values[:, :12]).max() < 1e-3
+
+
+def test_a_waypoint_file_has_columns_for_each_tip(tmp_path):
+    head = "time," + ",".join(f"{tip}.{axis}" for tip in GRIPPERS for axis in "xyz")
+    (tmp_path / "way.csv").write_text(f"{head}\n0,0.7,0.3,0.2,0.7,-0.3,0.2\n1,0.7,0.4,0.2,0.7,-0.5,0.2\n")
+    (tmp_path / "s.toml").write_text(f'[tasks.a]\ntask = "position"\ntip = {GRIPPERS}\nreference = "way.csv"\n')
+    made = ck.problem_from(BAXTER, stack=tmp_path / "s.toml", N=5)
+    ends = [made.reference["a"][tip].curve(1.0)[0] for tip in GRIPPERS]
+    np.testing.assert_allclose(ends, [[0.7, 0.4, 0.2], [0.7, -0.5, 0.2]], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_one_file_in_every_verb(tmp_path):
+    """As a user calls them, as processes: the same file for all verbs that take stacks."""
+    (tmp_path / "stack.toml").write_text(FILE)
+    head = 'question = "q"\nexpectation = "e"\nmetrics = ["rms_error"]\n'
+    fixed = f'[fixed]\nrobot = "{BAXTER}"\nstack = "stack.toml"\nN = 20\n'
+    (tmp_path / "sweep.toml").write_text(head + fixed + '[axes]\nmethod = ["EE", "EXP-EE"]\n')
+    every = {
+        "solve": ["--stack", "stack.toml", "--N", "20", "--no-figures"],
+        "export": ["--stack", "stack.toml", "--method", "EE", "--out", "step"],
+        "reach": ["--stack", "stack.toml"],
+        "view": ["--stack", "stack.toml", "--N", "20", "--html", "view.html"],
+    }
+    lines = [[verb, str(BAXTER), *options] for verb, options in every.items()] + [
+        ["sweep", "sweep.toml", "--no-figures"]
+    ]
+    for line in lines if need.has_viser() else lines[:3] + lines[4:]:
+        done = subprocess.run([sys.executable, "-m", "cnclik", *line], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, (line, done.stderr)

@@ -75,11 +75,37 @@ def test_links_of_a_file_are_where_pinocchio_has_them(base):
     from cnclik.robot.tree import read_urdf
 
     start = data.oMf[model.getFrameId(base)].inverse()
-    placed = meshes.placed(read_urdf(robot_file("panda")), tip, base)
+    placed = meshes.placed(read_urdf(robot_file("panda")), [tip], base)
     assert len(placed) > 9
     for link, (frame, at) in placed.items():
         wanted = (start * data.oMf[model.getFrameId(link)]).homogeneous
         np.testing.assert_allclose(frames[frame] @ at, wanted, atol=1e-9, err_msg=link)
+
+
+HANDS = ["left_rubber_hand", "right_rubber_hand"]
+
+
+def test_links_of_a_tree_are_where_pinocchio_has_them():
+    """Also of a base that both tips' ways lead away from, one of them upwards."""
+    import pinocchio as pin
+
+    from cnclik.robot.tree import read_urdf
+
+    base, tips = "left_elbow_link", [HANDS[1], "left_ankle_roll_link"]
+    model = pin.buildModelFromUrdf(str(robot_file("g1")))
+    data, chain = model.createData(), load_urdf(robot_file("g1"), tips=tips, base=base)
+    q, own = np.zeros(model.nq), np.random.default_rng(2).uniform(-0.5, 0.5, chain.n)
+    q[[model.joints[model.getJointId(name)].idx_q for name in chain.joint_names]] = own
+    pin.framesForwardKinematics(model, data, q)
+    frames, start = body.link_poses(chain, own[None])[0], data.oMf[model.getFrameId(base)].inverse()
+    for link, (frame, at) in meshes.placed(read_urdf(robot_file("g1")), tips, base).items():
+        wanted = (start * data.oMf[model.getFrameId(link)]).homogeneous
+        np.testing.assert_allclose(frames[frame] @ at, wanted, atol=1e-9, err_msg=link)
+    for i, tip in enumerate(tips):
+        np.testing.assert_allclose(frames[i - 2][:3, 3], ck.forward(chain, own, tip=tip).position, atol=1e-12)
+    ends = {(p.frame, *np.round(p.vertices.mean(0), 6)) for p in body.parts_of(chain)}
+    assert len(ends) >= len(chain.joints)  # a shape for each joint at least, on frames of the tree
+    assert {p.frame for p in body.parts_of(chain)} <= set(range(len(chain.joints) + 1))
 
 
 def volume(vertices, faces):
@@ -115,10 +141,61 @@ def test_quaternions_are_scipys():
 
 def test_a_motion_is_the_run(problem, run):
     made = motion.motion_of(run, problem.law, name="arm")
-    np.testing.assert_allclose(made.way[:, :2], run.x, atol=1e-12)
-    np.testing.assert_allclose(made.target[:, :2], run.x + run.e)
+    np.testing.assert_allclose(made.ways[0][:, :2], run.x, atol=1e-12)
+    np.testing.assert_allclose(made.targets[0][:, :2], run.x + run.e)
     np.testing.assert_allclose(made.error["position error [m]"], np.linalg.norm(run.e, axis=1))
     assert made.words[0] == "OK" and not made.level.any() and len(made.level) == 31
+
+
+@pytest.fixture(scope="module")
+def two():
+    """Two arms, the right one's target as seen from the left one."""
+    robot = load_urdf(robot_file("g1"), tips=HANDS)
+    task = ck.stack(
+        grip=ck.pose(tip=HANDS[1], relative_to=HANDS[0]), box=ck.position("yz", tip=HANDS[0]), rest=ck.joints()
+    )
+    law = ck.Law(robot, task, alpha=5.0, inverse=ck.damped(0.1))
+    q = np.full(robot.n, 0.3)
+    left = np.asarray(ck.forward(robot, q, tip=HANDS[0]).position)
+    paths = ck.hold_at(robot, task, q, box=ck.circle(left, 0.05, period=1.0, normal=[1, 0, 0]))
+    return law, paths, ck.solve(law, paths, q + 0.02, 0.02, 20, "EE")
+
+
+def test_a_motion_of_several_tips_has_a_way_and_a_target_of_each(two):
+    law, paths, run = two
+    made = motion.motion_of(run, law)
+    for i, tip in enumerate(HANDS):
+        wanted = [ck.forward(law.chain, q, tip=tip).position for q in np.asarray(run.q)]
+        np.testing.assert_allclose(made.ways[i], wanted, atol=1e-6)
+    left, right = made.targets
+    np.testing.assert_allclose(left[:, 0], made.ways[0][:, 0])  # a coordinate that nobody asks for is the tip's own
+    circle = np.array([paths["box"].curve(t)[0] for t in np.asarray(run.t)])
+    np.testing.assert_allclose(left[:, 1:], circle[:, 1:], atol=1e-6)
+    for k in (0, 7):  # where the left hand is now, and what it sees
+        at, (place, _) = ck.forward(law.chain, np.asarray(run.q)[k], tip=HANDS[0]), paths["grip"].curve(0.0)
+        np.testing.assert_allclose(right[k], at.position + at.rotation @ place, atol=1e-5)
+    assert list(made.error) == [
+        "grip position error [m]", "grip orientation error [rad]", "box position error [m]", "rest joint error [rad]"
+    ]  # fmt: skip
+    assert "rest joint error" in play.told([made], 0.5)
+    strokes = [one["stroke"] for one in play.series(play.curves([made])[1])[1:]]
+    assert len(set(strokes)) == 4  # a colour each
+
+
+@with_viser
+def test_a_page_of_several_tips(two):
+    law, _, run = two
+    server = need.server(port=8450)
+    try:
+        shown = scene.Scene(server)
+        shown.put([motion.motion_of(run, law, links=(str(robot_file("g1")), HANDS, None))])
+        (drawn,) = shown._drawn
+        shown.show(1.0)
+        assert len(drawn.tips) == len(drawn.goals) == len(drawn.lines) == 2
+        np.testing.assert_allclose(drawn.goals[1].position, drawn.motion.targets[1][-1])
+        assert drawn.lowest < -0.5 and shown._drawn[0].parts  # the feet stand below the pelvis
+    finally:
+        need.stop(server)
 
 
 def test_a_motion_ends_before_what_is_not_finite(problem, run):
@@ -142,9 +219,9 @@ def test_files_of_a_run_are_the_same_motion(solved):
     np.savez(solved / "own.npz", t=whole.t, q=whole.q)
     (own,) = files.read_motions(solved / "own.npz", files.robot_of(ARM))
     for other in (table, own):
-        np.testing.assert_allclose(other.way, whole.way, atol=1e-12)
+        np.testing.assert_allclose(other.ways, whole.ways, atol=1e-12)
     np.testing.assert_allclose(table.error["position error [m]"], whole.error["position error [m]"])
-    assert own.target is None and not own.error and whole.chain.n == 2
+    assert own.targets == (None,) and not own.error and whole.chain.n == 2
 
 
 @pytest.mark.parametrize("ending", [".nc", ".csv", ".npz"])
@@ -160,7 +237,7 @@ def test_files_of_answers_are_one_motion(tmp_path, ending):
     save(answers(made, at), out)
     (found,) = files.read_motions(out, files.robot_of(ARM))
     assert found.words == ("SOLVED", "OUT_OF_REACH") and list(found.level) == [motion.GOOD, motion.WARNING]
-    np.testing.assert_allclose(found.way[0], targets[0], atol=1e-5)
+    np.testing.assert_allclose(found.ways[0][0], targets[0], atol=1e-5)
     assert found.unit == "target" and found.note == "1 of 2 targets reached"
 
 
@@ -294,7 +371,7 @@ def test_a_scene_shows_the_worst_of_what_it_leaves_out(problem, run):
     server = need.server(port=8400)
     try:
         shown = scene.Scene(server)
-        shown.put([dataclasses.replace(long, target=None, error={})])
+        shown.put([dataclasses.replace(long, targets=(None,), error={})])
         (good, bad) = shown._drawn[0].marks
         assert len(good.points) + len(bad.points) == scene.MOST_POINTS - 1 and len(bad.points) == 1
         shown.put([made, made])  # another one beside it: both robots are laid out anew

@@ -28,25 +28,27 @@ class Part(NamedTuple):
 
 
 def link_poses(chain, q):
-    """Frames 0 … j and the tip, j joints, at q (K, n): (K, j + 2, 4, 4), in NumPy."""
+    """Frames 0 … j of j joints and the tips at q (K, n): (K, 1 + j + tips, 4, 4), in NumPy."""
     model, q = modelled(chain), np.asarray(q, float)
     at = joint_frames(model, q)
     base = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
-    return np.concatenate([base, at, at[:, -1:] @ model.tips[0]], 1)
+    return np.concatenate([base, at, at[:, np.array(model.carriers)] @ np.stack(model.tips)], 1)
 
 
 def radius_of(chain) -> float:
     """Radius of a link [m]."""
-    lengths = [np.linalg.norm(_numbers(o.position)) for o in (*(j.origin for j in chain.joints[1:]), chain.tip)]
-    longest = max(lengths)
+    after = [joint for joint, parent in zip(chain.joints, chain.parents, strict=True) if parent >= 0]
+    offsets = (*(joint.origin for joint in after), *(tip.offset for tip in chain.tips))
+    longest = max(np.linalg.norm(_numbers(offset.position)) for offset in offsets)
     return float(min(THICK * arm_length(chain), 0.2 * longest) if longest > 0 else THICK)
 
 
 def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
-    """Shapes of a chain: links in one colour, joints in another."""
+    """Shapes of a chain, or of a tree: links in one colour, joints in another."""
     thick, found = radius_of(chain), []
-    ends = [*(_numbers(j.origin.position) for j in chain.joints), _numbers(chain.tip.position)]
-    for frame, end in enumerate(ends):
+    ends = [(parent + 1, joint.origin) for joint, parent in zip(chain.joints, chain.parents, strict=True)]
+    for frame, offset in [*ends, *((tip.joint + 1, tip.offset) for tip in chain.tips)]:
+        end = _numbers(offset.position)
         if np.linalg.norm(end) > 0.2 * thick:
             shape = capsule(np.zeros(3), end, thick * (1.15 if frame == 0 else 1.0))
             found.append(Part(frame, *shape, GREY if frame == 0 else color))
@@ -59,9 +61,9 @@ def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
         low, high = (bound[joint.coordinate] for bound in (chain.lower, chain.upper))
         reach = arm_length(chain)
         low, high = (v if np.isfinite(v) else side * reach for v, side in ((float(low), -1), (float(high), 1)))
-        turn, start = _numbers(joint.origin.rotation), ends[i - 1]
+        turn, start = _numbers(joint.origin.rotation), _numbers(joint.origin.position)
         low_end, high_end = (start + turn @ axis * v for v in (min(low, 0.0), max(high, 0.0)))
-        found.append(Part(i - 1, *rod(low_end, high_end, 0.5 * thick, around=4), GREY))
+        found.append(Part(ends[i - 1][0], *rod(low_end, high_end, 0.5 * thick, around=4), GREY))
         found.append(Part(i, *rod(-2 * thick * axis, 2 * thick * axis, 1.4 * thick, around=4), dark))
     return found
 

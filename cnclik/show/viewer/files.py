@@ -1,6 +1,7 @@
 """Files of runs and of answers, as motions: what `solve` and `reach` wrote, or arrays of one's own."""
 
 import csv
+import dataclasses
 import io
 import json
 import os
@@ -9,11 +10,13 @@ import pathlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.problem.names import robot_from, robot_name
+from cnclik.measure.dataset import Axes, axes_of
+from cnclik.problem.names import robot_and_tip, robot_name
+from cnclik.problem.stack import stack_from, tables_from, tips_of
 from cnclik.problem.tables import read_columns
 from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
-from cnclik.show.viewer.motion import BAD, GOOD, WARNING, Motion, from_arrays
+from cnclik.show.viewer.motion import BAD, GOOD, WARNING, Motion, from_arrays, in_base
 from cnclik.show.viewer.swept import best_and_worst
 
 ENDINGS = (".nc", ".csv", ".npz")
@@ -54,13 +57,15 @@ def read_motions(path, robot=None) -> list:
 def _motion(found, path, robot):
     """What a file holds, by its names, as a motion."""
     config = found.pop("config", None) or _beside(path)
-    if "tasks" in config:
-        raise errors.fail("FILE", "be a run of one task so far", f"{path.name} is of a stack")
+    tables = None if "tasks" not in config else tables_from(config["tasks"], {})
     if robot is None and "robot" in config:
-        robot = robot_of(config["robot"], *(config.get(name) for name in ("tip", "base", "lengths")))
+        named = [config.get(name) for name in ("tip", "base", "lengths")]
+        robot = robot_of(config["robot"], *named, None if tables is None else tips_of(config["tasks"]))
     if robot is None:
         raise errors.fail("ROBOT", f"be given before {path.name}, which doesn't name it", "is not")
     chain, name, links = robot
+    if tables is not None:
+        found["axes"] = axes_of(stack_from(tables, chain), chain)
     shape = np.shape(found["q"])
     if len(shape) < 2 or shape[-1] != chain.n or not shape[0]:
         raise errors.fail("FILE", f"hold joint values (N, {chain.n}) of {name}'s joints", f"holds {shape}")
@@ -68,25 +73,32 @@ def _motion(found, path, robot):
     return made(chain, found, name=path.stem if name in ("", None) else name, links=links)
 
 
-def robot_of(robot, tip=None, base=None, lengths=None) -> tuple:
-    """(chain, name, links): links are (file, tip, base) of a URDF file, else None."""
-    file = str(robot)
-    is_file = not hasattr(robot, "joints") and os.path.isfile(file)
-    return robot_from(robot, tip, base, lengths), robot_name(robot, tip), (file, tip, base) if is_file else None
+def robot_of(robot, tip=None, base=None, lengths=None, tips=None) -> tuple:
+    """(chain, name, links) of a robot with one tip, or with several, see `cnclik.problem.names.robot_and_tip`."""
+    chain = robot_and_tip(robot, tip, base, lengths, tips)[0]
+    return chain, robot_name(robot, tip), links_of(robot, base, chain)
+
+
+def links_of(robot, base, chain) -> tuple | None:
+    """(file, names of the tips, base) of a robot in a URDF file, else None."""
+    is_file = not hasattr(robot, "joints") and os.path.isfile(str(robot))
+    return (str(robot), [tip.name for tip in chain.tips], base) if is_file else None
 
 
 def _run(chain, found, **about):
     """A run; what a file lacks of it is left out."""
     q = np.asarray(found["q"], float)
-    axes = tuple(map(str, found.get("axes", ())))
-    none = np.zeros((len(q), len(axes)))
+    axes = found.get("axes", ())
+    if not isinstance(axes, Axes):
+        axes = tuple(map(str, axes))
+        axes = Axes(axes, [_UNITS.get(axis, "rad") for axis in axes], [chain.tips[0].name] * len(axes))
+    none = np.zeros((len(q), len(axes.names)))
     status = np.nan_to_num(np.asarray(found.get("status", np.zeros(len(q) - 1)), float))[: len(q) - 1]
     values = (np.asarray(found.get(name, none), float) for name in ("x", "e"))
     t = np.asarray(found.get("t", np.arange(len(q))), float)
     if len(t) != len(q):
         raise errors.fail("FILE", f"hold as many times as joint values, {len(q)}", f"holds {len(t)}")
-    units = [_UNITS.get(axis, "rad") for axis in axes]
-    return from_arrays(chain, t, q, *values, status, axes=axes, units=units, **about)
+    return from_arrays(chain, t, q, *values, status, axes=axes, **about)
 
 
 def answers_motion(chain, found, **about):
@@ -99,22 +111,38 @@ def answers_motion(chain, found, **about):
         q[k] = q[k - 1] if k else np.zeros(chain.n)
     solved = status <= ReachStatus.ACCEPTED
     nearest = (status == ReachStatus.AT_LIMIT) | (status == ReachStatus.OUT_OF_REACH)
-    targets = np.asarray(found["targets"], float)
     made = Motion(
         chain=chain,
         t=np.arange(len(q), dtype=float),
         q=q,
-        target=np.nan_to_num(targets[:, :3, 3]),
-        error={
-            "position error [m]": np.nan_to_num(np.asarray(found["position_error"], float).reshape(len(q), -1)[:, 0])
-        },
+        targets=(),
+        error=_missed(found, len(q)),
         level=np.where(solved, GOOD, np.where(nearest, WARNING, BAD)),
         words=tuple(ReachStatus(s).name for s in status),
         note=f"{int(solved.sum()):,} of {len(q):,} targets reached",
         unit="target",
         **about,
     )
-    return made
+    names, wanted = [tip.name for tip in chain.tips], {}
+    places = np.nan_to_num(np.asarray(found["targets"], float)[..., :3, 3].reshape(len(q), -1, 3))
+    for k, label in enumerate(map(str, found.get("tip", names[:1]))):
+        own, of, other = label.partition(" in ")
+        tip = max((n for n in names if own == n or own.endswith(f".{n}")), key=len, default=own)
+        wanted[f"{tip}{of}{other}"] = dict(zip("xyz", places[:, k].T, strict=True))
+    return dataclasses.replace(made, targets=in_base(made, wanted))
+
+
+def _missed(found, count) -> dict:
+    """Position errors of answers, of each tip where there are several; those of the first solution."""
+    if "tip_position_error" not in found:
+        each, labels = [found["position_error"]], [""]
+    else:
+        every = np.asarray(found["tip_position_error"], float)
+        each, labels = np.moveaxis(every, -1, 0), [f"{label} " for label in found["tip"]]
+    return {
+        f"{label}position error [m]": np.nan_to_num(np.asarray(own, float).reshape(count, -1)[:, 0])
+        for label, own in zip(labels, each, strict=True)
+    }
 
 
 # --- the three kinds of files ---------------------------------------------------------------------------
@@ -126,10 +154,16 @@ def _netcdf(path) -> dict:
     with xr.open_dataset(io.BytesIO(read_bytes("FILE", path, "a netCDF file")), engine="h5netcdf") as data:
         found = {name: data[name].values for name in ("q", "x", "e", "status") if name in data}
         if "transform" in data:
-            found |= {"targets": data["transform"].values, "position_error": data["position_error"].values}
+            found |= of_answers(data)
         else:
             found |= {"t": data["time"].values, "axes": data["axis"].values}
         return found | {"config": json.loads(data.attrs.get("config", "{}"))}
+
+
+def of_answers(data) -> dict:
+    """What a dataset of answers holds, by the names that it has in an .npz file."""
+    names = ("q", "status", "position_error", "tip_position_error", "tip")
+    return {name: data[name].values for name in names if name in data} | {"targets": data["transform"].values}
 
 
 def _arrays(path) -> dict:
@@ -157,14 +191,21 @@ def _table(path) -> dict:
 
 def _table_of_answers(header, rows):
     first, last = header.index("status") + 1, header.index("position_error")
-    entry = header.index("t00")
     rows = [row for row in rows if "solution" not in header or row[1] == "0"]
-    return {
+    before = [name.removesuffix("t00") for name in header if name.endswith("t00")]  # of several tips each one's name
+    entries = [header.index(f"{tip}t00") for tip in before]
+    targets = np.array([[row[i : i + 16] for i in entries] for row in rows], float).reshape(len(rows), -1, 4, 4)
+    found = {
         "q": np.array([row[first:last] for row in rows], float),
         "status": np.array([ReachStatus[row[first - 1]] for row in rows], int),
         "position_error": np.array([row[last] for row in rows], float),
-        "targets": np.array([row[entry : entry + 16] for row in rows], float).reshape(-1, 4, 4),
+        "targets": targets,
     }
+    if before != [""]:
+        missed = [header.index(f"{tip}position_error") for tip in before]
+        found["tip"] = [tip.removesuffix(".") for tip in before]
+        found["tip_position_error"] = np.array([[row[i] for i in missed] for row in rows], float)
+    return found
 
 
 def _beside(path) -> dict:

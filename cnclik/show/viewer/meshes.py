@@ -18,14 +18,15 @@ MOST_BYTES = 40 << 20  # of a mesh's file
 MOST_FACES = 4000  # of a link: what fits a page of a megabyte
 
 
-def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) -> list:
+def mesh_parts(file, tips=None, base=None, *, color=style.SKY, faces=MOST_FACES) -> list:
     """The robot's meshes and simple shapes as parts; [] where there are none.
 
     Of a link its visual shapes, or where one of them can't be read (Collada needs pycollada) those for collisions.
-    Links beside the way from base to tip, such as fingers, are drawn with their joints at 0.
+    Links beside the ways from base to tips, such as fingers, are drawn with their joints at 0.
 
     Args:
-      file, tip, base: as for `load_urdf`. faces: of a link, at most; larger meshes are made coarser.
+      file, base: as for `load_urdf`. tips: names of links, None: the only one that the joints move. faces: of a link,
+        at most; larger meshes are made coarser.
     """
     file = pathlib.Path(file).resolve()
     try:
@@ -36,7 +37,7 @@ def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) 
     except ElementTree.ParseError:  # such as prefixes that are nowhere declared
         return []
     found = []
-    for name, (frame, at) in placed(read_urdf(file), tip, base).items():
+    for name, (frame, at) in placed(read_urdf(file), tips, base).items():
         for kind in ("visual", "collision"):
             shapes = [_shape(file, one) for one in links[name].findall(kind)] if name in links else []
             if shapes and all(shape is not None for shape in shapes):
@@ -46,13 +47,12 @@ def mesh_parts(file, tip=None, base=None, *, color=style.SKY, faces=MOST_FACES) 
     return found
 
 
-def placed(tree, tip, base) -> dict:
+def placed(tree, tips, base) -> dict:
     """{link: (frame, 4×4 in that frame)} of all links that hang together with the base."""
     base = base or tree.root
-    tip = tip or tree.tips(base)[0]
-    up, down = tree.way(tip, base)
-    order = [edge for edge in (*up, *down) if edge.type in MOVING]
-    frame_of = {id(edge): i for i, edge in enumerate(order, 1)}
+    ways = [edge for tip in tips or tree.tips(base)[:1] for way in tree.way(tip, base) for edge in way]
+    order = dict.fromkeys(id(edge) for edge in ways if edge.type in MOVING)  # as `load_urdf` has the joints
+    frame_of = {edge: i for i, edge in enumerate(order, 1)}
     found, waiting = {base: (0, np.eye(4))}, [base]
     while waiting:
         link = waiting.pop()

@@ -7,10 +7,12 @@ import numpy as np
 
 from cnclik.integrate.status import Status, names
 from cnclik.integrate.trajectory import check_run, one_lane
+from cnclik.measure.dataset import Axes, axes_of
 from cnclik.robot.chain import Chain
 from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
 from cnclik.stability.case import UNSTABLE
+from cnclik.task.parts import AXES
 
 GOOD, WARNING, BAD = 0, 1, 2
 LEVELS = (style.GREEN, style.ORANGE, style.RED)  # colours of the three
@@ -26,17 +28,17 @@ class Motion:
       name: what it is called. chain: the robot.
       t: (K,) [s], or numbers of targets where `unit` is "target".
       q: (K, n) joint values, all finite.
-      target: (K, 3) where the tip is to be [m], or None.
+      targets: of each tip (K, 3) where it is to be in the base frame [m], or None.
       error: {what: (K,)}, such as {"position error [m]": …}.
       level: (K,) GOOD, WARNING or BAD. words: (K,) of what is wrong, or how it went.
-      note: the answer in a sentence, or nothing. unit: of t. links: (URDF file, tip, base), where there is one.
+      note: the answer in a sentence, or nothing. unit: of t. links: (URDF file, tips, base), where there is one.
     """
 
     name: str
     chain: Chain
     t: np.ndarray
     q: np.ndarray
-    target: np.ndarray | None
+    targets: tuple[np.ndarray | None, ...]
     error: dict
     level: np.ndarray
     words: tuple
@@ -46,13 +48,13 @@ class Motion:
 
     @functools.cached_property
     def poses(self) -> np.ndarray:
-        """(K, j + 2, 4, 4): the base, what each joint moves, and the tip."""
+        """(K, 1 + j + tips, 4, 4): the base, what each joint moves, and the tips."""
         return link_poses(self.chain, self.q)
 
     @property
-    def way(self) -> np.ndarray:
-        """(K, 3) of the tip [m]."""
-        return self.poses[:, -1, :3, 3]
+    def ways(self) -> np.ndarray:
+        """(tips, K, 3) of each tip [m]."""
+        return self.poses[:, -len(self.chain.tips) :, :3, 3].swapaxes(0, 1)
 
     @property
     def color(self) -> str:
@@ -73,16 +75,15 @@ def motion_of(run, law, *, name="", note="", links=None, radius=0.0) -> Motion:
     one_lane(run)
     check_run(run, law)
     known = [np.asarray(v) for v in (run.t, run.q, run.x, run.e, run.status)]
-    about = dict(axes=law.task.names, units=law.task.units, name=name, note=note, links=links)
-    made = from_arrays(law.chain, *known, **about)
+    made = from_arrays(law.chain, *known, axes=axes_of(law.task, law.chain), name=name, note=note, links=links)
     if not radius > UNSTABLE:
         return made
     words = tuple("UNSTABLE" if w == "OK" else f"UNSTABLE|{w}" for w in made.words)
     return dataclasses.replace(made, level=np.full_like(made.level, BAD), words=words)
 
 
-def from_arrays(chain, t, q, x, e, status, *, axes, units, **about) -> Motion:
-    """A run from its numbers: t (N + 1,), q, x, e (N + 1, ·), status (N,), and names and units of task coordinates.
+def from_arrays(chain, t, q, x, e, status, *, axes: Axes, **about) -> Motion:
+    """A run from its numbers: t (N + 1,), q, x, e (N + 1, ·), status (N,), and what the task's coordinates are.
 
     It ends before its first instant that is not finite, and is marked there.
     """
@@ -96,25 +97,48 @@ def from_arrays(chain, t, q, x, e, status, *, axes, units, **about) -> Motion:
         chain=chain,
         t=np.asarray(t, float),
         q=np.asarray(q, float),
-        target=None,
-        error=_errors(e, units),
+        targets=(),
+        error=_errors(e, axes),
         level=np.where(status & int(_BAD), BAD, np.where(status & ~int(_NO_DEFECT), WARNING, GOOD)),
         words=tuple(map(names, status)),
         **about,
     )
-    return dataclasses.replace(made, target=_target(made.way, x, e, axes))
+    wanted = {}  # of each tip's label
+    for i, (axis, tip) in enumerate(zip(axes.names, axes.tips, strict=True)):
+        wanted.setdefault(str(tip), {}).setdefault(str(axis).rpartition(".")[2], x[:, i] + e[:, i])
+    return dataclasses.replace(made, targets=in_base(made, wanted))
 
 
-def _errors(e, units):
-    parts = {"position error [m]": "m", "orientation error [rad]": "rad"}
-    chosen = {name: np.array([u == unit for u in units]) for name, unit in parts.items()}
-    return {name: np.linalg.norm(e[:, some], axis=1) for name, some in chosen.items() if some.any()}
+_WORDS = {"m": "position error", "rad": "orientation error"}
 
 
-def _target(way, x, e, axes):
-    """x + e where the task has the coordinate, the tip's own elsewhere; None for a task without position."""
-    found = np.array(way)
-    for i, axis in enumerate(axes):
-        if axis in ("x", "y", "z"):
-            found[:, "xyz".index(axis)] = x[:, i] + e[:, i]
-    return found if {"x", "y", "z"} & set(axes) else None
+def _errors(e, axes) -> dict:
+    """{what: (K,)} of each task, for each of its units."""
+    found = {}
+    tasks = axes.tasks if len(axes.tasks) else [""] * len(axes.names)
+    for i, (task, tip, unit) in enumerate(zip(tasks, axes.tips, axes.units, strict=True)):
+        word = "joint error" if tip == "joints" else _WORDS.get(unit, "error")
+        found.setdefault(f"{task} {word} [{unit}]".lstrip(), []).append(i)
+    return {what: np.linalg.norm(e[:, some], axis=1) for what, some in found.items()}
+
+
+def in_base(motion, wanted) -> tuple:
+    """Where each tip is to be in the base frame (K, 3): what is wanted of it, its own coordinate elsewhere, or None.
+
+    Args: wanted: {"left", or "left in right" as seen from another tip: {"x", "y" or "z": (K,)}}.
+    """
+    tips, at = [tip.name for tip in motion.chain.tips], motion.poses[:, -len(motion.chain.tips) :]
+    found = []
+    for k, name in enumerate(tips):
+        labels = [label for label in wanted if label.partition(" in ")[0] == name and set(wanted[label]) & set(AXES)]
+        if not labels:
+            found.append(None)
+            continue
+        label = min(labels, key=len)  # in the base frame, where it is wanted there
+        other = label.partition(" in ")[2]
+        frame = at[:, tips.index(other)] if other else np.broadcast_to(np.eye(4), (len(motion.t), 4, 4))
+        place = np.einsum("kji,kj->ki", frame[:, :3, :3], at[:, k, :3, 3] - frame[:, :3, 3])
+        for i, axis in enumerate(AXES):
+            place[:, i] = wanted[label].get(axis, place[:, i])
+        found.append(frame[:, :3, 3] + np.einsum("kij,kj->ki", frame[:, :3, :3], place))
+    return tuple(found)

@@ -99,10 +99,11 @@ def series(names) -> tuple:
     from cnclik.show import style
     from cnclik.show.viewer.body import GREY
 
-    colors = {0: (style.BLUE, style.ORANGE), 1: (GREY, "#5A6066")}
+    colors = {0: (style.BLUE, style.ORANGE, *style.COLORS[1:4], *style.COLORS[5:]), 1: (GREY, "#5A6066")}
     looks: list[dict] = [{"label": "t [s]"}]
-    for k, what in names:
-        looks.append({"label": what, "stroke": colors[min(k, 1)]["orientation" in what], "width": 2})
+    for i, (k, what) in enumerate(names):
+        some, i = colors[min(k, 1)], i - sum(other < k for other, _ in names)
+        looks.append({"label": what, "stroke": some[i % len(some)], "width": 2})
     return tuple(looks)
 
 

@@ -69,7 +69,8 @@ class Scene:
         span = 1.35 * max(span, 0.6 * size)
         step = 10.0 ** np.floor(np.log10(span / 2))
         look = dict(cell_size=step / 2, section_size=5 * step / 2, cell_thickness=0.7)
-        floor = -2.0 * radius_of(motions[0].chain) if flat else 0.0
+        below = min(drawn.lowest for drawn in self._drawn)  # of a humanoid's feet, which stand below its base
+        floor = -2.0 * radius_of(motions[0].chain) if flat else below if below < -0.2 * size else 0.0
         area = 2 * (np.array([wide, deep]) + span)
         self.server.scene.add_grid("/floor", *area, position=(*middle[:2], floor), **look)
         camera = self.server.initial_camera
@@ -100,48 +101,54 @@ class _Drawn:
         parts = mesh_parts(*motion.links, **{k: v for k, v in look.items() if k == "color"}) if motion.links else []
         self.parts = parts or parts_of(motion.chain, **look)
         count = motion.poses.shape[1]
+        self.first = count - len(motion.chain.tips)  # frame of the first tip
         self.frames = [scene.add_frame(f"{name}/frame{i}", show_axes=False) for i in range(count)]
+        self.lowest = min((np.min(part.vertices @ at[2, :3] + at[2, 3]) for part in self.parts
+                           for at in [motion.poses[0, part.frame]]), default=0.0)  # fmt: skip
         for k, part in enumerate(self.parts):
             at = f"{name}/frame{part.frame}/part{k}"
             scene.add_mesh_simple(at, part.vertices, part.faces, color=rgb(part.color))
-        self.tip = scene.add_icosphere(
-            f"{name}/frame{count - 1}/tip", (0.6 if parts else 1.1) * self.thick, rgb(LEVELS[GOOD])
-        )
-        self.goal, self.line, self.marks = None, None, []
+        size = (0.6 if parts else 1.1) * self.thick
+        self.tips = [
+            scene.add_icosphere(f"{name}/frame{i}/tip", size, rgb(LEVELS[GOOD])) for i in range(self.first, count)
+        ]
+        self.goals, self.marks = {}, []
 
     def put(self, motion):
         self.motion, scene = motion, self.server.scene
         self.where, self.turned = motion.poses[:, :, :3, 3], poses.quaternions(motion.poses[:, :, :3, :3])
         for old in self.marks:
             old.remove()
-        self.marks = self._targets(motion) if motion.unit == "target" else self._ways(motion)
-        if motion.target is None:
-            return
-        if self.goal is None:
-            self.goal = scene.add_icosphere(f"{self.name}/goal", 0.8 * self.thick, rgb(style.BLACK))
-        line = np.zeros((1, 2, 3))
-        self.line = scene.add_line_segments(f"{self.name}/error", line, rgb(style.RED), thickness=0.3 * self.thick)
+        self.marks, self.lines = self._targets(motion) if motion.unit == "target" else self._ways(motion), {}
+        for i, target in enumerate(motion.targets):
+            if target is None:
+                continue
+            if i not in self.goals:
+                self.goals[i] = scene.add_icosphere(f"{self.name}/goal{i}", 0.8 * self.thick, rgb(style.BLACK))
+            look = dict(thickness=0.3 * self.thick)
+            line = scene.add_line_segments(f"{self.name}/error{i}", np.zeros((1, 2, 3)), rgb(style.RED), **look)
+            self.marks.append(line)
+            self.lines[i] = line
 
     def _targets(self, motion):
         """A dot for each target, in the colour of what became of it."""
         look = dict(point_size=0.8 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
+        points = np.stack([target for target in motion.targets if target is not None])
         cloud, at = self.server.scene.add_point_cloud, f"{self.name}/targets"
-        some = [(i, motion.target[motion.level == i]) for i in np.unique(motion.level)]
-        return [cloud(f"{at}{i}", points, rgb(LEVELS[i]), **look) for i, points in some]
+        some = [(i, points[:, motion.level == i].reshape(-1, 3)) for i in np.unique(motion.level)]
+        return [cloud(f"{at}{i}", places, rgb(LEVELS[i]), **look) for i, places in some]
 
     def _ways(self, motion):
-        """The tip's way, a line for each colour: lines of several colours would be lighter than these; and the path."""
-        scene, (level, found) = self.server.scene, _few(motion.level)
-        way, segments = motion.way[found], scene.add_line_segments
-        lines = np.stack([way[:-1], way[1:]], 1)
-        made = []
+        """The tips' ways, a line for each colour: lines of several colours would be lighter than these; and paths."""
+        segments, (level, found) = self.server.scene.add_line_segments, _few(motion.level)
+        made, lines = [], _joined(motion.ways[:, found])
         for i in np.unique(level[:-1]):
-            look = dict(thickness=0.3 * self.thick)
-            made.append(segments(f"{self.name}/way{i}", lines[level[:-1] == i], rgb(LEVELS[i]), **look))
-        if motion.target is not None and np.ptp(motion.target, axis=0).max() > 0:
-            wanted = motion.target[found]
-            lines = np.stack([wanted[:-1], wanted[1:]], 1)
-            made.append(segments(f"{self.name}/wanted", lines, rgb(GREY), thickness=0.12 * self.thick))
+            some = lines[:, level[:-1] == i].reshape(-1, 2, 3)
+            made.append(segments(f"{self.name}/way{i}", some, rgb(LEVELS[i]), thickness=0.3 * self.thick))
+        wanted = [target[found] for target in motion.targets if target is not None and np.ptp(target, axis=0).max() > 0]
+        if wanted:
+            some = _joined(np.stack(wanted)).reshape(-1, 2, 3)
+            made.append(segments(f"{self.name}/wanted", some, rgb(GREY), thickness=0.12 * self.thick))
         return made
 
     def show(self, k):
@@ -149,10 +156,12 @@ class _Drawn:
             frame.position, frame.wxyz = self.where[k, i], self.turned[k, i]
         if self.motion.level[k] != self.level:
             self.level = self.motion.level[k]
-            self.tip.color = rgb(LEVELS[self.level])
-        if self.line is not None and self.motion.target is not None:
-            self.goal.position = self.motion.target[k]
-            self.line.points = np.stack([self.where[k, -1], self.motion.target[k]])[None].astype(np.float32)
+            for tip in self.tips:
+                tip.color = rgb(LEVELS[self.level])
+        for i, line in self.lines.items():
+            at, to = self.where[k, self.first + i], self.motion.targets[i][k]
+            self.goals[i].position = to
+            line.points = np.stack([at, to])[None].astype(np.float32)
 
 
 def _laid_out(motions):
@@ -162,8 +171,13 @@ def _laid_out(motions):
 
 
 def _places(motion):
-    """Places that a motion takes up (k, 3) [m]: of its joints and tip at some instants."""
+    """Places that a motion takes up (k, 3) [m]: of its joints and tips at some instants."""
     return motion.poses[:: max(len(motion.t) // 50, 1), :, :3, 3].reshape(-1, 3)
+
+
+def _joined(ways):
+    """Lines (tips, k − 1, 2, 3) from each place of some ways (tips, k, 3) to the next."""
+    return np.stack([ways[:, :-1], ways[:, 1:]], 2)
 
 
 def _few(level):

@@ -30,8 +30,6 @@ def loops_of(data, spec=None) -> list:
     if spec is None:
         written = json.loads(data.attrs["spec"])
         spec = parse({key: written[key] for key in (*KEYS, *TABLES) if key in written}, written["name"])
-    if spec.stacked:
-        raise errors.fail("FILE", "be of loops with one task so far", "is of stacks")
     name = next((one for one in JUDGED_BY if one in data), None)
     if name is None:
         raise errors.fail("FILE", f"hold one of {', '.join(JUDGED_BY)}", f"holds {', '.join(data.data_vars)}")

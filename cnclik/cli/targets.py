@@ -1,0 +1,155 @@
+"""Targets: what `reach` is asked of one tip, of several (--tip given again), or of a stack's tips."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cnclik import errors
+
+if TYPE_CHECKING:
+    from cnclik.robot.chain import Chain
+    from cnclik.task.task import Task
+
+PERIOD = 10.0  # [s] of paths that say none, as of a loop of 1000 steps of 10 ms
+
+
+class Wanted(NamedTuple):
+    """What is asked: of which robot, for which task, and its targets.
+
+    Attributes:
+      title: robot, tips and task in words. lines: what else the answer begins with.
+      targets: as `cnclik.reach` takes them, many of each tip; None of a map.
+    """
+
+    chain: Chain
+    task: Task
+    title: str
+    targets: Any = None
+    lines: tuple = ()
+
+
+def wanted_of(args) -> Wanted:
+    """What the options ask for. Raises: ArgumentError for what does not fit."""
+    from cnclik.cli.heading import robot_and_task
+    from cnclik.problem.names import robot_name, task_from
+    from cnclik.reaching.aims import aims
+    from cnclik.reaching.targets import by_name
+
+    if args.stack is not None:
+        return _of_stack(args)
+    chain, tip = _robot(args, dict.fromkeys(args.tip, "tip") if len(args.tip) > 1 else None)
+    task = task_from(args.task, chain) if len(args.tip) < 2 else _of_each(args, chain)
+    name = robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
+    made = Wanted(chain, task, robot_and_task(name, tip, task))
+    if args.map:
+        return made
+    every = aims(task)
+    if args.target:
+        if len(args.target) != len(every):
+            labels = ", ".join(aim.label for aim in every)
+            raise errors.fail("target", f"be given once for each tip ({labels})", f"is given {len(args.target)} times")
+        _look_at_units(args, chain, task, {"target": args.target})
+        return made._replace(targets=by_name(task, [[one] for one in args.target]))
+    _look_at_units(args, chain, task, {})
+    return made._replace(targets=_given(args, chain, task))
+
+
+def _robot(args, tips):
+    from cnclik.problem.names import robot_and_tip
+
+    if len(args.tip) != len(set(args.tip)):
+        raise errors.fail("tip", "hold different names", f"is {' '.join(args.tip)}")
+    return robot_and_tip(args.robot, args.tip[0] if len(args.tip) == 1 else None, args.base, args.lengths, tips)
+
+
+def _of_each(args, chain):
+    """The same task for each of several tips."""
+    from cnclik.problem.stack import Table, task_of
+
+    return task_of(Table("", {"task": args.task, "tip": args.tip}, {}), chain)
+
+
+def _given(args, chain, task):
+    """Targets of a file, or at random, of all aims of a task."""
+    from pathlib import Path
+
+    from cnclik.measure.answers import transforms
+    from cnclik.problem.magnitudes import remark_on_places
+    from cnclik.problem.tables import read_targets
+    from cnclik.reaching.aims import aims
+    from cnclik.reaching.targets import by_name, read
+    from cnclik.task.task import Task
+
+    every, file = aims(task), args.targets
+    if args.random:
+        return _random(args, chain, task)
+    each = []
+    for k, aim in enumerate(every):
+        own, several = Task(parts=aim.parts), len(every) > 1
+        names = {"number": k, "tip": (aim.label, aim.path[-1])} if several else {}
+        each.append(read_targets(file, own if several else task, **names))
+        if aim.linear and aim.to is None:
+            places = transforms(read(each[-1], own)[0])[:, :3, 3]
+            remark_on_places(Path(file).name, places, chain, own, aim.tip)
+    return by_name(task, each)
+
+
+def _random(args, chain, task):
+    """Poses of joint values drawn evenly within the limits."""
+    import numpy as np
+
+    from cnclik.reaching.aims import aims
+    from cnclik.reaching.seeds import spans
+    from cnclik.reaching.targets import by_name
+    from cnclik.robot.model import modelled
+    from cnclik.task.parts import At
+
+    low, high = spans(chain)
+    at = At(modelled(chain), np.random.default_rng(errors.seed(args.seed)).uniform(low, high, (args.random, chain.n)))
+    return by_name(task, [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)])
+
+
+def _look_at_units(args, chain, task, given) -> None:
+    """Whether units fit, and remarks on numbers that probably have another; points are one for each aim."""
+    from cnclik.cli.problem import look_at_units
+    from cnclik.problem.magnitudes import remark_on_lengths
+    from cnclik.reaching.aims import aims
+    from cnclik.task.task import Task
+
+    look_at_units(args, {}, chain, task)
+    for aim, values in zip(aims(task), given.get("target", ()), strict=False):
+        if aim.to is None and not any(args.written.get("target", ())):
+            remark_on_lengths({"target": values}, chain, Task(parts=aim.parts))
+
+
+def _of_stack(args) -> Wanted:
+    """The tips of a stack's tasks, and where its paths lead them, unless other targets are given."""
+    import numpy as np
+
+    from cnclik.cli.heading import robot_and_task
+    from cnclik.problem.names import robot_name, start_from
+    from cnclik.problem.stack import read_stack, references_of, stack_from, tables_from, tips_of
+    from cnclik.reaching.aims import aims, of_tips
+    from cnclik.reaching.targets import wanted_at
+    from cnclik.stability.case import whole
+
+    alone = {"task": args.task, "tip": args.tip or None, "target": args.target or None}
+    tables = tables_from(read_stack(args.stack), alone)
+    chain, tip = _robot(args, tips_of({name: one.given for name, one in tables.items()}))
+    stack = stack_from(tables, chain)
+    task, title = of_tips(stack), robot_and_task(robot_name(args.robot), tip, stack)
+    left = [name for name, _ in stack.tasks if name not in dict(task.tasks)]
+    lines = (f"Left out: {', '.join(left)}. Reach is of positions and orientations of tips.",) * bool(left)
+    _look_at_units(args, chain, task, {})
+    if args.targets is not None or args.random:
+        return Wanted(chain, task, title, _given(args, chain, task), lines)
+    q0 = start_from(chain, stack, args.near)
+    paths = references_of(tables, chain, stack, q0, PERIOD)
+    end = whole(paths)
+    if args.points > 1 and not end:
+        raise errors.fail("points", "be left out where targets stand still", f"is {args.points}")
+    times = np.linspace(0.0, end, args.points)
+    _, targets = wanted_at(paths, stack, times)
+    where = f"{args.points} points of the paths over {end:g} s" if args.points > 1 else "where the paths begin"
+    labels = ", ".join(aim.label for aim in aims(task))
+    return Wanted(chain, task, title, targets, (f"Targets of {labels}: {where}.", *lines))
