@@ -20,6 +20,7 @@ from cnclik.stability.local import Instant, maps, radii, resting, targets
 from cnclik.stability.observed import Observed, observe, rms
 from cnclik.stability.reasons import SLOWEST
 from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_numbers, of_error, spectrum_of, staying
+from cnclik.stability.stacked import together
 
 UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
 WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
@@ -177,8 +178,18 @@ class Case:
 
     @functools.cached_property
     def reached(self):
-        """What `reach` finds for the target at the end; None where it can't be asked."""
-        return self.reach_to(self.target)
+        """What `reach` finds for the target at the end, or for those of several tips; None where it can't be asked."""
+        if self.law.task.of_one_tip:
+            return self.reach_to(self.target)
+        return None if self.together is None else self.together.made
+
+    @functools.cached_property
+    def together(self):
+        """Of a stack what `reach` finds for the targets of all its tips over the last quarter, see `stacked`."""
+        still = getattr(self.reference, "still", False)
+        steps = len(self.t) - 1 if self.seen.bad is None else 0
+        some = np.linspace(max(steps - len(self.seen.late) + 1, 0), steps, 1 if still else LOOKED_AT)
+        return together(self, self.t[some.round().astype(int)])
 
     def reach_to(self, target):
         """The same for another position, turned alike."""

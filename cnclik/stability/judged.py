@@ -18,7 +18,7 @@ from cnclik.stability.case import LEAST, NEARLY, PLENTY, UNSTABLE
 from cnclik.stability.observed import VISIBLE, rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
-from cnclik.stability.stacked import SHARED, each_task
+from cnclik.stability.stacked import SHARED, TOGETHER, UNKNOWN, each_task
 
 AROUND = 3  # times around a path that tell, however slow a direction of the loop is
 # Share of the joint speed off its mean, from which on what is unstable at rest shakes at a pace. A sine has
@@ -201,13 +201,19 @@ def _stack(case, error):
         return undecided(case, said)
     if any(one.shrinks for one in left):
         return Behaviour.CONVERGING, f"{said}; {_radius(case)}", remedies.to_the_end(case)
+    of_tips = any(one.of_tips for one in left)
+    if of_tips and reasons.unreachable(case):
+        return _out_of_reach(case, said)
     if at := reasons.at_limits(case):
         return Behaviour.AT_LIMIT, f"{at}, and {said}", ()
     if case.moving and float(case.law.feedforward) != 1.0:
         return Behaviour.LAGGING, said, (_fed_forward(),)
     all_left = Behaviour.LAGGING if case.moving else Behaviour.STALLED
     kind = all_left if len(left) == len(each) else Behaviour.PARTLY
-    return kind, f"{said}; {SHARED}; {_radius(case)}", ()
+    known = of_tips and case.reached is not None and case.reached.solved
+    why = "" if not of_tips else f"; {TOGETHER if known else UNKNOWN}"
+    found = remedies.elsewhere(case) if known and not case.moving else ()
+    return kind, f"{said}; {SHARED}{why}; {_radius(case)}", found
 
 
 def _fed_forward():
@@ -302,7 +308,8 @@ def _fallen(case):
 
 
 def _out_of_reach(case, error):
-    return Behaviour.OUT_OF_REACH, f"{error}; {reasons.unreachable(case)}", remedies.nearer(case)
+    found = remedies.nearer(case) if case.law.task.of_one_tip else ()
+    return Behaviour.OUT_OF_REACH, f"{error}; {reasons.unreachable(case)}", found
 
 
 def restless(case, what, found):

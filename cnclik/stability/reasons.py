@@ -8,6 +8,7 @@ from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.posture import beyond_arm
 from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky
+from cnclik.stability.stacked import out_of_reach
 
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
@@ -87,6 +88,8 @@ def too_many(case) -> bool:
 
 def unreachable(case) -> str:
     """Why the target is out of reach, in words; empty where the tip can get there, or that isn't known."""
+    if not case.law.task.of_one_tip:
+        return out_of_reach(case)
     away, (m, n) = beyond(case), case.rows.shape
     if too_many(case):
         return f"the task asks for {m} coordinates of an arm with {n} joints"
