@@ -1,4 +1,5 @@
-// A weighted damped step of a stack of poses on a tree, with Pinocchio and Eigen: q̇ = (JᵀW²J + λ²)⁻¹ JᵀW²(alpha e).
+// A weighted damped step of a stack of poses on a tree, with Pinocchio and Eigen: q̇ = (JᵀW²J + λ²)⁻¹ JᵀW²(alpha e); of
+// positions where the weight of orientations is 0.
 // The tree is given as arrays, so that no file is parsed: of each joint its parent, axis (0, 1, 2) and placement.
 
 #include <pinocchio/multibody.hpp>
@@ -38,22 +39,24 @@ struct Stack {
       tips.push_back(model.addFrame(
           Frame("tip" + std::to_string(k), carriers[k] + 1, 0, placed(offsets + 16 * k), OP_FRAME)));
     data = Data(model);
-    J.resize(6 * count, model.nv), own.resize(6, model.nv), H.resize(model.nv, model.nv);
-    e.resize(6 * count), x.resize(model.nv);
+    own.resize(6, model.nv), H.resize(model.nv, model.nv), x.resize(model.nv);
   }
 
   void step(double *q, const double *targets, double alpha, double damping, const double *weights, double Ts) {
     Eigen::Map<Eigen::VectorXd> at(q, model.nv);
     computeJointJacobians(model, data, at);
     updateFramePlacements(model, data);
+    const Eigen::Index rows = weights[1] > 0 ? 6 : 3;
+    J.resize(rows * tips.size(), model.nv), e.resize(rows * tips.size());
     for (std::size_t k = 0; k < tips.size(); ++k) {
       own.setZero();
       getFrameJacobian(model, data, tips[k], LOCAL_WORLD_ALIGNED, own);
       const SE3 goal = placed(targets + 16 * k), &tip = data.oMf[tips[k]];
-      J.block(6 * k, 0, 3, model.nv) = weights[0] * own.topRows(3);
-      J.block(6 * k + 3, 0, 3, model.nv) = weights[1] * own.bottomRows(3);
-      e.segment<3>(6 * k) = alpha * weights[0] * (goal.translation() - tip.translation());
-      e.segment<3>(6 * k + 3) = alpha * weights[1] * log3(Eigen::Matrix3d(goal.rotation() * tip.rotation().transpose()));
+      J.block(rows * k, 0, 3, model.nv) = weights[0] * own.topRows(3);
+      e.segment<3>(rows * k) = alpha * weights[0] * (goal.translation() - tip.translation());
+      if (rows == 3) continue;
+      J.block(rows * k + 3, 0, 3, model.nv) = weights[1] * own.bottomRows(3);
+      e.segment<3>(rows * k + 3) = alpha * weights[1] * log3(Eigen::Matrix3d(goal.rotation() * tip.rotation().transpose()));
     }
     H.setZero();
     H.selfadjointView<Eigen::Lower>().rankUpdate(J.transpose());

@@ -1,6 +1,7 @@
 """`python -m tests.bench.stacks [ROBOT ...]`: steps of stacks on one core, beside Pinocchio's C++, pink and mink.
 
-The same step for all: poses of several tips, weighted, damped, explicit Euler; all are compared first, to 1e-9. By CPU
+The same step for all: poses of several tips, of the hand positions, weighted, damped, explicit Euler; all are compared
+first, to 1e-9. By CPU
 time, in one run, in turn; medians. `pin`, Eigen's headers (`EIGEN3_INCLUDE_DIR`), pin-pink, mink and daqp are needed,
 and example-robot-data; what is not installed is left out. Five minutes.
 """
@@ -25,12 +26,13 @@ LANES, STEPS, ROUNDS, ALONE = 8192, 10, 5, 200
 G1 = "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 FEET, HANDS = [f"{side}_ankle_roll_link" for side in ("left", "right")], ["left_rubber_hand", "right_rubber_hand"]
 MORE = [f"{side}_{part}_link" for side in ("left", "right") for part in ("knee", "elbow", "shoulder_yaw", "hip_yaw")]
+HAND = "Allegro, 4 fingertips"
 ROBOTS = {
     "Baxter, both arms": ("baxter_description/urdf/baxter.urdf", ["left_gripper", "right_gripper"]),
     "G1, 5 tips": (G1, [*FEET, *HANDS, "torso_link"]),
     "G1, 13 frames": (G1, [*FEET, *HANDS, "torso_link", *MORE]),
+    HAND: ("allegro_hand_description/urdf/allegro_right_hand.urdf", [f"link_{i}.0_tip" for i in (3, 7, 11, 15)]),
 }
-HAND = "allegro_hand_description/urdf/allegro_right_hand.urdf"
 
 
 class Case:
@@ -40,13 +42,19 @@ class Case:
         file, tips = ROBOTS[name]
         self.name, self.path, self.tips = name, robots() / file, tips
         self.robot = ck.load_urdf(self.path, tips=tips)
-        self.task = ck.stack(**{f"tip{i}": ck.pose(tip=t, weights=_six()) for i, t in enumerate(tips)})
+        self.weights = (WEIGHTS[0], 0.0) if name == HAND else WEIGHTS
+        self.task = ck.stack(**{f"tip{i}": self._one(tip) for i, tip in enumerate(tips)})
         self.law = ck.Law(self.robot, self.task, alpha=ALPHA, inverse=ck.damped(DAMPING))
         rng = np.random.default_rng(0)
         low, high = (np.clip(np.array(b), -1.0, 1.0) for b in (self.robot.lower, self.robot.upper))
         self.q = rng.uniform(0.5 * low, 0.5 * high, (batch, self.robot.n))
         off = self.q + 0.1 * rng.normal(size=self.q.shape)
         self.targets = np.asarray(jax.jit(jax.vmap(self._tips))(off))
+
+    def _one(self, tip):
+        if not self.weights[1]:
+            return ck.position(tip=tip)
+        return ck.pose(tip=tip, weights=[self.weights[0]] * 3 + [self.weights[1]] * 3)
 
     def _tips(self, q):
         def one(tip):
@@ -67,10 +75,6 @@ class Case:
             return end(self.law, self.reference(targets), q, TS, N, ck.METHODS["EE"], ck.picard(1))[0]
 
         return run
-
-
-def _six():
-    return [WEIGHTS[0]] * 3 + [WEIGHTS[1]] * 3
 
 
 class Pinocchio:
@@ -99,7 +103,7 @@ class Pinocchio:
         )]  # fmt: skip
         parents, which, places, carriers, offsets = (v.ctypes.data for v in self._kept)
         self._stack = self._new(len(chain.joints), parents, which, places, len(case.tips), carriers, offsets)
-        self._weights = np.array(WEIGHTS)
+        self._weights = np.array(case.weights)
 
     def run(self, q, targets, N):
         """(q after N steps, CPU seconds)"""
@@ -131,7 +135,7 @@ def pink_step(case):
     model = pin.buildModelFromUrdf(str(case.path))
     full = pin.neutral(model)
     full[[model.joints[model.getJointId(name)].idx_q for name in case.robot.joint_names]] = case.q[0]
-    tasks = [pink.FrameTask(tip, *WEIGHTS, gain=ALPHA * TS) for tip in case.tips]
+    tasks = [pink.FrameTask(tip, *case.weights, gain=ALPHA * TS) for tip in case.tips]
     for task, target in zip(tasks, case.targets[0], strict=True):
         task.set_target(pin.SE3(target[:3, :3], target[:3, 3]))
     configuration = pink.Configuration(model, model.createData(), full)
@@ -160,7 +164,7 @@ def mink_step(case):
     bodies = [tip for tip in case.tips if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip) >= 0]
     if len(bodies) < len(case.tips):  # links without mass are joined with the ones that carry them
         return None
-    tasks = [mink.FrameTask(tip, "body", *WEIGHTS, gain=ALPHA * TS) for tip in case.tips]
+    tasks = [mink.FrameTask(tip, "body", *case.weights, gain=ALPHA * TS) for tip in case.tips]
     for task, target in zip(tasks, case.targets[0], strict=True):
         task.set_target(mink.SE3.from_matrix(target))
     configuration = mink.Configuration(model)
