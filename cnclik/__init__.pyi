@@ -65,10 +65,11 @@ from .stability.recommend import margin as margin, recommend as recommend
 from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
 from .stability.verdict import verdict as verdict
 from .sweeps.sweep import sweep as sweep
-from .task.task import (
-    Task as Task, function as function, joints as joints, orientation as orientation, pose as pose,
-    position as position, stack as stack,
+from .task.build import (
+    function as function, joints as joints, orientation as orientation, pose as pose, position as position,
+    stack as stack,
 )
+from .task.task import Task as Task
 from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

@@ -11,7 +11,7 @@ from cnclik import reading
 from cnclik.cli import main
 from cnclik.problem.tables import read_columns, read_targets
 from cnclik.reaching import targets
-from cnclik.task.task import orientation, position
+from cnclik.task.build import orientation, position
 
 
 @pytest.fixture

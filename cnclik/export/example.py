@@ -31,7 +31,7 @@ def inputs(request, program) -> dict:
             for part in parts.parts:
                 which = "rotation" if part.turns else "position"
                 known[before + place(part)] = np.array([np.ravel(getattr(one[i][0].curve, which)) for one in held])
-            known[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.m))
+            known[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.width))
     made = {}
     for group, fields in program.inputs.items():
         for f in fields:

@@ -151,10 +151,10 @@ def _of_target(before, parts):
         else:
             unit = ", ".join(dict.fromkeys(part.units))
             about = f"desired {place(part)}{of} [{unit}]"
-            yield Field(before + place(part), (part.m,), about=about)
+            yield Field(before + place(part), part.shape, about=about)
     unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
     about = f"desired task velocity{of if before else ''} [{unit}]"
-    yield Field(f"{before}velocity", (parts.m,), about=about, value=np.zeros(parts.m))
+    yield Field(f"{before}velocity", (parts.width,), about=about, value=np.zeros(parts.width))
 
 
 def place(part) -> str:

@@ -129,7 +129,7 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
         raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")
     if isinstance(law, Chain) and what in ("fk", "jacobian", "reach"):
         from cnclik.law.inverse import damped
-        from cnclik.task.task import pose
+        from cnclik.task.build import pose
 
         law = Law(law, pose(), alpha=1.0, inverse=damped(1.0))
     errors.kind("law", law, Law)

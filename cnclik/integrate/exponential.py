@@ -15,6 +15,7 @@ from cnclik.law.law import null_velocity, resolve, rows_at
 from cnclik.law.null import Posture
 from cnclik.law.reference import sample
 from cnclik.shapes import Array, Float
+from cnclik.task.task import velocity
 
 CLOSED = 2  # order up to which a turn has its closure, see `closure`
 
@@ -40,38 +41,44 @@ def start(law, reference, q, at, t, Ts) -> Start:
     )
 
 
-def closure(law, mean, quadrature, turns):
+def closure(law, mean, quadrature, turns, *, remembered=False):
     """What a quadrature of ẋ_d misses of the target's motion, as a velocity (m,).
 
     Rotations have it where `turns` (1 or 0) says so: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators
-    (Magnus 1954), so that it is a gain to order 2 and a loss beyond.
+    (Magnus 1954), so that it is a gain to order 2 and a loss beyond. Parts in a tip's own frame have none of what is
+    `remembered`, in the frames of other instants.
     """
-    missed, task = mean - quadrature, law.task
-    parts = zip(task.parts, task.slices, strict=True)
-    return jnp.concatenate([turns * missed[where] if part.turns else missed[where] for part, where in parts])
+    missed, task, found = mean - quadrature, law.task, []
+    for part, where in zip(task.parts, task.slices, strict=True):
+        own = turns * missed[where] if part.turns else missed[where]
+        found.append(jnp.zeros_like(own) if remembered and part.tied else own)
+    return jnp.concatenate(found)
 
 
 def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=False):
     """One step of the exponential form of a tableau: a `Moved`, and its `Start`."""
-    to = start(law, reference, q, at, t, Ts)
-    known = {0.0: to.velocity}
+    to, task = start(law, reference, q, at, t, Ts), law.task
+    known = {0.0: (at.aims, law.feedforward * at.motion)}
     for c in method.c:
         if c not in known:
-            known[c] = law.feedforward * sample(reference, law.task, t + c * Ts)[1]
-    velocities = [known[c] for c in method.c]
+            aims, motion = sample(reference, task, t + c * Ts)
+            known[c] = aims, law.feedforward * motion
     low = method.order <= CLOSED
-    held = closure(law, to.mean, combine(method.b, velocities), 1.0 if low else 0.0)
+    quadrature = velocity(task, at.robot, at.aims, combine(method.b, [known[c][1] for c in method.c]))
+    held = closure(law, to.mean, quadrature, 1.0 if low else 0.0)
     if low:
-        held = to.feedback + held
+        asked = [to.feedback + held] * len(method.c)
     else:
-        none = (None,) * len(law.task.parts)
+        none = (None,) * len(task.parts)
         turns = [ahead(law, reference, at, t, c * Ts).turns if c else none for c in method.c]
-        asked = feedback_within(law, at.e, method.c, turns, Ts)
-        velocities = [v + w for v, w in zip(velocities, asked, strict=True)]
+        asked = [w + held for w in feedback_within(law, at.e, method.c, turns, Ts)]
+    stages = [(known[c][0] if task.tied else None, known[c][1], w) for c, w in zip(method.c, asked, strict=True)]
 
-    def field(velocity, q):
+    def field(stage, q):
+        aims, motion, asked = stage
         null = to.null if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
-        return resolve(law, q, rows_at(law, q)._replace(e=at.e), velocity + held, null)
+        there = rows_at(law, q, aims)._replace(e=at.e)
+        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + asked, null)
 
-    first = resolve(law, q, at, velocities[0] + held, to.null)
-    return march(field, q, Ts, method, stage, first, at=velocities, looped=looped), to
+    first = resolve(law, q, at, to.velocity + asked[0], to.null)
+    return march(field, q, Ts, method, stage, first, at=stages, looped=looped), to

@@ -129,13 +129,13 @@ class Mark(NamedTuple):
     """Where the targets are, and their own velocity, whatever a controller is told or measures."""
 
     aims: tuple[Array, ...]
-    velocity: Float[Array, " m"]
+    velocity: Float[Array, " w"]
 
 
 def mark(law: Law, reference, at, t) -> Mark:
     """The target's mark at t; `at` is what the law sees there."""
     true = true_motion(reference, law.task)
-    return Mark(at.aims, at.xdot_d) if true is reference else Mark(*sample(true, law.task, t))
+    return Mark(at.aims, at.motion) if true is reference else Mark(*sample(true, law.task, t))
 
 
 def valid(history: History, law: Law, at: Mark, Ts):

@@ -164,15 +164,15 @@ def _measured(loop, state, t, k):
         measured = measured + loop.noise[k.astype(int)]
     exact = loop.noise is None and loop.plant is None and not loop.late
     if not exact:
-        believed = observe(law, reference, t, seen).e
+        believed = observe(law, reference, t, seen)
         reference = shifted(reference, law.task, _between(law.task, measured, believed))
     return seen, reference, at, (found, *state.late)[: loop.late]
 
 
-def _between(task, measured, model):
-    """What a target is to be moved by so that its error is the measured one, and not the model's (m,)."""
-    parts = zip(task.parts, task.slices, strict=True)
-    return jnp.concatenate([part.between(measured[where], model[where]) for part, where in parts])
+def _between(task, measured, at):
+    """What the targets are to be moved by (w,) so that their error is the measured one (m,), and not that of `at`."""
+    parts = zip(task.parts, at.aims, task.slices, strict=True)
+    return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
 
 
 def _paced(loop, made, pacing, t, q):

@@ -119,8 +119,8 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     turns = 1.0 if method.order <= CLOSED else jnp.where(count < CLOSED, 1.0, 0.0).astype(Ts.dtype)
     held = to.feedback
     if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
-        held = held + closure(law, to.mean, quadrature, turns)
-    parts = [_applied(e, weighted(law, e.velocity + held)) for e in entries]
+        held = held + closure(law, to.mean, quadrature, turns, remembered=True)
+    parts = [_applied(e, weighted(law.task, e.velocity + held)) for e in entries]
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
         parts = [part + (to.null - _applied(e, _rows(e) @ to.null)) for part, e in zip(parts, entries, strict=True)]

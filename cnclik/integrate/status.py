@@ -22,7 +22,7 @@ class Status(enum.IntFlag):
     """Bits of a step's status; OK is 0."""
 
     OK = 0
-    NOT_CONVERGED = 1  # an implicit stage's last change exceeded its tolerance
+    NOT_CONVERGED = 1  # an implicit stage's last change exceeded its tolerance, or `bounded` was cut short
     NEAR_SINGULAR = 2  # least singular value of the task Jacobian below the law's `near_singular`
     AT_LIMIT = 4  # a joint at or beyond a limit after the step, or held back by one
     NON_FINITE = 8  # a joint value or error that is NaN or infinite
@@ -41,7 +41,7 @@ _REMEDY = {
     Status.DIVERGED: "reduce alpha·Ts, use damped(...) near a singularity, or count joint angles from a turn nearby",
     Status.TASK_TOO_LARGE: "control fewer coordinates, such as position()",
     Status.GROWING: "reduce alpha·Ts, use damped(...) near a singularity, or clamp the error (error_clamp)",
-    Status.NOT_CONVERGED: "reduce alpha·Ts, raise M, or use a method that needs no implicit stage",
+    Status.NOT_CONVERGED: "reduce alpha·Ts, raise M (of bounded limits: passes), or use an explicit method",
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",
     Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or saturation()",
@@ -92,7 +92,7 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     chain = law.chain
     size = jnp.sum(jnp.abs(q))
     finite = jnp.isfinite(size + jnp.sum(e))
-    status = jnp.where(residual > tolerance, int(Status.NOT_CONVERGED), 0)
+    status = jnp.where((residual > tolerance) | first.cut, int(Status.NOT_CONVERGED), 0)
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is not a number is not known to be large enough.
     status |= jnp.where(jnp.min(first.least) >= law.near_singular, 0, int(Status.NEAR_SINGULAR))

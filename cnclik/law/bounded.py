@@ -147,7 +147,7 @@ class Bounded:
             qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
             step = newton(of.hessian(), shut)(of.slope(qdot, of.w - of.b @ qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
-            return of.clip(qdot + step), shut.astype(asked.dtype)
+            return of.clip(qdot + step), shut.astype(asked.dtype), ~found.settled
 
         def locked(t):
             """J# of the joints that are not shut, once refined."""
@@ -156,12 +156,13 @@ class Bounded:
             return first + step((root * t - of.b @ first) @ of.b - first)
 
         fits = jnp.all((low <= asked) & (asked <= high))
-        qdot, shut = lax.cond(fits, lambda: (asked, jnp.zeros_like(asked)), least)
+        qdot, shut, cut = lax.cond(fits, lambda: (asked, jnp.zeros_like(asked), jnp.bool_(False)), least)
         return Limited(
             qdot=qdot,
             apply=lambda t: lax.cond(fits, plain.apply, locked, t),
             least=plain.least,
             limited=jnp.any((shut > 0) & (low < high)),
+            cut=cut,
         )
 
 
@@ -180,6 +181,8 @@ def bounded(rate: Number = 10.0, passes: int = 40) -> Bounded:
 
     It needs an inverse with damping, best a constant one, or levels: where joints at their bounds leave the others
     singular, a damping by the whole arm's singular value is none, and joints may run from bound to bound.
+
+    A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 
     Args:
       rate: see `saturation` [1/s].

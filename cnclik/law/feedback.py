@@ -25,6 +25,7 @@ from cnclik.law.null import Posture
 from cnclik.law.reference import aims_of, by_target
 from cnclik.robot.rotations import exp_so3
 from cnclik.shapes import Array, Float
+from cnclik.task.task import velocity
 
 HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
 _TERMS = 9  # of the series there
@@ -144,12 +145,13 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     safe = jnp.where(still, 1.0, Ts)
     means: list = []
     turns: list = []
+    every, motions = law.task, law.task.motions
     for one, task in by_target(reference, law.task):
         told = one.feedforward is not None
         foreseen = None if told or one.still or isinstance(one.curve, Tangent) else aims_of(one, task, t + Ts)
         for k, part in enumerate(task.parts):
             i = len(means)
-            xdot, turn = at.xdot_d[law.task.slices[i]], None
+            xdot, turn = at.motion[motions[i]], None
             if foreseen is not None:
                 went, turn = part.mean(foreseen[k], at.aims[i])
                 means.append(jnp.where(still, xdot, went / safe))
@@ -158,4 +160,4 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                     turn = exp_so3(Ts * xdot)
                 means.append(xdot)
             turns.append(turn)
-    return Ahead(jnp.concatenate(means), tuple(turns))
+    return Ahead(velocity(every, at.robot, at.aims, jnp.concatenate(means)), tuple(turns))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -63,7 +63,7 @@ class Damped:
     factors = True  # whether `memory` has factors, for a task of no more rows than joints
     damping: Number  # λ, never λ²
 
-    def shift(self, rows, e=None):
+    def shift(self, rows):
         """λ², and an estimate of the least singular value where it comes with it."""
         return self.damping * self.damping, None
 
@@ -79,7 +79,7 @@ class ManipulabilityDamped:
     damping: Number  # λ₀, never λ₀²
     threshold: Number  # w₀
 
-    def shift(self, rows, e=None):
+    def shift(self, rows):
         wide = dense.wide_side(rows)
         tiny = tiny_shift(wide)
         factor = dense.cholesky(dense.shifted(wide @ wide.T, tiny))
@@ -99,7 +99,7 @@ class SingularDamped:
     damping: Number  # λ_max, never λ_max²
     threshold: Number  # ε
 
-    def shift(self, rows, e=None):
+    def shift(self, rows):
         wide = dense.wide_side(rows)
         squared = dense.least_squared(wide)
         share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
@@ -116,12 +116,13 @@ class ErrorDamped:
 
     factors, by_error = True, True
     damping: Number  # λ at e = 0, never λ²
+    e: Any = None  # (m,) the weighted error, where it is known
 
-    def shift(self, rows, e=None):
-        return self.damping * self.damping + 0.5 * (e @ e), None
+    def shift(self, rows):
+        return self.damping * self.damping + 0.5 * (self.e @ self.e), None
 
-    def __call__(self, rows, e) -> Factored:
-        return _by_shift(rows, *self.shift(rows, e))
+    def __call__(self, rows) -> Factored:
+        return _by_shift(rows, *self.shift(rows))
 
 
 @record
@@ -132,6 +133,7 @@ class Levels:
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
     damping: tuple[Damped | ManipulabilityDamped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
+    e: Any = None  # (m,) the weighted error, where it is known and counts
 
     @property
     def by_error(self):
@@ -139,20 +141,25 @@ class Levels:
 
     def on(self, task) -> Levels:
         """The levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
+        every = [name for names in self.names for name in names]
+        task.require_each("inverse", "have each task of the law in one level", every)
         level = {name: i for i, names in enumerate(self.names) for name in names}
-        known = dict(task.each)
-        if set(level) != set(known) or len(level) != sum(map(len, self.names)):
-            told = ", ".join(name for names in self.names for name in names)
-            have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
-            raise errors.fail("inverse", f"have each task of the law in one level; they are {have}", f"has {told}")
-        spread = (level[name] for name, at in known.items() for _ in range(at.start, at.stop))
+        spread = (level[name] for name, at in task.each for _ in range(at.start, at.stop))
         return replace(self, level=tuple(spread))
 
-    def __call__(self, rows, e=None) -> Factored:
+    def upto(self, count: int) -> tuple[np.ndarray, Levels]:
+        """Indices of the rows of the first levels, and the inverse of those alone."""
+        which = np.flatnonzero(np.array(self.level) < count)
+        level = tuple(self.level[i] for i in which)
+        e = None if self.e is None else self.e[which]
+        return which, replace(self, names=self.names[:count], damping=self.damping[:count], level=level, e=e)
+
+    def __call__(self, rows) -> Factored:
         level, shifts = np.array(self.level), []
         for i, one in enumerate(self.damping):
             own = np.flatnonzero(level == i)
-            shifts.append(jnp.asarray(one.shift(rows[own], None if e is None else e[own])[0], rows.dtype))
+            one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
+            shifts.append(jnp.asarray(one.shift(rows[own])[0], rows.dtype))
         return _by_shift(rows, jnp.stack(shifts)[level])
 
 

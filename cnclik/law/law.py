@@ -8,7 +8,6 @@ eq. 3.54).
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -24,13 +23,13 @@ from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, dampe
 from cnclik.law.limits import Limited
 from cnclik.law.null import evaluated
 from cnclik.precision import precise
-from cnclik.record import brief, leaf, record
+from cnclik.record import brief, leaf, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
 from cnclik.task.parts import At
-from cnclik.task.task import Task, coordinates, error, rows
+from cnclik.task.task import Task, coordinates, error, rows, velocity
 
 
 @record(kw_only=False)
@@ -129,16 +128,13 @@ def _not_negative(alpha):
 
 def of_tasks(task: Task, values: dict):
     """Gains of a stack's tasks, by their names, as those of its coordinates: (m,), or (m, m) where one is a matrix."""
-    known = dict(task.each)
-    if set(values) != set(known):
-        have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
-        raise errors.fail("alpha", f"have a gain for each task; they are {have}", f"has {', '.join(values)}")
-    sizes = {name: at.stop - at.start for name, at in known.items()}
-    each = [errors.array(f"alpha of {k}", values[k], (), (sizes[k],), (sizes[k],) * 2) for k in known]
+    task.require_each("alpha", "have a gain for each task", values)
+    sizes = {name: at.stop - at.start for name, at in task.each}
+    each = [errors.array(f"alpha of {k}", values[k], (), (m,), (m, m)) for k, m in sizes.items()]
     xp = np if all(map(errors.concrete, each)) else jnp
     if all(one.ndim < 2 for one in each):
-        return xp.concatenate([one * xp.ones(sizes[name]) for name, one in zip(known, each, strict=True)])
-    blocks = [one if one.ndim == 2 else one * xp.eye(sizes[name]) for name, one in zip(known, each, strict=True)]
+        return xp.concatenate([one * xp.ones(sizes[name]) for name, one in zip(sizes, each, strict=True)])
+    blocks = [one if one.ndim == 2 else one * xp.eye(sizes[name]) for name, one in zip(sizes, each, strict=True)]
     zeros = [[xp.zeros((len(a), len(b))) for b in blocks] for a in blocks]
     return xp.block([[b if i == k else zeros[i][k] for k in range(len(blocks))] for i, b in enumerate(blocks)])
 
@@ -181,6 +177,7 @@ class Evaluation(NamedTuple):
     least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed what the task asked for
+    cut: bool | Bool[Array, ""] = False  # whether the search within limits ended before it had settled
     task_velocity: Float[Array, " m"] | None = None  # what was asked of the task, weighted
     memory: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
 
@@ -192,32 +189,33 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
     """f at q, from what the law sees there."""
-    velocity = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
-    return resolve(law, q, at, velocity, null_velocity(law, q))
+    asked = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
+    return resolve(law, q, at, asked, null_velocity(law, q))
 
 
 @precise
 def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
-    rows, velocity, inverse = weighted(law, at.rows), weighted(law, velocity), law.inverse
+    task, inverse = law.task, law.inverse
+    rows, velocity = weighted(task, at.rows), weighted(task, velocity)
     if getattr(inverse, "by_error", False):
-        inverse = functools.partial(inverse, e=weighted(law, at.e))
-    limited = False
+        inverse = replace(inverse, e=weighted(task, at.e))
     if law.limits is None:
         made = inverse(rows)
         qdot = through(made.apply, rows, velocity, null)
     else:
         made = law.limits(inverse, law.chain, q, rows, velocity, null)
-        qdot, limited = made.qdot, made.limited
+        qdot = made.qdot
     return Evaluation(
         qdot=qdot,
         e=at.e,
         x=at.x,
         rows=rows,
         apply=made.apply,
-        least=made.least if not law.task.tasks else least_of_tasks(law.task, at.rows),
+        least=made.least if not task.tasks else least_of_tasks(task, at.rows),
         correct=lambda h, r: correct(law, q, rows, made, h, r),
-        limited=limited,
+        limited=getattr(made, "limited", False),
+        cut=getattr(made, "cut", False),
         task_velocity=velocity,
         memory=getattr(made, "memory", None),
     )
@@ -243,25 +241,35 @@ class Observation(NamedTuple):
     """What the law sees at an instant; of a stage that needs no error, the rows alone."""
 
     rows: Float[Array, "m n"]  # of the task Jacobian, unweighted
+    robot: At
     e: Float[Array, " m"] | None = None
     x: Callable | None = None  # () to (m,)
     xdot_d: Float[Array, " m"] | None = None
     aims: tuple[Array, ...] = ()  # the targets, of each part of the task
+    motion: Float[Array, " w"] | None = None  # and their own velocities: ẋ_d, but of parts in a tip's own frame
 
 
 @precise
 def observe(law: Law, reference, t, q) -> Observation:
     """All that the law sees at q and t."""
-    aims, xdot_d = ref.sample(reference, law.task, t)
+    aims, motion = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
-    e = error(task, robot, aims)
-    return Observation(rows=rows(task, robot), e=e, x=lambda: coordinates(task, robot), xdot_d=xdot_d, aims=aims)
+    return Observation(
+        rows=rows(task, robot, aims),
+        robot=robot,
+        e=error(task, robot, aims),
+        x=lambda: coordinates(task, robot),
+        xdot_d=velocity(task, robot, aims, motion),
+        aims=aims,
+        motion=motion,
+    )
 
 
 @precise
-def rows_at(law: Law, q) -> Observation:
+def rows_at(law: Law, q, aims=None) -> Observation:
     """The rows of J alone."""
-    return Observation(rows=rows(law.task, At(modelled(law.chain), q)))
+    robot = At(modelled(law.chain), q)
+    return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
 def correct(law: Law, q, rows, made, h, r):
@@ -332,6 +340,6 @@ def null_velocity(law: Law, q):
     return None if law.null_velocity is None else evaluated(law.null_velocity, q)
 
 
-def weighted(law: Law, items):
+def weighted(task: Task, items):
     """Rows (m, n) or components (m,) times the task's weights: what J# takes."""
-    return items if law.task.weights is None else (law.task.weights * items.T).T
+    return items if task.weights is None else (task.weights * items.T).T

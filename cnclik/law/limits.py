@@ -11,10 +11,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from cnclik.law import dense
-from cnclik.law.inverse import Factored, positive, through, tiny_shift
+from cnclik.law.inverse import Factored, Levels, positive, through, tiny_shift
 from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, Bool, Float, Number
@@ -31,6 +32,7 @@ class Limited(NamedTuple):
     apply: Callable  # the J# that acts at these velocities
     least: Float[Array, ""]  # estimate of the least singular value of J
     limited: bool | Bool[Array, ""]  # whether a limit changed what was asked for
+    cut: bool | Bool[Array, ""] = False  # whether a search for them ended before it had settled
 
 
 # --- velocity limits alone ----------------------------------------------------------------------------
@@ -169,65 +171,83 @@ class Saturated:
         # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
         # all of them false for NaN, so that no lane that is not finite passes for one at rest.
         zero = (jnp.sum(q) + jnp.sum(velocity)) * 0.0
-        asked = safe_norm(velocity)
+        if not isinstance(inverse, Levels):
+            found = _saturated(inverse, rows, velocity, None, null, low, high, zero)
+            # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
+            qdot, limited = jnp.clip(found.qdot + zero, low, high), found.limited
+        else:  # each level adds what those above leave free, and the least change of them that its own share asks for
+            qdot, limited = 0.0 * q + zero, False
+            for level in range(len(inverse.names)):
+                which, upper = inverse.upto(level + 1)
+                own, some = np.array(upper.level) == level, rows[which]
+                due, left = jnp.where(own, velocity[which], 0.0), jnp.where(own, some @ qdot, 0.0)
+                last = null if level + 1 == len(inverse.names) else None
+                found = _saturated(upper, some, due, left, last, low - qdot, high - qdot, zero)
+                change = found.qdot if level == 0 else jnp.where(found.best < 0, 0.0, found.qdot)
+                qdot, limited = jnp.clip(qdot + change + zero, low, high), limited | found.limited
+        apply = inverse(_free(rows, found.kept)).apply
+        return Limited(qdot=qdot, apply=apply, least=plain.least, limited=limited)
 
-        def free(locked):
-            """The rows without the locked joints' columns."""
-            return rows * (1.0 - locked)
 
-        # A joint with a single value is no joint: out from the first pass on.
-        fixed = jnp.where(low < high, zero, zero + 1.0)
+def _free(rows, locked):
+    """The rows without the locked joints' columns."""
+    return rows * (1.0 - locked)
 
-        def one(at: _Pass) -> _Pass:
-            left = free(at.locked)
-            apply = inverse(left).apply
-            along = apply(velocity)
-            rest = at.fixed - apply(rows @ at.fixed)
-            # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
-            # inverse holds back next to a singularity is no reason to stand still.
-            beyond = _beyond_reach(left, velocity)
-            lost = beyond > (1 + NOISE) * at.reached + 0.01 * asked
-            along, rest = (v + zero for v in (along, rest))
-            s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
-            s = jnp.where(lost, -1.0, s)
-            fits = ~over & ~lost
-            better = ~at.done & (fits | (s > at.best) | (at.best < 0))
-            share = jnp.where(fits | (s < 0), 1.0, s)
-            made = share * along + rest
 
-            def choose(new, old):
-                return jnp.where(better, new, old)
+def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
+    """The largest share of `velocity` (m,) that fits, less what is there already (m,), or None."""
+    asked = safe_norm(velocity)
+    # A joint with a single value is no joint: out from the first pass on.
+    fixed = jnp.where(low < high, zero, zero + 1.0)
 
-            return _Pass(
-                locked=jnp.maximum(at.locked, worst),
-                fixed=jnp.where(worst > 0, at_bound, at.fixed),
-                done=at.done | fits,
-                best=jnp.where(better, jnp.where(fits, 1.0, s), at.best),
-                qdot=choose(made, at.qdot),
-                kept=choose(at.locked, at.kept),
-                limited=at.limited | over,
-                reached=jnp.where(jnp.isinf(at.reached), beyond, at.reached),
-            )
+    def one(at: _Pass) -> _Pass:
+        left = _free(rows, at.locked)
+        apply = inverse(left).apply
+        along = apply(velocity)
+        there = rows @ at.fixed
+        rest = at.fixed - apply(there if less is None else there + less)
+        # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
+        # inverse holds back next to a singularity is no reason to stand still.
+        beyond = _beyond_reach(left, velocity)
+        lost = beyond > (1 + NOISE) * at.reached + 0.01 * asked
+        along, rest = (v + zero for v in (along, rest))
+        s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
+        s = jnp.where(lost, -1.0, s)
+        fits = ~over & ~lost
+        better = ~at.done & (fits | (s > at.best) | (at.best < 0))
+        share = jnp.where(fits | (s < 0), 1.0, s)
+        made = share * along + rest
 
-        never = jnp.zeros_like(zero, bool)
-        nothing = jnp.zeros_like(q) + zero
-        null = nothing if null is None else nothing + null
-        start = _Pass(
-            locked=fixed,
-            fixed=jnp.where(fixed > 0, low, null),
-            done=never,
-            best=zero - 1.0,
-            qdot=nothing,
-            kept=nothing,
-            limited=never,
-            reached=zero + jnp.inf,
+        def choose(new, old):
+            return jnp.where(better, new, old)
+
+        return _Pass(
+            locked=jnp.maximum(at.locked, worst),
+            fixed=jnp.where(worst > 0, at_bound, at.fixed),
+            done=at.done | fits,
+            best=jnp.where(better, jnp.where(fits, 1.0, s), at.best),
+            qdot=choose(made, at.qdot),
+            kept=choose(at.locked, at.kept),
+            limited=at.limited | over,
+            reached=jnp.where(jnp.isinf(at.reached), beyond, at.reached),
         )
-        passes = max(chain.n - len(rows), 0) + 2  # most loops are done with the first
-        found, _ = lax.scan(lambda at, _: (lax.cond(at.done, lambda at: at, one, at), None), start, None, length=passes)
-        factored = inverse(free(found.kept))
-        # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
-        qdot = jnp.clip(found.qdot + zero, low, high)
-        return Limited(qdot=qdot, apply=factored.apply, least=plain.least, limited=found.limited)
+
+    never = jnp.zeros_like(zero, bool)
+    nothing = jnp.zeros_like(low) + zero
+    null = nothing if null is None else nothing + null
+    start = _Pass(
+        locked=fixed,
+        fixed=jnp.where(fixed > 0, low, null),
+        done=never,
+        best=zero - 1.0,
+        qdot=nothing,
+        kept=nothing,
+        limited=never,
+        reached=zero + jnp.inf,
+    )
+    passes = max(rows.shape[1] - len(rows), 0) + 2  # most loops are done with the first
+    found, _ = lax.scan(lambda at, _: (lax.cond(at.done, lambda at: at, one, at), None), start, None, length=passes)
+    return found
 
 
 def _beyond_reach(rows, velocity):
@@ -270,9 +290,11 @@ def saturation(rate: Number = 10.0) -> Saturated:
 
     While some joint would exceed its bounds, the one that bounds the task most moves at its bound and the others
     take over its share, (J W)# (ẋ − J q̇_N) + q̇_N; where they can't, the task velocity is scaled by the largest
-    share s ∈ [0, 1] that fits, so its direction is kept: of a stack all tasks slow down alike, whatever their levels,
-    see `bounded`. Bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint
-    nears its limit exponentially, and one outside comes back, whatever the task asks.
+    share s ∈ [0, 1] that fits, so its direction is kept. Bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint nears
+    its limit exponentially, and one outside comes back, whatever the task asks.
+
+    Of a stack with `levels` each level has a share of its own, and changes nothing of those above (Algorithm 4); all
+    tasks of one level, and of a stack without, slow down alike.
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.

@@ -213,6 +213,8 @@ def path(fn: Callable) -> Reference:
 def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
     """The same path with an explicit task velocity (m,) in place of its own, constant in time.
 
+    Of a part in its tip's own frame all three components, in the base frame.
+
     For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
     """
     errors.kind("reference", reference, Reference, A_REFERENCE)
@@ -246,7 +248,7 @@ def hold_at(
     def one(_, parts):
         found: dict = {"position": None, "rotation": None}
         for part in parts.parts:
-            found |= {"rotation": robot.rotation(part.tip, part.to)} if part.turns else {"position": part.x(robot)}
+            found["rotation" if part.turns else "position"] = part.here(robot)
         return Reference(curve=Hold(**found))
 
     held = of_each(one, None, task)

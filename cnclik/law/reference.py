@@ -122,19 +122,19 @@ def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
 
 
 def sample(reference, task: Task, t):
-    """What each part of a task is to reach at time t, and the velocity of that: (aims, xdot_d (m,)).
+    """What each part of a task is to reach at time t, and the motion of that: (aims, (w,)).
 
-    xdot_d holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
+    The motion holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
-    aims, velocities = [], []
+    aims, motions = [], []
     for one, parts in by_target(reference, task):
         found, rates = _moving(one, parts, t)
         aims += found
         if one.feedforward is not None:
-            velocities.append(one.feedforward)
+            motions.append(one.feedforward)
         else:
-            velocities += [part.velocity(*v) for part, *v in zip(parts.parts, found, rates, strict=True)]
-    return tuple(aims), jnp.concatenate(velocities)
+            motions += [part.motion(*v) for part, *v in zip(parts.parts, found, rates, strict=True)]
+    return tuple(aims), jnp.concatenate(motions)
 
 
 def aims_of(reference, task: Task, t) -> tuple:
@@ -165,7 +165,7 @@ def tangent(reference, task: Task, t):
 def _tangent(reference, task, t):
     aims, rates = _moving(reference, task, t)
     position = velocity = rotation = turning = None
-    for part, where, aim, rate in zip(task.parts, task.slices, aims, rates, strict=True):
+    for part, where, aim, rate in zip(task.parts, task.motions, aims, rates, strict=True):
         told = None if reference.feedforward is None else reference.feedforward[where]
         if part.turns:
             rotation, turning = aim, spin(aim, rate) if told is None else part.spread(told)
@@ -200,4 +200,4 @@ def check(reference, task: Task) -> None:
         for part in parts.parts:
             part.check(*target)
         if one.feedforward is not None:
-            errors.array("feedforward", one.feedforward, (parts.m,))
+            errors.array("feedforward", one.feedforward, (parts.width,))

@@ -1,4 +1,4 @@
-"""Shifted: a reference moved by a vector in the task's coordinates."""
+"""Shifted: a reference moved by a vector."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from cnclik.task.task import Task
 
 @record
 class Shifted:
-    """A curve moved by w: (m,) in the task's coordinates [m, rad], or a record that gives it as a function of time."""
+    """A curve moved by w: (w,) as a motion of the task's targets [m, rad], or a record that gives it over time."""
 
     base: Callable
     task: Task  # the parts that the curve is for
-    first: int  # where their coordinates begin in w
+    first: int  # where their motion begins in w
     w: ArrayLike | Callable
 
     def __call__(self, t):
         w, target = self.w(t) if callable(self.w) else jnp.asarray(self.w), self.base(t)
         w = w[self.first :]
-        for part, where in zip(self.task.parts, self.task.slices, strict=True):
+        for part, where in zip(self.task.parts, self.task.motions, strict=True):
             target = part.moved(*target, w[where])
         return target
 
@@ -33,7 +33,7 @@ def shifted(reference, task: Task, w):
     """The reference whose error is w more than the reference's own; to first order for rotations.
 
     Args:
-      w: (m,) as an array or a tuple [m, rad]: the velocity stays the curve's own, turned by w's rotation; or a record
+      w: (w,) as an array or a tuple [m, rad]: the velocity stays the curve's own, turned by w's rotation; or a record
         called with t, whose velocity adds to the curve's.
     """
     first = 0
@@ -41,7 +41,7 @@ def shifted(reference, task: Task, w):
     def one(reference, parts):
         nonlocal first
         curve = Shifted(base=reference.curve, task=parts, first=first, w=w)
-        first += parts.m
+        first += parts.width
         return replace(reference, curve=curve)
 
     return of_each(one, reference, task)

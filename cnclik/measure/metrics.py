@@ -20,13 +20,15 @@ from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, rows_at, weighted
+from cnclik.law.law import Law, check_loop, weighted
 from cnclik.law.shifted import true_motion
 from cnclik.measure.outcome import ending, stable
 from cnclik.record import cast
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.shapes import Number
+from cnclik.task.parts import At
+from cnclik.task.task import Task, velocity
 
 
 @jax.tree_util.register_pytree_node_class
@@ -70,6 +72,7 @@ class Measured(NamedTuple):
     law: Law
     reference: ref.Reference | ref.References
     tolerance: Number  # on ‖e‖
+    task: Task  # the law's, or of a stack the one that is measured
 
 
 class Metric(NamedTuple):
@@ -114,20 +117,21 @@ def _first(hit):
 
 
 def _position(loop):
-    return loop.run.e[..., np.array(loop.law.task.lengths, int)]
+    return loop.run.e[..., np.array(loop.task.lengths, int)]
 
 
 def _rotation(loop):
-    return loop.run.e[..., np.array(loop.law.task.angles, int)]
+    return loop.run.e[..., np.array(loop.task.angles, int)]
 
 
 def _split(loop):
     """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
-    path = true_motion(loop.reference, loop.law.task)  # its own direction, whatever is fed forward
-    velocity = jax.vmap(lambda t: ref.sample(path, loop.law.task, t)[1])(loop.run.target_time)
-    e, velocity = _position(loop), velocity[:, np.array(loop.law.task.lengths, int)]
-    speed = _norms(velocity)[:, None]
-    tangent = jnp.where(speed > 0, velocity / jnp.where(speed > 0, speed, 1.0), 0.0)
+    task, model = loop.task, modelled(loop.law.chain)
+    path = true_motion(loop.reference, task)  # its own direction, whatever is fed forward
+    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
+    e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.target_time, loop.run.q)))
+    speed = _norms(v)[:, None]
+    tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
     return along, e - along * tangent
 
@@ -205,10 +209,10 @@ def chatter(qdot):
 
 def _least_singular_value(loop):
     """σ_min, its derivative that of the Rayleigh quotient and not of a decomposition."""
-    law = modelled(loop.law)
+    task, model = loop.task, modelled(loop.law.chain)
 
     def least(q):
-        return safe_sqrt(dense.least_squared(dense.wide_side(weighted(law, rows_at(law, q).rows))))
+        return safe_sqrt(dense.least_squared(dense.wide_side(weighted(task, task.rows_at(model, q)))))
 
     sigma = jax.lax.map(least, loop.run.q)  # vmap would be written out posture by posture as C
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
@@ -320,7 +324,7 @@ def measure_run(
 
     Args:
       run: `Trajectory` of solve(law, reference, ...), one lane; `jax.vmap` this for a batch.
-      names: which metrics, see `METRICS`.
+      names: which metrics, see `METRICS`; of a stack's task "hands.final_error".
       tolerance: on ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
 
     Returns: `Metrics` in the order of `names`, with units.
@@ -332,28 +336,54 @@ def measure_run(
     check(names, law)
     check_run(run, law)
     values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
-    return Metrics(values, {n: unit(n, law) for n in names}, {n: METRICS[n].dims for n in names})
+    return Metrics(values, {n: unit(n, law) for n in names}, {n: _dims(n) for n in names})
 
 
 @one_off(static_argnames=("names",))
 def _values(run, law, reference, tolerance, *, names):
-    loop = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
-    return [METRICS[name].fn(loop) for name in names]
+    law, reference = cast((law, reference), run.q.dtype)
+
+    def loop(task):
+        if not task:
+            return Measured(run, law, reference, tolerance, law.task)
+        own = reference[task] if isinstance(reference, ref.References) else reference
+        return Measured(run[task], law, own, tolerance, law.task.alone(task))
+
+    return [metric.fn(loop(task)) for task, metric in map(named, names)]
+
+
+def named(name: str) -> tuple[str, Metric]:
+    """The task and the metric that a name means: final_error of all, or hands.final_error."""
+    task, _, own = name.rpartition(".") if isinstance(name, str) else ("", "", name)
+    return task, METRICS[errors.one_of("metrics", own, METRICS)]
+
+
+def _dims(name):
+    task, metric = named(name)
+    return tuple(f"{task}.{dim}" if task and dim == "axis" else dim for dim in metric.dims)
+
+
+def _task(name, law) -> Task:
+    of = named(name)[0]
+    if of and of not in dict(law.task.each):
+        have = f"; those of a task are such as {law.task.tasks[0][0]}.final_error" if law.task.tasks else ""
+        raise errors.fail("metrics", f"be ones of the law's task{have}", f"include {name!r}")
+    return law.task.alone(of) if of else law.task
 
 
 def check(names, law: Law) -> None:
     """Raise ArgumentError unless every name is a metric that the law's task has."""
     for name in names:
-        needs = METRICS[errors.one_of("metrics", name, METRICS)].needs
-        if (needs == "position" and not law.task.lengths) or (needs == "rotation" and not law.task.angles):
-            raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")
+        needs, task = named(name)[1].needs, _task(name, law)
+        if (needs == "position" and not task.lengths) or (needs == "rotation" and not task.angles):
+            raise errors.fail("metrics", f"be ones of the task ({', '.join(task.names)})", f"include {name!r}")
 
 
 def unit(name: str, law: Law) -> str:
     """The unit of a metric for this law: that of its task and joints where it depends on them."""
-    written = METRICS[name].unit
+    written, task = named(name)[1].unit, _task(name, law)
     joints = sorted(set(law.chain.units), reverse=True)
-    mine = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.lengths else "1"]}
+    mine = {"e": dict.fromkeys(task.units), "q": joints, "J": ["m" if task.lengths else "1"]}
     head, tail = written[:1], written[1:]
     if head not in mine or tail[:1].isalpha():
         return written

@@ -79,7 +79,7 @@ class Outcome:
       rate: mean factor per step down to that tolerance, tolerance^(1/steps); NaN where not converged.
       final: largest ‖e‖ in the last quarter [m, rad].
       near_singular: whether some step was marked NEAR_SINGULAR.
-      stage_not_converged: whether some implicit stage was marked NOT_CONVERGED.
+      stage_not_converged: whether some step was marked NOT_CONVERGED.
     """
 
     ending: Int[Array, ""]

@@ -28,7 +28,7 @@ from cnclik.record import replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
-from cnclik.task.task import position
+from cnclik.task.build import position
 
 # Settings of Section V.
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]

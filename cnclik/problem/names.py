@@ -17,7 +17,8 @@ from cnclik.robot import urdf
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
 from cnclik.robot.tree import read_urdf
-from cnclik.task import task
+from cnclik.task import build
+from cnclik.task.task import Task
 
 
 def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
@@ -88,15 +89,15 @@ def robot_name(text, tip=None) -> str:
     return f"{name} {tip}" if tip else name
 
 
-def task_from(text, chain: Chain | None = None, **of) -> task.Task:
+def task_from(text, chain: Chain | None = None, **of) -> Task:
     """`pose`, `position`, `orientation`, or task coordinates by name such as `xy`, `rz`, `xyzrxry`.
 
     On a planar arm the three words mean its plane: xy with rz, xy, rz. By default `pose` where the chain has
     the joints for it, else `position`.
 
-    Args: of: `tip`, `relative_to` and `weights`, as `cnclik.pose` takes them.
+    Args: of: `tip`, `relative_to`, `frame` and `weights`, as `cnclik.pose` takes them.
     """
-    if isinstance(text, task.Task):
+    if isinstance(text, Task):
         return text
     flat = chain is not None and is_planar(chain)
     if text is None:
@@ -112,8 +113,8 @@ def task_from(text, chain: Chain | None = None, **of) -> task.Task:
             raise errors.fail("task", must, f"is {text!r}")
         axes, turns = found[1], found[2].replace("r", "")
     if not turns:
-        return task.position(axes, **of)
-    return task.pose(axes, turns, **of) if axes else task.orientation(turns, **of)
+        return build.position(axes, **of)
+    return build.pose(axes, turns, **of) if axes else build.orientation(turns, **of)
 
 
 def _moved_by(chain, of) -> int:
@@ -219,6 +220,10 @@ def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulabilit
         return None if rest is None else null.posture(rest, rate)
     if posture is not None:
         raise errors.fail("manipulability", "be left out where `posture` is given", f"is {manipulability!r}")
+    tips = tuple(part for part in task.parts if hasattr(part, "axes"))
+    if not tips:
+        raise errors.fail("manipulability", "be left out for a task without a tip", f"is {manipulability!r}")
+    task = Task(parts=tips, weights=None)
     return null.maximize_manipulability(chain, task, errors.number("manipulability", manipulability, positive=True))
 
 

@@ -25,15 +25,15 @@ from cnclik.problem.words import REFERENCES
 from cnclik.reading import read_toml
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
-from cnclik.task.parts import Joints
-from cnclik.task.task import Task, joints, stack
+from cnclik.task.build import joints, stack
+from cnclik.task.task import Task
+from cnclik.task.values import Joints
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _DAMPING = ("inverse", "damping", "threshold")  # options of a loop that a level may have of its own
 # Options of a loop with one task, and what there is with a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
 _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
-_OF_ONE["manipulability"] = "it is of one tip's task so far"
 
 
 class Table(NamedTuple):
@@ -140,13 +140,13 @@ def task_of(one: Table, chain: Chain) -> Task:
     """The task that a table says, of one tip or of several."""
     weights = one.given.get("weights")
     if _is_joints(one.given):
-        for key in ("tip", "relative_to"):
+        for key in ("tip", "relative_to", "frame"):
             if key in one.given:
                 raise errors.fail(key, "be left out for the task 'joints'", f"is {one.given[key]!r}")
         return joints(one.given.get("joints"), weights=weights).on(chain)
     if "joints" in one.given:
         raise errors.fail("joints", "come with the task 'joints'", f"comes with {one.given['task']!r}")
-    about = {"relative_to": one.given.get("relative_to"), "weights": weights}
+    about = {"relative_to": one.given.get("relative_to"), "frame": one.given.get("frame", "base"), "weights": weights}
     tips = _several(one.given.get("tip"))
     return functools.reduce(
         operator.and_, (task_from(one.given.get("task"), chain, tip=t, **about).on(chain) for t in tips)

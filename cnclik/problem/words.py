@@ -36,6 +36,7 @@ ROBOTS = {
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
+FRAMES = ("base", "tip")
 STACKED = (*TASKS, "joints")  # of a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),

@@ -45,8 +45,9 @@ def aims(task: Task) -> tuple[Aim, ...]:
 def _aims(task):
     found = []
     for path, own in task.targets:
-        if not all(hasattr(part, "axes") for part in own.parts):
-            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(own.names)}")
+        if not all(hasattr(part, "axes") and not part.tied for part in own.parts):
+            of = " in the tip's own frame" if hasattr(own.parts[0], "axes") else ""
+            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(own.names)}{of}")
         if path in [aim.path for aim in found]:
             raise errors.fail("task", "have what it wants of a tip in one place", f"has {path[-1]} in two")
         tip, to = own.parts[0].tip, own.parts[0].to

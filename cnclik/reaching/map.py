@@ -13,7 +13,7 @@ from cnclik.robot.chain import Chain, with_one_tip
 from cnclik.robot.model import frames, modelled
 from cnclik.robot.posture import evenly, start_posture
 from cnclik.robot.rotations import rotation_from_quaternion
-from cnclik.task.task import position
+from cnclik.task.build import position
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 

@@ -10,8 +10,9 @@ from cnclik import errors
 from cnclik.law.reference import Reference, References, aims_of
 from cnclik.reaching.aims import aims, of_tips
 from cnclik.robot import poses
+from cnclik.task.build import orientation, pose, position
 from cnclik.task.parts import places
-from cnclik.task.task import Task, orientation, pose, position
+from cnclik.task.task import Task
 
 TASKS = {"pose": pose, "position": position, "orientation": orientation}
 _FORMS = {

@@ -339,7 +339,7 @@ drift_of_numbers = one_off(_drift)
 def held_at(law, q):
     """The held reference of a loop at rest at q, told that it moves no more."""
     held, dtype = hold_at(law.chain, law.task, q), q.dtype
-    return ref.of_each(lambda one, parts: replace(one, feedforward=np.zeros(parts.m, dtype)), held, law.task)
+    return ref.of_each(lambda one, parts: replace(one, feedforward=np.zeros(parts.width, dtype)), held, law.task)
 
 
 def leaky(law) -> bool:

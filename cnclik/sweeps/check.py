@@ -152,7 +152,7 @@ def _metrics(names):
     if not isinstance(names, list) or not names:
         raise errors.fail("metrics", "be a list of names", f"is {names!r}")
     for name in names:
-        errors.one_of("metrics", name, metrics.METRICS)
+        metrics.named(name)
     return tuple(dict.fromkeys(names))
 
 

@@ -19,7 +19,7 @@ from cnclik import errors
 from cnclik.cache import give_back
 from cnclik.hints import as_here, shares_threads
 from cnclik.integrate.lanes import lanes, options
-from cnclik.measure.metrics import METRICS, Metrics
+from cnclik.measure.metrics import METRICS, Metrics, named
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
 from cnclik.threads import cores, side_by_side
@@ -95,8 +95,9 @@ def _named(result) -> dict:
 
 def _output(name, v, result) -> Output:
     about = {"units": getattr(result, "units", {}).get(name, UNITS.get(name, ""))}
-    if isinstance(result, Metrics) and name in METRICS:
-        about["long_name"] = METRICS[name].label
+    if isinstance(result, Metrics):
+        task, metric = named(name)
+        about["long_name"] = f"{task}: {metric.label}" if task else metric.label
     dims = getattr(result, "dims", {}).get(name) or _DIMS.get(name, ())
     if len(dims) != v.ndim:
         dims = tuple(f"{name}_{i}" for i in range(v.ndim))

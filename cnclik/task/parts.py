@@ -3,14 +3,16 @@
 A part is a record with
 
   m, names, units          how many coordinates it has, and what they are;
-  aim(position, rotation)  the target in the part's own form, of what a reference's curve gives;
-  x(robot)                 (m,) its coordinates where the robot is;
-  rows(robot)              (m, n) their velocity by the joint velocities;
-  error(robot, aim)        (m,) what is missing;
-  velocity(aim, rate)      (m,) of the target, from its derivative by time,
+  aim(position, rotation)       the target in the part's own form, of what a reference's curve gives;
+  x(robot)                      (m,) its coordinates where the robot is;
+  error(robot, aim)             (m,) what is missing;
+  rows(robot, aim)              (m, n) what joint velocities take of the error; without an aim, where none is missing;
+  motion(aim, rate)             (w,) the target's own velocity, from its derivative by time;
+  velocity(robot, aim, motion)  (m,) what that adds to the error,
 
 and with what exponential and multistep methods ask of two targets, `between` and the rest. Where a target is a vector
-that is all subtraction (`Vector`); orientations have their own.
+that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied` change with
+the target: of one in the tip's own frame, where w is 3, and of functions of the target.
 """
 
 from __future__ import annotations
@@ -18,12 +20,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.robot.model import Frames, Model, frames, jacobian_rows
 from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, turn_from
 
@@ -82,6 +83,7 @@ class Vector:
     """What parts have in common whose target is a vector in their own coordinates."""
 
     turns = False  # whether the target is a rotation
+    tied: Any = False  # whether rows and velocity change with the target
     called = "values"  # what its target holds
     names: Any
     x: Callable
@@ -90,16 +92,25 @@ class Vector:
     def m(self):
         return len(self.names)
 
+    @property
+    def width(self):
+        """Of the target's motion."""
+        return self.shape[0]
+
     def aim(self, position, rotation):
         return position
 
     def check(self, position, rotation):
-        if position is None or len(position) != self.m:
-            size = "none" if position is None else f"{len(position)}"
-            raise errors.fail("reference", f"give {self.m} {self.called} ({', '.join(self.names)})", f"gives {size}")
+        if position is None or len(position) != self.width:
+            size, names = "none" if position is None else f"{len(position)}", ", ".join(self.names)
+            raise errors.fail("reference", f"give {self.width} {self.called} ({names})", f"gives {size}")
+
+    def here(self, robot: At):
+        """The target that is where the robot is; None where that isn't known."""
+        return self.x(robot)
 
     def moved(self, position, rotation, w):
-        """The curve's target moved by w (m,)."""
+        """The curve's target moved by w, as a motion."""
         return position + w, rotation
 
     @property
@@ -110,11 +121,14 @@ class Vector:
     def error(self, robot: At, aim):
         return aim - self.x(robot)
 
-    def velocity(self, aim, rate):
+    def motion(self, aim, rate):
         return rate
 
+    def velocity(self, robot: At, aim, motion):
+        return motion
+
     def mean(self, aim, before):
-        """(m,) how far a target went, and None or its turn."""
+        """How far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
     def went(self, aim, before):
@@ -125,8 +139,8 @@ class Vector:
         """A vector whose changes are no smaller than the target's way."""
         return aim
 
-    def between(self, measured, model):
-        """What a target is to be moved by so that its error is the measured one (m,)."""
+    def between(self, robot: At, aim, measured, model):
+        """What a target is to be moved by so that its error (m,) is the measured one."""
         return measured - model
 
 
@@ -137,6 +151,10 @@ class Position(Vector):
     axes: str
     tip: str | None = None
     to: str | None = None
+
+    def of_target(self):
+        """The coordinates that a target has."""
+        return Position(axes=self.axes)
 
     @property
     def names(self):
@@ -162,7 +180,7 @@ class Position(Vector):
     def x(self, robot: At):
         return robot.position(self.tip, self.to)[places(self.axes)]
 
-    def rows(self, robot: At):
+    def rows(self, robot: At, aim=None):
         return robot.rows(self.tip, self.to, places(self.axes), ())
 
 
@@ -176,11 +194,18 @@ class Orientation:
     axes: str
     tip: str | None = None
     to: str | None = None
-    turns = True
+    turns, tied = True, False
+
+    def of_target(self):
+        return Orientation(axes=self.axes)
 
     @property
     def m(self):
         return len(self.axes)
+
+    @property
+    def width(self):
+        return self.m
 
     @property
     def names(self):
@@ -218,15 +243,21 @@ class Orientation:
     def error(self, robot: At, aim):
         return log_so3(aim @ robot.rotation(self.tip, self.to).T)[places(self.axes)]
 
-    def rows(self, robot: At):
+    def here(self, robot: At):
+        return robot.rotation(self.tip, self.to)
+
+    def rows(self, robot: At, aim=None):
         return robot.rows(self.tip, self.to, (), places(self.axes))
 
-    def velocity(self, aim, rate):
+    def motion(self, aim, rate):
         return spin(aim, rate)[places(self.axes)]
+
+    def velocity(self, robot: At, aim, motion):
+        return motion
 
     def mean(self, aim, before):
         turn = aim @ before.T
-        return _log(turn)[places(self.axes)], turn if self.whole else None
+        return log_of_step(turn)[places(self.axes)], turn if self.whole else None
 
     def went(self, aim, before):
         if self.whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
@@ -237,61 +268,8 @@ class Orientation:
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
         return 1.111 * aim.ravel()
 
-    def between(self, measured, model):
+    def between(self, robot: At, aim, measured, model):
         return turn_from(-measured, -model) if self.whole else measured - model
-
-
-@record
-class Joints(Vector):
-    """Joint values themselves [rad, m]: a posture as a task."""
-
-    wanted: tuple[str, ...] | None  # names of joints; None: all
-    which: tuple[int, ...] | None = None  # once the robot is known
-    units: tuple[str, ...] = ()
-    tip, to = "joints", None
-    called = "joint values"
-
-    @property
-    def names(self):
-        if self.wanted is None:
-            raise errors.fail("task", "name its joints where no robot is known", "is joints() of all of them")
-        return self.wanted
-
-    def on(self, chain):
-        """The part of this robot."""
-        if self.which is not None:
-            return self
-        wanted = chain.joint_names if self.wanted is None else self.wanted
-        which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
-        return replace(self, wanted=tuple(wanted), which=which, units=tuple(chain.units[i] for i in which))
-
-    def x(self, robot: At):
-        return robot.q[np.array(self.which)]
-
-    def rows(self, robot: At):
-        q = robot.q
-        rows = np.eye(robot.chain.n)[np.array(self.which)].astype(q.dtype)
-        return library(q).broadcast_to(rows, (*q.shape[:-1], *rows.shape))
-
-
-@record
-class Function(Vector):
-    """Any differentiable function of the joint values, see `function`."""
-
-    value: Callable
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    tip, to = "function", None
-
-    def x(self, robot: At):
-        made = jnp.asarray(self.value(robot.chain, robot.q), robot.q.dtype)
-        if made.shape != (self.m,):
-            raise errors.fail("value", f"return shape ({self.m},), one of each name", f"returns shape {made.shape}")
-        return made
-
-    def rows(self, robot: At):
-        made = jax.jacfwd(lambda q: self.x(At(robot.chain, q)))
-        return made(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(made)(robot.q))
 
 
 def spin(rotation, drotation):
@@ -300,7 +278,7 @@ def spin(rotation, drotation):
     return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
 
 
-def _log(turn):
+def log_of_step(turn):
     """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
     return log_quaternion(w, 0.25 / w * axial(turn))

@@ -1,13 +1,13 @@
 """Task: what the loop controls, as parts; x are its coordinates, e = x_d − x their error.
 
 Of a pose they are positions along chosen axes [m], then components of the rotation vector [rad] that turns the tip
-into the desired orientation, in the base frame. Tasks are joined by `&`, and given names by `stack`.
+into the desired orientation, in the base frame, another tip's, or its own. Tasks are joined by `&`, and given names by
+`stack`.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,7 +17,8 @@ from cnclik import errors
 from cnclik.record import brief, record, replace
 from cnclik.robot.rotations import library
 from cnclik.shapes import ArrayLike, Float
-from cnclik.task.parts import AXES, At, Function, Joints, Orientation, Position, places
+from cnclik.task.parts import At, places
+from cnclik.task.values import Joints
 
 Part = Any  # one of those in `parts`, or of the same form
 
@@ -44,8 +45,22 @@ class Task:
     @property
     def slices(self) -> tuple[slice, ...]:
         """Where the coordinates of each part stand."""
-        ends = [0, *itertools.accumulate(part.m for part in self.parts)]
-        return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+        return _slices(part.m for part in self.parts)
+
+    @property
+    def width(self) -> int:
+        """Number of velocities that its targets have: m, but three of each part in its tip's own frame."""
+        return sum(part.width for part in self.parts)
+
+    @property
+    def motions(self) -> tuple[slice, ...]:
+        """Where the velocity of each part's target stands."""
+        return _slices(part.width for part in self.parts)
+
+    @property
+    def tied(self) -> bool:
+        """Whether rows of the Jacobian change with the target."""
+        return any(part.tied for part in self.parts)
 
     @property
     def targets(self) -> tuple[tuple[tuple[str, ...], Task], ...]:
@@ -96,6 +111,13 @@ class Task:
         known = dict(self.each)
         return known[errors.one_of("name", name, known)]
 
+    def require_each(self, argument: str, must: str, names) -> None:
+        """Raise ArgumentError unless these are the names of a stack's tasks, each once."""
+        known = [name for name, _ in self.tasks]
+        if sorted(names) != sorted(known):
+            have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
+            raise errors.fail(argument, f"{must}; they are {have}", f"has {', '.join(names)}")
+
     def alone(self, name: str) -> Task:
         """One of a stack's tasks."""
         its = self.of(name)
@@ -120,8 +142,7 @@ class Task:
         parts = tuple(part.on(chain) if hasattr(part, "on") else part for part in self.parts)
         if all(new is old for new, old in zip(parts, self.parts, strict=True)):
             return self
-        task = replace(self, parts=parts)
-        return task if task.weights is None else replace(task, weights=_weights(task, task.weights))
+        return with_weights(replace(self, parts=parts), self.weights)
 
     # --- of a task of one tip's pose alone ---
 
@@ -129,7 +150,7 @@ class Task:
     def of_one_tip(self) -> bool:
         """Whether it is of one tip's pose in the base frame."""
         alone = not self.tasks and len(self.targets) == 1
-        return alone and all(part.to is None and hasattr(part, "axes") for part in self.parts)
+        return alone and all(part.to is None and hasattr(part, "axes") and not part.tied for part in self.parts)
 
     @property
     def position(self) -> str:
@@ -154,7 +175,7 @@ class Task:
         for task in (self, other):
             if task.tasks:
                 raise errors.fail("task", "be joined before it has names, by ck.stack(name=task & task)", "has names")
-        return Task(parts=self.parts + other.parts, weights=_joined((self, other)))
+        return Task(parts=self.parts + other.parts, weights=joined((self, other)))
 
     def __repr__(self):
         said = []
@@ -165,6 +186,11 @@ class Task:
         return f"Task: {'; '.join(said)}" + ("" if self.weights is None else f", weights {brief(self.weights)}")
 
 
+def _slices(sizes):
+    ends = [0, *itertools.accumulate(sizes)]
+    return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+
 def _pose(task):
     """The parts of a task of one tip's pose. Raises: ArgumentError for others."""
     if not task.of_one_tip:
@@ -172,113 +198,15 @@ def _pose(task):
     return task.parts
 
 
-# --- builders -----------------------------------------------------------------------------------------
-
-Weights = Float[ArrayLike, " m"] | None
+# --- weights ---------------------------------------------------------------------------------------
 
 
-def position(
-    axes: str = "xyz", *, tip: str | None = None, relative_to: str | None = None, weights: Weights = None
-) -> Task:
-    """Position of a tip along some of the axes of a frame [m].
-
-    Args:
-      axes: letters of "xyz" in that order, such as "xy".
-      tip: its name; None: the robot's only one.
-      relative_to: name of the tip in whose frame, and as seen from which, it is; None: the base.
-      weights: (m,) positive weights of the coordinates in the least-squares sense, or None.
-    """
-    return _task(weights, Position(axes=_letters("axes", axes), tip=tip, to=relative_to))
+def with_weights(task: Task, weights) -> Task:
+    """The task with weights (m,), checked, or None."""
+    return task if weights is None else replace(task, weights=weights_of(task, weights))
 
 
-def orientation(
-    axes: str = "xyz", *, tip: str | None = None, relative_to: str | None = None, weights: Weights = None
-) -> Task:
-    """Orientation of a tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
-
-    Args:
-      axes: components of the rotation vector that count, such as "z" for a planar arm.
-      tip, relative_to: as for `position`.
-      weights: (m,) positive weights, or None.
-    """
-    return _task(weights, Orientation(axes=_letters("axes", axes), tip=tip, to=relative_to))
-
-
-def pose(
-    axes: str = "xyz",
-    rotation_axes: str = "xyz",
-    *,
-    tip: str | None = None,
-    relative_to: str | None = None,
-    weights: Weights = None,
-) -> Task:
-    """Position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
-
-    Args: as for `position` and `orientation`.
-    """
-    place = Position(axes=_letters("axes", axes), tip=tip, to=relative_to)
-    return _task(weights, place, Orientation(axes=_letters("rotation_axes", rotation_axes), tip=tip, to=relative_to))
-
-
-def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
-    """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
-
-    Args:
-      names: of the joints; None: all.
-      weights: (m,) positive weights, or None.
-    """
-    if isinstance(names, str):
-        names = (names,)
-    return _task(weights, Joints(wanted=None if names is None else tuple(names)))
-
-
-def function(value: Callable, names: Sequence[str], units: Sequence[str], *, weights: Weights = None) -> Task:
-    """A function of the joint values as a task, x = value(robot, q); its rows are its derivative, by JAX.
-
-    Args:
-      value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point:
-        lambda robot, q: jnp.linalg.norm(ck.forward(robot, q, tip="hand").position - point)[None].
-      names, units: of the m coordinates.
-      weights: (m,) positive weights, or None.
-    """
-    if not callable(value):
-        raise errors.fail("value", "be a function of the robot and q", f"is {value!r}")
-    if len(names) != len(units) or not names:
-        raise errors.fail("units", f"be as many as `names`, {len(names)}", f"are {len(units)}")
-    return _task(weights, Function(value=value, names=tuple(names), units=tuple(units)))
-
-
-def stack(**tasks: Task) -> Task:
-    """Tasks with names, controlled together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
-
-    What they can't all have is shared by their weights, or by the levels of an inverse such as `levels`.
-
-    Raises: ArgumentError naming what is no task.
-    """
-    if not tasks:
-        raise errors.fail("tasks", "be at least one, such as hands=ck.pose(tip=...)", "are none")
-    for name, task in tasks.items():
-        if errors.kind(name, task, Task, "be a task such as ck.position()").tasks:
-            raise errors.fail(name, "be a task without names of its own", "is a stack")
-    parts = tuple(part for task in tasks.values() for part in task.parts)
-    named = tuple((name, len(task.parts)) for name, task in tasks.items())
-    return Task(parts=parts, weights=_joined(list(tasks.values())), tasks=named)
-
-
-def _letters(name, axes):
-    if hasattr(axes, "joints"):  # of a robot, whose tip's pose `ck.pose` was until 0.2
-        raise errors.fail(name, 'be letters of "xyz"', "is a robot: its tip's pose is ck.forward(robot, q)")
-    if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):
-        raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
-    return axes
-
-
-def _task(weights, *parts):
-    task = Task(parts=parts)
-    return task if weights is None else replace(task, weights=_weights(task, weights))
-
-
-def _weights(task, weights):
+def weights_of(task, weights):
     if any(isinstance(part, Joints) and part.wanted is None for part in task.parts):
         return weights  # how many there are, the robot will say
     if isinstance(weights, _Several):
@@ -295,7 +223,7 @@ class _Several(list):
     """Weights of each part, or None, until the robot says how many joints() there are."""
 
 
-def _joined(tasks):
+def joined(tasks):
     """The weights of several tasks, one after the other; None where none has any."""
     if all(task.weights is None for task in tasks):
         return None
@@ -308,7 +236,7 @@ def _joined(tasks):
         else:
             several += [task.weights[at] for at in task.slices]
     whole = Task(parts=tuple(part for task in tasks for part in task.parts))
-    return _weights(whole, several)
+    return weights_of(whole, several)
 
 
 # --- where the robot is -------------------------------------------------------------------------------
@@ -324,7 +252,15 @@ def error(task: Task, robot: At, aims):
     return jnp.concatenate([part.error(robot, aim) for part, aim in zip(task.parts, aims, strict=True)])
 
 
-def rows(task: Task, robot: At):
-    """The rows of the task Jacobian (m, n), before weighting."""
-    each = [part.rows(robot) for part in task.parts]
+def rows(task: Task, robot: At, aims=None):
+    """The rows of the task Jacobian (m, n), before weighting: for an aim of each part, or where no error is left."""
+    each = [part.rows(robot, aim) for part, aim in zip(task.parts, aims or (None,) * len(task.parts), strict=True)]
     return library(*each).concatenate(each, axis=-2)
+
+
+def velocity(task: Task, robot: At, aims, motion):
+    """ẋ_d (m,): what the targets' own motion (w,) adds to the error."""
+    if not task.tied:
+        return motion
+    parts = zip(task.parts, aims, task.motions, strict=True)
+    return jnp.concatenate([part.velocity(robot, aim, motion[at]) for part, aim, at in parts])

@@ -238,6 +238,19 @@ def test_a_descent_that_is_cut_short_is_no_worse_than_clipping(passes):
     assert np.all((found >= drawn.low) & (found <= drawn.high)) and np.all(cost <= clipped * (1 + 1e-9))
 
 
+@pytest.mark.parametrize("passes", [1, 40])
+def test_a_descent_that_is_cut_short_is_told(passes):
+    """A step is NOT_CONVERGED where it is, and not where it has settled."""
+    robot, task = robot_and_task("panda")
+    robot = ck.replace(robot, velocity_limit=(0.3,) * robot.n)
+    law = ck.Law(robot, task, alpha=50.0, inverse=ck.damped(1e-3), limits=ck.bounded(passes=passes))
+    q = draws("panda", 40, seed=5).q
+    held = ck.hold_at(robot, task, 0.3 * q[0])
+    status = jax.jit(jax.vmap(lambda q: ck.solve(law, held, q, 0.01, 2, "EE").status))(q)
+    assert np.any(status & ck.Status.NOT_CONVERGED) == (passes == 1)
+    assert np.any(status & ck.Status.AT_LIMIT)
+
+
 def test_the_lower_level_gives_way_first():
     """Where the first level can be had within bounds it is, but for (λ₁/λ₂)²; clipping gives it up."""
     drawn, (_, task) = draws("g1", 100, seed=9), robot_and_task("g1")

@@ -9,6 +9,7 @@ import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import METRICS, chatter, measure_run
 from tests import plain
+from tests.robot.test_trees import BAXTER, GRIPPERS
 
 SCALARS = [n for n, m in METRICS.items() if not m.dims and n not in ("ending", "stable")]  # these: test_ending
 ARM = ck.from_dh(
@@ -124,6 +125,32 @@ def test_unknown_metrics_and_metrics_of_other_tasks_are_refused():
     planar = ck.Law(ARM, ck.position("xy"), alpha=1.0)
     with pytest.raises(ArgumentError, match=r"ones of the task \(x, y\), but include 'rms_rotation_error'"):
         measure_run(run, planar, reference, ["rms_rotation_error"])
+
+
+def test_a_stacks_tasks_have_metrics_of_their_own():
+    """Those that a run of the task by itself would have, of its own errors, path and rows."""
+    robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
+    left, right = (ck.pose(tip=GRIPPERS[0]), ck.position(tip=GRIPPERS[1]))
+    task, q = ck.stack(left=left, right=right, rest=ck.joints()), 0.3 + np.zeros(robot.n)
+    at = np.asarray(ck.forward(robot, q, tip=GRIPPERS[1]).position)
+    path = ck.line(at + 0.01, at + np.array([0.1, 0.05, 0.0]), duration=0.2)
+    reference = ck.hold_at(robot, task, q + 0.05, right=path)
+    law = ck.Law(robot, task, alpha=20.0, inverse=ck.damped({"left": 0.02, "right": 0.02, "rest": 1.0}))
+    run = ck.solve(law, reference, q, 0.01, 10)
+    names = ["final_error", "max_rotation_error", "mean_across", "least_singular_value", "near_singular", "x"]
+    found = measure_run(run, law, reference, [f"left.{n}" for n in names] + ["right.max_along", "final_error"])
+    own = ck.Law(robot, left, alpha=20.0, inverse=ck.damped(0.02))
+    alone = measure_run(run["left"], own, reference["left"], names)
+    for name in names:
+        np.testing.assert_allclose(found[f"left.{name}"], alone[name], rtol=1e-12)
+        assert found.units[f"left.{name}"] == alone.units[name]
+    assert found.dims["left.x"] == ("time", "left.axis")
+    np.testing.assert_allclose(found["final_error"], np.linalg.norm(run.e[-1]))
+    assert 0 < found["right.max_along"] < 0.05
+    for name, told in (("feet.ok", "such as left.final_error, but include 'feet.ok'"), ("left.okk", "must be one of"),
+                       ("rest.max_along", "be ones of the task")):  # fmt: skip
+        with pytest.raises(ck.ArgumentError, match=told):
+            measure_run(run, law, reference, [name])
 
 
 def test_chatter_counts_what_is_taken_back():

@@ -13,7 +13,7 @@ from cnclik.problem.build import problem_from
 from cnclik.problem.columns import meanings
 from cnclik.problem.tables import read_columns, read_targets
 from cnclik.reaching.targets import read
-from cnclik.task.task import orientation, pose, position
+from cnclik.task.build import orientation, pose, position
 
 W = Rotation.from_rotvec([[0.3, -1.1, 0.7], [0.1, 0.2, 2.9]]).as_quat(scalar_first=True)
 P = np.array([[0.3, -0.2, 0.5], [0.4, 0.1, 0.45]])

@@ -12,7 +12,7 @@ from cnclik.reaching import native, search, strategy
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.seeds import SETS, compared, seeds
 from cnclik.reaching.single import Programs
-from cnclik.task.task import pose
+from cnclik.task.build import pose
 from tests.reaching.test_reach import WRIST, drawn, tips
 
 

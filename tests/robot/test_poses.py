@@ -13,7 +13,7 @@ import cnclik as ck
 from cnclik.problem.build import problem_from
 from cnclik.reaching.targets import read
 from cnclik.robot import poses
-from cnclik.task.task import orientation, pose
+from cnclik.task.build import orientation, pose
 
 ARM = ck.planar_arm([0.5, 0.4])
 TURN = Rotation.from_rotvec([0.3, -1.1, 0.7])

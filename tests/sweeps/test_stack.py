@@ -16,7 +16,7 @@ from tests.robot.test_trees import BAXTER, GRIPPERS
 TEXT = f"""
 question = "Which gains?"
 expectation = "These."
-metrics = ["final_error", "final_position_error"]
+metrics = ["final_error", "final_position_error", "rest.final_error"]
 [fixed]
 robot = "{BAXTER}"
 N = 5
@@ -54,6 +54,8 @@ def test_a_sweep_is_its_loops():
         run = ck.problem_from(BAXTER, tasks=tables, N=5, method="EE").run()
     close(data.final_error.values[1, 0, 2], np.linalg.norm(run.e[-1]), rtol=1e-9)
     close(data.final_position_error.values[1, 0, 2], np.linalg.norm(run["hands"].e[-1]), rtol=1e-9)
+    close(data["rest.final_error"].values[1, 0, 2], np.linalg.norm(run["rest"].e[-1]), rtol=1e-9)
+    assert data["rest.final_error"].attrs["long_name"] == "rest: error ‖e‖, at the end"
     assert len(np.unique(data.final_error)) == 6
 
 

@@ -13,7 +13,7 @@ from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.posture import arm_length, start_posture
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
-from cnclik.task.task import position
+from cnclik.task.build import position
 from tests.stress.fuzz.judge import one_line
 from tests.stress.fuzz.nasty import NUMBERS, TEXTS, any_of, chance, damaged, slipped
 

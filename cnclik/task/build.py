@@ -1,0 +1,156 @@
+"""The tasks that users ask for: position, orientation, pose, joints, function; and stacks of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from cnclik import errors
+from cnclik.shapes import ArrayLike, Float
+from cnclik.task.own import OwnOrientation, OwnPosition
+from cnclik.task.parts import AXES, Orientation, Position
+from cnclik.task.task import Task, joined, with_weights
+from cnclik.task.values import Function, Joints
+
+Weights = Float[ArrayLike, " m"] | None
+_PLACES, _TURNS = {"base": Position, "tip": OwnPosition}, {"base": Orientation, "tip": OwnOrientation}  # by `frame`
+
+
+def position(
+    axes: str = "xyz",
+    *,
+    tip: str | None = None,
+    relative_to: str | None = None,
+    frame: str = "base",
+    weights: Weights = None,
+) -> Task:
+    """Position of a tip along some of the axes of a frame [m].
+
+    Args:
+      axes: letters of "xyz" in that order, such as "xy".
+      tip: its name; None: the robot's only one.
+      relative_to: name of the tip in whose frame, and as seen from which, it is; None: the base.
+      frame: whose axes they are: "base", or that of `relative_to`; or "tip": the tip's own. Then e = Rᵀ(p_d − p), where
+        the target is as the tip sees it: with the axes "xy" it gets onto the tip's z axis. Targets are as in "base".
+      weights: (m,) positive weights of the coordinates in the least-squares sense, or None.
+    """
+    return _task(weights, _part(_PLACES, "axes", axes, tip, relative_to, frame))
+
+
+def orientation(
+    axes: str = "xyz",
+    *,
+    tip: str | None = None,
+    relative_to: str | None = None,
+    frame: str = "base",
+    weights: Weights = None,
+) -> Task:
+    """Orientation of a tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
+
+    Args:
+      axes: components of the rotation vector that count, such as "z" for a planar arm.
+      tip, relative_to: as for `position`.
+      frame: "base", or "tip": the error is log(Rᵀ R_d), in the tip's own frame.
+      weights: (m,) positive weights, or None.
+    """
+    return _task(weights, _part(_TURNS, "axes", axes, tip, relative_to, frame))
+
+
+def pose(
+    axes: str = "xyz",
+    rotation_axes: str = "xyz",
+    *,
+    tip: str | None = None,
+    relative_to: str | None = None,
+    frame: str = "base",
+    weights: Weights = None,
+) -> Task:
+    """Position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
+
+    Args: as for `position` and `orientation`.
+    """
+    place = _part(_PLACES, "axes", axes, tip, relative_to, frame)
+    return _task(weights, place, _part(_TURNS, "rotation_axes", rotation_axes, tip, relative_to, frame))
+
+
+def _part(kinds, name, axes, tip, to, frame):
+    kind = kinds[errors.one_of("frame", frame, kinds)]
+    return kind(axes=_letters(name, axes), tip=tip, to=to)
+
+
+def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
+    """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
+
+    Args:
+      names: of the joints; None: all.
+      weights: (m,) positive weights, or None.
+    """
+    if isinstance(names, str):
+        names = (names,)
+    return _task(weights, Joints(wanted=None if names is None else tuple(names)))
+
+
+def function(
+    value: Callable,
+    names: Sequence[str],
+    units: Sequence[str],
+    *,
+    error: Callable | None = None,
+    target: int | None = None,
+    rows: Callable | None = None,
+    velocity: Callable | None = None,
+    weights: Weights = None,
+) -> Task:
+    """A function of the joint values as a task, x = value(robot, q); its rows are its derivative, by JAX.
+
+    Args:
+      value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point:
+        lambda robot, q: jnp.linalg.norm(ck.forward(robot, q, tip="hand").position - point)[None].
+      names, units: of the m coordinates.
+      error: (robot, q, target (k,)) to e (m,), 0 at what is wanted, where that is not target − value: of an angle the
+        shorter way, of a camera how far from its axis it sees a target that moves. Its derivatives are taken by JAX.
+      target: k, m by default.
+      rows: (robot, q, target) to (m, n), −∂e/∂q, where it is known in a form that is quicker.
+      velocity: (robot, q, target, its velocity (k,)) to (m,), ∂e/∂target times it, likewise.
+      weights: (m,) positive weights, or None.
+    """
+    given = {"value": value, "error": error, "rows": rows, "velocity": velocity}
+    for name, fn in given.items():
+        if not (callable(fn) or (fn is None and name != "value")):
+            raise errors.fail(name, "be a function of the robot and q", f"is {fn!r}")
+    if len(names) != len(units) or not names:
+        raise errors.fail("units", f"be as many as `names`, {len(names)}", f"are {len(units)}")
+    if target is not None and error is None:
+        raise errors.fail("target", "come with an `error`: else it is as long as the value", f"is {target!r}")
+    size = None if target is None else errors.integer("target", target, at_least=1)
+    its: dict[str, Any] = {"of_target": error, "its_rows": rows, "its_velocity": velocity, "size": size}
+    return _task(weights, Function(value=value, names=tuple(names), units=tuple(units), **its))
+
+
+def stack(**tasks: Task) -> Task:
+    """Tasks with names, controlled together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
+
+    What they can't all have is shared by their weights, or by the levels of an inverse such as `levels`.
+
+    Raises: ArgumentError naming what is no task.
+    """
+    if not tasks:
+        raise errors.fail("tasks", "be at least one, such as hands=ck.pose(tip=...)", "are none")
+    for name, task in tasks.items():
+        if errors.kind(name, task, Task, "be a task such as ck.position()").tasks:
+            raise errors.fail(name, "be a task without names of its own", "is a stack")
+    parts = tuple(part for task in tasks.values() for part in task.parts)
+    named = tuple((name, len(task.parts)) for name, task in tasks.items())
+    return Task(parts=parts, weights=joined(list(tasks.values())), tasks=named)
+
+
+def _letters(name, axes):
+    if hasattr(axes, "joints"):  # of a robot, whose tip's pose `ck.pose` was until 0.2
+        raise errors.fail(name, 'be letters of "xyz"', "is a robot: its tip's pose is ck.forward(robot, q)")
+    if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):
+        raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
+    return axes
+
+
+def _task(weights, *parts):
+    return with_weights(Task(parts=parts), weights)

@@ -1,0 +1,111 @@
+"""Parts that are no tip's pose: joint values, and functions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import record, replace
+from cnclik.robot.rotations import library
+from cnclik.task.parts import At, Vector
+
+
+@record
+class Joints(Vector):
+    """Joint values themselves [rad, m]: a posture as a task."""
+
+    wanted: tuple[str, ...] | None  # names of joints; None: all
+    which: tuple[int, ...] | None = None  # once the robot is known
+    units: tuple[str, ...] = ()
+    tip, to = "joints", None
+    called = "joint values"
+
+    @property
+    def names(self):
+        if self.wanted is None:
+            raise errors.fail("task", "name its joints where no robot is known", "is joints() of all of them")
+        return self.wanted
+
+    def on(self, chain):
+        """The part of this robot."""
+        if self.which is not None:
+            return self
+        wanted = chain.joint_names if self.wanted is None else self.wanted
+        which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
+        return replace(self, wanted=tuple(wanted), which=which, units=tuple(chain.units[i] for i in which))
+
+    def x(self, robot: At):
+        return robot.q[np.array(self.which)]
+
+    def rows(self, robot: At, aim=None):
+        q = robot.q
+        rows = np.eye(robot.chain.n)[np.array(self.which)].astype(q.dtype)
+        return library(q).broadcast_to(rows, (*q.shape[:-1], *rows.shape))
+
+
+@record
+class Function(Vector):
+    """Any differentiable function of the joint values, or of them and a target, see `function`."""
+
+    value: Callable
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    of_target: Callable | None = None  # (robot, q, target) to e; None: target − value
+    size: int | None = None  # of the target; None: m
+    its_rows: Callable | None = None  # (robot, q, target) to the rows; None: by JAX
+    its_velocity: Callable | None = None  # (robot, q, target, motion) to what the target's velocity adds to e
+    tip, to = "function", None
+
+    @property
+    def tied(self):
+        return self.of_target is not None
+
+    @property
+    def shape(self):
+        return (self.size or self.m,)
+
+    def _made(self, name, fn, *given, shape=()):
+        made = jnp.asarray(fn(*given))
+        if made.shape != (self.m, *shape):
+            of = ", ".join(map(str, (self.m, *shape))) + "," * (not shape)
+            raise errors.fail(name, f"return shape ({of}), one of each name", f"returns shape {made.shape}")
+        return made.astype(jnp.result_type(given[1]))
+
+    def here(self, robot: At):
+        return None if self.size not in (None, self.m) else self.x(robot)
+
+    def x(self, robot: At):
+        return self._made("value", self.value, robot.chain, robot.q)
+
+    def error(self, robot: At, aim):
+        if self.of_target is None:
+            return aim - self.x(robot)
+        return self._made("error", self.of_target, robot.chain, robot.q, aim)
+
+    def rows(self, robot: At, aim=None):
+        if self.its_rows is not None and aim is not None:
+            return self._made("rows", self.its_rows, robot.chain, robot.q, aim, shape=robot.q.shape)
+
+        def taken(q):
+            at = At(robot.chain, q)
+            return self.x(at) if aim is None or self.of_target is None else -self.error(at, aim)
+
+        made = jax.jacfwd(taken)
+        return made(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(made)(robot.q))
+
+    def velocity(self, robot: At, aim, motion):
+        if self.its_velocity is not None:
+            return self._made("velocity", self.its_velocity, robot.chain, robot.q, aim, motion)
+        if self.of_target is None:
+            return motion
+        return jax.jvp(lambda aim: self.error(robot, aim), (aim,), (motion,))[1]
+
+    def between(self, robot: At, aim, measured, model):
+        if self.of_target is None:
+            return measured - model
+        by_target = jax.jacfwd(lambda aim: self.error(robot, aim))(aim)
+        return by_target.T @ jnp.linalg.solve(by_target @ by_target.T, measured - model)
