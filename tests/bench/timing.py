@@ -54,19 +54,19 @@ def timing(durations) -> Timing:
     return Timing(median, low, high, len(durations))
 
 
-def clock(call) -> float:
+def clock(call, wait=jax.block_until_ready) -> float:
     """Seconds of one call, results ready."""
     start = time.perf_counter()
-    jax.block_until_ready(call())
+    wait(call())
     return time.perf_counter() - start
 
 
-def repeat(call, seconds: float, at_least=3) -> Timing:
+def repeat(call, seconds: float, at_least=3, wait=jax.block_until_ready) -> Timing:
     """A warm call again and again for about so many seconds, after one more as a warm-up."""
-    clock(call)
+    clock(call, wait)
     durations, end = [], time.perf_counter() + seconds
     while len(durations) < at_least or time.perf_counter() < end:
-        durations.append(clock(call))
+        durations.append(clock(call, wait))
     return timing(durations)
 
 
