@@ -16,58 +16,21 @@ from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.shapes import ArrayLike, Float, Number
+from cnclik.stability.bounds import LimitAdvice, limit_advice
 from cnclik.stability.driven import (
     POINTS,
     SPARE,
-    damping_ratio,
-    delay_margin,
     driven_limits,
-    each_drive,
-    modes_of,
-    noise_gain,
-    overshoot,
-    respond,
-    settling,
-    until_settled,
 )
+from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.rebased import WHERE, bearable_delay
 from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, loop_at_rest, recommendation_of
 from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
-from cnclik.stability.spectrum import directions, drift_of_numbers, rest_tolerance, step_map
+from cnclik.stability.spectrum import drift_of_numbers, rest_tolerance
+from cnclik.stability.tasks import StackAdvice, at_any_posture, bounded_rates, stack_advice
 
 SPEED = 0.1  # [m/s] of the tip, where none is given
-KEPT = 1e-3  # share of a speed up to which a lag is settled
-
-
-@record
-class Gain:
-    """What one gain does in a loop: linear, at rest, the worst of the task's directions and of the joints' drives.
-
-    Attributes:
-      alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
-      damping_ratio: of the slowest pair of factors, 1 where it is real and positive.
-      overshoot: of a step, as a share of it. settling_time: until it stays within 2 % of a step [s].
-      gain_margin: factor by which alpha may still grow. delay_margin: further dead time the loop tolerates [samples].
-      noise_gain: standard deviation of the motion per unit of white noise of what is measured; velocity_noise_gain:
-        of the commanded velocity per unit of it [1/s].
-      lag: how far a motion is behind a target at constant speed without feed-forward [s].
-      lag_fed_forward: the same with feed-forward. start_error: largest error after a target starts at 1 m/s, with
-        feed-forward [s]; times a speed it is an error.
-    """
-
-    alpha: float
-    z: float
-    damping_ratio: float
-    overshoot: float
-    settling_time: float
-    gain_margin: float
-    delay_margin: float
-    noise_gain: float
-    velocity_noise_gain: float
-    lag: float
-    lag_fed_forward: float
-    start_error: float
 
 
 @record
@@ -93,6 +56,9 @@ class Advice:
       settings: {where: what to set there, or why no gain is named, in words}; empty where explicit Euler is stable
         with no gain.
       notes: what limits these numbers, in sentences; measured in results/loops.
+      stack: `StackAdvice`, what each task of a stack bears; None of one task. Its gains above are in proportion: the
+        largest of them.
+      limits: `LimitAdvice`, how fast joints may near their limits; None where the law has none, or no rate.
       analysis: `Analysis`, on which this rests.
     """
 
@@ -111,6 +77,8 @@ class Advice:
     joint_speed: float
     settings: dict
     notes: tuple
+    stack: StackAdvice | None
+    limits: LimitAdvice | None
     analysis: Analysis
 
 
@@ -145,12 +113,17 @@ def advise(
     assert gains.z_monotone is not None and gains.z_recommended is not None  # as Ts is given
     assert euler.z_monotone is not None and euler.z_recommended is not None
     safe, chosen, by_euler, z_largest = known, gains.z_recommended, euler.z_recommended, gains.z_largest
+    recommended = None
     if drive is None:
         safe = Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
         stable, recommended = shares(safe.delay, ASSUMED_LAG, Ts)
         chosen = min(chosen, removing(loop, recommended, Ts))
         by_euler = min(by_euler, removing(by, recommended, Ts))
         z_largest = min(z_largest, removing(loop, stable, Ts))
+    stacked, at_any = bounded_rates(law), None
+    if stacked:  # elsewhere tasks may get more of what they ask for than here
+        at_any, euler_at_any = (at_any_posture(one, Ts, recommended) for one in (loop, by))
+        chosen, by_euler = min(chosen, at_any[1]), min(by_euler, euler_at_any[1])
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
@@ -178,6 +151,8 @@ def advise(
             *_pulled(law, loop, chosen / Ts),
             *_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
         ),
+        stack=stack_advice(loop, safe, at_any, Ts) if stacked else None,
+        limits=limit_advice(law, safe, Ts),
         analysis=found,
     )
 
@@ -214,43 +189,8 @@ def removing(loop, share: float, Ts: float) -> float:
 
 def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
     """What a gain of z does in a loop at rest, see `loop_at_rest`. Args: z_largest: the largest stable one."""
-    moved, rows = loop.maps(np.array([z / (loop.rate * Ts)]), np.array([Ts]))
-    steps = modes_of(moved, directions(rows)[2], Drive())[0]  # of a square arm each joint is a loop of its own
-    each = [_one(steps, drive, Ts) for drive in each_drive(loop.drive)]
-    worst = {
-        name: min(v) if name in ("delay_margin", "damping_ratio") else max(v) for name, v in _by_name(each).items()
-    }
-    return Gain(alpha=z / Ts, z=z, gain_margin=z_largest / z, **worst)
-
-
-def _by_name(tables) -> dict:
-    return {name: [table[name] for table in tables] for name in tables[0]}
-
-
-def _one(steps, drive, Ts) -> dict:
-    motion, speed = noise_gain(steps, drive, Ts)
-    lags = [_following(one.real, drive, Ts) for one in steps]
-    behind, forward, start = (max(v) for v in zip(*lags, strict=True))
-    return {
-        "damping_ratio": damping_ratio(steps, drive, Ts),
-        "overshoot": overshoot(steps, drive, Ts),
-        "settling_time": settling(steps, drive, Ts),
-        "delay_margin": delay_margin(steps, drive, Ts),
-        "noise_gain": motion,
-        "velocity_noise_gain": speed,
-        "lag": behind,
-        "lag_fed_forward": forward,
-        "start_error": start,
-    }
-
-
-def _following(steps, drive, Ts) -> tuple:
-    """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]."""
-    N = until_settled(steps, drive, Ts, KEPT)
-    target = Ts * np.arange(N + 1)
-    behind, forward = (target - respond(steps, drive, Ts, target[:-1], feed)[0] for feed in (0.0, 1.0))
-    at_last = 0.0 if abs(forward[-1]) < KEPT * np.abs(forward).max() else float(forward[-1])
-    return float(behind[-1]), at_last, float(np.abs(forward).max())
+    steps = loop._replace(drive=Drive()).modes(np.array([z]), Ts)[0][0]  # of a square arm each joint is one
+    return gain_of(steps, loop.drive, Ts, z, z_largest)
 
 
 def _joint_speed(loop, Ts, speed) -> float:
@@ -258,7 +198,7 @@ def _joint_speed(loop, Ts, speed) -> float:
     lengths, limit = loop.law.task.lengths, np.asarray(loop.law.chain.velocity_limit, float)
     if not lengths or not np.isfinite(limit).any():
         return np.nan
-    rows = step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage, often=True)[1]
+    rows = loop.maps(np.ones(1), np.full(1, Ts))[1]
     return float(np.max(np.linalg.norm(np.linalg.pinv(rows)[:, lengths], axis=1) * speed / limit))
 
 

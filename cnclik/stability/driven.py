@@ -98,9 +98,12 @@ def modes_of(moved, basis, drive):
         _, vectors = np.linalg.eig(newest)
         found = np.linalg.solve(vectors[:, None], steps @ vectors[:, None])
         found = np.moveaxis(np.diagonal(found, axis1=-2, axis2=-1), 1, 2)
-    found = np.where(finite[:, None, None], found, np.nan)
-    one = np.nanmax(np.abs(found - found[:, :1]), initial=0.0) < _ZERO  # exact J# and one gain: all are alike
-    return found[:, :1] if one else found
+    return alike(np.where(finite[:, None, None], found, np.nan))
+
+
+def alike(modes):
+    """Modes (k, r, p), or one for all where they are alike, as with exact J# and one gain."""
+    return modes[:, :1] if np.nanmax(np.abs(modes - modes[:, :1]), initial=0.0) < _ZERO else modes
 
 
 def radius(steps, drive, Ts):
@@ -296,20 +299,22 @@ def until_settled(steps, drive, Ts, share=1e-3) -> int:
 
 def _answers(steps, drive, Ts):
     """What each of the modes (r, p) makes of a step of the target."""
-    for one in _different(steps):
+    for one in steps:
         yield respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))[0]
 
 
 def overshoot(steps, drive, Ts) -> float:
     """By how much of a step the modes (r, p) move beyond the target, at most."""
-    found = max((float(q.max()) - 1.0 for q in _answers(steps, drive, Ts)), default=0.0)
+    those = outermost(steps)
+    those = those if np.imag(those).any() else those[-1:]
+    found = max((float(q.max()) - 1.0 for q in _answers(those, drive, Ts)), default=0.0)
     return max(found, 0.0) if np.isfinite(found) else np.inf
 
 
 def settling(steps, drive, Ts, share=0.02) -> float:
     """Time until the modes (r, p) stay within a share of a step [s]; inf where they don't."""
     last = 0
-    for q in _answers(steps, drive, Ts):
+    for q in _answers(outermost(steps), drive, Ts):
         with np.errstate(invalid="ignore"):
             outside = np.flatnonzero(~(np.abs(q - 1.0) <= share))
         if outside[-1] == len(q) - 1:
@@ -322,16 +327,19 @@ def noise_gain(steps, drive, Ts) -> tuple:
     """Standard deviations of motion, and of the commanded velocity [1/s], per unit of white noise of what is measured:
     the root of the sum of the squares of what one disturbed measurement does. Of the worst of the modes (r, p)."""
     motion = speed = 0.0
-    for one in _different(steps):
+    for one in outermost(steps):
         N = until_settled(one, drive, Ts)
         q, asked = respond(one.real, drive, Ts, np.zeros(N), noise=np.eye(1, N)[0])
         motion, speed = max(motion, float(np.linalg.norm(q))), max(speed, float(np.linalg.norm(asked)) / Ts)
     return motion, speed
 
 
-def _different(steps):
-    """The modes (r, p) that differ by more than rounding."""
-    return np.unique(np.round(steps, 9), axis=0)
+def outermost(steps):
+    """The modes (r, p) that decide: of real ones the slowest, which lags most, and the fastest, which swings most; of
+    others each that differs by more than rounding."""
+    if np.imag(steps).any() or len(steps) < 2:
+        return np.unique(np.round(steps, 9), axis=0)
+    return steps[np.argsort(np.real(steps).sum(-1))[[-1, 0]]]
 
 
 def noise_limit(most: float, drive: Drive, Ts: float) -> float:
@@ -369,7 +377,7 @@ def delay_margin(steps, drive, Ts) -> float:
         return np.inf
     least = np.inf
     omega = np.geomspace(1e-6, np.pi, 20_001)
-    for one in _different(steps):
+    for one in outermost(steps):
         gain = open_loop(one, drive, Ts, omega)
         size = np.abs(gain)
         cross = np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) <= 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from cnclik.shapes import AnyArray, ArrayLike, Float, Number
 from cnclik.stability import rebased
 from cnclik.stability.driven import (
     SLACK,
+    alike,
     each_drive,
     longer,
     looked_at,
@@ -32,6 +32,7 @@ from cnclik.stability.driven import (
     radius,
 )
 from cnclik.stability.linear import checked, delay_limit, first_above, least_on
+from cnclik.stability.rates import Rates, rates_of
 from cnclik.stability.spectrum import (
     MEETING,
     Spectrum,
@@ -146,15 +147,32 @@ class LoopAtRest(NamedTuple):
     stage: Stage
     rate: float
     drive: Drive
-    known: dict  # maps that were asked for: limits of one loop look at the same gains
+    known: dict  # what was asked for: limits of one loop look at the same gains
+
+    @property
+    def rates(self) -> Rates | None:
+        """See `rates_of`."""
+        if "rates" not in self.known:
+            self.known["rates"] = rates_of(self.law, self.held, self.q, lambda rows: directions(rows)[2])
+        return self.known["rates"]
 
     def maps(self, scale, Ts):
         """See `step_maps`, `staying`."""
         key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
         if key not in self.known:
-            moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage, often=True)
-            self.known[key] = (moved if self.law.null_velocity is None else staying(moved, self.growing())), rows
+            self.known[key] = self._maps(np.asarray(scale, float), np.asarray(Ts, float))
         return self.known[key]
+
+    def _maps(self, scale, Ts):
+        if self.rates is None:
+            moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage, often=True)
+            return moved if self.law.null_velocity is None else staying(moved, self.growing()), rows
+        taken = self.rates.taken(scale[:, None], Ts[:, None], self.method)
+        steps = self.rates.steps(taken, self.method, self.stage)
+        k, p, n, _ = steps.shape
+        first = np.moveaxis(steps, 1, 2).reshape(k, n, p * n) + np.eye(n, p * n)
+        past = np.broadcast_to(np.eye((p - 1) * n, p * n), (k, (p - 1) * n, p * n))
+        return np.concatenate([first, past], 1), (self.rates.turned @ self.rates.rows).real
 
     def growing(self):
         """See `spectrum.growing`."""
@@ -166,18 +184,41 @@ class LoopAtRest(NamedTuple):
             self.known["growing"] = growing(flow, rows)
         return self.known["growing"]
 
+    def now(self, Ts) -> Spectrum:
+        """Its eigenvalues with the gain it has."""
+        if self.rates is None:
+            return spectrum_of(*step_map(self.law, self.held, self.q, Ts, self.method, self.stage, often=True))
+        moved, rows = self.maps(np.ones(1), np.full(1, Ts))
+        return spectrum_of(moved[0], rows)
+
+    def _at(self, z, Ts):
+        """Scales of the gain, and sampling times, of z; with Ts None of sampling times."""
+        z = np.asarray(z, float)
+        return (np.ones_like(z), z / self.rate) if Ts is None else (z / (self.rate * Ts), np.full_like(z, Ts))
+
     def along(self, z, Ts=None):
         """`maps` at gains of z; with Ts None at sampling times of z."""
-        z = np.asarray(z, float)
-        return self.maps(
-            *((np.ones_like(z), z / self.rate) if Ts is None else (z / (self.rate * Ts), np.full_like(z, Ts)))
-        )
+        return self.maps(*self._at(z, Ts))
 
-    def modes(self, z, Ts):
+    def radii(self, z, Ts=None):
+        """Spectral radii (k,) over the task's directions, and over the null space's where it moves; see `along`."""
+        if self.drive.prompt and self.rates is None:
+            moved, rows = self.along(z, Ts)
+            return task_radius(moved, rows), null_radius(moved, rows)
+        task, null = self.modes(z, Ts)
+        Ts = 1.0 if Ts is None else Ts  # of prompt drives, which know none
+        moves = callable(self.law.null_velocity)
+        return radius(task, self.drive, Ts), radius(null, self.drive, Ts) if moves else np.zeros(len(task))
+
+    def modes(self, z, Ts=None):
         """What a step does in the directions of the task, and of the null space, at gains of z; see `modes_of`."""
-        moved, rows = self.along(z, Ts)
-        _, _, along, across = directions(rows)
-        return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
+        if self.rates is None or own_drives(self.drive):
+            moved, rows = self.along(z, Ts)
+            _, _, along, across = directions(rows)
+            return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
+        scale, times = self._at(z, Ts)
+        taken = self.rates.taken(scale[:, None], times[:, None], self.method)
+        return alike(self.rates.modes(taken, self.method, self.stage)), np.zeros((len(scale), 0, self.method.steps))
 
 
 def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
@@ -256,7 +297,7 @@ def _margin(loop, Ts, reach):
     """`Recommendation` of alpha, `Margin` and `Spectrum`."""
     z = loop.rate * float(errors.number("Ts", Ts, positive=True))
     gains = recommendation_of(loop, Ts, reach)
-    now = spectrum_of(*step_map(loop.law, loop.held, loop.q, Ts, loop.method, loop.stage, often=True))
+    now = loop.now(Ts)
     size = now.radius
     if not loop.drive.prompt:
         size = float(radius(loop.modes(np.array([z]), Ts)[0], loop.drive, Ts)[0])
@@ -279,10 +320,8 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         alpha = np.asarray(law.alpha)
         return np.multiply(alpha, z / (rate * Ts), where=alpha != 0, out=np.zeros(alpha.shape))  # 0·∞ stays 0
 
-    maps = functools.partial(loop.along, Ts=Ts)
-
     def slowest(z):
-        return task_radius(*maps(z)) if drive.prompt else radius(loop.modes(z, Ts)[0], drive, Ts)
+        return loop.radii(z, Ts)[0]
 
     z_largest = largest_stable(loop, Ts, reach)
     z_fastest, least = least_on(slowest, min(z_largest, reach), _points(loop)) if z_largest else (0.0, 1.0)
@@ -298,7 +337,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         z_recommended = min(z_recommended, z_monotone)
     bounded = np.isfinite(z_largest)
     edge = max(z_largest, 1e-9) * (1 + 1e-6) if bounded else 1.0  # without an edge: only for the direction
-    moved, rows = maps(np.array([edge]))
+    moved, rows = loop.along(np.array([edge]), Ts)
     beyond = spectrum_of(moved[0], rows)
     return Recommendation(
         name="Ts" if Ts is None else "alpha",
@@ -330,15 +369,10 @@ def assumed_of(drive: Drive, Ts) -> str:
 
 def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:
     """Largest stable z, of gains at a sampling time, or, with Ts None, of sampling times; inf where every one is."""
-    drive = loop.drive
 
     def worst(z):
-        if drive.prompt:
-            moved, rows = loop.along(z, Ts)
-            return np.maximum(task_radius(moved, rows), null_radius(moved, rows) - MEETING)
-        task, null = loop.modes(z, Ts)
-        moves = callable(loop.law.null_velocity)
-        return np.maximum(radius(task, drive, Ts), radius(null, drive, Ts) - MEETING if moves else 0.0)
+        task, null = loop.radii(z, Ts)
+        return np.maximum(task, null - MEETING)
 
     return first_above(worst, 1 + SLACK, reach, _points(loop))
 

@@ -1,0 +1,84 @@
+"""Gain: what one gain does in a loop at rest, of its modes through their drives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnclik.record import record
+from cnclik.stability.driven import (
+    damping_ratio,
+    delay_margin,
+    each_drive,
+    noise_gain,
+    outermost,
+    overshoot,
+    respond,
+    settling,
+    until_settled,
+)
+
+KEPT = 1e-3  # share of a speed up to which a lag is settled
+
+
+@record
+class Gain:
+    """What one gain does in a loop: linear, at rest, the worst of the task's directions and of the joints' drives.
+
+    Attributes:
+      alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
+      damping_ratio: of the slowest pair of factors, 1 where it is real and positive.
+      overshoot: of a step, as a share of it. settling_time: until it stays within 2 % of a step [s].
+      gain_margin: factor by which alpha may still grow. delay_margin: further dead time the loop tolerates [samples].
+      noise_gain: standard deviation of the motion per unit of white noise of what is measured; velocity_noise_gain:
+        of the commanded velocity per unit of it [1/s].
+      lag: how far a motion is behind a target at constant speed without feed-forward [s].
+      lag_fed_forward: the same with feed-forward. start_error: largest error after a target starts at 1 m/s, with
+        feed-forward [s]; times a speed it is an error.
+    """
+
+    alpha: float
+    z: float
+    damping_ratio: float
+    overshoot: float
+    settling_time: float
+    gain_margin: float
+    delay_margin: float
+    noise_gain: float
+    velocity_noise_gain: float
+    lag: float
+    lag_fed_forward: float
+    start_error: float
+
+
+def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
+    """Of modes (r, p), see `modes_of`. Args: z_largest: the largest stable z."""
+    each = [_through(steps, one, Ts) for one in each_drive(drive)]
+    least = "delay_margin", "damping_ratio"
+    worst = {name: (min if name in least else max)(one[name] for one in each) for name in each[0]}
+    return Gain(alpha=z / Ts, z=z, gain_margin=z_largest / z, **worst)
+
+
+def _through(steps, drive, Ts) -> dict:
+    motion, speed = noise_gain(steps, drive, Ts)
+    lags = [_following(one.real, drive, Ts) for one in outermost(steps)]
+    behind, forward, start = (max(v) for v in zip(*lags, strict=True))
+    return {
+        "damping_ratio": damping_ratio(steps, drive, Ts),
+        "overshoot": overshoot(steps, drive, Ts),
+        "settling_time": settling(steps, drive, Ts),
+        "delay_margin": delay_margin(steps, drive, Ts),
+        "noise_gain": motion,
+        "velocity_noise_gain": speed,
+        "lag": behind,
+        "lag_fed_forward": forward,
+        "start_error": start,
+    }
+
+
+def _following(steps, drive, Ts) -> tuple:
+    """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]."""
+    N = until_settled(steps, drive, Ts, KEPT)
+    target = Ts * np.arange(N + 1)
+    behind, forward = (target - respond(steps, drive, Ts, target[:-1], feed)[0] for feed in (0.0, 1.0))
+    at_last = 0.0 if abs(forward[-1]) < KEPT * np.abs(forward).max() else float(forward[-1])
+    return float(behind[-1]), at_last, float(np.abs(forward).max())

@@ -1,0 +1,265 @@
+"""Tasks of a stack at rest: which gain each bears, what it gets of what it asks for, and what it costs the others.
+
+With J# = Jᵀ (J Jᵀ + D)⁻¹ the rates of the loop, the eigenvalues of J#KJ, are those of the product of two symmetric
+matrices, one with its spectrum in [0, 1]: real, between 0 and the largest gain, whatever tasks ask of each other. So
+what a loop of one task bears, each task bears at any posture; what it bears at one, with the other gains as they are,
+may be more.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cnclik.integrate.drive import Drive
+from cnclik.law.inverse import Levels, Transpose
+from cnclik.record import record
+from cnclik.shapes import AnyArray, Float
+from cnclik.stability.driven import SLACK, driven_limits, each_drive, increments, looked_at, own_drives, radius
+from cnclik.stability.gain import Gain, gain_of
+from cnclik.stability.linear import first_above
+from cnclik.stability.rates import Rates, steps_of
+from cnclik.stability.settings import MOST_Z
+
+REACH = 1e4  # z up to which is looked
+MOST_STEPS = 5000  # of errors that are followed
+REACHED = 1e-9  # share of an error in a direction, below which no joint makes one there
+LOST = 1e-3  # share of what a task asks for in a direction, below which it is lost there
+CONFLICT = 0.9  # of what a task would get alone: with less in some direction it is in conflict
+
+
+@record
+class TaskAdvice:
+    """What one task of a stack bears, and what it gets.
+
+    Attributes:
+      alpha: [1/s], its largest gain. z: alpha·Ts.
+      largest_stable_alpha: at this posture, with the other gains as they are; 0 where they alone are unstable.
+      fastest_monotone_alpha, recommended_alpha: the largest without overshoot, and without it were the dead time a
+        sample longer, whatever the posture and the other tasks.
+      got: how many of its coordinates it gets of those it asks for, in sum; alone: were there no other task.
+      least: share that it gets in its worst direction; least_alone: of that, alone; direction: (m,) the direction.
+      yields_to: the task that takes most of it there, or "".
+      now, recommended: `Gain` of it, the other tasks at rest, in directions that are not lost; None where unstable.
+    """
+
+    alpha: float
+    z: float
+    largest_stable_alpha: float
+    fastest_monotone_alpha: float
+    recommended_alpha: float
+    got: float
+    alone: float
+    least: float
+    least_alone: float
+    direction: np.ndarray
+    yields_to: str
+    now: Gain | None
+    recommended: Gain | None
+
+
+@record
+class Leak:
+    """What a level lets through to one before it: `share` of what `source` asks for moves `into` [units over units]."""
+
+    source: str
+    into: str
+    share: float
+
+
+@record
+class StackAdvice:
+    """What a stack of tasks at rest bears.
+
+    Attributes:
+      tasks: {name: `TaskAdvice`}.
+      least_room: name of the task whose gain is nearest to its limit: it holds the stack back.
+      growth: by how much an error may grow on its way to 0, in the norm of weights and levels; 1 is not at all.
+        error_growth: the same of errors as they are [m, rad]. Without drives; inf where the loop is unstable.
+      leaks: of each two levels the largest `Leak`.
+    """
+
+    tasks: dict
+    least_room: str
+    growth: float
+    error_growth: float
+    leaks: tuple
+
+
+class Shares(NamedTuple):
+    """A loop at rest whose rates are known, and what its rows get of what they ask for."""
+
+    loop: Any  # `LoopAtRest`
+    Ts: float
+    rates: Rates
+    root: Float[AnyArray, " m"]  # λ of each row; 1 without damping
+    weights: Float[AnyArray, " m"]
+
+    def got(self, some=slice(None)):
+        """J J# of some rows without the others, in the norm of weights and levels, in which it is symmetric."""
+        rows = self.rates.rows[some] / self.root[some][:, None]
+        if self.rates.damping is None:
+            return rows @ np.linalg.pinv(rows)
+        gram = rows @ rows.T
+        return np.linalg.solve(gram + np.eye(len(gram)), gram)
+
+    def taken(self, scale):
+        """What a step takes (k, m) with the gains times a scale."""
+        return self.rates.taken(scale, self.Ts, self.loop.method)
+
+    def steps(self, taken):
+        return steps_of(taken, self.loop.method, self.loop.stage)
+
+    def radius(self, scale, drive):
+        """Spectral radius (k,) with the gains times a scale (k, m), through a drive."""
+        of = self.rates.steps if own_drives(drive) else self.rates.modes
+        return radius(of(self.taken(scale), self.loop.method, self.loop.stage), drive, self.Ts)
+
+    def own(self, at, scale):
+        """Modes (r, p) of one task, the others at rest, in its directions that are not lost."""
+        root = np.sqrt(self.taken(scale)[at])
+        rates = np.linalg.eigvalsh(root[:, None] * self.got()[at, at] * root)
+        return self.steps(rates[rates > LOST * rates.max(initial=0.0)])
+
+    def growth(self) -> tuple:
+        """Largest norms of what becomes of the errors of joints that are elsewhere: in the norm of weights and levels,
+        and of the errors as they are. Of one gain for all the first is 1, else at most (κ + 1)/(2 √κ), κ the largest
+        gain over the smallest (Kantorovich), while no step takes more than all of an error."""
+        shares, taken = self.got(), self.taken(1.0)
+        root = np.sqrt(np.maximum(taken, 1e-12 * taken.max()))
+        rates, vectors = np.linalg.eigh(root[:, None] * shares * root)
+        factors = _powers(self.steps(rates))
+        got, those = np.linalg.eigh(shares)
+        found = []
+        for back in (np.ones(len(root)), self.root / self.weights):
+            reached = np.linalg.qr(back[:, None] * those[:, got > REACHED])[0]
+            left, right = back[:, None] * vectors / root[:, None], (vectors.T * (root / back)) @ reached
+            found.append(max(1.0, *(float(np.linalg.norm((left * f) @ right, 2)) for f in factors)))
+        return tuple(found)
+
+
+def _powers(steps):
+    """What modes (r, p) leave of an error 1 after some of many steps (k, r)."""
+    slowest = -np.log(np.abs(1.0 + steps.sum(-1)).max())
+    last = int(np.clip(5.0 / max(slowest, 1e-9), 50, MOST_STEPS))
+    some = np.unique(np.r_[1:11, np.geomspace(1, last, 30).astype(int)])
+    if steps.shape[1] == 1:
+        return (1.0 + steps.T) ** some[:, None]
+    past, found = [np.ones(len(steps))] * steps.shape[1], []
+    for _ in range(last):
+        past = [past[0] + sum(d * e for d, e in zip(steps.T, past, strict=True)), *past[:-1]]
+        found.append(past[0])
+    return np.array(found)[some - 1]
+
+
+def bounded_rates(law) -> bool:
+    """Whether it is a stack of tasks whose rates are between 0 and the largest gain: not by the transpose."""
+    return bool(law.task.tasks) and law.null_velocity is None and not isinstance(law.inverse, Transpose)
+
+
+def at_any_posture(loop, Ts: float, share: float | None = None) -> tuple:
+    """z without overshoot, and recommended, of a loop of one rate between 0 and alpha, through the loop's drive.
+
+    Args: share: what of an error a step may remove at most where a gain is recommended, or None.
+    """
+    each = [driven_limits(loop.method, loop.stage, Ts=Ts, drive=one) for one in each_drive(loop.drive)]
+    recommended = min(MOST_Z, *(one.recommended for one in each))
+    if share is not None:
+
+        def removed(z):
+            return np.abs(increments(loop.method, loop.stage, z).sum(-1))
+
+        recommended = min(recommended, first_above(removed, share, MOST_Z, 128))
+    return min(one.monotone for one in each), recommended
+
+
+def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
+    """What the tasks of a loop at rest bear.
+
+    Args:
+      loop: `LoopAtRest`, of `bounded_rates`. safe: the drive for which a gain is recommended: the loop's own, if known.
+      limits: z without overshoot, and recommended, see `at_any_posture`.
+    """
+    law, rates = loop.law, loop.rates
+    weights = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
+    root = np.ones(law.task.m) if rates.damping is None else rates.damping
+    here = Shares(loop, Ts, rates, root, weights)
+    tasks = {name: _task(here, name, at, safe, limits) for name, at in law.task.each}
+    room = {name: one.largest_stable_alpha / one.alpha for name, one in tasks.items() if one.alpha}
+    stable = bool(here.radius(np.ones((1, 1)), Drive())[0] <= 1 + SLACK)
+    growth, error_growth = here.growth() if stable else (np.inf, np.inf)
+    return StackAdvice(
+        tasks=tasks,
+        least_room=min(room, key=lambda name: (room[name], -tasks[name].alpha)),
+        growth=growth,
+        error_growth=error_growth,
+        leaks=tuple(_leaks(here, law)),
+    )
+
+
+def _task(here, name, at, safe, limits) -> TaskAdvice:
+    Ts, loop, task = here.Ts, here.loop, here.loop.law.task
+    alpha = float(np.max(here.rates.alpha[at]))
+
+    def scale(z):
+        changed = np.ones((len(z), task.m))
+        changed[:, at] = (z / (alpha * Ts))[:, None]
+        return changed
+
+    def largest(drive):
+        points = looked_at(drive, task.m)
+        return first_above(lambda z: here.radius(scale(z), drive), 1 + SLACK, REACH, points) if alpha else np.inf
+
+    def does(z):
+        steps = here.own(at, scale(np.array([z]))[0]) if alpha and z else ()
+        return gain_of(steps, safe, Ts, z, borne) if len(steps) else None
+
+    most = largest(loop.drive)
+    borne = most if safe is loop.drive else largest(safe)
+    share, alone = here.got()[at, at], here.got(at)
+    least, vectors = np.linalg.eigh(share)
+    worst = vectors[:, 0]
+    direction = here.rates.turned[at, at] @ worst * here.root[at] / here.weights[at]
+    monotone, recommended = (min(z, most) for z in limits)
+    return TaskAdvice(
+        alpha=alpha,
+        z=alpha * Ts,
+        largest_stable_alpha=most / Ts,
+        fastest_monotone_alpha=monotone / Ts,
+        recommended_alpha=recommended / Ts,
+        got=float(np.trace(share)),
+        alone=float(np.trace(alone)),
+        least=float(max(least[0], 0.0)),
+        least_alone=float(worst @ alone @ worst),
+        direction=direction / np.linalg.norm(direction),
+        yields_to=_taker(here, name, worst, least[0], alone),
+        now=does(alpha * Ts) if alpha * Ts < borne else None,
+        recommended=does(recommended),
+    )
+
+
+def _taker(here, name, worst, got, alone) -> str:
+    """The task without which one would get most of a direction more; "" where none takes much."""
+    if got > CONFLICT * (worst @ alone @ worst):
+        return ""
+    task, more = here.loop.law.task, {}
+    for other in (one for one, _ in task.each if one != name):
+        left = np.concatenate([np.arange(task.m)[at] for one, at in task.each if one != other])
+        own = np.isin(left, np.arange(task.m)[task.of(name)])
+        more[other] = worst @ here.got(left)[np.ix_(own, own)] @ worst
+    return max(more, key=lambda other: more[other])
+
+
+def _leaks(here, law):
+    """Of each two levels what the later one lets through to the earlier, at most."""
+    if not isinstance(law.inverse, Levels):
+        return
+    level, names, rates = np.array(law.inverse.level), law.task.names, here.rates
+    through = rates.turned @ rates.rows @ rates.columns @ rates.turned.T * here.weights / here.weights[:, None]
+    for first in range(level.max()):
+        for later in range(first + 1, level.max() + 1):
+            into, source = np.flatnonzero(level == first), np.flatnonzero(level == later)
+            part = np.abs(through[np.ix_(into, source)])
+            i, j = np.unravel_index(np.argmax(part), part.shape)
+            yield Leak(source=names[source[j]], into=names[into[i]], share=float(part[i, j]))
