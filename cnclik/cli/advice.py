@@ -55,6 +55,7 @@ def lines_of(found, said, written) -> list:
     now, eigen = said.analysis.margin, said.analysis.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines += [NOT_KNOWN] * (not exact(found.drive))
+    lines += [] if said.limits is None else [_sentence(said.limits.words)]
     whose = "The default" if _present(written) == "by default" else "Your"
     alpha = in_words(found.law.alpha).removesuffix(".")
     lines.append(f"{whose} gain (alpha = {alpha} 1/s) {_margin(now, said, found.drive, found.Ts)}")
@@ -70,6 +71,76 @@ def lines_of(found, said, written) -> list:
     lines.append(f"Jacobians per step: {said.analysis.gains.evaluations}. Null space: {null}.")
     lines += ["The same loop elsewhere, by explicit Euler:"] * bool(said.settings)
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]
+
+
+# --- of a stack ---------------------------------------------------------------------------------------
+
+TASK_COLUMNS = ("task", "alpha [1/s]", "alpha·Ts", "largest stable", "no overshoot", "recommended")
+DOES_COLUMNS = ("task", "gets", "alone", "lag [ms]", "settles [s]", "noise ×", "more dead time")
+
+
+def gains_of_tasks(found, said) -> list:
+    """Rows of TASK_COLUMNS: the gains of a stack's tasks [1/s], the largest stable ones with the others as they are."""
+    known, rows = exact(found.drive), []
+    for name, one in said.stack.tasks.items():
+        gains = one.largest_stable_alpha, one.fastest_monotone_alpha, one.recommended_alpha
+        largest, *others = map(or_any, gains)
+        rows.append((name, f"{one.alpha:.4g}", f"{one.z:.4g}", largest if known else "not known", *others))
+    return rows
+
+
+def does_of_tasks(found, said) -> list:
+    """Rows of DOES_COLUMNS: what a stack's tasks get, and do with the gains they have, in the directions they get."""
+    rows = []
+    for name, one in said.stack.tasks.items():
+        m, now = len(one.direction), one.now
+        does = ("unstable", "", "", "")
+        if now is not None:
+            settles = f"{now.settling_time:.3g}" if now.settling_time < math.inf else "long"
+            late = f"{1e3 * now.delay_margin * found.Ts:.4g} ms" if now.delay_margin < math.inf else "any"
+            does = (f"{1e3 * now.lag:.4g}", settles, f"{now.noise_gain:.3g}", late)
+        rows.append((name, f"{one.got:.3g} of {m}", f"{one.alone:.3g}", *does))
+    return rows
+
+
+def lines_of_stack(found, said) -> list:
+    """What the numbers of a stack mean, in sentences."""
+    stack, lines = (
+        said.stack,
+        [f"Recommended for each task: {said.reason}, at any posture and whatever the others ask for."],
+    )
+    tightest = stack.tasks[stack.least_room]
+    if tightest.largest_stable_alpha < math.inf and exact(found.drive):
+        often = tightest.largest_stable_alpha / tightest.alpha
+        room = f"it may grow {often:.3g} times" if often > 1 else f"UNSTABLE: at most {often:.3g} times it is stable"
+        lines.append(f"{stack.least_room} has the least room: with the other gains as they are {room}.")
+    else:
+        lines += [NOT_KNOWN] * (not exact(found.drive))
+    over = [name for name, one in stack.tasks.items() if one.alpha > one.recommended_alpha * (1 + 1e-9)]
+    if over:
+        lines.append(f"Above what is recommended: {', '.join(over)}.")
+    lines += [_conflict(name, one, found) for name, one in stack.tasks.items() if one.yields_to]
+    for leak in stack.leaks:
+        lines.append(f"Levels leak: {leak.source} asked for moves {leak.into} by {leak.share:.2g} of it.")
+    if 1.005 < stack.error_growth < math.inf:
+        lines.append(
+            f"Errors may grow on their way to 0, by {stack.error_growth:.3g} times in m and rad and by "
+            f"{stack.growth:.3g} as weights and levels count them."
+        )
+    return lines if said.limits is None else [*lines, _sentence(said.limits.words)]
+
+
+def _conflict(name, one, found) -> str:
+    """In which direction a task yields, and to which."""
+    import numpy as np
+
+    names = found.law.task.names[found.law.task.of(name)]
+    size = np.abs(one.direction)
+    most = [names[i] for i in np.argsort(-size)[:2] if size[i] > 0.3]
+    return (
+        f"{name} yields to {one.yields_to}: along {' and '.join(most)} it gets {100 * one.least:.2g} % of what it asks "
+        f"for, {100 * one.least_alone:.2g} % were it alone."
+    )
 
 
 def _present(written) -> str:

@@ -105,7 +105,12 @@ def _loop(args):
     from cnclik.problem.names import require_free
     from cnclik.stability.spectrum import settle
 
-    found = problem(args)
+    found = problem(args, stacks=True)
+    if found.law.task.tasks:
+        for name in ("map", "report", "target"):
+            if getattr(args, name):
+                raise errors.fail(name, "be left out with a stack, which is looked at where it starts", "is given")
+        return found, found.q0
     require_free(found.law.chain, found.law.task)
     with progress.bar("rest"):
         return found, settle(found.law, found.reference, found.q0)
@@ -132,6 +137,11 @@ def _tell(args, advised):
     found, said = advised
     asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
     print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")  # what the numbers can't say comes before
+    if said.stack is not None:
+        print_table(advice.gains_of_tasks(found, said), advice.TASK_COLUMNS, title=advice.title_of(found))
+        print_table(advice.does_of_tasks(found, said), advice.DOES_COLUMNS, title="what the tasks do now")
+        print(*advice.lines_of_stack(found, said), sep="\n")
+        return
     print_table(advice.gains_of(found, said, args.written), advice.COLUMNS, title=advice.title_of(found))
     print(*advice.lines_of(found, said, args.written), sep="\n")
 

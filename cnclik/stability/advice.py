@@ -24,8 +24,9 @@ from cnclik.stability.driven import (
 )
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
+from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.rebased import WHERE, bearable_delay
-from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, loop_at_rest, recommendation_of
+from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, recommendation_of
 from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import drift_of_numbers, rest_tolerance
 from cnclik.stability.tasks import StackAdvice, at_any_posture, bounded_rates, stack_advice
@@ -120,8 +121,8 @@ def advise(
         chosen = min(chosen, removing(loop, recommended, Ts))
         by_euler = min(by_euler, removing(by, recommended, Ts))
         z_largest = min(z_largest, removing(loop, stable, Ts))
-    stacked, at_any = bounded_rates(law), None
-    if stacked:  # elsewhere tasks may get more of what they ask for than here
+    at_any = None
+    if bounded_rates(law):  # elsewhere tasks may get more of what they ask for than here
         at_any, euler_at_any = (at_any_posture(one, Ts, recommended) for one in (loop, by))
         chosen, by_euler = min(chosen, at_any[1]), min(by_euler, euler_at_any[1])
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
@@ -151,7 +152,7 @@ def advise(
             *_pulled(law, loop, chosen / Ts),
             *_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
         ),
-        stack=stack_advice(loop, safe, at_any, Ts) if stacked else None,
+        stack=None if at_any is None else stack_advice(loop, safe, at_any, Ts),
         limits=limit_advice(law, safe, Ts),
         analysis=found,
     )
@@ -237,7 +238,7 @@ def _reason(gains, chosen, drive) -> str:
             "no overshoot, of the commands not even if the loop looked at them a sample late; it knows its own "
             "commands only, so dead time doesn't limit it, and the robot follows them late"
         )
-    if chosen < gains.z_recommended:
+    if chosen == MOST_Z < gains.z_recommended:
         return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
     late = drive.lumped.delay
     return f"the largest gain that does not overshoot, even with one more sample of dead time than the {late:g} given"

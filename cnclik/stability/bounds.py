@@ -32,7 +32,7 @@ class LimitAdvice:
 def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
     """Of a law whose joints near their limits at a rate; None where there is none. Args: drive: see `Drive`."""
     rate = getattr(law.limits, "rate", None)
-    if rate is None or not law.chain.bounded:
+    if rate is None or not np.isfinite([law.chain.lower, law.chain.upper]).any():
         return None
     rate = float(rate)
     found = [driven_limits("EE", Ts=Ts, drive=one) for one in each_drive(drive)]

@@ -19,7 +19,8 @@ from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
 from cnclik.stability.linear import checked, stability_limit
-from cnclik.stability.recommend import largest_stable, loop_at_rest
+from cnclik.stability.loop import loop_at_rest
+from cnclik.stability.recommend import largest_stable
 from cnclik.stability.spectrum import largest_rate, settle
 
 CHUNK = 1 << 15  # loops run between two looks at the progress

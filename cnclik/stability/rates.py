@@ -82,7 +82,8 @@ def rates_of(law, held, q, along) -> Rates | None:
     """
     if law.null_velocity is not None:
         return None
-    rows, columns, shift = (None if v is None else np.asarray(v, float) for v in _parts(law, held, q))
+    rows, columns, shift = _parts(law, held, q)
+    rows, columns = np.asarray(rows, float), np.asarray(columns, float)
     m, alpha, turned = law.task.m, np.asarray(law.alpha, float), np.eye(law.task.m)
     weights = np.ones(m) if law.task.weights is None else np.asarray(law.task.weights, float)
     if alpha.ndim == 2:
@@ -93,7 +94,7 @@ def rates_of(law, held, q, along) -> Rates | None:
     return Rates(
         rows=np.linalg.solve(turned, rows),
         columns=columns @ turned,
-        damping=None if shift is None else np.sqrt(np.broadcast_to(shift, (m,))),
+        damping=None if shift is None else np.sqrt(np.broadcast_to(np.asarray(shift, float), (m,))),
         alpha=np.broadcast_to(alpha, (m,)),
         turned=turned,
         along=along(rows),

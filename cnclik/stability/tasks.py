@@ -25,7 +25,7 @@ from cnclik.stability.settings import MOST_Z
 REACH = 1e4  # z up to which is looked
 MOST_STEPS = 5000  # of errors that are followed
 REACHED = 1e-9  # share of an error in a direction, below which no joint makes one there
-LOST = 1e-3  # share of what a task asks for in a direction, below which it is lost there
+LOST = 0.1  # share of what a task gets in its best direction, below which another is lost to it
 CONFLICT = 0.9  # of what a task would get alone: with less in some direction it is in conflict
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.stability.recommend import loop_at_rest
+from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.spectrum import step_maps
 
 ARM = ck.planar_arm([1.0, 0.8, 0.6, 0.5])

@@ -1,0 +1,126 @@
+"""Loop: a law at rest with its method and its drive, and what its steps do to small errors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.method import Method
+from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.stage import Stage
+from cnclik.law.law import Law
+from cnclik.law.null import MaximizeManipulability
+from cnclik.law.reference import Reference
+from cnclik.robot.kinematics import as_joint_values
+from cnclik.shapes import AnyArray, Float
+from cnclik.stability.driven import alike, modes_of, own_drives, radius
+from cnclik.stability.linear import checked
+from cnclik.stability.rates import Rates, rates_of
+from cnclik.stability.spectrum import (
+    Spectrum,
+    at_rest,
+    directions,
+    growing,
+    largest_rate,
+    null_flow_of_numbers,
+    null_radius,
+    spectrum_of,
+    staying,
+    step_map,
+    step_maps,
+    task_radius,
+)
+
+
+class LoopAtRest(NamedTuple):
+    """A loop at rest, checked, with the number behind its gain, see `at_rest`."""
+
+    law: Law
+    held: Reference
+    q: Float[AnyArray, " n"]
+    method: Method | Multistep
+    stage: Stage
+    rate: float
+    drive: Drive
+    known: dict  # what was asked for: limits of one loop look at the same gains
+
+    @property
+    def rates(self) -> Rates | None:
+        """See `rates_of`."""
+        if "rates" not in self.known:
+            self.known["rates"] = rates_of(self.law, self.held, self.q, lambda rows: directions(rows)[2])
+        return self.known["rates"]
+
+    def maps(self, scale, Ts):
+        """See `step_maps`, `staying`."""
+        key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
+        if key not in self.known:
+            self.known[key] = self._maps(np.asarray(scale, float), np.asarray(Ts, float))
+        return self.known[key]
+
+    def _maps(self, scale, Ts):
+        if self.rates is None:
+            moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage, often=True)
+            return moved if self.law.null_velocity is None else staying(moved, self.growing()), rows
+        taken = self.rates.taken(scale[:, None], Ts[:, None], self.method)
+        steps = self.rates.steps(taken, self.method, self.stage)
+        k, p, n, _ = steps.shape
+        first = np.moveaxis(steps, 1, 2).reshape(k, n, p * n) + np.eye(n, p * n)
+        past = np.broadcast_to(np.eye((p - 1) * n, p * n), (k, (p - 1) * n, p * n))
+        return np.concatenate([first, past], 1), (self.rates.turned @ self.rates.rows).real
+
+    def growing(self):
+        """See `spectrum.growing`."""
+        if "growing" not in self.known:
+            flow, rows = map(np.asarray, null_flow_of_numbers(self.law, self.held, self.q))
+            climbs = isinstance(getattr(self.law.null_velocity, "base", None), MaximizeManipulability)
+            if climbs and directions(rows)[2].shape[1] < len(rows):
+                raise errors.fail("q", "be no singular posture to climb the manipulability from", "is: it has no slope")
+            self.known["growing"] = growing(flow, rows)
+        return self.known["growing"]
+
+    def now(self, Ts) -> Spectrum:
+        """Its eigenvalues with the gain it has."""
+        if self.rates is None:
+            return spectrum_of(*step_map(self.law, self.held, self.q, Ts, self.method, self.stage, often=True))
+        moved, rows = self.maps(np.ones(1), np.full(1, Ts))
+        return spectrum_of(moved[0], rows)
+
+    def _at(self, z, Ts):
+        """Scales of the gain, and sampling times, of z; with Ts None of sampling times."""
+        z = np.asarray(z, float)
+        return (np.ones_like(z), z / self.rate) if Ts is None else (z / (self.rate * Ts), np.full_like(z, Ts))
+
+    def along(self, z, Ts=None):
+        """`maps` at gains of z; with Ts None at sampling times of z."""
+        return self.maps(*self._at(z, Ts))
+
+    def radii(self, z, Ts=None):
+        """Spectral radii (k,) over the task's directions, and over the null space's where it moves; see `along`."""
+        if self.drive.prompt and self.rates is None:
+            moved, rows = self.along(z, Ts)
+            return task_radius(moved, rows), null_radius(moved, rows)
+        task, null = self.modes(z, Ts)
+        Ts = 1.0 if Ts is None else Ts  # of prompt drives, which know none
+        moves = callable(self.law.null_velocity)
+        return radius(task, self.drive, Ts), radius(null, self.drive, Ts) if moves else np.zeros(len(task))
+
+    def modes(self, z, Ts=None):
+        """What a step does in the directions of the task, and of the null space, at gains of z; see `modes_of`."""
+        if self.rates is None or own_drives(self.drive):
+            moved, rows = self.along(z, Ts)
+            _, _, along, across = directions(rows)
+            return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
+        scale, times = self._at(z, Ts)
+        taken = self.rates.taken(scale[:, None], times[:, None], self.method)
+        return alike(self.rates.modes(taken, self.method, self.stage)), np.zeros((len(scale), 0, self.method.steps))
+
+
+def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
+    """Args: as for `recommend`."""
+    method, stage = checked(method, stage)
+    (law, held), drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
+    return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})

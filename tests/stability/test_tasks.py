@@ -1,0 +1,210 @@
+"""What each task of a stack bears, against loops that are run; what it gets of what it asks for; how levels leak."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.cli import main
+from cnclik.stability.tasks import LOST
+from tests.oracles import robot_file
+
+ARM = ck.planar_arm([1.0, 0.8, 0.6, 0.5, 0.4])
+Q = np.array([0.3, 0.9, -0.5, 0.4, 0.8])
+TS = 0.01
+
+
+def stack(**weights):
+    return ck.stack(
+        tip=ck.position("xy", weights=weights.get("tip")),
+        angle=ck.orientation("z", weights=weights.get("angle")),
+        rest=ck.joints(weights=weights.get("rest")),
+    )
+
+
+def law_of(alpha, inverse, **weights):
+    return ck.Law(ARM, stack(**weights), alpha=alpha, inverse=inverse)
+
+
+LAWS = {
+    "weighted": law_of({"tip": 20.0, "angle": 10.0, "rest": 5.0}, ck.damped(0.3), rest=[0.3, 0.2, 0.5, 0.3, 0.4]),
+    "levels": law_of(
+        {"tip": [15.0, 25.0], "angle": 10.0, "rest": 2.0},
+        ck.levels(["tip"], ["angle", "rest"], damping=(0.01, 0.3)),
+    ),
+    "matrix": law_of({"tip": [[20.0, 5.0], [5.0, 10.0]], "angle": 8.0, "rest": 5.0}, ck.damped(0.2)),
+}
+
+
+def grows(law, name, factor, method, delay):
+    """Whether a small error grows in the run with one task's gain times a factor."""
+    alpha = np.array(law.alpha)
+    at = law.task.of(name)
+    alpha[(at,) * alpha.ndim] *= factor
+    drive, N = (ck.Drive(delay=delay), 3000) if delay else (None, 600)  # through dead time a loop grows slowly
+    changed = ck.Law(law.chain, law.task, alpha=alpha, inverse=law.inverse)
+    q0 = Q + 1e-7 * np.array([1.0, -0.7, 0.4, 0.9, -0.3])
+    run = ck.solve(changed, ck.hold_at(law.chain, law.task, Q), q0, TS, N, method, drive=drive)
+    size = np.linalg.norm(np.diff(run.q, axis=0), axis=1)  # what is lost to conflicts stays, and moves nothing
+    late = np.nan_to_num(size[-100:], nan=np.inf).max()
+    return bool(late > max(size[N // 3 : N // 3 + 50].max(), 1e-12))  # below it is rounding
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(("method", "delay"), [("EE", 0), ("EE", 3), ("RK4", 2), ("EXP-EE", 4), ("AB2", 0)])
+def test_up_to_the_largest_gain_the_run_shrinks_and_beyond_it_grows(name, method, delay):
+    law = LAWS[name]
+    said = ck.advise(law, None, Q, Ts=TS, method=method, drive=ck.Drive(delay=delay)).stack
+    for task, one in said.tasks.items():
+        factor = one.largest_stable_alpha / one.alpha
+        assert one.recommended_alpha <= one.fastest_monotone_alpha < one.largest_stable_alpha
+        if factor == np.inf:  # of an exponential step that gets too little of what it asks for to grow
+            assert method == "EXP-EE" and one.least < 0.5 and not grows(law, task, 1e3, method, delay)
+            continue
+        assert not grows(law, task, 0.99 * factor, method, delay)
+        assert grows(law, task, 1.01 * factor, method, delay)
+    room = {task: one.largest_stable_alpha / one.alpha for task, one in said.tasks.items()}
+    assert said.least_room == min(room, key=room.get)
+
+
+def random_stack(rng):
+    """Rows, dampings and gains of a random stack of two to four tasks; some in conflict."""
+    n, sizes = rng.integers(2, 9), rng.integers(1, 5, rng.integers(2, 5))
+    rows = [rng.normal(size=(k, n)) * 10 ** rng.uniform(-1, 0.5) for k in sizes]
+    if rng.random() < 0.5:
+        rows[-1] = np.concatenate([rows[0], rows[-1]])[: sizes[-1]] + 1e-3 * rng.normal(size=(sizes[-1], n))
+    alpha = np.repeat(10 ** rng.uniform(0, 1.5, len(sizes)), sizes)
+    return np.concatenate(rows), np.repeat(10 ** rng.uniform(-2, 0, len(sizes)), sizes), alpha, sizes
+
+
+@pytest.mark.slow
+def test_2000_random_stacks():
+    """No gain that is called safe grows, none called unstable by more than 1 % decays: explicit Euler in NumPy."""
+    from cnclik.stability.loop import LoopAtRest
+    from cnclik.stability.rates import Rates
+    from cnclik.stability.tasks import stack_advice
+
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        rows, root, alpha, sizes = random_stack(rng)
+        columns, delay = rows.T @ np.linalg.inv(rows @ rows.T + np.diag(root**2)), int(rng.integers(0, 6))
+        ends = np.cumsum([0, *sizes])
+        parts = [ck.joints([f"j{i}_{k}" for k in range(size)]) for i, size in enumerate(sizes)]
+        task = ck.stack(**{f"t{i}": part for i, part in enumerate(parts)})
+        law = type("Law", (), dict(task=task, inverse=ck.damped(0.1), null_velocity=None))
+        rates = Rates(rows, columns, root, alpha, np.eye(len(rows)), np.linalg.svd(rows, False)[2].T)
+        drive = ck.Drive(delay=delay)
+        loop = LoopAtRest(law, None, None, ck.EE, None, float(alpha.max()), drive, {"rates": rates})
+        said = stack_advice(loop, drive, (1.0, 0.5), TS)
+        i = int(rng.integers(len(sizes)))
+        most = said.tasks[f"t{i}"].largest_stable_alpha
+        for factor in (0.99, 1.01) if 0 < most < np.inf else ():
+            gains = alpha.copy()
+            gains[ends[i] : ends[i + 1]] = factor * most
+            step, past = TS * columns @ (gains[:, None] * rows), [rng.normal(size=rows.shape[1])] * (delay + 1)
+            sizes_seen = []
+            for _ in range(20_000):
+                past = [past[0] - step @ past[-1], *past[:-1]]
+                sizes_seen.append(np.linalg.norm(step @ past[0]))
+                if not 1e-12 < sizes_seen[-1] < 1e12:
+                    break
+            late = len(sizes_seen) // 2
+            grew = np.max(sizes_seen[late:]) > np.max(sizes_seen[late // 2 : late])
+            assert grew == (factor > 1), (i, most, delay)
+
+
+def test_arms_of_their_own_share_nothing_and_two_tasks_of_one_tip_share_it():
+    robot = ck.load_urdf(robot_file("baxter"), tips=["left_gripper", "right_gripper"])
+    q = np.linspace(0.2, 0.8, robot.n)
+    arms = ck.stack(left=ck.position(tip="left_gripper"), right=ck.position(tip="right_gripper"))
+    said = ck.advise(ck.Law(robot, arms, alpha=5.0, inverse=ck.damped(1e-3)), None, q, Ts=TS).stack
+    for one in said.tasks.values():
+        np.testing.assert_allclose([one.got, one.alone, one.least], [3, 3, 1], rtol=1e-3)
+        assert one.yields_to == ""
+    np.testing.assert_allclose([said.growth, said.error_growth], 1, atol=1e-9)
+
+    twice = ck.stack(first=ck.position("xy"), second=ck.position("x", weights=[2.0]))
+    said = ck.advise(ck.Law(ARM, twice, alpha=5.0, inverse=ck.damped(1e-4)), None, Q, Ts=TS).stack
+    first, second = said.tasks["first"], said.tasks["second"]
+    np.testing.assert_allclose([first.got, first.least, second.got], [1.2, 0.2, 0.8], rtol=1e-5)
+    assert (first.yields_to, second.yields_to) == ("second", "first")
+    np.testing.assert_allclose(np.abs(first.direction), [1, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("first", [1e-2, 1e-3])
+def test_levels_leak_as_the_square_of_their_dampings(first):
+    law = law_of(5.0, ck.levels(["tip"], ["angle", "rest"], damping=(first, 0.1)))
+    (leak,) = ck.advise(law, None, Q, Ts=TS).stack.leaks
+    assert leak.into.startswith("tip.") and not leak.source.startswith("tip.")
+    assert 0.05 < leak.share / (first / 0.1) ** 2 < 20
+
+
+def test_errors_grow_by_no_more_than_gains_differ():
+    """Kantorovich: (κ + 1)/(2 √κ) in the norm of weights and levels."""
+    for ratio in (1.0, 3.0, 30.0):
+        law = law_of({"tip": 10.0, "angle": 10.0 / ratio, "rest": 10.0}, ck.damped(0.3))
+        growth = ck.advise(law, None, Q, Ts=TS).stack.growth
+        assert 1 <= growth <= (ratio + 1) / (2 * np.sqrt(ratio)) + 1e-9
+
+
+def test_a_task_beside_one_that_is_unstable_has_no_stable_gain():
+    law = law_of({"tip": 500.0, "angle": 10.0, "rest": 5.0}, ck.damped(0.01))
+    said = ck.advise(law, None, Q, Ts=TS, method="EE", drive=ck.Drive()).stack
+    assert said.tasks["angle"].largest_stable_alpha == 0 and said.least_room == "angle"
+    assert said.tasks["tip"].now is None and said.growth == np.inf
+    assert said.tasks["tip"].recommended_alpha == pytest.approx(25.0, rel=1e-6)  # z = 1/4: a sample late
+
+
+def test_limits_are_loops_of_their_own():
+    arm = ck.load_urdf(robot_file("panda"), tip="panda_hand")
+    for rate, said in ((5.0, "even with a sample more"), (9.0, "past their limits"), (60.0, "UNSTABLE")):
+        law = ck.Law(arm, ck.position(), alpha=2.0, inverse=ck.damped(0.05), limits=ck.bounded(rate=rate))
+        q = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.0, 0.7])
+        found = ck.advise(law, None, q, Ts=TS, drive=ck.Drive(delay=4)).limits
+        assert said in found.words and found.z == pytest.approx(rate * TS)
+        assert found.fastest_rate == pytest.approx(4**4 / 5**5 / TS, rel=1e-3)
+    assert ck.advise(ck.Law(arm, ck.position(), alpha=2.0), None, q, Ts=TS).limits is None
+
+
+FILE = """
+[tasks.left]
+task = "pose"
+tip = "left_gripper"
+alpha = 10
+level = 1
+damping = 0.01
+[tasks.right]
+task = "position"
+tip = "right_gripper"
+alpha = 20
+level = 1
+[tasks.rest]
+task = "joints"
+alpha = 1
+level = 2
+damping = 0.3
+"""
+
+
+def test_a_stack_at_the_command_line(tmp_path, capsys):
+    file = tmp_path / "stack.toml"
+    file.write_text(FILE)
+    asked = ["stability", robot_file("baxter"), "--stack", str(file), "--Ts", "10ms", "--delay", "4"]
+    main(asked)
+    told = capsys.readouterr().out
+    for words in (
+        "│ right",
+        "2.98 of 3",
+        "right has the least room",
+        "Above what is recommended: left, right",
+        "Levels leak",
+    ):
+        assert words in told
+    main([*asked, "--json"])
+    said = json.loads(capsys.readouterr().out)["stack"]
+    assert set(said["tasks"]) == {"left", "right", "rest"} and said["least_room"] == "right"
+    assert 0 < said["tasks"]["left"]["recommended_alpha"] < 10 and LOST < 1
+    with pytest.raises(SystemExit):
+        main([*asked, "--map"])
+    assert "`map` must be left out with a stack" in capsys.readouterr().err
