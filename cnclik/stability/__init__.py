@@ -10,6 +10,7 @@ import warnings
 from cnclik.measure.outcome import Ending, Outcome, outcome
 from cnclik.stability.advice import Advice, advise
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound, sampled_attraction
+from cnclik.stability.bounds import LimitAdvice
 from cnclik.stability.driven import DrivenLimits, driven_factors, driven_limits
 from cnclik.stability.judged import Behaviour
 from cnclik.stability.linear import (
@@ -24,6 +25,7 @@ from cnclik.stability.linear import (
     stability_region,
 )
 from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map
+from cnclik.stability.peers import from_pink, to_pink
 from cnclik.stability.plane import plane
 from cnclik.stability.recommend import Analysis, Margin, Recommendation, analyse, margin, recommend
 from cnclik.stability.remedies import Remedy
@@ -40,10 +42,12 @@ from cnclik.stability.spectrum import (
     task_map,
     task_radius,
 )
+from cnclik.stability.tasks import Leak, StackAdvice, TaskAdvice
 from cnclik.stability.verdict import Verdict, verdict
 
 __all__ = ["Advice", "Analysis", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "RealAxisLimits"]
-__all__ += ["Recommendation", "Remedy", "Spectrum", "Verdict"]
+__all__ += ["Leak", "LimitAdvice", "Recommendation", "Remedy", "Spectrum", "StackAdvice", "TaskAdvice", "Verdict"]
+__all__ += ["from_pink", "to_pink"]
 __all__ += ["advise", "agreement", "amplification", "analyse", "at_rest", "attraction_radius", "certified_radius"]
 __all__ += [
     "curvature_bound",

@@ -1,0 +1,96 @@
+"""Peers: the tasks of a pink or mink script as a law here, and gains from here as theirs.
+
+Both minimise ½ Σ |W (J Δq + g e)|² + ½ μ |Δq|² in each step of dt, W the costs, g a gain per step, μ damping: explicit
+Euler with weights W, alpha = g/dt and λ² = μ. Their limits are rates per step too.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+import re
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.law.bounded import bounded
+from cnclik.law.inverse import damped
+from cnclik.law.law import Law
+from cnclik.task.build import joints, orientation, position, stack
+from cnclik.task.task import Task
+
+LEAST = 1e-6  # λ, where they have none
+
+
+def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> Law:
+    """The law of a pink or mink script, of their own task objects: a stack, one task for each.
+
+    Frames are controlled along their own axes; alpha = gain/dt, weights are costs, λ² = damping + Σ cost² of damping
+    tasks. `lm_damping` depends on the error, is 0 at rest, and left out. Of limits, a `ConfigurationLimit` becomes
+    bounded(rate = gain/dt); velocity limits are the robot's own.
+
+    Args:
+      robot: with the frames of the tasks as tips, load_urdf(file, tips=[...]).
+      tasks: FrameTask, RelativeFrameTask, PostureTask, DampingTask. A posture is of all joints of this robot.
+      dt: of their solve_ik [s]. limits: those given to it. damping: the one given to it.
+    Raises: ArgumentError for other tasks, and for what the robot has not.
+    """
+    dt = float(errors.number("dt", dt, positive=True))
+    made: dict[str, Task] = {}
+    alpha, shift = {}, float(errors.number("damping", damping, at_least=0))
+    for one in tasks:
+        kind = type(one).__name__
+        if kind == "DampingTask":
+            shift += float(np.max(one.cost)) ** 2
+            continue
+        if kind not in _KINDS:
+            raise errors.fail("tasks", f"be {', '.join(_KINDS)} or DampingTask", f"hold a {kind}")
+        name, task = _KINDS[kind](one, robot)
+        name = re.sub(r"\W", "_", name)
+        name = next(n for n in (name, *(f"{name}_{i}" for i in range(2, 2 + len(made)))) if n not in made)
+        made[name], alpha[name] = task, float(one.gain) / dt
+    rate = [getattr(one, "config_limit_gain", getattr(one, "gain", None)) for one in limits]
+    rate = [r for r, one in zip(rate, limits, strict=True) if type(one).__name__ == "ConfigurationLimit"]
+    inverse = damped(max(np.sqrt(shift), LEAST))
+    return Law(robot, stack(**made), alpha=alpha, inverse=inverse, limits=bounded(rate[0] / dt) if rate else None)
+
+
+def to_pink(law: Law, dt: float) -> dict:
+    """{task: {"gain", "cost"}} of a law's tasks as pink and mink take them: gain = alpha·dt, one for a task."""
+    dt, found = float(errors.number("dt", dt, positive=True)), {}
+    alpha = np.asarray(law.alpha, float)
+    for name, at in law.task.each:
+        own = np.broadcast_to(alpha, (law.task.m,))[at] if alpha.ndim < 2 else np.linalg.eigvalsh(alpha[at, at])
+        if np.ptp(own) > 1e-9 * own.max():
+            raise errors.fail("law", f"have one gain for {name}, as theirs do", f"has {own.tolist()}")
+        cost = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
+        found[name] = {"gain": float(own[0]) * dt, "cost": cost[at].tolist()}
+    return found
+
+
+def _frame(one, robot, **about):
+    name = getattr(one, "frame", None) or one.frame_name
+    parts = []
+    for kind, cost in ((position, one.cost[:3]), (orientation, one.cost[3:])):
+        axes = "".join(axis for axis, c in zip("xyz", cost, strict=True) if c > 0)
+        if axes:
+            parts.append(kind(axes, tip=name, frame="tip", weights=cost[cost > 0], **about))
+    if not parts:
+        raise errors.fail("tasks", f"have a cost for {name}", "have none")
+    return name, functools.reduce(operator.and_, parts)
+
+
+def _relative(one, robot):
+    return _frame(one, robot, relative_to=getattr(one, "root", None) or one.root_name)
+
+
+def _posture(one, robot):
+    cost = np.ravel(np.asarray(one.cost, float))
+    if np.ptp(cost) > 0 and len(cost) != robot.n:
+        raise errors.fail(
+            "tasks", f"have one cost of posture, or {robot.n} for the joints of this robot", f"has {cost}"
+        )
+    return "posture", joints(weights=np.broadcast_to(cost[0] if np.ptp(cost) == 0 else cost, (robot.n,)))
+
+
+_KINDS = {"FrameTask": _frame, "RelativeFrameTask": _relative, "PostureTask": _posture}

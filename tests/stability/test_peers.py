@@ -1,0 +1,110 @@
+"""pink and mink: their tasks as a law here step as they do; advised gains are quiet there."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.stability.peers import from_pink, to_pink
+from tests.oracles import robot_file
+
+pin = pytest.importorskip("pinocchio")
+pink = pytest.importorskip("pink")
+pytest.importorskip("daqp")
+DT = 0.01
+TIPS = {"baxter": ["left_gripper", "right_gripper"], "panda": ["panda_hand"], "ur5": ["tool0"]}
+
+
+class Robot:
+    """A robot in both, its other joints locked in pink's; and a stack of its tips and a posture there."""
+
+    def __init__(self, name, gain=0.2, posture=0.05, cost=0.1):
+        file = robot_file(name)
+        self.ours = ck.load_urdf(file, tips=TIPS[name])
+        model = pin.buildModelFromUrdf(str(file))
+        others = [i for i in range(1, model.njoints) if model.names[i] not in self.ours.joint_names]
+        self.model = pin.buildReducedModel(model, others, pin.neutral(model))
+        self.order = [self.model.names[1:].tolist().index(j) for j in self.ours.joint_names]
+        self.q = np.clip(
+            np.linspace(0.4, 0.9, self.ours.n), np.add(self.ours.lower, 0.3), np.subtract(self.ours.upper, 0.3)
+        )
+        self.tasks = [pink.FrameTask(tip, position_cost=1.0, orientation_cost=0.5, gain=gain) for tip in TIPS[name]]
+        self.tasks.append(pink.PostureTask(cost=cost, gain=posture))
+        at = self.configuration(self.q)
+        for task in self.tasks:
+            task.set_target_from_configuration(at)
+
+    def configuration(self, q):
+        theirs = np.empty(len(q))
+        theirs[self.order] = q
+        return pink.Configuration(self.model, self.model.createData(), theirs)
+
+    def step(self, q):
+        v = pink.solve_ik(self.configuration(q), self.tasks, DT, solver="daqp", limits=[], damping=1e-6)
+        return v[self.order] * DT
+
+    def law(self, **changes):
+        return from_pink(self.ours, self.tasks, DT, damping=1e-6, **changes)
+
+    def run(self, delay, N, start):
+        """|step| of N steps, the joints seen `delay` steps late."""
+        line, sizes = [self.q + start] * (delay + 1), []
+        for _ in range(N):
+            step = self.step(line[-1])
+            line = [line[0] + step, *line[:-1]]
+            sizes.append(np.linalg.norm(step))
+            if sizes[-1] > 1.0:
+                break
+        return np.array(sizes)
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_a_pink_script_steps_as_its_law_here(name):
+    robot = Robot(name)
+    law = robot.law()
+    q, start = robot.q, 0.02 * np.cos(np.arange(robot.ours.n))
+    run = ck.solve(law, ck.hold_at(robot.ours, law.task, q), q + start, DT, 20, "EE")
+    theirs = [q + start]
+    for _ in range(20):
+        theirs.append(theirs[-1] + robot.step(theirs[-1]))
+    # Their error is the logarithm of a pose, ours that of each part: the same to the square of the error.
+    np.testing.assert_allclose(run.q, theirs, atol=1e-3)
+    np.testing.assert_allclose(run.q[-1], theirs[-1], atol=1e-4)
+    assert to_pink(law, DT)["posture"] == {"gain": pytest.approx(0.05), "cost": pytest.approx([0.1] * robot.ours.n)}
+
+
+@pytest.mark.parametrize("delay", [0, 4])
+@pytest.mark.parametrize("name", TIPS)
+def test_advised_gains_are_quiet_there_and_beyond_the_limit_errors_grow(name, delay):
+    robot = Robot(name)
+    said = ck.advise(robot.law(), None, robot.q, Ts=DT, method="EE", drive=ck.Drive(delay=delay)).stack
+    start, tip = 1e-6 * np.cos(np.arange(robot.ours.n)), said.tasks[TIPS[name][0]]
+    robot.tasks[0].gain = 1.05 * tip.largest_stable_alpha * DT
+    sizes = robot.run(delay, 700, start)
+    assert sizes[-1] > 1.0 or sizes[-50:].max() > sizes[200:250].max()
+    for task, one in zip(robot.tasks, said.tasks.values(), strict=True):
+        task.gain = one.recommended_alpha * DT
+    sizes = robot.run(delay, 200, start)
+    assert sizes[-20:].max() < sizes[:20].max() and sizes.max() < 3 * sizes[delay : delay + 2].max()
+
+
+def test_limits_and_damping_tasks_and_what_is_not_known():
+    robot = Robot("panda")
+    limit = pink.limits.ConfigurationLimit(robot.model)
+    law = robot.law(limits=[limit])
+    assert float(law.limits.rate) == pytest.approx(50.0)  # 0.5 a step
+    damped = from_pink(robot.ours, [*robot.tasks, pink.tasks.DampingTask(cost=0.3)], DT)
+    assert float(damped.inverse.damping) == pytest.approx(0.3)
+    with pytest.raises(ck.ArgumentError, match="hold a ComTask"):
+        from_pink(robot.ours, [pink.tasks.ComTask(cost=1.0)], DT)
+    uneven = pink.FrameTask("panda_hand", position_cost=[1.0, 0.0, 2.0], orientation_cost=0.0)
+    task = from_pink(robot.ours, [uneven], DT).task
+    assert (task.m, list(task.weights)) == (2, [1.0, 2.0])
+
+
+def test_mink_has_the_same_tasks():
+    mink = pytest.importorskip("mink")
+    robot = Robot("panda")
+    frame = mink.FrameTask("panda_hand", "site", position_cost=1.0, orientation_cost=0.0, gain=0.3)
+    law = from_pink(robot.ours, [frame], DT)
+    assert law.task.m == 3
+    np.testing.assert_allclose(law.alpha, 30.0)
