@@ -75,6 +75,7 @@ def lines_of(found, said, written) -> list:
 
 # --- of a stack ---------------------------------------------------------------------------------------
 
+LEAKS = 1e-3  # share from which on a leak is told
 TASK_COLUMNS = ("task", "alpha [1/s]", "alpha·Ts", "largest stable", "no overshoot", "recommended")
 DOES_COLUMNS = ("task", "gets", "alone", "lag [ms]", "settles [s]", "noise ×", "more dead time")
 
@@ -121,7 +122,10 @@ def lines_of_stack(found, said) -> list:
         lines.append(f"Above what is recommended: {', '.join(over)}.")
     lines += [_conflict(name, one, found) for name, one in stack.tasks.items() if one.yields_to]
     for leak in stack.leaks:
-        lines.append(f"Levels leak: {leak.source} asked for moves {leak.into} by {leak.share:.2g} of it.")
+        if leak.share > LEAKS:
+            lines.append(
+                f"Levels leak: what {leak.source} asks for moves {leak.into} by {100 * leak.share:.2g} % of it."
+            )
     if 1.005 < stack.error_growth < math.inf:
         lines.append(
             f"Errors may grow on their way to 0, by {stack.error_growth:.3g} times in m and rad and by "

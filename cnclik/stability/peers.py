@@ -49,10 +49,10 @@ def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> La
         name = re.sub(r"\W", "_", name)
         name = next(n for n in (name, *(f"{name}_{i}" for i in range(2, 2 + len(made)))) if n not in made)
         made[name], alpha[name] = task, float(one.gain) / dt
-    rate = [getattr(one, "config_limit_gain", getattr(one, "gain", None)) for one in limits]
-    rate = [r for r, one in zip(rate, limits, strict=True) if type(one).__name__ == "ConfigurationLimit"]
+    of_joints = [one for one in limits if type(one).__name__ == "ConfigurationLimit"]
+    rates = [float(getattr(one, "config_limit_gain", None) or one.gain) / dt for one in of_joints]
     inverse = damped(max(np.sqrt(shift), LEAST))
-    return Law(robot, stack(**made), alpha=alpha, inverse=inverse, limits=bounded(rate[0] / dt) if rate else None)
+    return Law(robot, stack(**made), alpha=alpha, inverse=inverse, limits=bounded(max(rates)) if rates else None)
 
 
 def to_pink(law: Law, dt: float) -> dict:
