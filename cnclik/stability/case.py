@@ -166,6 +166,11 @@ class Case:
         return self.seen.largest <= NOISE * self.noise
 
     @property
+    def around(self):
+        """Whether it moves along a path that comes back to where it was."""
+        return self.moving and _around(self.reference)
+
+    @property
     def waits(self):
         """Whether the path goes on only as far as the robot follows."""
         return self.moving and path_waits(self.pace, self.reference)
@@ -222,8 +227,6 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     at = farthest(law, wanted[0])
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
-    late = e[: seen.bad][-len(seen.late) :]
-    parts = ((late[:, law.task.lengths], "m"), (late[:, law.task.angles], "rad"))
     rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
     advance = _advance(t, len(seen.late), Ts)
     return Case(
@@ -243,11 +246,17 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         period=_period(reference),
         e=weighted,
         errors=e[: seen.bad],
-        size=" and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size),
+        size=in_words(law.task, e[: seen.bad][-len(seen.late) :]),
         more=more,
         advance=advance,
         **rest | {"fold": rest["fold"] / advance},
     )
+
+
+def in_words(task, errors) -> str:
+    """The largest of errors (N, m), such as "1.2 mm and 0.3 rad"."""
+    parts = ((errors[:, task.lengths], "m"), (errors[:, task.angles], "rad"))
+    return " and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size)
 
 
 def _advance(t, late, Ts) -> float:
@@ -283,6 +292,11 @@ def whole(reference: ref.Reference | ref.References) -> float:
     if hasattr(reference.curve, "times"):
         return float(reference.curve.times[-1] - reference.curve.times[0])
     return abs(_period(reference))
+
+
+def _around(reference) -> bool:
+    several = isinstance(reference, ref.References)
+    return any(map(_around, reference.each)) if several else hasattr(reference.curve, "period")
 
 
 def _period(reference) -> float:

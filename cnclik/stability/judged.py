@@ -321,7 +321,7 @@ def restless(case, what, found):
 def undecided(case, error):
     if why := reasons.open_ended(case):
         return Behaviour.UNDECIDED, f"{error}; {why}", remedies.longer(case)
-    holds = f"the run holds {case.spans:.2g} of the loop's own time constants"
+    holds = f"the run holds {plainly(float(f'{case.spans:.2g}'))} of the loop's own time constants"
     share = f"{100 * case.covered:.2g}" if case.covered < 0.1 else int(100 * case.covered)
     path = f" and {share} % of the path" if case.covered < 1 else ""
     return Behaviour.UNDECIDED, f"{error}; {holds}{path}", remedies.longer(case)

@@ -193,10 +193,11 @@ class Trials:
         was_here, now_here = truncate(was, N), truncate(now, after)
         gone = max(ARRIVED * given.size[0], given.floor)
 
-        def ratio(before, later, gone=gone):
-            return max(self._late(later), gone) / max(self._late(before), gone)
+        def ratio(before, later, gone=gone, quarters=1):
+            return max(self._late(later, quarters), gone) / max(self._late(before, quarters), gone)
 
-        in_the_end = ratio(was, now)
+        # Along a path errors come and go: the last quarter may be that in which nothing happens.
+        in_the_end = max(ratio(was, now, quarters=k) for k in ((1, 2) if self.case.moving else (1,)))
         longer = only_longer(change, self.case.period)
         if self.case.waits and not longer:  # a loop that shakes crawls along its path, with a small error
             gained = self._seen(now_here).way / max(self._seen(was_here).way, LEAST_WAY)
@@ -221,12 +222,15 @@ class Trials:
         return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def turned_by_path(self, found) -> bool:
-        """Whether joints go back and forth as much with the gain of a remedy, which is stable: the path turns them."""
+    def turned_by_path(self, case, found) -> bool:
+        """Whether joints go back and forth as much with the gain of a remedy, which is stable: the path turns them.
+
+        Args: case: of the loop's run, or of a longer one.
+        """
         calm = next((one for one in found if "alpha" in one.change), None)
-        if calm is None or self.case.pace is None or not (self.case.pace.smooth and self.case.moving):
+        if calm is None or case.pace is None or not (case.pace.smooth and case.moving):
             return False
-        made, N = changed(self.given, calm.change), self.case.steps
+        made, N = changed(self.given, calm.change), case.steps
         steps = whole_trial(N)
         runs = truncate(self.mended(calm, steps), N), truncate(self.unchanged(steps), N)
         (calmed, speed), (shaking, all_of_it) = (self._back_and_forth(made.reference, run) for run in runs)
@@ -241,10 +245,11 @@ class Trials:
     def _back_and_forth(self, reference, run):
         return back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
 
-    def _late(self, run):
-        """Largest error of the last quarter; huge where one is not finite."""
+    def _late(self, run, quarters=1):
+        """Largest error of the last quarter, or of the last two; huge where one is not finite."""
         seen = self._seen(run)
-        return HUGE if seen.bad is not None else min(seen.largest, HUGE)
+        largest = max(seen.largest, seen.before.max()) if quarters > 1 else seen.largest
+        return HUGE if seen.bad is not None else min(largest, HUGE)
 
 
 def only_longer(change, period):

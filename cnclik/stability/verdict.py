@@ -20,7 +20,7 @@ from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record, replace
 from cnclik.shapes import ArrayLike, Number
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import UNSTABLE, case_of
+from cnclik.stability.case import UNSTABLE, case_of, in_words
 from cnclik.stability.judged import Behaviour, judged, restless
 from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, maps, resting
@@ -33,7 +33,9 @@ _UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because o
 CALM = 0.02  # share of the joint speed that is reversed, below which a loop does not shake
 LESS = 0.3  # ratio of errors below which it does not diverge
 SAME = 0.75, 1.9  # ratios between which an error stays
+STRAYS = 4.0  # ratio of errors beyond which a loop follows its path no more
 _STAY = (Behaviour.STALLED, Behaviour.AT_LIMIT)
+_FOLLOW = (Behaviour.SETTLED, Behaviour.LAGGING)
 _FINE = (
     Behaviour.SETTLED,
     Behaviour.LAGGING,
@@ -119,10 +121,7 @@ def verdict(
 def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     case = case_of(law, reference, run, dtype, Ts, method, stage, drive, **more)
     trials = Trials(case)
-    kind, what, found = _confirmed(case, trials)
-    if kind == Behaviour.SHAKING and trials.turned_by_path(found):
-        case = replace(case, seen=case.seen._replace(reversing=0.0))
-        kind, what, found = _confirmed(case, trials)
+    case, kind, what, found = _decided(case, trials)
     beyond, left = [], reasons.outside(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         beyond, found = [case.seen.over_velocity], (*remedies.slower_joints(case), *found)
@@ -144,11 +143,21 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     )
 
 
+def _decided(case, trials):
+    """(the case, what is judged of it): joints that the path turns, with any gain, do not shake."""
+    made = _confirmed(case, trials)
+    if made[0] == Behaviour.SHAKING and trials.turned_by_path(case, made[-1]):
+        case = replace(case, seen=case.seen._replace(reversing=0.0))
+        made = _confirmed(case, trials)
+    return case, *made
+
+
 def _confirmed(case, trials):
     """What is judged of a run where the loop, run on, does as it says; else that the run is too short to tell."""
     kind, what, found = judged(case)
     N, plain = whole_trial(case.steps), case.seen.bad is not None or case.seen.still  # nothing later changes that
-    if plain or kind not in (*_UNSTABLE_KINDS, *_STAY, Behaviour.CONVERGING) or case.steps >= N:
+    open_ = (*_UNSTABLE_KINDS, *_STAY, Behaviour.CONVERGING, *(_FOLLOW if case.around else ()))
+    if plain or kind not in open_ or case.steps >= N:
         return kind, what, found
     later, on = _longer(case, trials, N), f"run on, for {N} steps in all,"
     contradicted = _contradicted(kind, case, later)
@@ -159,6 +168,9 @@ def _confirmed(case, trials):
         contradicted = then != kind
     if not contradicted:
         return kind, what, found
+    if kind in _FOLLOW:
+        strayed = in_words(case.law.task, later.errors[case.steps :])
+        return restless(case, f"{what}, but {on} the error gets as large as {strayed}", found)
     return restless(case, f"{what}, but {on} the error is at most {later.size} at the end", found)
 
 
@@ -170,6 +182,8 @@ def _longer(case, trials, N):
 def _contradicted(kind, case, later) -> bool:
     """Whether a longer run of the loop does not do what is said of a shorter one."""
     seen, before = later.seen, case.seen.largest
+    if kind in _FOLLOW:  # an arm may wander as it goes round, and come next to a singularity
+        return seen.bad is not None or seen.size[case.steps :].max() > max(STRAYS * before, later.behind)
     if case.moving and kind not in _UNSTABLE_KINDS:  # the path that is to come is another
         return False
     if seen.bad is not None:
@@ -215,7 +229,7 @@ def _long_enough(case, trials, one):
         if one.mends == "error":
             enough = trials.better(one) and trials.repeats(N)
         else:
-            kind = _confirmed(_longer(case, trials, N), trials)[0]
+            kind = _decided(_longer(case, trials, N), trials)[1]
             enough = kind in _UNSTABLE_KINDS or (kind != Behaviour.UNDECIDED and trials.repeats(N))
         if enough:
             return (one,), 0

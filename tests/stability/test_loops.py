@@ -67,6 +67,21 @@ def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
     assert all(told["good"] for told in one["remedies"]), one["remedies"]
 
 
+@pytest.mark.parametrize(
+    ("number", "loop", "seed", "paced", "said"),
+    [
+        pytest.param(47, 39, 11, 0.0, "the error gets as large as", id="a circle that touches a singularity, settled"),
+        pytest.param(14, 36, 11, 0.17, "Run for N = 1700", id="joints that the path turns, at N = 810"),
+        pytest.param(26, 4, 0, 1.0, "no better: reduce", id="calm at the end of the trial", marks=pytest.mark.slow),
+    ],
+)
+def test_what_a_path_does_later_counts(number, loop, seed, paced, said):
+    """Along a path errors come and go, and joints turn without shaking: these verdicts and remedies were wrong."""
+    (one,) = loops.judge(loops.family(number, seed), [loop], seed, paced=paced)
+    assert said in one["said"] and not one["false"], one["said"]
+    assert all(told["good"] for told in one["remedies"]), one["remedies"]
+
+
 def test_what_later_steps_contradict_is_not_said():
     """A null-space velocity pulls the arm away: "diverging", "converging", "shaking", and it came to rest there."""
     found = loops.judge(loops.family(14, seed=1), [1, 6, 34, 37], seed=1)

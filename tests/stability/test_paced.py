@@ -39,7 +39,7 @@ def test_a_loop_that_shakes_at_a_pace_crawls_and_its_gain_is_named(table):
     (one,) = told.remedies
     mended = problem_from("panda", **SHAKES | table | one.change)
     assert mended.run().path_time[-1] > 1.1 * made.run().path_time[-1]
-    assert judge(mended).kind == Behaviour.SETTLED  # with N = 400, of 98 % of the path, which was too little to tell
+    assert "it follows;" in judge(mended).sentence  # with N = 400, of 98 % of the path, which was too little to tell
 
 
 @pytest.mark.parametrize("mends", ["error", "motion"])
@@ -64,11 +64,13 @@ def test_a_trial_is_run_once(monkeypatch):
 
 
 def test_a_loop_that_is_unstable_only_at_rest_is_calm_at_its_pace():
-    """It makes 0.35 of each step, was said to shake, and its remedies to be no better."""
+    """It makes 0.35 of each step, was said to shake, and its remedies to be no better. That the arm wanders, and after
+    800 steps comes next to a singularity, is told."""
     made = problem_from("panda", **CIRCLE | dict(alpha=300.0, N=800, period=1.0))
     told = judge(made)
-    assert told.kind == Behaviour.SETTLED and told.radius > 1.9, told.sentence
+    assert "it follows;" in told.sentence and told.radius > 1.9, told.sentence
     assert "at rest is 2, and 0." in told.sentence and not told.remedies
+    assert told.kind == Behaviour.UNDECIDED and "4096 steps in all, the error gets as large as" in told.sentence
 
 
 def test_joints_that_the_path_turns_do_not_shake():
