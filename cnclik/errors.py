@@ -130,6 +130,12 @@ def seed(value):
     return value
 
 
+def progress(value) -> None:
+    """A function to be called as work goes on, or None."""
+    if value is not None and not callable(value):
+        raise fail("progress", "be a function or None", f"is {value!r}")
+
+
 MOST = 100_000_000  # of steps of one run, targets of one call: beyond it no machine has the memory
 
 
@@ -213,14 +219,14 @@ def ending(name: str, path, *endings) -> str:
 
 
 # What the field calls methods that have short names here.
-_ALSO = {"euler": "ee", "forward euler": "ee", "explicit euler": "ee", "backward euler": "ie", "implicit euler": "ie"}
+_ALIAS = {"euler": "ee", "forward euler": "ee", "explicit euler": "ee", "backward euler": "ie", "implicit euler": "ie"}
 
 
 def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
     alike = {str(name).casefold(): name for name in names}
     folded = str(value).casefold()
-    folded = _ALSO[folded] if _ALSO.get(folded) in alike else folded
+    folded = _ALIAS[folded] if _ALIAS.get(folded) in alike else folded
     near = difflib.get_close_matches(folded, alike, n=1, cutoff=0.6)
     return f" (did you mean {alike[near[0]]!r}?)" if near else ""
 

@@ -23,7 +23,7 @@ from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, nothing
 from cnclik.reaching.seeds import compared, seeds
-from cnclik.reaching.strategy import CAREFUL, FAR, IN_C, Told, alone, phases, wanted
+from cnclik.reaching.strategy import CAREFUL, FAR, IN_C, SoFar, alone, phases, wanted
 from cnclik.record import kept, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
@@ -181,7 +181,7 @@ class Native:
         """The record of targets that the first tries have no answer for."""
         asked, far, B = self.asked, self.asked.too_far(pose), len(pose)
         known, there = asked.finite(pose, near), made.copy()
-        so_far = Told(_found(made), _found(there), np.zeros(B, bool), np.zeros(B, int))
+        so_far = SoFar(_found(made), _found(there), np.zeros(B, bool), np.zeros(B, int))
         for k, phase in enumerate(self.rest):
             of = there if phase.status else made
             ids = self._on(of, wanted(asked, phase, so_far, known, far), pose, near, phase, report)

@@ -85,8 +85,7 @@ def reach(
     """
     asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
-    if progress is not None and not callable(progress):
-        raise errors.fail("progress", "be a function of how many are done and how many there are", f"is {progress!r}")
+    errors.progress(progress)
     if jump is not None and near is None:
         raise errors.fail("near", "be given with `jump`", "is not")
     pose, alone = read(targets, asked.task, base)

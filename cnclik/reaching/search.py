@@ -30,7 +30,7 @@ from cnclik.reaching.strategy import (
     STEPS,
     STUCK,
     Phase,
-    Told,
+    SoFar,
     narrowed,
     phases,
     wanted,
@@ -187,7 +187,7 @@ def search(of: Given, phase: Phase, made: Found, pose, near, wanted, together=TO
     return lax.while_loop(goes_on, once, (phase.done, made))[1]
 
 
-def told(of: Given, pose, near, made: Found, done) -> Told:
+def concluded(of: Given, pose, near, made: Found, done) -> SoFar:
     """What all phases come to for a target, of which so many tries have been made."""
     asked, dtype = of.asked, pose.dtype
     table = phases(asked, jnp)
@@ -198,19 +198,19 @@ def told(of: Given, pose, near, made: Found, done) -> Told:
     count = len(table.done)
 
     def once(carry):
-        p, told = carry
+        p, so_far = carry
         phase = jax.tree.map(lambda v: v[p], table)
         beyond = phase.status > 0
-        which = wanted(asked, phase, told, known, far, jnp)
-        found = search(of, phase, choose(beyond, told.beyond, told.made), pose, near, which)
-        made, there = choose(beyond, told.made, found), choose(beyond, found, told.beyond)
-        sure = jnp.where(p == 1, asked.sure(made.looks) & ~far, told.sure)
+        which = wanted(asked, phase, so_far, known, far, jnp)
+        found = search(of, phase, choose(beyond, so_far.beyond, so_far.made), pose, near, which)
+        made, there = choose(beyond, so_far.made, found), choose(beyond, found, so_far.beyond)
+        sure = jnp.where(p == 1, asked.sure(made.looks) & ~far, so_far.sure)
         said = asked.meaning(phase.status, there.found != 0, there.squares, jnp)
-        return p + 1, Told(made, there, sure, jnp.where(beyond & which, said, told.why).astype(np.int32))
+        return p + 1, SoFar(made, there, sure, jnp.where(beyond & which, said, so_far.why).astype(np.int32))
 
     def goes_on(carry):
-        p, told = carry
-        return (p < count) & (told.made.found == 0) & (told.why == 0) & known
+        p, so_far = carry
+        return (p < count) & (so_far.made.found == 0) & (so_far.why == 0) & known
 
-    start = Told(made, made, jnp.zeros((), bool), jnp.int32(0))
+    start = SoFar(made, made, jnp.zeros((), bool), jnp.int32(0))
     return lax.while_loop(goes_on, once, (jnp.int32(0), start))[1]

@@ -13,7 +13,7 @@ from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.aims import aims, told_apart
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
-from cnclik.reaching.search import Found, given, nothing, told, tries
+from cnclik.reaching.search import Found, concluded, given, nothing, tries
 from cnclik.reaching.seeds import SETS, SIZE, compared, seeds, spans
 from cnclik.reaching.step import in_parts, look
 from cnclik.reaching.strategy import CAREFUL, FAR, PLAIN, alone, narrowed, phases
@@ -50,7 +50,7 @@ def answer(asked, postures, to, pose, near, made, done, derivative=False) -> dic
     dtype = pose.dtype
     chain, held_pose, held_near = lax.stop_gradient((asked.chain, pose, near))
     of = given(replace(asked, chain=chain), postures, to, dtype)
-    made, _, sure, why = told(of, held_pose, held_near, made, done)
+    made, _, sure, why = concluded(of, held_pose, held_near, made, done)
     q, found = made.q, made.found != 0
     if derivative:
         low, high, jump = (jnp.asarray(v, dtype) for v in phases(asked, jnp)[0][:3])

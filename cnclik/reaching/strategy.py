@@ -94,7 +94,7 @@ def narrowed(low, high, jump, near, xp=np):
     return xp.minimum(xp.maximum(low, about - jump), high), xp.maximum(xp.minimum(high, about + jump), low)
 
 
-class Told(NamedTuple):
+class SoFar(NamedTuple):
     """What is known of targets (...,) between phases."""
 
     made: Any  # `search.Found` within the bounds
@@ -103,10 +103,10 @@ class Told(NamedTuple):
     why: Int[AnyArray, " *B"]  # what the searches beyond say, see `Asked.meaning`
 
 
-def wanted(asked, phase, told: Told, known, far, xp=np):
+def wanted(asked, phase, so_far: SoFar, known, far, xp=np):
     """Which targets a phase is for, of those (...,) that are `known` to be finite."""
     beyond = phase.status > 0
-    missed = xp.where(beyond & (phase.downhill > 0), told.beyond.costs.min(axis=-1), told.made.squares.sum(axis=-1))
+    missed = xp.where(beyond & (phase.downhill > 0), so_far.beyond.costs.min(axis=-1), so_far.made.squares.sum(axis=-1))
     near = xp.isinf(phase.less) | (missed < phase.less**2)
-    open_ = known & (told.made.found == 0) & (told.why == 0)
-    return open_ & near & (phase.far | ~far) & (told.sure | ~phase.sure)
+    open_ = known & (so_far.made.found == 0) & (so_far.why == 0)
+    return open_ & near & (phase.far | ~far) & (so_far.sure | ~phase.sure)

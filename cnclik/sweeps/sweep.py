@@ -81,8 +81,7 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
     coordinate `limit`, the largest stable z = alpha·Ts; from a store, loaded on use.
     Raises: ArgumentError for what can't be run, or a folder that holds something else.
     """
-    if progress is not None and not callable(progress):
-        raise errors.fail("progress", "be a function or None", f"is {progress!r}")
+    errors.progress(progress)
     errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
     errors.kind("out", out, (str, os.PathLike, type(None)), "be a path")
     if isinstance(set, str) or not np.iterable(set) or not all(isinstance(v, str) for v in set):

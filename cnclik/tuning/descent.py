@@ -207,8 +207,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
       tolerance: relative change of the loss over a round under which, with constraints kept, it has converged.
       progress: called after each round with (evaluations done, all, loss and violation of the best start), or None.
     """
-    if progress is not None and not callable(progress):
-        raise errors.fail("progress", "be a function or None", f"is {progress!r}")
+    errors.progress(progress)
     starts = np.asarray(starts, jax.dtypes.canonicalize_dtype(float))
     (count, size), dtype = starts.shape, starts.dtype
     optimizer = descent.optimizer
