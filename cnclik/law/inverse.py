@@ -270,7 +270,8 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
       damping: of each level λ (not λ²), or a damped(...), singular_damped(...), manipulability_damped(...),
         error_damped(...) of its own.
     """
-    if not names or any(isinstance(some, str) for some in names):
+    lists = all(isinstance(some, (list, tuple)) for some in names)
+    if not (names and lists and all(isinstance(name, str) for some in names for name in some)):
         raise errors.fail("names", 'be a list of names for each level, such as ["feet"]', f"is {names!r}")
     if isinstance(damping, (int, float)) or len(damping) != len(names):
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")

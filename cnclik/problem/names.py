@@ -185,7 +185,8 @@ def inverse_from(name=None, damping=None, threshold=None):
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"
     choice = words.INVERSES[errors.one_of("inverse", name, words.INVERSES)]
-    return choice.make(**fitting("inverse", name, choice, {"damping": damping, "threshold": threshold}))
+    given = fitting("inverse", name, choice, {"damping": damping, "threshold": threshold})
+    return choice.make(**{key: errors.number(key, value) for key, value in given.items()})
 
 
 def limits_from(name="none", Ts=None, rate=None):

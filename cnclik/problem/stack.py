@@ -65,8 +65,9 @@ def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str
     Raises: ArgumentError naming the entry that does not fit, such as `tasks.hands.alpha`.
     """
     for name, instead in _OF_ONE.items():
-        if given.get(name) is not None and given[name] != DEFAULTS.get(name):
-            raise errors.fail(name, f"be left out with a stack: {instead}", f"is {given[name]!r}")
+        value = given.get(name)
+        if value is not None and not (isinstance(value, str) and value == DEFAULTS.get(name)):
+            raise errors.fail(name, f"be left out with a stack: {instead}", f"is {value!r}")
     if not isinstance(tasks, Mapping) or not tasks:
         raise errors.fail("tasks", "be tables of tasks, [tasks.NAME]", f"is {tasks!r}" if tasks else "are none")
     found = {}

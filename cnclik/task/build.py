@@ -85,9 +85,7 @@ def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Ta
       names: of the joints; None: all.
       weights: (m,) positive weights, or None.
     """
-    if isinstance(names, str):
-        names = (names,)
-    return _task(weights, Joints(wanted=None if names is None else tuple(names)))
+    return _task(weights, Joints(wanted=None if names is None else _names("names", names)))
 
 
 def function(
@@ -118,13 +116,14 @@ def function(
     for name, fn in given.items():
         if not (callable(fn) or (fn is None and name != "value")):
             raise errors.fail(name, "be a function of the robot and q", f"is {fn!r}")
+    names, units = _names("names", names), _names("units", units)
     if len(names) != len(units) or not names:
         raise errors.fail("units", f"be as many as `names`, {len(names)}", f"are {len(units)}")
     if target is not None and error is None:
         raise errors.fail("target", "come with an `error`: else it is as long as the value", f"is {target!r}")
     size = None if target is None else errors.integer("target", target, at_least=1)
     its: dict[str, Any] = {"of_target": error, "its_rows": rows, "its_velocity": velocity, "size": size}
-    return _task(weights, Function(value=value, names=tuple(names), units=tuple(units), **its))
+    return _task(weights, Function(value=value, names=names, units=units, **its))
 
 
 def stack(**tasks: Task) -> Task:
@@ -142,6 +141,13 @@ def stack(**tasks: Task) -> Task:
     parts = tuple(part for task in tasks.values() for part in task.parts)
     named = tuple((name, len(task.parts)) for name, task in tasks.items())
     return Task(parts=parts, weights=joined(list(tasks.values())), tasks=named)
+
+
+def _names(name, value):
+    several = (value,) if isinstance(value, str) else value
+    if not isinstance(several, (list, tuple)) or not all(isinstance(one, str) for one in several):
+        raise errors.fail(name, "be texts", f"is {value!r}")
+    return tuple(several)
 
 
 def _letters(name, axes):

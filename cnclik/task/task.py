@@ -88,8 +88,8 @@ class Task:
     @property
     def each(self) -> tuple[tuple[str, slice], ...]:
         """Of a stack the names of its tasks, and where the coordinates of each stand."""
-        ends = [0, *itertools.accumulate(count for _, count in self.tasks)]
-        its = [self.slices[a:b] for a, b in itertools.pairwise(ends)]
+        ends, every = [0, *itertools.accumulate(count for _, count in self.tasks)], self.slices
+        its = [every[a:b] for a, b in itertools.pairwise(ends)]
         return tuple((n, slice(at[0].start, at[-1].stop)) for (n, _), at in zip(self.tasks, its, strict=True))
 
     def rows_at(self, chain, q):
@@ -211,7 +211,7 @@ def weights_of(task, weights):
         return weights  # how many there are, the robot will say
     if isinstance(weights, _Several):
         each = zip(weights, task.slices, strict=True)
-        weights = [np.ones(at.stop - at.start) if w is None else w for w, at in each]
+        weights = [np.ones(at.stop - at.start) if w is None else errors.array("weights", w, (None,)) for w, at in each]
         weights = (np if all(map(errors.concrete, weights)) else jnp).concatenate(weights)
     weights = errors.array("weights", weights, (task.m,))
     if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):

@@ -206,6 +206,8 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND}, {"task": "pose"}, "`task` must be left out with a stack: its tasks have their own"),
         ({"hands": HAND}, {"reference": "circle"}, "`reference` must be left out with a stack"),
         ({"hands": HAND}, {"end": [1, 2, 3]}, "`to` must be left out with a stack"),
+        ({"hands": HAND}, {"target": np.ones(3)}, "`target` must be left out with a stack"),
+        ({"hands": HAND | {"damping": {"a": 1.0}}}, {}, "`tasks.hands.damping` must be a number"),
         ({"hands": HAND}, {"posture": [0] * 14}, "`posture` must be left out .*: a posture is one of its"),
         ({"hands": HAND | {"alpha": 1}}, {"alpha": (3.0,)}, "`alpha` must be left out where every task has its own"),
         ({"hands": HAND | {"damping": 1}}, {"damping": 0.1}, "`damping` must be left out where every task has its own"),

@@ -273,6 +273,10 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: law(alpha=_across()), "`alpha` must act within each task of a stack, but connects tasks"),
         (lambda: law(inverse=ck.levels(["feet"], damping=(0.1,))), "`inverse` must have each task of the law in one"),
         (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),
+        (lambda: ck.levels([{}], damping=(0.1,)), "`names` must be a list of names for each level"),
+        (lambda: ck.joints(0.5), "`names` must be texts, but is 0.5"),
+        (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
+        (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=2.0), alpha=1.0), "`weights` must have shape"),
         (lambda: ck.levels(["feet"], damping=0.1), "`damping` must hold one for each of 1 levels"),
         (lambda: ck.Law(PLANAR, ck.position("xy"), alpha={"a": 1.0}), "none: they are given names by ck.stack"),
         (

@@ -27,6 +27,7 @@ SHARES = {
     "tables": 0.2,
     "expressions": 0.17,
     "poses": 0.06,
+    "stacks": 0.06,
     "arguments": 0.075,
     "logs": 0.015,
     "stores": 0.005,

@@ -13,7 +13,7 @@ from tests.stress.fuzz.judge import judge, repeat
 from tests.stress.fuzz.rooms import ROOMS
 
 COUNTS = {"urdf": 500, "toml": 250, "tables": 400, "expressions": 1200, "arguments": 80, "logs": 40, "stores": 12}
-COUNTS |= {"poses": 300, "exports": 8}
+COUNTS |= {"poses": 300, "stacks": 150, "exports": 8}
 
 
 AT_WORK = """

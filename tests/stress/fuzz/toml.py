@@ -44,8 +44,8 @@ def draw(rng):
     """(the spec's bytes, the strings of --set)."""
     written = copy.deepcopy(any_of(rng, _shipped() if chance(rng, 0.005) else BASES))
     for _ in range(int(rng.integers(4))):
-        _mutate(rng, written)
-    data = _toml(written).encode("utf-8", "surrogatepass")
+        mutate(rng, written)
+    data = as_toml(written).encode("utf-8", "surrogatepass")
     changes = [_change(rng) for _ in range(int(rng.integers(1, 3)))] if chance(rng, 0.3) else []
     return damaged(rng, data) if chance(rng, 0.1) else data, changes
 
@@ -60,7 +60,8 @@ def _places(table) -> list:
     return found
 
 
-def _mutate(rng, written):
+def mutate(rng, written, names=NAMES, rooms=ROOMS):
+    """One change, anywhere: of a value, a key, a table; names of options and tables that it may bring in."""
     if chance(rng, 0.02):
         _grow(rng, written)
         return
@@ -78,11 +79,11 @@ def _mutate(rng, written):
         case 5:
             del where[key]
         case 6 if isinstance(where, dict):
-            where[slipped(rng, key) if chance(rng, 0.3) else any_of(rng, NAMES)] = where.pop(key)
+            where[slipped(rng, key) if chance(rng, 0.3) else any_of(rng, names)] = where.pop(key)
         case 7:
-            room = written.setdefault(any_of(rng, ROOMS), {})
+            room = written.setdefault(any_of(rng, rooms), {})
             if isinstance(room, dict):
-                room[any_of(rng, NAMES)] = _value(rng)
+                room[any_of(rng, names)] = _value(rng)
         case 8:
             there, other = any_of(rng, _places(written))
             with contextlib.suppress(RecursionError):  # too deep to be copied: it stands once
@@ -90,7 +91,7 @@ def _mutate(rng, written):
         case _:
             written.setdefault("fixed", {})
             if isinstance(written["fixed"], dict):
-                written["fixed"][any_of(rng, NAMES)] = _value(rng)
+                written["fixed"][any_of(rng, names)] = _value(rng)
 
 
 def _value(rng):
@@ -159,7 +160,8 @@ def _change(rng):
 # --- TOML as text -------------------------------------------------------------------------------------
 
 
-def _toml(written) -> str:
+def as_toml(written) -> str:
+    """Tables as TOML."""
     lines = [f"{_key(key)} = {_toml_value(value)}" for key, value in written.items()]
     return "\n".join(lines) + "\n"
 
