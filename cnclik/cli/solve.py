@@ -208,8 +208,10 @@ def _summary(made, trajectory, seconds):
 
 
 def _of_task(name, run, task):
-    """Rows of what a task's error was, and of a stack's task how many of its steps have which status."""
+    """Rows of what a task's error was, and of a stack's task how many of its steps have which status of its own."""
     import numpy as np
+
+    from cnclik.integrate.status import OWN
 
     kinds = ("position", "rotation") if hasattr(task.parts[0], "axes") else ("joint", "joint")
     for part, unit, some in zip(kinds, ("m", "rad"), (task.lengths, task.angles), strict=True):
@@ -219,7 +221,7 @@ def _of_task(name, run, task):
             rms, largest, last = map(_number, (np.sqrt(np.mean(size**2)), size.max(), size[-1]))
             yield f"{name}{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"
     if name:
-        yield f"{name}steps", _counted(run.status)
+        yield f"{name}steps", _counted(np.asarray(run.status) & OWN)
 
 
 def _counted(status) -> str:

@@ -166,6 +166,7 @@ Written by cnclik {__version__}. Do not edit: export again.
 
 Build and test: `{build} && ./example` (it prints how many test vectors agree, and returns 0 where all do).
 For speed add `-O3 -march=native -ffp-contract=fast`; leave out `-ffast-math`, with which NaN would pass for a result.
+GCC builds a step of tens of thousands of operations in a third of the time with `-fno-thread-jumps`.
 
 C99, and C++17 as it is. No allocation, no recursion, no variables outside the functions; every loop has a known bound.
 A call takes at most {ops} functions of libm (sine and cosine are counted as such).

@@ -185,7 +185,8 @@ def in_own_units(given: dict, options=SWEPT) -> tuple:
         try:
             found = read_each([given[name]] if alone else given[name], options[name].unit, Ts)
         except ValueError as error:
-            raise errors.fail(name, "be a number, or a text of numbers with their unit", str(error)) from None
+            each = ", a list of numbers" * (options[name].kind == NUMBERS)
+            raise errors.fail(name, f"be a number{each}, or a text of numbers with their unit", str(error)) from None
         written[name] = found.written
         if (whole := options[name].kind == INTEGER) and not found[0].is_integer():
             raise errors.fail(name, "be an integer", f"is {given[name]!r}, {found[0]:g} {options[name].unit}")

@@ -184,6 +184,8 @@ def inverse_of(tables, task: Task, chain: Chain, **of_all):
     each = [_of_level([tables[name] for name in groups[level]], of_all) for level in order]
     if numbered:
         _check_order(tables, [groups[level] for level in order], each)
+    elif all(errors.concrete(one.damping) for one in each):  # by what makes one come first
+        order, each = zip(*sorted(zip(order, each, strict=True), key=lambda pair: float(pair[1].damping)), strict=True)
     return levels(*(groups[level] for level in order), damping=each)
 
 

@@ -99,7 +99,10 @@ def status(data):
 
 
 def tip(data, chain):
-    """The path of the tip and where it was to be, in space; of a planar robot in its plane. A panel for each tip."""
+    """The path of the tip and where it was to be, in space; of a planar robot in its plane.
+
+    Of several tips a panel for each, all of one scale.
+    """
     axes, every = "xy" if is_planar(chain) else "xyz", _paths(data, chain)
     space = {} if len(axes) == 2 else {"subplot_kw": {"projection": "3d"}}
     columns = 2 if len(every) == 4 else min(len(every), 3)
@@ -108,15 +111,17 @@ def tip(data, chain):
     figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=size, **space)
     for panel in grid.flat[len(every) :]:
         panel.set_axis_off()
+    points = [np.concatenate([way for way in paths if way is not None])[:, : len(axes)] for _, *paths in every]
+    room = max(0.55 * max(np.ptp(some, axis=0).max() for some in points), 1e-3)  # of tips that rest, a millimetre
     for panel, (name, *paths) in zip(grid.flat, every, strict=False):
-        _draw_tip(panel, axes, *paths, alone=len(every) == 1)
+        _draw_tip(panel, axes, *paths, room, alone=len(every) == 1)
         if len(every) > 1:
             panel.set_title(name, pad=2)
     style.legend(figure, max(grid.flat, key=lambda panel: len(panel.get_lines())))
     return figure
 
 
-def _draw_tip(panel, axes, way, target, alone):
+def _draw_tip(panel, axes, way, target, room, alone):
     paths = [(way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
     if target is not None:
         paths.append((target[:, : len(axes)], {"color": "0.6", "linewidth": 2.4, "label": "target"}))
@@ -126,7 +131,6 @@ def _draw_tip(panel, axes, way, target, alone):
     panel.plot(*paths[0][0][:1].T, "s", color=style.BLUE, markerfacecolor="white", label="start", zorder=4)
     every = np.concatenate([points for points, _ in paths])
     low, high = every.min(axis=0), every.max(axis=0)
-    room = max(0.55 * (high - low).max(), 1e-3)  # of a tip that rests, a millimetre
     for name, middle in zip(axes, (low + high) / 2, strict=True):
         panel.set(**{f"{name}lim": (middle - room, middle + room), f"{name}label": f"${name}$ [m]"})
         getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4 if alone else 3))
@@ -264,13 +268,15 @@ def _error_parts(data):
 
 
 def _status_rows(data):
-    """(label, whether each step has it) of each line; of a stack one for each task where it is the task's own."""
+    """(label, whether each step has it) of each line; of a stack one for each task that has it of its own."""
     found = []
     for bit in _BITS:
         words = bit.name.replace("_", " ").lower()
-        if "task_status" in data and bit & OWN:
-            each = zip(data.task.values, data.task_status.values.T, strict=True)
-            found += [(f"{words}: {task}", (status & bit.value) != 0) for task, status in each]
+        own = data.task_status.values.T & bit.value if "task_status" in data and bit & OWN else np.zeros((0, 1))
+        if own.any():
+            found += [
+                (f"{words}: {task}", has != 0) for task, has in zip(data.task.values, own, strict=True) if has.any()
+            ]
         else:
             found.append((words, (data.status.values & bit.value) != 0))
     return found

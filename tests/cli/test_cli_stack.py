@@ -59,8 +59,11 @@ def test_solve(stack, tmp_path, capsys):
         panels = pictures.tip(data, ck.load_urdf(BAXTER, tips=GRIPPERS)).axes
         assert [panel.get_title() for panel in panels] == GRIPPERS
         assert {"tip", "target", "start"} <= {one.get_label() for one in panels[1].get_lines()}
+        data.task_status.values[3, 1] = ck.Status.GROWING
         labels = [one.get_text() for one in pictures.status(data).axes[0].get_yticklabels()]
-        assert "growing: hands" in labels and "growing: rest" in labels and "at limit" in labels
+        assert {"growing: rest", "near singular", "at limit"} <= set(labels) and "growing: hands" not in labels
+        sizes = {tuple(np.ptp(panel.get_xlim(), keepdims=True)) for panel in panels}
+        assert len(sizes) == 1  # all tips at one scale
     plt.close("all")
     assert {p.suffix for p in out.iterdir() if p.name != ".cnclik"} >= {".nc", ".csv", ".png"}
     assert "hands" in page.read_text() and ("<iframe" in page.read_text()) == need.has_viser()
