@@ -14,7 +14,8 @@ import numpy as np
 import cnclik as ck
 
 jax.config.update("jax_enable_x64", True)
-file = next(f for f in importlib.metadata.files("example-robot-data") if f.name == "allegro_right_hand.urdf").locate()
+installed = importlib.metadata.files("example-robot-data") or []
+file = next(one for one in installed if one.name == "allegro_right_hand.urdf").locate()
 tips = {"index": "link_3.0_tip", "middle": "link_7.0_tip", "ring": "link_11.0_tip", "thumb": "link_15.0_tip"}
 hand = ck.load_urdf(file, tips=list(tips.values()))
 q0 = np.clip(0.5, np.array(hand.lower) + 0.1, np.array(hand.upper) - 0.1)

@@ -84,7 +84,7 @@ def test_as_json(stack, tmp_path, capsys):
     assert "rest: 14 joints" in told["asked"][-1] and "hands steps" in told["facts"]
 
 
-@pytest.mark.parametrize("verb", ["tune", "stability"])
+@pytest.mark.parametrize("verb", ["tune"])
 def test_other_verbs_refuse(verb, stack, capsys):
     told = said(capsys, verb, BAXTER, "--stack", stack)
     assert f"`stack` must be left out for `cnclik {verb}`, which takes one task so far" in told
