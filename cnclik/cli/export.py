@@ -45,7 +45,7 @@ def run(args: Args) -> None:
 
     if args.compiled_in and args.runtime:
         raise errors.fail("runtime", "be left out with --compiled-in", f"is {' '.join(args.runtime)}")
-    made = problem(args, stacks=True)
+    made = problem(args)
     given = [table(args)] if made.tables is None else made.tables.values()
     along = args.paths and args.what in ("step", "solve") and any(map(_has_path, given))
     reference = made.reference if along else None

@@ -8,7 +8,6 @@ import dataclasses
 import keyword
 from typing import Any
 
-from cnclik import errors
 from cnclik.cli.arguments import option
 from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
 
@@ -58,31 +57,16 @@ def table(args) -> dict:
     return {name: value for name, value in given.items() if value is not None}
 
 
-def problem(args, *, stacks=False):
-    """The `Problem` that a verb's options describe.
-
-    Args: stacks: whether the verb takes a stack of tasks.
-    Raises: ArgumentError.
-    """
+def problem(args):
+    """The `Problem` that a verb's options describe. Raises: ArgumentError."""
     from cnclik.cli import progress
     from cnclik.problem.build import problem_from
 
-    if not stacks:
-        refuse_stack(args)
     given = table(args)
     with progress.bar("start and path"):
         made = problem_from(**given)
     look_at_units(args, given, made.law.chain, made.law.task, made.Ts)
     return made
-
-
-def refuse_stack(args) -> None:
-    """Raise ArgumentError where a verb that takes one task so far is given a stack."""
-    if args.stack is not None:
-        verb = type(args).__module__.rpartition(".")[2]
-        raise errors.fail(
-            "stack", f"be left out for `cnclik {verb}`, which takes one task so far", f"is {args.stack!r}"
-        )
 
 
 def look_at_units(args, given: dict, chain, task, Ts=None) -> None:

@@ -34,7 +34,7 @@ def run(args: Args) -> None:
     from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
 
-    made = problem(args, stacks=True)
+    made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)

@@ -105,7 +105,7 @@ def _loop(args):
     from cnclik.problem.names import require_free
     from cnclik.stability.spectrum import settle
 
-    found = problem(args, stacks=True)
+    found = problem(args)
     if found.law.task.tasks:
         for name in ("map", "report", "target"):
             if getattr(args, name):

@@ -25,7 +25,8 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     N: int = 200
     """Steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What is tuned: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts."""
+    """What is tuned: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts; with --stack also weights, and
+    those of one task: hands.alpha."""
     shape: str = "as-given"
     """Gain to tune: scalar, per-axis, matrix (symmetric positive definite), or as --alpha is given."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")

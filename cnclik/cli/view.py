@@ -67,5 +67,5 @@ def _shown(args):
         tips = None if args.stack is None else tips_of(read_stack(args.stack))
         robot = files.robot_of(args.robot, args.tip, args.base, args.lengths, tips)
         return files.read_motions(args.file, robot), None
-    made = problem(args, stacks=True)
+    made = problem(args)
     return [], Live(made, links=files.links_of(args.robot, args.base, made.law.chain))

@@ -290,14 +290,14 @@ def correct(law: Law, q, rows, made, h, r):
         hz = h * law.alpha
         again = apply if exact else damped_apply(rows, made.shift / (1.0 + hz))[0]
         return r - hz / (1.0 + hz) * again(task)
-    c = _gain(law)
+    c = weighted_gain(law)
     inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(task), dtype=task.dtype))
     return r - h * apply(jnp.linalg.solve(dense.shifted(h * c @ rows @ inverse, 1.0), c @ task))
 
 
 def _whole(law, q, rows, apply, h):
     """I + h (A C B − (I − A B) ∂q̇₀/∂q), (n, n)."""
-    c = _gain(law)
+    c = weighted_gain(law)
     _, push = jax.linearize(lambda q: null_velocity(law, q), q)
 
     def column(unit):
@@ -307,7 +307,7 @@ def _whole(law, q, rows, apply, h):
     return dense.shifted(h * jax.vmap(column, out_axes=1)(jnp.eye(len(q), dtype=q.dtype)), 1.0)
 
 
-def _gain(law):
+def weighted_gain(law):
     """C = W K W⁻¹ (m, m): the gain as it acts on weighted errors."""
     alpha, w = law.alpha, law.task.weights
     if alpha.ndim < 2:

@@ -30,9 +30,12 @@ def history(tuned):
 
 
 def error(tuned):
-    """Norm of position and orientation error before and after."""
+    """Norm of position and orientation error before and after; of a stack that of each task."""
     task = tuned.law.task
     parts = {"position error [m]": task.lengths, "orientation error [rad]": task.angles}
+    if task.tasks:
+        units = np.array(task.units)
+        parts = {f"{name} [{', '.join(dict.fromkeys(units[at]))}]": [*range(task.m)[at]] for name, at in task.each}
     parts = {name: part for name, part in parts.items() if part}
     size = (style.COLUMN, 0.6 + 1.5 * len(parts))
     figure, axes = plt.subplots(len(parts), 1, figsize=size, sharex=True, squeeze=False)
@@ -157,5 +160,6 @@ def drawings(tuned) -> dict:
         drawn["operating"] = lambda: operating(radius_field(tuned), tuned)
         if len(tuned.front["z"]):
             drawn["front"] = lambda: front(tuned)
-        drawn["responses"] = lambda: responses(end_responses(tuned))
+        if not tuned.law.task.tasks:
+            drawn["responses"] = lambda: responses(end_responses(tuned))
     return drawn

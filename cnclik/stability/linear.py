@@ -37,31 +37,33 @@ _PLATEAU = 1e-3  # a function within this share of its least value, at the end o
 
 
 class _Linear(NamedTuple):
-    """The field q̇ = −w q, for q = x + iy kept as (x, y)."""
+    """The field q̇ = −w q."""
 
-    qdot: Float[Array, " 2"]
-    correct: Callable | None
-
-
-def _field(w, q):
-    def correct(h, r):
-        return jnp.linalg.solve(jnp.eye(2) + h * w, r)
-
-    return _Linear(qdot=-w @ q, correct=correct)
+    qdot: Float[Array, " m"]
+    correct: Callable
 
 
-def _held(w, Ts, q):
-    """The same field as an exponential step has it: held at what decays exactly, from q at its start."""
-    return _Linear(qdot=-per_step(w, Ts) @ q, correct=None)
+def stepped(method, stage, through, gain, Ts):
+    """R (m, m): what one step of a one-step method does to the errors of ė = −P K e. Pure.
+
+    Args: through: P (m, m), J J# of a loop at rest. gain: K (m, m), held over the step by an exponential method.
+    """
+    eye = jnp.eye(len(gain), dtype=gain.dtype)
+    if method.exponential:
+        return eye - Ts * through @ per_step(gain, Ts)
+    w = through @ gain
+
+    def field(_, q):
+        return _Linear(-w @ q, lambda h, r: jnp.linalg.solve(eye + h * w, r))
+
+    return jax.vmap(lambda start: march(field, start, Ts, method, stage).q, out_axes=1)(eye)
 
 
 @one_off(static_argnames=("method",))
 def _amplification(method, stage, a, b):
     def one(a, b):
-        w, start, Ts = jnp.array([[a, -b], [b, a]]), jnp.array([1.0, 0.0]), jnp.ones_like(a)
-        held = _held(w, Ts, start)
-        field = (lambda c, q: held) if method.exponential else (lambda c, q: _field(w, q))
-        return march(field, start, Ts, method, stage).q
+        w = jnp.array([[a, -b], [b, a]])
+        return stepped(method, stage, jnp.eye(2), w, jnp.ones_like(a))[:, 0]
 
     return jax.vmap(one)(a, b)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.bounded import bounded
-from cnclik.law.inverse import damped
+from cnclik.law.inverse import Levels, damped
 from cnclik.law.law import Law
 from cnclik.task.build import joints, orientation, position, stack
 from cnclik.task.task import Task
@@ -56,14 +56,20 @@ def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> La
 
 
 def to_pink(law: Law, dt: float) -> dict:
-    """{task: {"gain", "cost"}} of a law's tasks as pink and mink take them: gain = alpha·dt, one for a task."""
+    """{task: {"gain", "cost"}} of a law's tasks as pink and mink take them: gain = alpha·dt, one for a task.
+
+    A level is a cost, too: a weight times the least λ over that of its level, where their damping is the least λ².
+    """
     dt, found = float(errors.number("dt", dt, positive=True)), {}
     alpha = np.asarray(law.alpha, float)
+    cost = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
+    if isinstance(law.inverse, Levels):
+        damping = np.array([float(one.damping) for one in law.inverse.damping])
+        cost = cost * damping.min() / damping[list(law.inverse.level)]
     for name, at in law.task.each:
         own = np.broadcast_to(alpha, (law.task.m,))[at] if alpha.ndim < 2 else np.linalg.eigvalsh(alpha[at, at])
         if np.ptp(own) > 1e-9 * own.max():
             raise errors.fail("law", f"have one gain for {name}, as theirs do", f"has {own.tolist()}")
-        cost = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
         found[name] = {"gain": float(own[0]) * dt, "cost": cost[at].tolist()}
     return found
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik.law.law import evaluate
-from cnclik.record import cast
+from cnclik.record import cast, replace
 from cnclik.robot.model import modelled, one_off
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import increments
@@ -66,13 +66,16 @@ def steps_of(taken, method, stage):
     return -taken[..., None] if method.exponential else increments(method, stage, taken)
 
 
-@one_off
-def _parts(law, held, q):
+def parts_at_rest(law, held, q):
+    """J (m, n) weighted, J# (n, m), and the shift of its damping, if it is such an inverse. Pure."""
     law, held = cast((modelled(law), held), q.dtype)
     made = evaluate(law, held, jnp.zeros_like(q[0]), q)
-    inverse = law.inverse
-    factored = inverse(made.rows, 0.0 * made.e) if getattr(inverse, "by_error", False) else inverse(made.rows)
+    inverse = replace(law.inverse, e=0.0 * made.e) if getattr(law.inverse, "by_error", False) else law.inverse
+    factored = inverse(made.rows)
     return made.rows, jax.vmap(made.apply, out_axes=1)(jnp.eye(len(made.e), dtype=q.dtype)), factored.shift
+
+
+_parts_of_numbers = one_off(parts_at_rest)
 
 
 def rates_of(law, held, q, along) -> Rates | None:
@@ -82,7 +85,7 @@ def rates_of(law, held, q, along) -> Rates | None:
     """
     if law.null_velocity is not None:
         return None
-    rows, columns, shift = _parts(law, held, q)
+    rows, columns, shift = _parts_of_numbers(law, held, q)
     rows, columns = np.asarray(rows, float), np.asarray(columns, float)
     m, alpha, turned = law.task.m, np.asarray(law.alpha, float), np.eye(law.task.m)
     weights = np.ones(m) if law.task.weights is None else np.asarray(law.task.weights, float)

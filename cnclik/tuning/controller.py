@@ -6,6 +6,8 @@ from cnclik.integrate.method import EE
 from cnclik.law import inverse as inverses
 from cnclik.record import in_words
 from cnclik.stability.linear import amplification, share_per_step
+from cnclik.stability.peers import to_pink
+from cnclik.tuning import parameters as pm
 
 DAMPED_EXCESS = 1e-3  # by which z may exceed 1 and be printed as 1: damped, a step at z = 1 falls short of the error
 
@@ -25,8 +27,14 @@ def controller_lines(tuned) -> dict:
 def _rate_line(tuned) -> str:
     law, alpha = tuned.law, np.asarray(tuned.law.alpha)
     name, formula, _ = _inverse(law.inverse)
-    product = f"{in_words(alpha, 6)} {'*' if alpha.ndim < 2 else '@'} e"
+    product = f"{'alpha' if law.task.tasks else in_words(alpha, 6)} {'*' if alpha.ndim < 2 else '@'} e"
     when = f"alpha [1/s], every Ts = {tuned.Ts:.6g} s"
+    if law.task.tasks:
+        when += f"; alpha: {_of_each(law, lambda task: pm.gain_of(law, task))}"
+        weighed = "" if law.task.weights is None else "; rows of J and what J# takes times weights: "
+        formula += weighed and weighed + _of_each(
+            law, lambda task: pm.even(np.asarray(law.task.weights)[law.task.of(task)])
+        )
     if tuned.schedule is not None:
         when += f"; alpha scaled to {in_words(tuned.schedule, 6)} 1/s at {len(tuned.schedule)} even instants"
     if tuned.method.name == EE.name:
@@ -50,6 +58,8 @@ def _pink_mink_line(tuned) -> str:
     _, formula, damping = _inverse(tuned.law.inverse)
     if tuned.schedule is not None:
         return "no line: pink and mink have one constant gain"
+    if tuned.law.task.tasks:
+        return _costs_line(tuned)
     if alpha.ndim:
         return "no line: pink and mink have one gain for all axes of a task"
     if damping is None:
@@ -68,8 +78,34 @@ def _pink_mink_line(tuned) -> str:
     return line
 
 
+def _of_each(law, value) -> str:
+    return ", ".join(f"{in_words(value(task), 6)} of {task}" for task, _ in law.task.each)
+
+
+def _costs_line(tuned) -> str:
+    """Of a stack: a gain and a cost for each task."""
+    law, inverse = tuned.law, tuned.law.inverse
+    each = inverse.damping if isinstance(inverse, inverses.Levels) else (inverse,)
+    if not all(isinstance(one, inverses.Damped) for one in each):
+        return "no line: pink and mink have one damping, the same everywhere"
+    if any(np.ndim(pm.gain_of(law, task)) for task, _ in law.task.each):
+        return "no line: pink and mink have one gain for all axes of a task"
+    tasks = []
+    for name, one in to_pink(law, tuned.Ts).items():
+        gain, cost = share_per_step(tuned.method, one["gain"]), in_words(pm.even(np.array(one["cost"])), 6)
+        if gain > 1 + DAMPED_EXCESS:
+            return f"no line: z = {gain:.4g} of {name}, and the gain of pink and mink is meant to be at most 1"
+        tasks.append(f"{name}: gain={min(gain, 1.0):.6g}, cost={cost}")
+    least = min(float(one.damping) for one in each)
+    return f"tasks {'; '.join(tasks)}; solve_ik(..., dt={tuned.Ts:.6g}, damping={least**2:.6g})  # dt [s]"
+
+
 def _inverse(inverse):
     """Name and formula of J# for a line of code, and its λ² where it is one number, else None."""
+    if isinstance(inverse, inverses.Levels) and all(isinstance(one, inverses.Damped) for one in inverse.damping):
+        each = zip(inverse.names, inverse.damping, strict=True)
+        sizes = ", ".join(f"{float(one.damping):.6g} of {' and '.join(names)}" for names, one in each)
+        return "J_levels", f"J_levels = J.T @ inv(J @ J.T + diag(size**2)), size: {sizes}", None
     if isinstance(inverse, inverses.Pseudoinverse):
         return "J_pinv", "J_pinv = pinv(J)", 0.0
     if isinstance(inverse, inverses.Damped):

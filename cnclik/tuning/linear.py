@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.hints import after
 from cnclik.integrate.drive import Drive
+from cnclik.law.law import weighted_gain
 from cnclik.record import replace
-from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.driven import (
     driven_limits,
@@ -18,8 +19,11 @@ from cnclik.stability.driven import (
     noise_limit,
     radius,
 )
-from cnclik.stability.linear import at_rest_as
-from cnclik.stability.spectrum import at_rest, directions, largest_rate, of_error, one_step, step_maps
+from cnclik.stability.linear import at_rest_as, stepped
+from cnclik.stability.loop import loop_at_rest
+from cnclik.stability.rates import parts_at_rest
+from cnclik.stability.spectrum import at_rest, directions, of_error, one_step
+from cnclik.stability.tasks import bounded_rates
 
 SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
 
@@ -28,14 +32,33 @@ SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
 
 
 def maps_at_rest(law, q, Ts, method, stage):
-    """How one step multiplies a small error (m, m), and a small motion in the null space of J (n, n). Pure.
+    """How one step multiplies a small error (m, m), and a small motion in the null space of J (n, n); and what it takes
+    of an error (m, m). Pure.
 
-    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0.
+    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0. A stack takes
+    most where its tasks get all that they ask for; errors that no joint can do anything about count as such.
     """
-    moved, rows = one_step(*at_rest(law, None, q), q, Ts, _forgetful(method), stage)
-    inverse = jnp.linalg.pinv(rows)  # once: of two batches side by side LAPACK's threads may wait for each other
+    (law, held), method = at_rest(law, None, q), _forgetful(method)
+    if law.null_velocity is not None:
+        moved, rows = one_step(law, held, q, Ts, method, stage)
+        inverse = jnp.linalg.pinv(rows)  # once: of two batches side by side LAPACK's threads may wait for each other
+        across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
+        found = of_error(moved, rows, inverse=inverse)
+        return found, across @ moved @ across, _taken(found)
+    rows, columns, _ = parts_at_rest(law, held, q)
+    gain = jnp.asarray(weighted_gain(law), q.dtype)
+    found = stepped(method, stage, rows @ columns, gain, Ts)
+    inverse = jnp.linalg.pinv(after(rows, found))
     across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
-    return of_error(moved, rows, inverse=inverse), across @ moved @ across
+    if not bounded_rates(law):
+        return found, across, _taken(found)
+    eye, moved = jnp.eye(len(gain), dtype=q.dtype), rows @ inverse
+    most = stepped(method, stage, eye, gain, Ts)
+    return found @ moved + (eye - moved) @ most @ (eye - moved), across, _taken(most)
+
+
+def _taken(found):
+    return jnp.eye(len(found), dtype=found.dtype) - found
 
 
 def _forgetful(method):
@@ -116,10 +139,8 @@ def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
       method, stage: as for `solve`. drive: what lies between command and motion.
     Returns: (k,).
     """
-    q = as_joint_values(law.chain, q)
-    law = replace(law, alpha=jnp.asarray(law.alpha))
-    scale = np.asarray(alpha) / largest_rate(law.alpha)
-    moved, rows = step_maps(*at_rest(law, None, q), q, scale, Ts, _forgetful(method), stage)
+    loop = loop_at_rest(law, None, q, _forgetful(method), stage, drive)
+    moved, rows = loop.maps(np.asarray(alpha) / loop.rate, Ts)
     steps = modes_of(moved, directions(rows)[2], drive)
     if drive.order == 0:
         return radius(steps, drive, 1.0)

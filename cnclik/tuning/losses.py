@@ -24,7 +24,8 @@ class View(NamedTuple):
     """What a loss may look at.
 
     Attributes:
-      run: the `Trajectory`; its e is the true error.
+      run: the `Trajectory`; its e is the true error, of a stack times what each coordinate counts in the law that
+        tuning starts from: its weight over the damping of its level, at most 1.
       weight: (N,) shares of the horizon, of e[1] … e[N] and of the N steps, summing to 1. e[0] is given, not earned.
       Ts: sampling time [s].
       horizon: [s].

@@ -17,9 +17,9 @@ from cnclik.integrate.method import DEFAULT, Method
 from cnclik.integrate.multistep import Multistep
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
-from cnclik.law.law import check_loop
+from cnclik.law.law import check_loop, metric
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.record import record, replace
 from cnclik.robot.model import one_off
 from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 from cnclik.stability.driven import delay_margin, each_drive, noise_gain, radius
@@ -124,6 +124,7 @@ class LoopObjective:
     drive: Drive  # where joints differ, each drive counts as one for all joints
     method: Method | Multistep
     stage: Stage
+    counts: Float[AnyArray, " m"] | None  # what each coordinate of a stack counts in the loss, as the law was given
     contracts: bool  # whether the margin asks for more than the bound on corrections gives
 
     @property
@@ -161,13 +162,16 @@ class LoopObjective:
         return jax.vmap(lambda q, moment: of(pm.scheduled(loop, moment), q))(postures, self.moments)
 
     def _maps(self, loop, postures):
-        """One-step maps at rest, of the error (B·K, m, m) and of the null space (B·K, n, n)."""
+        """One-step maps at rest, see `maps_at_rest`: (B·K, m, m), (B·K, n, n), (B·K, m, m)."""
         return self._along(lambda law, q: linear.maps_at_rest(law, q, loop.Ts, self.method, self.stage), loop, postures)
 
     def _loss(self, loop, runs, maps):
         steps = jnp.arange(self.N, dtype=runs.q.dtype)
         weight = jnp.clip((self.horizon - steps * loop.Ts) / loop.Ts, 0.0, 1.0)
         weight = weight / jnp.sum(weight)
+
+        if self.counts is not None:
+            runs = replace(runs, e=runs.e * self.counts)
 
         def of_run(run, maps):
             view = View(run, weight, loop.Ts, self.horizon, self.tolerance, maps)
@@ -184,8 +188,8 @@ class LoopObjective:
         """(loss, constraints (c,)), smooth: relative excess of each constraint at each posture, or for each joint."""
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
-        maps, across = self._maps(loop, after(jnp.asarray(self.postures), runs.q))
-        correction = jax.vmap(linear.radius_estimate)(_corrections(maps))
+        maps, across, taken = self._maps(loop, after(jnp.asarray(self.postures), runs.q))
+        correction = jax.vmap(linear.radius_estimate)(taken)
         constraints = [correction / self.largest_correction - 1.0]
         if self.contracts:
             for drive in each_drive(self.drive):
@@ -204,12 +208,13 @@ class LoopObjective:
         moments = jnp.linspace(0, 1, INTERVALS + 1)
         k = jnp.clip(jnp.round(moments * self.horizon / loop.Ts).astype(int), 0, self.N)
         postures = runs.q[:, k].reshape(-1, runs.q.shape[-1])
-        maps, across = self._maps(loop, postures)
+        maps, across, taken = self._maps(loop, postures)
         return {
             "loss": self._loss(loop, runs, maps),
             "finite": jnp.all(jnp.isfinite(runs.q)),
             "maps": maps,
             "across": across,
+            "taken": taken,
             "flows": self._along(_flow, loop, postures) if self.moves_null_space else None,
             "speed": jnp.max(self._speed(runs)) if self.joints else jnp.zeros((), runs.q.dtype),
             "postures": postures,
@@ -234,7 +239,7 @@ class LoopObjective:
             across = staying(across, growths)
         driven = [linear.driven_map(maps, drive, float(self.loop.Ts)) for drive in each_drive(self.drive)]
         radius = known(np.max([*map(linear.measured_radius, driven)], axis=0))
-        null_radius, correction = (known(linear.measured_radius(v)) for v in (across, _corrections(maps, np)))
+        null_radius, correction = (known(linear.measured_radius(v)) for v in (across, seen["taken"]))
         speed = known(seen["speed"])
         with np.errstate(divide="ignore", invalid="ignore"):  # no correction is small enough where none is stable
             ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
@@ -246,11 +251,6 @@ class LoopObjective:
 
 def _flow(law, q):
     return null_flow(*at_rest(law, None, q), q)
-
-
-def _corrections(maps, xp=jnp):
-    """I − A: what a step removes of an error."""
-    return xp.eye(maps.shape[-1], dtype=maps.dtype) - maps
 
 
 @one_off(as_given=True)
@@ -312,6 +312,7 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
         drive=drive,
         method=method,
         stage=stage,
+        counts=np.asarray(metric(law)) if law.task.tasks else None,
         contracts=goal.ringing or goal.margin < 1,
     )
 

@@ -6,6 +6,7 @@ function, symmetric positive definite gains by one of their eigenvalues.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -242,7 +243,91 @@ _KNOWN = {
     "Ts": (lambda law, Ts: (Ts, Ts / 4, Ts * 4), lambda loop, v: replace(loop, Ts=v), "s"),
 }
 NAMES = tuple(_KNOWN)
-_POSITIVE = ("alpha", "schedule", "damping", "Ts")
+_POSITIVE = ("alpha", "schedule", "damping", "weights", "Ts")
+
+# The same of one task of a stack, "hands.alpha": functions of (law, Ts, task), and of (law, task, value).
+
+
+def even(values):
+    """A task's numbers as one, where they are alike."""
+    first = values.flat[0]
+    return first if np.all(values == first * (np.eye(len(values)) if values.ndim == 2 else 1.0)) else values
+
+
+def gain_of(law, task):
+    """The gain of one task of a stack."""
+    alpha = np.asarray(law.alpha, float)
+    return alpha if alpha.ndim == 0 else even(alpha[(law.task.of(task),) * alpha.ndim])
+
+
+def _task_alpha(law, Ts, task):
+    return gain_of(law, task), *_alpha(law, Ts)[1:]
+
+
+def _with_alpha(law, task, value):
+    alpha, at = jnp.asarray(law.alpha), law.task.of(task)
+    alpha = alpha if alpha.ndim else jnp.full(law.task.m, alpha)
+    own = value * jnp.eye(at.stop - at.start) if value.ndim < alpha.ndim == 2 else value
+    return {"alpha": alpha.at[(at,) * alpha.ndim].set(own)}
+
+
+def _level(law, task):
+    if not isinstance(law.inverse, inverses.Levels):
+        raise errors.fail("over", "name the damping of a task for a law with levels(...)", "names it for another")
+    return next(i for i, names in enumerate(law.inverse.names) if task in names)
+
+
+def _task_damping(law, Ts, task):
+    """Up to half the way to the next level's, as a ratio: the order of levels is that of their dampings."""
+    i = _level(law, task)
+    each = [float(one.damping) for one in law.inverse.damping]
+    start = each[i]
+    below, above = (d for d in each if d < start), (d for d in each if d > start)
+    return start, np.sqrt(start * max(below, default=start / 1e6)), np.sqrt(start * min(above, default=start * 1e6))
+
+
+def _with_damping(law, task, value):
+    each, i = list(law.inverse.damping), _level(law, task)
+    each[i] = replace(each[i], damping=value)
+    return {"inverse": replace(law.inverse, damping=tuple(each))}
+
+
+def _weights(law):
+    return jnp.ones(law.task.m) if law.task.weights is None else jnp.asarray(law.task.weights)
+
+
+def _task_weights(law, Ts, task):
+    start = even(np.asarray(_weights(law), float)[law.task.of(task)])
+    return start, start / 1e3, start * 1e3
+
+
+def _with_weights(law, task, value):
+    return {"task": replace(law.task, weights=_weights(law).at[law.task.of(task)].set(value))}
+
+
+_OF_TASK = {
+    "alpha": (_task_alpha, _with_alpha, "1/s"),
+    "damping": (_task_damping, _with_damping, "m or 1"),
+    "weights": (_task_weights, _with_weights, "1"),
+}
+
+
+@functools.cache  # one function for one name: programs are found by it
+def _put_in_task(what, task):
+    return _in_law(lambda law, value: _OF_TASK[what][1](law, task, value))
+
+
+def _of_stack(law) -> dict:
+    """{name: those of tasks that it stands for}: of all tasks, of each level the first."""
+    tasks = [name for name, _ in law.task.tasks]
+    levels = isinstance(law.inverse, inverses.Levels)
+    found = {what: [f"{task}.{what}" for task in tasks] for what in ("alpha", "weights") if tasks}
+    return found | ({"damping": [f"{names[0]}.damping" for names in law.inverse.names]} if levels else {})
+
+
+def kind_of(name: str) -> str:
+    """What a parameter is, of whichever task."""
+    return name.rpartition(".")[2]
 
 
 def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
@@ -251,37 +336,52 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
     [1/s]. schedule: K = 5 gains over the horizon [1/s]. damping: λ of damped(λ). null_gain: factor of the null-space
     velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links' offsets, the tip's last. tool: offset
-    (3,) of the tip in the last frame [m]. Ts: sampling time [s].
+    (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a stack: hands.alpha; hands.damping, λ of
+    its level; hands.weights, one number where they are alike.
 
     Args:
       bounds: (lower, upper), or None: z = alpha·Ts from 0.001 to 10, damping and Ts up to a factor 1000 and 4 around
         their start, factors from 0 to 2 (null_gain 10, links 0.5 to 2), the tool within 0.5 m.
     """
-    errors.one_of("over", name, NAMES)
-    of, put, unit = _KNOWN[name]
-    start, lower, upper = of(loop.law, float(loop.Ts))
+    task, what = str(name).rpartition(".")[0], kind_of(str(name))
+    if task and loop.law.task.tasks:
+        errors.one_of("over", task, [known for known, _ in loop.law.task.tasks])
+        of, _, unit = _OF_TASK[errors.one_of("over", what, _OF_TASK)]
+        put, (start, lower, upper) = _put_in_task(what, task), of(loop.law, float(loop.Ts), task)
+    else:
+        of, put, unit = _KNOWN[errors.one_of("over", name, NAMES)]
+        start, lower, upper = of(loop.law, float(loop.Ts))
     if bounds is not None:
         if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
             raise errors.fail(f"bounds of {name}", "be (lower, upper)", f"are {bounds!r}")
         lower, upper = bounds
-    kind = SPD if name == "alpha" and np.ndim(start) == 2 else BOX
+    kind = SPD if what == "alpha" and np.ndim(start) == 2 else BOX
     made = parameter(name, start, lower, upper, put, kind=kind, unit=unit)
-    if name in _POSITIVE and not np.all(made.lower > 0):
+    if what in _POSITIVE and not np.all(made.lower > 0):
         raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
     return made
 
 
 def chosen(over, loop: Adjustable, bounds) -> tuple:
-    """What is tuned, as a user names it: names and `Parameter`s, with bounds {name: (lower, upper)}."""
+    """What is tuned, as a user names it: names and `Parameter`s, with bounds {name: (lower, upper)}.
+
+    Of a stack "alpha", "damping" and "weights" are those of all its tasks.
+    """
     over = tuple(over) if isinstance(over, (tuple, list)) else (over,)
     if not over:
         raise errors.fail("over", "name something to tune", "is empty")
+    every = _of_stack(loop.law)
+    over = [one for p in over for one in (every.get(p, [p]) if isinstance(p, str) else [p])]
+    bounds = {one: pair for name, pair in bounds.items() for one in every.get(name, [name])} | bounds
     made = tuple(p if isinstance(p, Parameter) else named(p, loop, bounds.get(p)) for p in over)
     names = [p.name for p in made]
     if len(set(names)) != len(names):
         raise errors.fail("over", "name each parameter once", f"is {names}")
+    at = [_level(loop.law, name.partition(".")[0]) for name in names if name.endswith(".damping")]
+    if len(set(at)) < len(at):
+        raise errors.fail("over", "name the damping of a level once, by one of its tasks", f"is {names}")
     if {"links", "tool"} <= set(names):
         raise errors.fail("over", "name links (the tip's offset among them) or tool", "names both")
     for name in bounds:
-        errors.one_of("bounds", name, names)
+        errors.one_of("bounds", name, [*names, *map(kind_of, names)])
     return made

@@ -150,7 +150,7 @@ class Tuned:
     @property
     def _how_it_ended(self) -> str:
         if self.status != "infeasible":
-            tuned, at_limit = {"alpha", "schedule"} & set(self.values), self.after.speed > 1 - AT_LIMIT
+            tuned, at_limit = {"alpha", "schedule"} & {*map(pm.kind_of, self.values)}, self.after.speed > 1 - AT_LIMIT
             little = _LITTLE_GAIN if not tuned else _HELD_BACK if at_limit else _NEARLY_NO_GAIN
             return _WHY[self.status] + (f" {little}" if self.N * self.after.correction < 1 else "")
         worst = f"{self.after.worst} is exceeded by {100 * self.after.violation:.3g} %"

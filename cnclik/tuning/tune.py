@@ -140,7 +140,7 @@ def _judged(objective, points) -> list:
 
 
 def _gains(objective) -> list:
-    return [p for p in objective.parameters if p.name in ("alpha", "schedule")]
+    return [p for p in objective.parameters if pm.kind_of(p.name) in ("alpha", "schedule")]
 
 
 def _gains_over_z(objective):
