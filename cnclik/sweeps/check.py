@@ -5,6 +5,7 @@ import functools
 import itertools
 import math
 import operator
+import os
 import pathlib
 
 import numpy as np
@@ -14,6 +15,7 @@ from cnclik.integrate.drive import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
 from cnclik.problem.options import OF_TASK
+from cnclik.problem.stack import read_stack
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
@@ -63,6 +65,9 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
             raise errors.fail(key, "be a sentence", "is missing" if key not in written else f"is {written[key]!r}")
     fixed, bundles = _table(written, "fixed"), _bundles(written)
     tasks = {name: _table(written["tasks"], name, "tasks.") for name in _table(written, "tasks")}
+    if "tasks" in _table(written, "axes") and "stack" in fixed and not tasks:  # axes of a file's tasks
+        file = fixed.pop("stack")
+        tasks = read_stack(path if os.path.isfile(path := pathlib.Path(folder, str(file))) else file)
     axes = _of_tasks(_table(written, "axes"), tasks)
     _check_names(fixed, axes, bundles, tasks)
     unit_names = _table(written, "units")

@@ -26,7 +26,9 @@ def coordinates(of: Grid, units) -> dict:
     """
     found = {}
     for name, values, labels in of.axes:
-        about = {"units": units.get(name, ""), "long_name": SYMBOLS.get(name, name.replace("_", " "))}
+        task, _, option = name.removeprefix("tasks.").rpartition(".")
+        symbol = SYMBOLS.get(option, option.replace("_", " ")) + (f" of {task}" if task else "")
+        about = {"units": units.get(name, ""), "long_name": symbol}
         if labels is not None:
             found[name] = (name, np.asarray(labels), about | {"units": units.get(name, "1")})
         elif values.ndim == 1:

@@ -71,6 +71,22 @@ def test_a_file_of_tasks_may_be_an_axis(tmp_path):
     assert data.final_error.shape == (2, 2) and len(made.data()["files"]) == 3
 
 
+def test_numbers_of_a_files_tasks_may_be_axes(tmp_path):
+    """Gains, weights and dampings: of a stack in a file as of one in the spec, and with names to be read."""
+    head, tasks = TEXT.partition("[tasks.hands]")[0], TEXT.partition("[tasks.hands]")[2].partition("[axes]")[0]
+    tasks = "[tasks.hands]" + tasks.replace("2*size", "50mm").replace("damping = 0.3", "")
+    (tmp_path / "stack.toml").write_text(tasks.replace('damping = "10 * least"', "damping = 0.1"))
+    axes = "hands.alpha = [5, 10]\nrest.damping = [0.2, 0.3]\nhands.weights = [[1, 1, 1], [1, 1, 2]]"
+    inside = head + tasks.replace('damping = "10 * least"', "damping = 0.1") + f"[axes.tasks]\n{axes}\n"
+    (tmp_path / "spec.toml").write_text(
+        head.replace("N = 5", 'N = 5\nstack = "stack.toml"') + f"[axes.tasks]\n{axes}\n"
+    )
+    data = sweeps.run_spec(spec.read(tmp_path / "spec.toml"))
+    same = sweeps.run_spec(check.parse(tomllib.loads(inside)))
+    np.testing.assert_array_equal(data.final_error, same.final_error)
+    assert len(np.unique(data.final_error)) == 8 and data["tasks.rest.damping"].attrs["long_name"] == "λ of rest"
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
