@@ -24,6 +24,7 @@ ROOMS = (
 )
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
 MOST_LINES = 400
+MOST_OF_A_FUNCTION = 60
 
 
 def files():
@@ -114,6 +115,20 @@ def test_no_attribute_of_another_room_is_private():
 
 def test_no_file_is_long():
     assert not [str(p) for p in files() if len(p.read_text(encoding="utf-8").splitlines()) > MOST_LINES]
+
+
+def test_no_function_is_long():
+    """Lines from `def` to its end, functions inside counted and its docstring left out."""
+    long = []
+    for path in files():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                continue
+            first = node.body[0]
+            said = first.end_lineno - first.lineno + 1 if ast.get_docstring(node, clean=False) is not None else 0
+            if (lines := node.end_lineno - node.lineno + 1 - said) > MOST_OF_A_FUNCTION:
+                long.append(f"{path.relative_to(PACKAGE)}:{node.lineno} {node.name} {lines}")
+    assert not long
 
 
 ONCE = {  # what may stand in one place only, and where

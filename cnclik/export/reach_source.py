@@ -100,7 +100,9 @@ def _call(reaching, names) -> str:
     pose = [f"  pose[{axis}] = input->position[{k}] * {c(1 / of.unit)};" for k, axis in enumerate(of.task.linear)]
     if of.task.orientation:
         pose.append("  for (int i = 0; i < 9; ++i) pose[3 + i] = input->rotation[i];")
-    pointers = [f"  a.{name} = {name};" for name in tables if name != "own"]
+    arrays = {name: name for name in (*tables, "features", "factors", "pose", "near") if name != "own"}
+    arrays |= {"low": "lower", "high": "upper", "made": "&made"}
+    pointers = [f"  a.{name} = {value};" for name, value in arrays.items()]
     return f"""{signature(reaching.call, names)}
 {{
 {chr(10).join(written)}
@@ -111,13 +113,6 @@ def _call(reaching, names) -> str:
   memset(&a, 0, sizeof a);
   memset(&made, 0, sizeof made);
 {chr(10).join(pose + pointers)}
-  a.low = lower;
-  a.high = upper;
-  a.features = features;
-  a.factors = factors;
-  a.pose = pose;
-  a.near = near;
-  a.made = &made;
   a.tolerance[0] = parameters->tolerance[0] * {c(1 / of.unit)};
   a.tolerance[1] = 2 * LIBM(sin)(least(parameters->tolerance[1], {c(np.pi)}) / 2);
   for (int i = 0; i < N; ++i) near[i] = input->q[i] / own[i];

@@ -36,15 +36,20 @@ def signature(program, names) -> str:
     return f"int32_t {names.name}({given},\n  int32_t steps, const {names.name}_trajectory *trajectory)"
 
 
-def solve_source(program, growth, names: Names, n, m) -> tuple:
-    """The loop, and the function that tells whether a step grew; and what `helpers` are for."""
+def _grown(growth, names) -> tuple:
+    """The function that tells whether a step grew, which of the loop's arguments it takes, what `helpers` are for."""
     ends = {"output": "grown", "ends": "{}"}
     lines, functions = statements(growth, names, lambda g, f: ends.get(g, f"{g}->{f.name}").format(f.name))
     used = [g for g in ("parameters", "input") if any(f"{g}->" in line for line in lines)]
     constant = "".join(f"const {names.type(g)} *{g}, " for g in used)
     unused = [] if re.search(r"\bt\[", "".join(lines)) else ["  (void)t;"]
-    lines = [*unused, "  int32_t grown;", *lines]
-    grown = f"static int32_t {names.name}_grown({constant}const {names.real} *t, const {names.real} *e)\n{{\n"
+    head = f"static int32_t {names.name}_grown({constant}const {names.real} *t, const {names.real} *e)"
+    return "\n".join([head, "{", *unused, "  int32_t grown;", *lines, "  return grown;", "}", ""]), used, functions
+
+
+def solve_source(program, growth, names: Names, n, m) -> tuple:
+    """The loop, and the function that tells whether a step grew; and what `helpers` are for."""
+    grown, used, functions = _grown(growth, names)
     given = ", ".join([*(g if g != "input" else "&at" for g in GROUPS if program.inputs[g]), "output"])
     kept = keep = restore = ""
     if program.inputs["history"]:
@@ -53,9 +58,7 @@ def solve_source(program, growth, names: Names, n, m) -> tuple:
         restore = "\n  *history = kept;"
     of_growth = "".join(f"{'&at' if g == 'input' else g}, " for g in used)
     return (
-        grown
-        + "\n".join([*lines, "  return grown;", "}", ""])
-        + f"""
+        f"""{grown}
 {signature(program, names)}
 {{
   {names.type("input")} at = *input;{kept}

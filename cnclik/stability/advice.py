@@ -147,11 +147,7 @@ def advise(
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
         settings=settings(by, drive, safe, Ts) if by_euler else {},
-        notes=(
-            *_left(loop, found.spectrum),
-            *_pulled(law, loop, chosen / Ts),
-            *_notes(drive, loop.modes(np.array([chosen]), Ts)[0]),
-        ),
+        notes=(*_left(loop, found.spectrum), *_pulled(law, loop, chosen / Ts), *_notes(loop, drive, chosen, Ts)),
         stack=None if at_any is None else stack_advice(loop, safe, at_any, Ts),
         limits=limit_advice(law, safe, Ts),
         analysis=found,
@@ -267,10 +263,10 @@ def _pulled(law, loop, alpha) -> tuple:
     )
 
 
-def _notes(drive, steps) -> tuple:
+def _notes(loop, drive, chosen, Ts) -> tuple:
     """What these numbers leave out."""
     said = []
-    if np.abs(np.imag(steps)).max(initial=0.0) > 1e-9:
+    if np.abs(np.imag(loop.modes(np.array([chosen]), Ts)[0])).max(initial=0.0) > 1e-9:
         said.append(
             "The gain matrix turns the error as it shrinks it (complex eigenvalues): overshoot doesn't tell. "
             "Go by the largest stable gain, and keep well below it."

@@ -62,24 +62,9 @@ def outcomes(
     check_drive(drive, law.chain.n)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
-    given = (("q0", q0), ("alpha", alpha), ("Ts", Ts), ("M", 0 if M is None else M))
-    q0, alpha, Ts, passes = (np.asarray(errors.array(name, value), float) for name, value in given)
-    if not np.all(Ts > 0):
-        raise errors.fail("Ts", "be positive", f"is {Ts.tolist()}")
-    if np.any(passes < 0):
-        raise errors.fail("M", "be at least 0", f"is {passes.tolist()}")
-    if np.any((passes > 1_000_000) | (passes != np.round(passes))):
-        raise errors.fail("M", "be whole, and at most a million", f"is {passes.tolist()}")
-    if q0.shape[-1:] != (law.chain.n,):
-        raise errors.fail("q0", f"have shape (..., {law.chain.n})", f"has shape {q0.shape}")
-    shapes = q0.shape[:-1], alpha.shape, Ts.shape, passes.shape
-    try:
-        shape = np.broadcast_shapes(*shapes)
-    except ValueError:
-        shape = (0,)
+    errors.progress(progress)
+    q0, alpha, Ts, shape = _alike(law.chain.n, q0=q0, alpha=alpha, Ts=Ts, M=0 if M is None else M)
     count = math.prod(shape)
-    if not count:
-        raise errors.fail("q0, alpha, Ts, M", "go with each other, one loop at least", f"have the shapes {shapes}")
     chunk = min(errors.integer("chunk", chunk, at_least=1), count)
     pad = -count % chunk
 
@@ -112,6 +97,27 @@ def outcomes(
         if progress is not None:
             progress(min(i + chunk, count), count)
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
+
+
+def _alike(n, **given) -> tuple:
+    """(q0, alpha, Ts) as arrays, and the shape of all loops. Raises: ArgumentError for values that do not fit."""
+    q0, alpha, Ts, M = (np.asarray(errors.array(name, value), float) for name, value in given.items())
+    if not np.all(Ts > 0):
+        raise errors.fail("Ts", "be positive", f"is {Ts.tolist()}")
+    if np.any(M < 0):
+        raise errors.fail("M", "be at least 0", f"is {M.tolist()}")
+    if np.any((M > 1_000_000) | (np.round(M) != M)):
+        raise errors.fail("M", "be whole, and at most a million", f"is {M.tolist()}")
+    if q0.shape[-1:] != (n,):
+        raise errors.fail("q0", f"have shape (..., {n})", f"has shape {q0.shape}")
+    shapes = q0.shape[:-1], alpha.shape, Ts.shape, M.shape
+    try:
+        shape = np.broadcast_shapes(*shapes)
+    except ValueError:
+        shape = (0,)
+    if not math.prod(shape):
+        raise errors.fail("q0, alpha, Ts, M", "go with each other, one loop at least", f"have the shapes {shapes}")
+    return q0, alpha, Ts, shape
 
 
 @in_float64
