@@ -261,35 +261,34 @@ def driven_limits(method=DEFAULT, stage=None, *, Ts: float, drive: Drive = Drive
 
 
 def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
-    """A mode in time, from rest at 0: motion q (N + 1,), and steps (N,).
+    """A mode in time, from rest at 0: motion q (N + 1,), and steps (N,); of several modes (N + 1, r), (N, r).
 
     Args:
-      steps: (p,) D of the mode. target: (N,) where it is to be. forward: velocity that is fed forward.
-      noise: (N,) added to what is measured, or None.
+      steps: (p,) D of the mode, or (r, p). target: (N,) where it is to be. forward: velocity that is fed forward, a
+        number or (r,). noise: (N,) added to what is measured, or None.
     """
-    drive = drive.lumped
-    model, N = sampled(drive, Ts), len(target)
-    x, sent = np.zeros((1, model.size)), np.zeros(1)
-    line, past = (np.zeros(1),) * model.remembered, [0.0] * len(steps)
-    q, asked = np.zeros(N + 1), np.zeros(N)
-    for k in range(N):
-        if not abs(x[0, 0]) < FAR:  # it grows: what follows is no number
-            q[k + 1 :], asked[k:] = np.inf, np.inf
-            break
-        seen = float(sent[0] if drive.feedback == "commanded" else x[0, 0])
-        looked = seen if noise is None or drive.feedback == "commanded" else seen + noise[k]
-        past = [looked - target[k], *past[:-1]] if k else [looked - target[k]] * len(steps)
-        step = float(np.dot(steps, past)) + forward * Ts
-        asked[k] = step
-        sent = np.array([(looked if drive.feedback == "rebased" else sent[0]) + step])
-        u = sent if drive.steps_positions else np.array([step / Ts])
-        x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
-        q[k + 1] = x[0, 0]
-    return q, asked
+    drive, each, one = drive.lumped, np.atleast_2d(np.asarray(steps, float)).T, np.ndim(steps) == 1
+    model, N, r = sampled(drive, Ts), len(target), each.shape[1]
+    x, sent = np.zeros((r, model.size)), np.zeros(r)
+    line, past = (np.zeros(r),) * model.remembered, [np.zeros(r)] * len(each)
+    q, asked = np.zeros((N + 1, r)), np.zeros((N, r))
+    with np.errstate(all="ignore"):  # what grows ends as inf
+        for k in range(N):
+            seen = sent if drive.feedback == "commanded" else x[:, 0]
+            looked = seen if noise is None or drive.feedback == "commanded" else seen + noise[k]
+            now = looked - target[k]
+            past = [now, *past[:-1]] if k else [now] * len(past)
+            asked[k] = sum(d * e for d, e in zip(each, past, strict=True)) + forward * Ts
+            sent = (looked if drive.feedback == "rebased" else sent) + asked[k]
+            u = sent if drive.steps_positions else asked[k] / Ts
+            x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
+            q[k + 1] = x[:, 0]
+        found = tuple(np.where(np.abs(v) < FAR, v, np.inf) for v in (q, asked))
+    return (found[0][:, 0], found[1][:, 0]) if one else found
 
 
 def until_settled(steps, drive, Ts, share=1e-3) -> int:
-    """Samples until a mode has settled to a share."""
+    """Samples until a mode (p,), or the slowest of some (r, p), has settled to a share."""
     own = np.abs(np.linalg.eigvals(sampled(drive, Ts).phi)).ravel()  # of which a commanded loop knows nothing
     factors = np.abs(driven_factors(steps, drive, Ts)).ravel()
     worst = float(np.concatenate([factors, own[own < 1 - _ZERO]]).max())
@@ -298,17 +297,17 @@ def until_settled(steps, drive, Ts, share=1e-3) -> int:
 
 
 def _answers(steps, drive, Ts):
-    """What each of the modes (r, p) makes of a step of the target."""
-    for one in steps:
-        yield respond(one.real, drive, Ts, np.ones(until_settled(one, drive, Ts)))[0]
+    """What each of the modes (r, p) makes of a step of the target (r, N + 1)."""
+    N = until_settled(steps, drive, Ts) if len(steps) else 0
+    return respond(steps.real, drive, Ts, np.ones(N))[0].T
 
 
 def overshoot(steps, drive, Ts) -> float:
     """By how much of a step the modes (r, p) move beyond the target, at most."""
     those = outermost(steps)
     those = those if np.imag(those).any() else those[-1:]
-    found = max((float(q.max()) - 1.0 for q in _answers(those, drive, Ts)), default=0.0)
-    return max(found, 0.0) if np.isfinite(found) else np.inf
+    found = _answers(those, drive, Ts).max(initial=0.0) - 1.0
+    return max(float(found), 0.0)
 
 
 def settling(steps, drive, Ts, share=0.02) -> float:
@@ -326,12 +325,12 @@ def settling(steps, drive, Ts, share=0.02) -> float:
 def noise_gain(steps, drive, Ts) -> tuple:
     """Standard deviations of motion, and of the commanded velocity [1/s], per unit of white noise of what is measured:
     the root of the sum of the squares of what one disturbed measurement does. Of the worst of the modes (r, p)."""
-    motion = speed = 0.0
-    for one in outermost(steps):
-        N = until_settled(one, drive, Ts)
-        q, asked = respond(one.real, drive, Ts, np.zeros(N), noise=np.eye(1, N)[0])
-        motion, speed = max(motion, float(np.linalg.norm(q))), max(speed, float(np.linalg.norm(asked)) / Ts)
-    return motion, speed
+    those = outermost(steps)
+    if not len(those):
+        return 0.0, 0.0
+    N = until_settled(those, drive, Ts)
+    q, asked = respond(those.real, drive, Ts, np.zeros(N), noise=np.eye(1, N)[0])
+    return tuple(float(np.linalg.norm(v, axis=0).max()) for v in (q, asked / Ts))
 
 
 def outermost(steps):

@@ -60,8 +60,7 @@ def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
 
 def _through(steps, drive, Ts) -> dict:
     motion, speed = noise_gain(steps, drive, Ts)
-    lags = [_following(one.real, drive, Ts) for one in outermost(steps)]
-    behind, forward, start = (max(v) for v in zip(*lags, strict=True))
+    behind, forward, start = _following(outermost(steps), drive, Ts)
     return {
         "damping_ratio": damping_ratio(steps, drive, Ts),
         "overshoot": overshoot(steps, drive, Ts),
@@ -76,9 +75,11 @@ def _through(steps, drive, Ts) -> dict:
 
 
 def _following(steps, drive, Ts) -> tuple:
-    """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]."""
-    N = until_settled(steps, drive, Ts, KEPT)
+    """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]; of some modes."""
+    N, r = until_settled(steps, drive, Ts, KEPT), len(steps)
     target = Ts * np.arange(N + 1)
-    behind, forward = (target - respond(steps, drive, Ts, target[:-1], feed)[0] for feed in (0.0, 1.0))
-    at_last = 0.0 if abs(forward[-1]) < KEPT * np.abs(forward).max() else float(forward[-1])
-    return float(behind[-1]), at_last, float(np.abs(forward).max())
+    q = respond(np.concatenate([steps, steps]).real, drive, Ts, target[:-1], np.repeat([0.0, 1.0], r))[0]
+    late = target[:, None] - q
+    most = np.abs(late[:, r:]).max(0)
+    at_last = np.where(np.abs(late[-1, r:]) < KEPT * most, 0.0, late[-1, r:])
+    return float(late[-1, :r].max()), float(at_last.max()), float(most.max())
