@@ -34,7 +34,10 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     plane: bool = False
     """Regions in the complex z-plane for --methods and --passes, and the real-axis limits as a table."""
     map: bool = False
-    """Measured map of whole loops over alpha and Ts, and a strip over M for implicit methods."""
+    """Measured map of whole loops over alpha and Ts, and a strip over M for implicit methods; with --stack of the
+    linear loop over the gains of two tasks."""
+    gains: tuple[str, ...] | None = None
+    """With --stack and --map: its two tasks; the first two by default."""
     methods: tuple[str, ...] = ("EE", "HEUN", "MIDPOINT", "RK4", "IE", "CN", "TRAPEZOID")
     """Methods of --plane."""
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
@@ -64,13 +67,13 @@ def run(args: Args) -> None:
     figures, advised = {}, None
     loop: tuple = _loop(args) if args.map else ()
     files = ["plane.nc", "plane.md", "plane.png"] * args.plane + ["map.nc", "map.png"] * args.map
-    if args.map and _has_passes(loop[0]):
+    if args.map and not loop[0].law.task.tasks and _has_passes(loop[0]):
         files += ["passes.nc", "passes.png"]
     with output_folder(args.out, overwrite=args.overwrite, files=files) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:
-            drawn, advised = _map(args, out, *loop)
+            drawn, advised = (_map_of_gains if loop[0].law.task.tasks else _map)(args, out, *loop)
             figures |= drawn
     with args.figures_first():
         draw(figures, args.out, overwrite=args.overwrite)
@@ -107,10 +110,12 @@ def _loop(args):
 
     found = problem(args)
     if found.law.task.tasks:
-        for name in ("map", "report", "target"):
+        for name in ("report", "target"):
             if getattr(args, name):
                 raise errors.fail(name, "be left out with a stack, which is looked at where it starts", "is given")
         return found, found.q0
+    if args.gains is not None:
+        raise errors.fail("gains", "come with --stack", "comes without")
     require_free(found.law.chain, found.law.task)
     with progress.bar("rest"):
         return found, settle(found.law, found.reference, found.q0)
@@ -230,6 +235,36 @@ def _map(args, out, found, rest):
     seconds = time.perf_counter() - begun
     print(f"{endings.size:,} loops in {seconds:.1f} s; agreement with the linear boundary: {inside:.2%}")
     return figures, advised
+
+
+def _map_of_gains(args, out, found, rest):
+    import numpy as np
+
+    from cnclik.measure.dataset import as_json
+    from cnclik.show.output import drawn_by
+    from cnclik.stability.maps import gains_map
+
+    advised = _advice(args, found, rest)
+    _tell(args, advised)
+    known = [name for name, _ in found.law.task.tasks]
+    names = args.gains or tuple(known[:2])
+    if len(set(names)) != 2 or advised[1].stack is None:
+        raise errors.fail("gains", "name two tasks of a stack that has rates", f"is {' '.join(names)}")
+    tasks = {name: advised[1].stack.tasks[errors.one_of("gains", name, known)] for name in names}
+    now = [one.alpha for one in tasks.values()]
+    far = [2 * max(min(one.largest_stable_alpha, 10 / found.Ts), one.alpha) for one in tasks.values()]
+    ranges = [args.alpha_range or (min(alpha, top / 20) / 3, top) for alpha, top in zip(now, far, strict=True)]
+    alpha = {name: np.geomspace(*ends, args.cells) for name, ends in zip(names, ranges, strict=True)}
+    driven = {} if found.drive is None else {"drive": found.drive}
+    loop = dict(Ts=found.Ts, method=found.method, stage=found.stage, **driven)
+    with progress.bar("gains"):
+        data = gains_map(found.law, rest, alpha=alpha, **loop)
+    _write(out, "map.nc", data, table(args))
+    words = f"{advice.name_of(found)}, Ts = {1e3 * found.Ts:g} ms"
+    title = "\n".join(filter(None, (words, textwrap.fill(drive_words(found), 60))))
+    drawn = drawn_by("stability", "gains", data, title=title, operating=now)
+    about = {"Title": f"map of gains, {found.name}", "Description": as_json(table(args))}
+    return {"map.png": (drawn, about)}, advised
 
 
 def _range(given, now, half):

@@ -84,6 +84,46 @@ def stability_map(data, *, title="", operating=None):
     return figure
 
 
+def radii(axis, x, y, radius, margin=1.0):
+    """Spectral radii as shades over two gains, or a gain and a sampling time; hatched where a loop is unstable."""
+    levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
+    shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.95"]
+    hatches = [None] * 5 + ["////"]
+    axis.contourf(x, y, np.minimum(radius, 10), levels=levels, colors=shades, hatches=hatches)
+    style.log_scale(axis.xaxis, x)
+    style.log_scale(axis.yaxis, y)
+    named = [level for level in (0.2, 0.4, 0.6, 0.8) if level != margin]
+    lines = axis.contour(x, y, radius, levels=named, colors="black", linewidths=0.4)
+    style.label_contours(axis, lines, "%.1f")
+    axis.contour(x, y, radius, levels=[1.0], colors="black", linewidths=1.4)
+    axis.grid(False)
+
+
+def gains(data, *, title="", operating=None):
+    """Spectral radius over the gains of two tasks, what any posture bears, and an operating point.
+
+    Args: data: from `cnclik.stability.gains_map`. operating: the two gains now, or None.
+    """
+    figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.4))
+    y, x = (data[name] for name in data.radius.dims)
+    radii(axis, x, y, np.maximum(data.radius.values, 1e-12))
+    drawn = [plt.Line2D([], [], color="black", linewidth=1.4, label="stable to here, at this posture")]
+    bounds = (("stable", style.VERMILION, "stable, at any"), ("recommended", style.ORANGE, "recommended, at any"))
+    for name, color, label in bounds:
+        most = data.attrs[name]
+        if np.isfinite(most):
+            look = {"color": color, "linewidth": 1.2, "linestyle": style.DASH, "label": f"{label} posture"}
+            drawn += axis.plot([float(x[0]), most, most], [most, most, float(y[0])], **look)
+    if operating is not None:
+        look = {"linestyle": "none", "markeredgecolor": "white", "color": "0.35", "markersize": 8, "label": "now"}
+        drawn += axis.plot(*operating, "o", zorder=5, **look)
+    drawn.append(Patch(facecolor="#7fb2d6", label="shades: spectral radius"))
+    labels = [f"{one.attrs['long_name']} [1/s]" for one in (x, y)]
+    axis.set(xlim=x.values[[0, -1]], ylim=y.values[[0, -1]], title=title, xlabel=labels[0], ylabel=labels[1])
+    figure.legend(handles=drawn, loc="outside lower center", ncols=2, fontsize=6, columnspacing=1.0)
+    return figure
+
+
 def passes(panels):
     """Strips over M: measured outcome at each z, and the linear limit of each M: odd and even passes differ.
 

@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cnclik.show import style
+from cnclik.show.stability import radii
 
 _LEAST = 1e-16  # a loss below it is rounding
 _APART = 1e-3  # of the step: what is less is within the width of a line
@@ -57,21 +58,11 @@ def operating(field, tuned):
       field: Dataset over (Ts, alpha) with `radius`, see `tuning.radius_field`.
     """
     figure, axis = plt.subplots(figsize=(style.COLUMN, 2.8))
-    levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
-    shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.95"]
     plane = field.alpha, field.Ts, field.radius
-    hatches = [None] * 5 + ["////"]
-    axis.contourf(field.alpha, field.Ts, np.minimum(field.radius, 10), levels=levels, colors=shades, hatches=hatches)
-    style.log_scale(axis.xaxis, field.alpha)
-    style.log_scale(axis.yaxis, field.Ts)
-    named = [level for level in (0.2, 0.4, 0.6, 0.8) if level != tuned.margin]
-    lines = axis.contour(*plane, levels=named, colors="black", linewidths=0.4)
-    style.label_contours(axis, lines, "%.1f")
-    axis.contour(*plane, levels=[1.0], colors="black", linewidths=1.4)
+    radii(axis, *plane, margin=tuned.margin)
     if tuned.margin < 1:
         axis.contour(*plane, levels=[tuned.margin], colors="black", linewidths=1.0, linestyles=[style.DASH])
     axis.set(xlabel=f"{field.attrs['gain']} [1/s]", ylabel="sampling time [s]")
-    axis.grid(False)
     low, high = float(field.alpha[0]), float(field.alpha[-1])
     point = {"linestyle": "none", "markeredgecolor": "white", "zorder": 5, "clip_on": False}
     for x, y, marker, size, color, label in (

@@ -24,7 +24,7 @@ from cnclik.stability.linear import (
     stability_limit,
     stability_region,
 )
-from cnclik.stability.maps import agreement, outcomes, passes_map, stability_map
+from cnclik.stability.maps import agreement, gains_map, outcomes, passes_map, stability_map
 from cnclik.stability.peers import from_pink, to_pink
 from cnclik.stability.plane import plane
 from cnclik.stability.recommend import Analysis, Margin, Recommendation, analyse, margin, recommend
@@ -57,6 +57,7 @@ __all__ += [
     "driven_limits",
     "gain_per_second",
     "gain_per_step",
+    "gains_map",
     "largest_rate",
 ]
 __all__ += [

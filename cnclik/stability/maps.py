@@ -18,10 +18,12 @@ from cnclik.precision import in_float64, of_numbers
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
+from cnclik.stability.driven import driven_limits, each_drive
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.recommend import largest_stable
 from cnclik.stability.spectrum import largest_rate, settle
+from cnclik.stability.tasks import bounded_rates, shares_of
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
 BLOCK = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
@@ -176,6 +178,47 @@ def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5), drive
     some = Ts if callable(law.null_velocity) or drive.order else Ts[:1]
     loop = loop_at_rest(law, reference, rest, method, stage, drive)
     return np.asarray([largest_stable(loop, float(T)) for T in some]) / Ts
+
+
+@in_float64
+def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage = picard(5), drive=Drive()):
+    """Spectral radius of a stack at rest over the gains of two of its tasks, all else as it is. In float64.
+
+    Args:
+      law: with a stack of tasks, whose gains are scaled. q: (n,) where it rests [rad, m].
+      alpha: {name: (a,)} of the two tasks, their largest gains [1/s]. Ts: [s].
+      method, stage: as for `solve`. drive: as for `outcomes`.
+    Returns: an xarray.Dataset over the two gains, by their tasks' names, with `radius`; in its attributes `stable` and
+      `recommended` [1/s]: what every gain may be whatever the posture and the others are, see `TaskAdvice`.
+    """
+    import xarray as xr
+
+    if not isinstance(alpha, dict) or len(alpha) != 2:
+        raise errors.fail("alpha", "be {name: gains} of two tasks", f"is {alpha!r}")
+    loop = loop_at_rest(law, None, q, method, stage, drive)
+    if not bounded_rates(loop.law):
+        raise errors.fail("law", "be of a stack, without transpose and null_velocity, for a map of two gains", "is not")
+    Ts, here = float(errors.number("Ts", Ts, positive=True)), shares_of(loop, Ts)
+    first, second = ((loop.law.task.of(n), np.asarray(errors.array(n, v, (None,)), float)) for n, v in alpha.items())
+    own = [float(np.max(here.rates.alpha[at])) for at, _ in (first, second)]
+    if not min(own) > 0:
+        raise errors.fail("law", f"have gains of {' and '.join(alpha)} to be scaled", f"has {own}")
+    radius = []
+    for gain in second[1]:
+        scale = np.ones((len(first[1]), loop.law.task.m))
+        scale[:, first[0]], scale[:, second[0]] = first[1][:, None] / own[0], gain / own[1]
+        radius.append(here.radius(scale, loop.drive))
+    limits = [driven_limits(loop.method, loop.stage, Ts=Ts, drive=one) for one in each_drive(loop.drive)]
+    names, about = list(alpha), {"units": "1", "long_name": "spectral radius"}
+    return xr.Dataset(
+        {"radius": (names[::-1], np.array(radius), about)},
+        coords={
+            n: (n, v, {"units": "1/s", "long_name": f"α of {n}"})
+            for n, (_, v) in zip(alpha, (first, second), strict=True)
+        },
+        attrs={name: min(getattr(one, name) for one in limits) / Ts for name in ("stable", "recommended")}
+        | {"Ts": Ts, "method": loop.method.name, "stage": str(loop.stage), "q": np.asarray(loop.q)},
+    )
 
 
 @in_float64

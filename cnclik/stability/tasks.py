@@ -174,6 +174,13 @@ def at_any_posture(loop, Ts: float, share: float | None = None) -> tuple:
     return min(one.monotone for one in each), recommended
 
 
+def shares_of(loop, Ts: float) -> Shares:
+    """Of a loop at rest of `bounded_rates`."""
+    law, rates = loop.law, loop.rates
+    weights = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
+    return Shares(loop, Ts, rates, np.ones(law.task.m) if rates.damping is None else rates.damping, weights)
+
+
 def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
     """What the tasks of a loop at rest bear.
 
@@ -181,10 +188,7 @@ def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
       loop: `LoopAtRest`, of `bounded_rates`. safe: the drive for which a gain is recommended: the loop's own, if known.
       limits: z without overshoot, and recommended, see `at_any_posture`.
     """
-    law, rates = loop.law, loop.rates
-    weights = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
-    root = np.ones(law.task.m) if rates.damping is None else rates.damping
-    here = Shares(loop, Ts, rates, root, weights)
+    law, here = loop.law, shares_of(loop, Ts)
     tasks = {name: _task(here, name, at, safe, limits) for name, at in law.task.each}
     room = {name: one.largest_stable_alpha / one.alpha for name, one in tasks.items() if one.alpha}
     stable = bool(here.radius(np.ones((1, 1)), Drive())[0] <= 1 + SLACK)

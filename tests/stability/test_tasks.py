@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
@@ -207,5 +208,35 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     assert set(said["tasks"]) == {"left", "right", "rest"} and said["least_room"] == "right"
     assert 0 < said["tasks"]["left"]["recommended_alpha"] < 10 and LOST < 1
     with pytest.raises(SystemExit):
-        main([*asked, "--map"])
-    assert "`map` must be left out with a stack" in capsys.readouterr().err
+        main([*asked, "--target", "1", "2", "3"])
+    assert "`target` must be left out with a stack" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("method", "delay"), [("EE", 0), ("EXP-MIDPOINT", 3)])
+def test_a_map_of_two_gains_has_its_boundary_where_the_tasks_have_theirs(method, delay):
+    law, drive = LAWS["weighted"], ck.Drive(delay=delay)
+    said = ck.advise(law, None, Q, Ts=TS, method=method, drive=drive).stack.tasks
+    most = said["tip"].largest_stable_alpha
+    tip = np.array([0.5, 0.999, 1.001]) * (most if np.isfinite(most) else 1e3)
+    data = ck.stability.gains_map(law, Q, alpha={"tip": tip, "rest": [5.0, 50.0]}, Ts=TS, method=method, drive=drive)
+    np.testing.assert_array_equal(data.radius.values[0] > 1 + 1e-9, [False, False, np.isfinite(most)])
+    other = ck.Law(ARM, law.task, alpha={"tip": tip[0], "angle": 10.0, "rest": 50.0}, inverse=law.inverse)
+    if not delay:
+        np.testing.assert_allclose(
+            data.radius[1, 0], ck.stability.spectrum(other, None, Q, TS, method).radius, atol=1e-9
+        )
+    limit = ck.stability.driven_limits(method, Ts=TS, drive=drive)
+    np.testing.assert_allclose([data.stable, data.recommended], [limit.stable / TS, limit.recommended / TS])
+
+
+def test_a_map_of_two_gains_on_the_command_line(tmp_path, capsys):
+    file, out = tmp_path / "stack.toml", tmp_path / "out"
+    file.write_text('[tasks.tip]\ntask = "xy"\n[tasks.turn]\ntask = "z"\nalpha = 9\n[tasks.rest]\ntask = "joints"\n')
+    loop = ["planar:1,0.8,0.6", "--stack", file, "--damping", "0.2", "--map", "--cells", "12", "--out", out]
+    main(["stability", *map(str, loop), "--gains", "turn", "rest"])
+    with xr.open_dataset(out / "map.nc") as data:
+        assert data.radius.dims == ("rest", "turn") and data.radius.shape == (12, 12)
+    assert (out / "map.png").exists() and "turn" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["stability", *map(str, loop), "--gains", "turn", "rset"])
+    assert "`gains` must be one of tip, turn, rest, but is 'rset'" in capsys.readouterr().err
