@@ -22,8 +22,6 @@ from cnclik.law.law import Law, evaluate
 from cnclik.law.paths import line, with_feedforward
 from cnclik.law.reference import Reference
 from cnclik.paper.choices import DEFAULT, Reading
-from cnclik.paper.choices import READINGS as READINGS
-from cnclik.paper.choices import reading as reading
 from cnclik.record import replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled

@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from cnclik.paper import claims
-from cnclik.paper import readings as paper
+from cnclik.paper import READINGS, claims, readings
 
 
 @pytest.fixture(scope="module")
@@ -16,8 +15,8 @@ def judged(results):
 def test_schema(judged):
     assert set(judged) == {"rows", "picard"}
     where = {(r["arm"], r["case"], r["reading"]) for r in judged["rows"]}
-    assert where == {(a, c, r) for a in ("2dof", "5dof") for c in ("reach", "track") for r in paper.READINGS}
-    assert len(judged["rows"]) == 32 and len(paper.READINGS) == 8
+    assert where == {(a, c, r) for a in ("2dof", "5dof") for c in ("reach", "track") for r in READINGS}
+    assert len(judged["rows"]) == 32 and len(READINGS) == 8
     for row in judged["rows"]:
         assert set(row) == {"arm", "case", "reading", "mean_error", "final_error", "claim", "holds"}
         assert list(row["mean_error"]) == list(row["final_error"]) == ["EE", "IE", "CN"]
@@ -84,5 +83,5 @@ def test_followed_passes_are_those_of_the_run(results):
     import numpy as np
 
     where = {"arm": "5dof", "case": "track", "reading": "on-path/once/consistent", "method": "CN"}
-    followed = results.passes.residual.sel({**where, "pass": paper.M})
+    followed = results.passes.residual.sel({**where, "pass": readings.M})
     np.testing.assert_allclose(followed, results.trajectories.residual.sel(where), rtol=1e-6, atol=1e-13)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.paper import claims
+from cnclik.paper import READINGS, choices, claims
 from cnclik.paper import readings as paper
 from tests.paper import oracle
 
@@ -85,12 +85,12 @@ def test_observed_orders(results, method, order):
 # --- against the oracle -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("reading", paper.READINGS)
+@pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.parametrize("arm, case", list(itertools.product(paper.ARMS, paper.CASES)))
 def test_trajectories_against_numpy(results, arm, case, reading):
     for method in paper.PAPER:
         at = results.trajectories.sel({"arm": arm, "case": case, "reading": reading, "method": method})
-        norm, q = oracle.run(paper.ARMS[arm].n, case, method, *paper.READINGS[reading])
+        norm, q = oracle.run(paper.ARMS[arm].n, case, method, *READINGS[reading])
         if float(at.spread) < 1e-11:
             np.testing.assert_allclose(at.q.values[:, : q.shape[1]], q, atol=1e-9)
         if float(at.spread) < 1e-6:  # elsewhere rounding decides, and there is nothing to compare
@@ -109,7 +109,7 @@ def test_what_rounding_decides_is_marked(results):
 
 @pytest.mark.parametrize("case, reading", [("reach", "on-path/twice/printed"), ("track", "on-path/once/consistent")])
 def test_lanes_are_single_runs(results, case, reading):
-    alone = paper.experiment("2dof", case, "CN", paper.READINGS[reading])
+    alone = paper.experiment("2dof", case, "CN", READINGS[reading])
     lane = results.trajectories.sel({"arm": "2dof", "case": case, "reading": reading, "method": "CN"})
     np.testing.assert_allclose(lane.q.values[:, :2], alone.q, atol=1e-12)
     np.testing.assert_allclose(lane.residual, alone.residual, atol=1e-12)
@@ -140,7 +140,7 @@ def test_twice_scales_the_diagonal_only():
 
 def test_wrong_names_are_one_line():
     for call, message in (
-        (lambda: paper.reading("on-path/once/consistant"), "did you mean 'on-path/once/consistent'"),
+        (lambda: choices.reading("on-path/once/consistant"), "did you mean 'on-path/once/consistent'"),
         (lambda: paper.experiment("3dof", "reach"), "Argument `arm` must be one of 2dof, 5dof"),
         (lambda: paper.experiment("2dof", "hold"), "Argument `case` must be one of reach, track"),
         (lambda: paper.experiment("2dof", "reach", "CM"), "Argument `method` must be one of"),
