@@ -89,7 +89,7 @@ def _is_known(name, value, backend) -> bool:
     program = jax.jit(lambda x: x, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
     try:
         program.compile()
-    except Exception:  # what a compiler raises for it differs between versions
+    except (RuntimeError, ValueError, TypeError):  # what a compiler raises for it differs between versions
         return False
     return True
 

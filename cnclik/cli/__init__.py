@@ -15,6 +15,7 @@ from cnclik.cli import terminal
 from cnclik.version import __version__
 
 _BEGUN = time.time()
+_NO_PLATFORM = RuntimeError, AssertionError  # what JAX raises where it doesn't find what it is to run on
 VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
     "robots": "show a URDF file: its tree, joints, limits and candidate tips",
@@ -71,9 +72,9 @@ def _run(verb, *options) -> None:
         _leave(2, error)
     except FigureError as error:
         _leave(1, error)
-    except Exception as error:
-        if isinstance(error, ImportError):  # of what draws: what was computed is written before that is loaded
-            _leave(1, errors.in_a_line(error))
+    except ImportError as error:  # of what draws: what was computed is written before that is loaded
+        _leave(1, errors.in_a_line(error))
+    except _NO_PLATFORM:
         if _has_platform():
             raise
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
@@ -96,7 +97,7 @@ def _has_platform() -> bool:
     if "jax" in sys.modules:
         try:
             sys.modules["jax"].devices()
-        except Exception:  # of several kinds
+        except _NO_PLATFORM:
             return False
     return True
 
