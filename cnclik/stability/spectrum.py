@@ -75,13 +75,13 @@ def step_maps(law, reference, q, scale, Ts, method, stage, often=False):
 
     Args: often: whether many more of this loop are asked for.
     """
-    count = len(scale)
-    pad = (0, -count % LANES)
+    count, lanes = len(scale), 1 if law.task.m > SMALL else LANES
+    pad = (0, -count % lanes)
     scale, Ts = (np.pad(np.asarray(v, float), pad, mode="edge") for v in (scale, Ts))
     tile = _tiles_run_often if often and method.implicit else _tiles
     parts = [
-        tile(law, reference, q, scale[i : i + LANES], Ts[i : i + LANES], method, stage)
-        for i in range(0, len(scale), LANES)
+        tile(law, reference, q, scale[i : i + lanes], Ts[i : i + lanes], method, stage)
+        for i in range(0, len(scale), lanes)
     ]
     return np.concatenate([np.asarray(moved) for moved, _ in parts])[:count], np.asarray(parts[0][1])
 
