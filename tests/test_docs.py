@@ -119,15 +119,16 @@ def prepare(folder, less):
         spec.write_text(SPEC, encoding="utf-8")
     rows = ("time,x,y,z,qw,qx,qy,qz", "0,0.4,0.0,0.4,0,1,0,0", "2,0.45,0.1,0.4,0,1,0,0", "4,0.4,0.0,0.4,0,1,0,0")
     (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    (folder / "stack.toml").write_text(written_stack(), encoding="utf-8")
+    for name, page in (("stack", "robots"), ("tray", "stacks")):
+        (folder / f"{name}.toml").write_text(written_stack(page), encoding="utf-8")
     rings = "\n".join(f"{1.5 + 0.1 * (-0.8) ** k:.9f}" for k in range(60))
     (folder / "log.csv").write_text(f"q1\n{rings}\n", encoding="utf-8")
     (folder / "targets.csv").write_text("0.5,0.1,0.4,0,1,0,0\n0.3,-0.4,0.5,0,1,0,0\n", encoding="utf-8")
 
 
-def written_stack():
+def written_stack(page):
     """The stack of tasks that a page shows as a file."""
-    return re.search(r"```toml\n(\[tasks\..*?)^```", (ROOT / "docs/robots.md").read_text("utf-8"), re.M | re.S)[1]
+    return re.search(r"```toml\n(\[tasks\..*?)^```", (ROOT / f"docs/{page}.md").read_text("utf-8"), re.M | re.S)[1]
 
 
 def test_every_option_of_a_task_is_explained():
