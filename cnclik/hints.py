@@ -78,14 +78,14 @@ def known_options(options: dict) -> dict:
         return {}
     backend = jax.default_backend()
     with _probing:
-        return {name: value for name, value in options.items() if _is_known(name, value, backend)}
+        return {name: value for name, value in options.items() if is_known(name, value, backend)}
 
 
 _probing = threading.Lock()  # two threads that ask at once would both try
 
 
 @functools.cache
-def _is_known(name, value, backend) -> bool:
+def is_known(name, value, backend) -> bool:
     program = jax.jit(lambda x: x, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "int32"))
     try:
         program.compile()

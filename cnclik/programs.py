@@ -35,8 +35,8 @@ _KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax"
 # Beginnings of variables of the environment that programs depend on.
 _SWITCHES = ("CC", "CFLAGS", "CNCLIK_", "JAX_", "XLA_")
 ENDING = "-cache"  # of files' names, as JAX's own
-_place = None  # where programs are kept; None: nowhere
-_held = Recent()  # by this process
+place = None  # where programs are kept; None: nowhere
+loaded = Recent()  # by this process
 _needed = contextvars.ContextVar("what the program that is being made needs", default=None)
 
 
@@ -77,13 +77,13 @@ class _Pickler(pickle.Pickler):
 
 def keep(folder) -> None:
     """Keep programs in a folder, one that only its owner may write; None: keep none."""
-    global _place
-    _place = None if folder is None else pathlib.Path(folder)
+    global place
+    place = None if folder is None else pathlib.Path(folder)
 
 
 def keeping() -> bool:
     """Whether programs are kept at all."""
-    return _place is not None
+    return place is not None
 
 
 def kept(fn, context, options, static, args, named):
@@ -101,7 +101,7 @@ def kept(fn, context, options, static, args, named):
     if asked is None:
         return None
     key, leaves, make = asked
-    program, results = _held.made(key, lambda key: _read(key) or _made(key, leaves, make, options))
+    program, results = loaded.made(key, lambda key: _read(key) or _made(key, leaves, make, options))
     return jax.tree.unflatten(jax.tree.structure(results), program(*leaves))
 
 
@@ -197,10 +197,10 @@ def remember(key, value):
     """Keep what a program can be had from again by a name of `name_of`. Args: value: makes it, where it can be made."""
     with contextlib.suppress(Exception):  # callbacks, a full disk: what isn't kept is made again
         whole = pickle.dumps(value(), protocol=5)
-        beside = _place / f".{key}-{os.getpid()}{ENDING}"
+        beside = place / f".{key}-{os.getpid()}{ENDING}"
         try:
             beside.write_bytes(_seal(key, whole) + whole)
-            beside.replace(_place / f"{key}{ENDING}")
+            beside.replace(place / f"{key}{ENDING}")
         finally:
             beside.unlink(missing_ok=True)
 
@@ -208,7 +208,7 @@ def remember(key, value):
 def recalled(key):
     """What was kept by a name; None where there is nothing that is whole."""
     with contextlib.suppress(Exception):  # whatever is wrong with it, there is another way
-        whole = memoryview(read_bytes("cache", _place / f"{key}{ENDING}", "a program"))
+        whole = memoryview(read_bytes("cache", place / f"{key}{ENDING}", "a program"))
         return pickle.loads(whole[32:]) if _seal(key, whole[32:]) == whole[:32] else None
 
 

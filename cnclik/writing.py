@@ -71,12 +71,12 @@ def check_free(name, folder, files) -> None:
     """Raise ArgumentError where one of some files, by their names, can't be written into a folder: said before work."""
     try:
         for file in files:
-            _check_target(pathlib.Path(folder) / file, overwrite=False)
+            check_target(pathlib.Path(folder) / file, overwrite=False)
     except OSError as error:
         raise _refused(name, folder, errors.reason(error)) from None
 
 
-def _check_target(target, *, overwrite) -> None:
+def check_target(target, *, overwrite) -> None:
     """Raise OSError where a file can't take this place."""
     if os.path.isdir(target):
         raise IsADirectoryError(errno.EISDIR, f"{target.name} is a folder there")
@@ -142,7 +142,7 @@ class Folder:
                 make(partial)
                 with open(partial, "rb+") as whole:  # Windows syncs no file that is open to be read only
                     os.fsync(whole.fileno())  # some disks tell only now that they are full
-                _check_target(target, overwrite=self.overwrite)
+                check_target(target, overwrite=self.overwrite)
                 _list(partial, target)
                 os.replace(partial, target)
         except OSError as error:

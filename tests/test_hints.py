@@ -20,9 +20,9 @@ def test_an_option_the_compiler_does_not_know_is_dropped():
     unknown = {"xla_no_such_option": 7}
     assert hints.known_options(unknown) == {}
     assert hints.known_options(hints.QUICK_COMPILE | unknown) == hints.known_options(hints.QUICK_COMPILE)
-    before = hints._is_known.cache_info().misses
+    before = hints.is_known.cache_info().misses
     hints.known_options(unknown)
-    assert hints._is_known.cache_info().misses == before  # tried once
+    assert hints.is_known.cache_info().misses == before  # tried once
 
 
 def test_the_switch_turns_options_off():
@@ -210,4 +210,4 @@ def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
     for N in range(1, 8):
         with ck.use_engine("plain"):
             assert len(ck.solve(law, ck.hold([0.1]), [0.3], 0.1, N, "EE").status) == N
-        assert solving._solve_soon._cache_size() <= 8
+        assert solving.solve_soon._cache_size() <= 8

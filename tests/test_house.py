@@ -95,24 +95,34 @@ def defined(path):
     return found
 
 
+def private_names(path):
+    """(line, room, name) of every private name of the package that a file uses: `module._name`, or imported."""
+    tree, modules = ast.parse(path.read_text(encoding="utf-8")), {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cnclik"):
+            for alias in node.names:
+                where, of = (
+                    PACKAGE.joinpath(*node.module.split(".")[1:], alias.name),
+                    [*node.module.split("."), alias.name],
+                )
+                if where.is_dir() or where.with_suffix(".py").exists():
+                    modules[alias.asname or alias.name] = of[1]
+                elif re.match("_[a-zA-Z]", alias.name):
+                    yield node.lineno, of[1], alias.name
+    for node in ast.walk(tree):
+        of_a_name = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+        if of_a_name and node.value.id in modules and re.match("_[a-zA-Z]", node.attr):
+            yield node.lineno, modules[node.value.id], node.attr
+
+
 def test_no_attribute_of_another_room_is_private():
-    """`module._name`, for modules of other rooms."""
-    wrong = []
-    for path in files():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        modules = {}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cnclik"):
-                for alias in node.names:
-                    where = PACKAGE.joinpath(*node.module.split(".")[1:], alias.name)
-                    if where.is_dir() or where.with_suffix(".py").exists():
-                        modules[alias.asname or alias.name] = [*node.module.split("."), alias.name][1]
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
-                private = node.attr.startswith("_") and not node.attr.startswith("__")
-                if private and modules[node.value.id] != room(path):
-                    wrong.append(f"{path}:{node.lineno} {node.attr}")
-    assert not wrong
+    every = [(path, *found) for path in files() for found in private_names(path)]
+    assert not [f"{path}:{line} {name}" for path, line, other, name in every if other != room(path)]
+
+
+def test_tests_pin_no_private_name():
+    every = [(path, *found) for path in pathlib.Path(__file__).parent.rglob("*.py") for found in private_names(path)]
+    assert not [f"{path}:{line} {name}" for path, line, _, name in every]
 
 
 def test_no_file_is_long():

@@ -12,7 +12,7 @@ import pytest
 import cnclik as ck
 from cnclik import programs
 from cnclik.hints import quick_jit
-from cnclik.integrate.solve import _run
+from cnclik.integrate.solve import whole_run
 from cnclik.record import record, replace
 
 ARM = ck.planar_arm([1.0, 0.8])
@@ -23,10 +23,10 @@ Q = np.array([0.3, 1.1])
 @pytest.fixture
 def folder(tmp_path):
     programs.keep(tmp_path)
-    programs._held.clear()
+    programs.loaded.clear()
     yield tmp_path
     programs.keep(None)
-    programs._held.clear()
+    programs.loaded.clear()
 
 
 def files(folder):
@@ -34,7 +34,7 @@ def files(folder):
 
 
 def asked(law=LAW, target=(1.2, 0.9), N=4, method="EE", q=Q, Ts=0.1, solve=None):
-    solve = solve or quick_jit(_run, static_argnames=("N", "method"))
+    solve = solve or quick_jit(whole_run, static_argnames=("N", "method"))
     method = ck.METHODS[method]
     known = law, ck.hold(np.array(target)), ck.picard(3), None, None, None, method
     return solve(*known, q, np.float64(Ts), np.float64(0.0), None, None, N=N)
@@ -44,7 +44,7 @@ def test_a_program_is_found_again_and_gives_the_same(folder):
     first = asked()
     kept = files(folder)
     assert len(kept) == 1
-    programs._held.clear()  # as another process would begin
+    programs.loaded.clear()  # as another process would begin
     again = asked()
     assert files(folder) == kept
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
@@ -93,7 +93,7 @@ def test_settings_make_another_program(folder):
 
 def test_a_function_of_the_users_is_never_kept(folder):
     path = ck.path(lambda t: (1.0 + 0.1 * t, 0.9 + 0.0 * t))
-    solve = quick_jit(_run, static_argnames=("N", "method"))
+    solve = quick_jit(whole_run, static_argnames=("N", "method"))
     known = LAW, path, ck.picard(3), None, None, None, ck.EE
     run = solve(*known, Q, np.float64(0.1), np.float64(0.0), None, None, N=3)
     assert not files(folder) and run.q.shape == (4, 2)
@@ -154,7 +154,7 @@ def test_what_is_damaged_is_made_again(folder):
     (file,) = folder.iterdir()
     for content in (b"", file.read_bytes()[:-7], b"x" * 500):
         file.write_bytes(content)
-        programs._held.clear()
+        programs.loaded.clear()
         np.testing.assert_array_equal(asked().q, first.q)
         assert len(file.read_bytes()) > 1000  # and kept once more
 
@@ -165,13 +165,13 @@ def test_an_entry_in_anothers_place_is_made_again(folder):
     texts = one.read_bytes(), two.read_bytes()
     one.write_bytes(texts[1])
     two.write_bytes(texts[0])
-    programs._held.clear()
+    programs.loaded.clear()
     np.testing.assert_array_equal(asked().q, first.q)
     np.testing.assert_array_equal(asked(N=7).q, other.q)
     for file in (one, two):
         file.unlink()
         file.symlink_to("/dev/zero")
-    programs._held.clear()
+    programs.loaded.clear()
     np.testing.assert_array_equal(asked().q, first.q)
     np.testing.assert_array_equal(asked(N=7).q, other.q)
     assert not one.is_symlink() and not two.is_symlink()
@@ -180,7 +180,7 @@ def test_an_entry_in_anothers_place_is_made_again(folder):
 def test_many_programs_of_one_function_stand_side_by_side(folder):
     """What was loaded once, from JAX's cache or from here, can't be kept: functions are missing then."""
     wanted = {N: asked(N=N).q for N in (2, 3, 4, 5)}
-    programs._held.clear()
+    programs.loaded.clear()
     for _ in range(2):
         for N, q in wanted.items():
             np.testing.assert_array_equal(asked(N=N).q, q)
@@ -207,5 +207,5 @@ def test_a_program_that_calls_c_is_found_by_another_process(tmp_path):
 
 
 def test_nothing_is_kept_where_nobody_asked(tmp_path):
-    assert programs._place is None
+    assert programs.place is None
     asked()

@@ -63,7 +63,7 @@ class SlowCompilerError(CompilerError):
 
 
 def _command() -> list | None:
-    return _on_path(os.environ.get("CC", ""), os.environ.get("PATH")) or _of_a_package()
+    return _on_path(os.environ.get("CC", ""), os.environ.get("PATH")) or of_a_package()
 
 
 @functools.lru_cache(maxsize=16)
@@ -82,7 +82,7 @@ def _on_path(cc, path) -> list | None:
 
 
 @functools.cache
-def _of_a_package() -> list | None:
+def of_a_package() -> list | None:
     found = importlib.util.find_spec("ziglang")
     places = [] if found is None else found.submodule_search_locations or []
     several = [shutil.which("zig", path=str(place)) for place in places]

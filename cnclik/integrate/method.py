@@ -86,14 +86,14 @@ def _conditions(A, b, c, most):
     vertices (Hairer, Nørsett & Wanner 1993, II.2)."""
     A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
     for order in range(1, most + 1):
-        weighed = [_weight(A, tree) for tree in _trees(order)]
+        weighed = [_weight(A, tree) for tree in trees(order)]
         yield [b @ phi - 1 / gamma for phi, gamma, _ in weighed] + [*(A.sum(1) - c)] * (order == 2)
 
 
 @functools.cache
-def _trees(order):
+def trees(order):
     """Rooted trees of so many vertices; each is the sorted tuple of the trees that grow from its root."""
-    return ((),) if order == 1 else tuple(sorted({new for tree in _trees(order - 1) for new in _grown(tree)}))
+    return ((),) if order == 1 else tuple(sorted({new for tree in trees(order - 1) for new in _grown(tree)}))
 
 
 def _grown(tree):

@@ -108,10 +108,10 @@ def simulate(
     model = None if drive is None else moving(drive, Ts)  # exactly, where Ts is known
     known, given = (law, reference, stage, drive, plant, pace, method), (q0, _number(Ts, q0), _number(t0, q0))
     if gained is not None:
-        return _run(*known, *given, model, noise, N=N, gained=gained)
-    loop = _loops.made(N, lambda N: Numbers(_run, lets_go=True, N=N))
+        return whole_run(*known, *given, model, noise, N=N, gained=gained)
+    loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
     with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace in a tenth of C's time
-        return _computed(loop, known, (*given, model, noise), _solve_soon, lambda: _is_soon(law, method, stage, N))
+        return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
 
 
 def step(
@@ -138,7 +138,7 @@ def step(
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
     known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q), history)
-    return _computed(_a_step, known, given, _step_soon)
+    return _computed(a_step, known, given, step_soon)
 
 
 def _is_soon(law, method, stage, N) -> bool:
@@ -215,7 +215,7 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def _run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, model, noise, *, N, gained=None):
+def whole_run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, model, noise, *, N, gained=None):
     more = dict(drive=drive, plant=plant, pace=pace, model=model, noise=noise, gained=gained)
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)
 
@@ -229,7 +229,7 @@ def end(law, reference, q0, Ts, N, method, stage):
     return q, e
 
 
-_solve_soon, _loops = quick_jit(_run, static_argnames=("N", "method")), Recent()
+solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), Recent()
 
 
 def _one_step(law, reference, stage, method, q, t, Ts, history):
@@ -253,4 +253,4 @@ def step_and_least(law, reference, q, t, Ts, stage, history, *, method):
     return jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), history)
 
 
-_step_soon, _a_step = quick_jit(_one_step, static_argnames=("method",)), Numbers(_one_step, lets_go=False)
+step_soon, a_step = quick_jit(_one_step, static_argnames=("method",)), Numbers(_one_step, lets_go=False)

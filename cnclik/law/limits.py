@@ -80,7 +80,7 @@ class Weighted:
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
         asked = through(plain.apply, rows, velocity, null)
-        roots = _roots(chain, q, asked)
+        roots = roots_of(chain, q, asked)
         made = inverse(rows * roots)
         factored = Factored(lambda t: roots * made.apply(t), plain.least)
         back = None
@@ -95,7 +95,7 @@ class Weighted:
         return Limited(qdot=qdot, apply=factored.apply, least=plain.least, limited=late | stopped)
 
 
-def _roots(chain, q, qdot):
+def roots_of(chain, q, qdot):
     """Square roots of the joints' inverse weights, 1/w = D/(D + N), w = 1 + N/D = 1 + |∂H/∂q|; 0 for a fixed joint."""
     if not chain.bounded:
         return jnp.ones_like(q)

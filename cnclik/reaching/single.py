@@ -117,7 +117,7 @@ def _one_try(asked, postures, to, phase, made, pose, near, number, count):
 
 
 _some = quick_jit(_rows, compiler=LIGHT_COMPILE)  # runs in a third of the time of QUICK_COMPILE's
-_many = quick_jit(_one_try, compiler=LIGHT_COMPILE)
+batch = quick_jit(_one_try, compiler=LIGHT_COMPILE)
 
 
 class Programs:
@@ -193,7 +193,7 @@ class Programs:
         def one_try(some):
             own = None if near is None else filled(near[some])
             of = Found(*(filled(v[some]) for v in made)), filled(pose[some]), own, filled(number[some])
-            found = _many(*self.shared, phase, *of, np.int32(len(some)))
+            found = batch(*self.shared, phase, *of, np.int32(len(some)))
             for whole, part in zip(made, found, strict=True):
                 whole[some] = np.asarray(part)[: len(some)]
 

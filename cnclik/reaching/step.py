@@ -84,7 +84,7 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
     helped = jnp.where(cost < at.cost, jnp.maximum(at.trust * SHRINK, LEAST_TRUST), at.trust)
     changed = jnp.where(better, helped, jnp.minimum(at.trust * GROW, MOST_TRUST))
     trust = jnp.where(careful, changed, at.trust)
-    step, steep = _step(j, weighted, cost, at.q, low, high, trust)
+    step, steep = damped_step(j, weighted, cost, at.q, low, high, trust)
 
     def choose(wanted, new, old):
         return jnp.where(wanted, new, old)
@@ -138,7 +138,7 @@ def _squares(task, each):
     return functools.reduce(jnp.maximum, found)
 
 
-def _step(rows, e, cost, q, low, high, trust):
+def damped_step(rows, e, cost, q, low, high, trust):
     """The step, each joint's clipped, and how steep the cost is for the joints that may move."""
     least = LEAST_DAMPING if jnp.finfo(cost.dtype).bits <= 32 else 1e-9
     shift = trust * (OF_ERROR * cost + least) + tiny_shift(rows)

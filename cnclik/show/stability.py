@@ -11,7 +11,7 @@ from cnclik.show.sweeps.panels import geometric
 
 RATES = ListedColormap(plt.get_cmap("viridis")(np.linspace(0.25, 1.0, 256)), "rates")
 # Lighter and darker than every rate, or hatched: told apart in greyscale.
-_FLAT = {
+FLAT = {
     Ending.SLOW: ("#fbf5c8", "", "converging, not there in N steps"),
     Ending.STALLED: ("#bdbdbd", "//////", "bounded and wrong"),
     Ending.DIVERGED: ("#5e1a03", "", "diverged"),
@@ -149,7 +149,7 @@ def _cells(axis, x, y, data):
     axis.grid(False)
     rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
     mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
-    for ending, (color, hatch, _) in _FLAT.items():
+    for ending, (color, hatch, _) in FLAT.items():
         where = data.ending.values == ending
         if where.any():
             flat = np.ma.masked_where(~where, np.ones(where.shape))
@@ -161,7 +161,7 @@ def _cells(axis, x, y, data):
 
 def _legend(figure, several, *, columns=4):
     seen = set(np.concatenate([np.unique(data.ending.values) for data in several]))
-    shown = (look for ending, look in _FLAT.items() if ending in seen)
+    shown = (look for ending, look in FLAT.items() if ending in seen)
     handles = [Patch(facecolor=color, hatch=hatch, label=label) for color, hatch, label in shown]
     if any(np.isfinite(data.limit.values).any() for data in several):
         handles.append(plt.Line2D([], [], label="linear boundary", **style.OUTLINED))

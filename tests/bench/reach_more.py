@@ -21,7 +21,7 @@ from tests.bench.reach_peers import PinocchioOptions, PinocchioReach, Robot, mic
 
 POSTURES, CHUNK, REFINED = 3_000_000, 100_000, 8  # of the brute-force search, and how many of them go downhill
 CHECKED = 50
-STEP = step._step
+STEP = step.damped_step
 LONG = PinocchioOptions(1e-9, 0.1, 30, 1000)  # a long search: did reach miss an answer?
 
 
@@ -149,7 +149,7 @@ def curve(robot, count, jump=0.2):
 
 
 def _clipped(rows, e, cost, q, low, high, trust):
-    """In place of `step._step`: joints at limits stay in."""
+    """In place of `step.damped_step`: joints at limits stay in."""
     return STEP(rows, e, cost, q, low - jnp.inf, high + jnp.inf, trust)
 
 
@@ -160,7 +160,7 @@ AT_RANDOM = native_source.SEARCH.replace(
 PARTS = {  # what is another in the C source, or in the traced step
     "as it is": {},
     "seeds at random, not the nearest": {(native_source, "SEARCH"): AT_RANDOM},
-    "joints at limits clipped only, not taken out": {(step, "_step"): _clipped},
+    "joints at limits clipped only, not taken out": {(step, "damped_step"): _clipped},
     "later tries plain, too": {(strategy, "PLAIN"): 1000},
     "all tries careful": {(strategy, "PLAIN"): 0},
     "first tries of 24 steps, not 9": {(strategy, "STEPS"): 24},

@@ -111,7 +111,7 @@ def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, caps
 
 def test_a_disk_that_is_full_at_any_write_loses_no_file_before_it(solved, tmp_path, monkeypatch, capsys):
     """Every write of the command fails once: each file that was finished is in the folder, and the answer is given."""
-    names, check = {p.name for p in solved.iterdir()}, writing._check_target
+    names, check = {p.name for p in solved.iterdir()}, writing.check_target
     for failing in itertools.count():
         calls, out = itertools.count(), tmp_path / f"out{failing}"
 
@@ -120,7 +120,7 @@ def test_a_disk_that_is_full_at_any_write_loses_no_file_before_it(solved, tmp_pa
                 raise OSError(errno.ENOSPC, "No space left on device")
             check(target, overwrite=overwrite)
 
-        monkeypatch.setattr(writing, "_check_target", checked)
+        monkeypatch.setattr(writing, "check_target", checked)
         try:
             main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--csv", "--out", str(out)])
         except SystemExit as left:

@@ -143,11 +143,11 @@ def test_the_compiler_of_a_package_is_found_where_the_system_has_none(monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    compiler._of_a_package.cache_clear()
+    compiler.of_a_package.cache_clear()
     try:
         assert compiler.command() == [str(package / "zig"), "cc"]
     finally:
-        compiler._of_a_package.cache_clear()
+        compiler.of_a_package.cache_clear()
 
 
 @pytest.mark.parametrize("fault", ["exit 1", "sleep 9", "echo >&2 'x.c: error: no room'; exit 2"])

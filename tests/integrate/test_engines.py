@@ -134,7 +134,7 @@ def test_a_whole_pose_of_a_real_arm(limits):
 
 
 def test_robots_of_one_shape_share_a_program_of_xla():
-    from cnclik.integrate.solve import _solve_soon
+    from cnclik.integrate.solve import solve_soon
 
     runs = []
     before = None
@@ -143,7 +143,7 @@ def test_robots_of_one_shape_share_a_program_of_xla():
         law = ck.Law(arm, ck.position("xy"), alpha=2.0)
         with ck.use_engine("plain"):
             runs.append(ck.solve(law, ck.hold([0.5, 1.0]), [0.3, 0.4, 0.5], 0.1, 7))
-        size = _solve_soon._cache_size()
+        size = solve_soon._cache_size()
         assert before in (None, size)
         before = size
     assert float(jnp.abs(runs[0].q[-1] - runs[1].q[-1]).max()) > 1e-3

@@ -128,14 +128,14 @@ def test_numbers_of_any_precision_and_order_of_bytes(dtype):
 @needs_compiler
 def test_new_numbers_need_no_new_program():
     ck.step(LAW, WAVE, Q, 0.0, 0.1)
-    before = len(solving._a_step.entries)
+    before = len(solving.a_step.entries)
     for gain in (1.0, 3.0):
         law = ck.replace(LAW, alpha=gain)
         for target in (WAVE, ck.lissajous([0.5, 0.8], [0.1, 0.1], period=3.0)):
             with ck.use_engine("plain"):
                 wanted = ck.step(law, target, Q + gain, gain, 0.1).q
             close(ck.step(law, target, Q + gain, gain, 0.1).q, wanted, atol=1e-12)
-    assert len(solving._a_step.entries) == before
+    assert len(solving.a_step.entries) == before
 
 
 def test_arrays_that_the_caller_writes_to_are_read_anew():

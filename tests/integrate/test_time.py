@@ -32,8 +32,8 @@ NUMBERS = {
 
 def programs():
     """How many there are of solve and step: in C, and by XLA."""
-    in_c = [len(numbers.entries) for numbers in (solving._a_step, *solving._loops.values())]
-    return sum(in_c), solving._solve_soon._cache_size(), solving._step_soon._cache_size()
+    in_c = [len(numbers.entries) for numbers in (solving.a_step, *solving.loops.values())]
+    return sum(in_c), solving.solve_soon._cache_size(), solving.step_soon._cache_size()
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -113,7 +113,7 @@ def test_weighted_joints_stop_at_their_limits_and_return():
     q = np.array([-1.2, -1.0, -0.999, 0.0, 1.0, 1.2])
     one = modelled(ck.replace(ck.planar_arm([1.0]), lower=(-1.0,), upper=(1.0,)))
     none = jnp.zeros(1)
-    outward, inward = (np.array([room._roots(one, x[None], v)[0] for x in q]) for v in (1.0, -1.0))
+    outward, inward = (np.array([room.roots_of(one, x[None], v)[0] for x in q]) for v in (1.0, -1.0))
     limited = ck.weighted_least_norm(RATE)
     back = np.array([limited(ck.pseudoinverse(), one, x[None], none[None], none, None).qdot[0] for x in jnp.asarray(q)])
     np.testing.assert_allclose(outward[4:], 0, atol=1e-12)  # no way further out

@@ -90,10 +90,10 @@ def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
 def test_another_number_of_targets_compiles_nothing():
     targets = tips(WRIST, drawn(WRIST, 300))
     ck.reach(WRIST, targets[:20])
-    before = single._many._cache_size()
+    before = single.batch._cache_size()
     for count in (9, 33, 150, 300):
         ck.reach(WRIST, targets[:count])
-    assert single._many._cache_size() == before
+    assert single.batch._cache_size() == before
 
 
 @pytest.mark.slow

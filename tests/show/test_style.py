@@ -153,11 +153,11 @@ def test_names_of_contours_are_apart_and_within_the_panel():
 
 
 def test_ways_to_end_differ_from_every_rate_in_greyscale():
-    from cnclik.show.stability import _FLAT, RATES
+    from cnclik.show.stability import FLAT, RATES
 
     rates = [lightness(color[:3]) for color in RATES(np.linspace(0, 1, 50))]
     assert (np.diff(rates) > 0).all()
-    for color, hatch, _ in _FLAT.values():
+    for color, hatch, _ in FLAT.values():
         assert hatch or not min(rates) - 0.1 < lightness(color) < max(rates) + 0.05
 
 

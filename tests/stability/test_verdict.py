@@ -494,10 +494,10 @@ def test_only_what_needs_a_remedy_is_run_again(monkeypatch):
     slow = law(np.array(0.5))
     ck.solve(slow, NEAR, Q5, Ts, 60, ck.EE)
     solving = sys.modules["cnclik.integrate.solve"]
-    before = solving._solve_soon._cache_size(), len(solving._loops[60].entries)
+    before = solving.solve_soon._cache_size(), len(solving.loops[60].entries)
     found = judge(slow, NEAR, 60)
     assert found.kind == Behaviour.CONVERGING and "N" in found.remedies[0].change
-    assert set(asked) == {60} and (solving._solve_soon._cache_size(), len(solving._loops[60].entries)) == before
+    assert set(asked) == {60} and (solving.solve_soon._cache_size(), len(solving.loops[60].entries)) == before
 
 
 @pytest.mark.parametrize(("target", "z", "own"), [([1.0, 0.9], 0.5, True), ([3.0, 0.0], 1.0, False)])

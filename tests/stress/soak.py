@@ -31,7 +31,7 @@ from cnclik.measure.files import markdown
 from cnclik.tuning import Descent
 
 INVERSES = (ck.pseudoinverse, lambda: ck.damped(0.05), ck.transpose)
-GROWTH = 1.02  # of the median of the last third over that of the second
+GROWTH = 1.05  # of the median of the last third over that of the second
 
 
 def draw(rng):
