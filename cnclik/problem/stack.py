@@ -243,5 +243,8 @@ def _path(one, chain, q0, horizon, _, task):
         if "target" not in path:
             return hold_at(chain, task, q0)
         if isinstance(task.parts[0], Joints):
-            return hold(values=errors.array("target", path["target"], (task.m,)))
+            values = errors.array(
+                "target", path["target"], (task.m,), *[()] * (task.m == 1)
+            )  # one joint's may be a number
+            return hold(values=values.reshape(task.m))
     return reference_from(kind, chain, task, q0, horizon=horizon, **path)

@@ -136,6 +136,7 @@ def _draw_tip(panel, axes, way, target, room, alone):
         getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4 if alone else 3))
     if len(axes) > 2:
         panel.set_box_aspect((1, 1, 1), zoom=0.82 if alone else 0.7)  # room for the labels
+        panel.zaxis.labelpad += 0 if alone else 5  # beside numbers below 0
     else:
         panel.set_aspect("equal")
 

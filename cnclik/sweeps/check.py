@@ -68,7 +68,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     if "tasks" in _table(written, "axes") and "stack" in fixed and not tasks:  # axes of a file's tasks
         file = fixed.pop("stack")
         tasks = read_stack(path if os.path.isfile(path := pathlib.Path(folder, str(file))) else file)
-    axes = _of_tasks(_table(written, "axes"), tasks)
+    axes = _of_tasks(_table(written, "axes"), tasks, "tasks" not in written)
     _check_names(fixed, axes, bundles, tasks)
     unit_names = _table(written, "units")
     for named, unit in unit_names.items():
@@ -132,8 +132,8 @@ def _bundles(written) -> dict:
     return found
 
 
-def _of_tasks(axes, tasks) -> dict:
-    """Axes with those of tasks' options by one name, such as "tasks.hands.alpha"."""
+def _of_tasks(axes, tasks, of_file) -> dict:
+    """Axes with those of tasks' options by one name, such as "tasks.hands.alpha"; they stand for what a file has."""
     found = {}
     for name, value in axes.items():
         for task in _table(axes, "tasks", "axes.") if name == "tasks" else ():
@@ -144,7 +144,9 @@ def _of_tasks(axes, tasks) -> dict:
             _, task, *key = name.split(".")
             errors.one_of(f"axes.{name}", task, list(tasks))
             errors.one_of(f"axes.{name}", ".".join(key), OF_TASK)
-            if key[0] in tasks[task]:
+            if of_file:
+                tasks[task].pop(key[0], None)
+            elif key[0] in tasks[task]:
                 raise errors.fail(f"axes.{name}", f"not be in [tasks.{task}] as well", "is in both")
     return found
 

@@ -105,6 +105,11 @@ def test_one_tip_needs_no_name():
         made({"place": {"task": "position"}}, BAXTER)
 
 
+def test_the_target_of_one_joint_is_a_number():
+    p = made({"bend": {"joints": ["left_s0"], "target": "30 deg"}})
+    close(p.reference["bend"].curve(0.0)[0], [np.pi / 6], atol=1e-12)
+
+
 def test_one_tip_as_seen_from_another():
     p = made({"apart": {"task": "pose", "tip": GRIPPERS[0], "relative_to": GRIPPERS[1], "reference": "line"}}, N=20)
     left, right = (ck.forward(ROBOT, p.q0, tip=tip) for tip in GRIPPERS)

@@ -75,7 +75,8 @@ def test_numbers_of_a_files_tasks_may_be_axes(tmp_path):
     """Gains, weights and dampings: of a stack in a file as of one in the spec, and with names to be read."""
     head, tasks = TEXT.partition("[tasks.hands]")[0], TEXT.partition("[tasks.hands]")[2].partition("[axes]")[0]
     tasks = "[tasks.hands]" + tasks.replace("2*size", "50mm").replace("damping = 0.3", "")
-    (tmp_path / "stack.toml").write_text(tasks.replace('damping = "10 * least"', "damping = 0.1"))
+    file = tasks.replace('damping = "10 * least"', "damping = 0.1").replace("[tasks.hands]", "[tasks.hands]\nalpha = 3")
+    (tmp_path / "stack.toml").write_text(file)  # whose alpha the axis stands for
     axes = "hands.alpha = [5, 10]\nrest.damping = [0.2, 0.3]\nhands.weights = [[1, 1, 1], [1, 1, 2]]"
     inside = head + tasks.replace('damping = "10 * least"', "damping = 0.1") + f"[axes.tasks]\n{axes}\n"
     (tmp_path / "spec.toml").write_text(
