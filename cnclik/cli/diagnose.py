@@ -2,6 +2,7 @@
 drive."""
 
 import dataclasses
+import itertools
 import pathlib
 import re
 from typing import Literal
@@ -24,6 +25,8 @@ class Args(ComputeOptions):
     """Gain of the loop [1/s]: the answer then names the gain that ends the ringing, else by how much to change it."""
     columns: tuple[str, ...] | None = None
     """Which columns, by name or number; all but times and status by default. With --step: commands, then motions."""
+    tasks: tuple[str, ...] | None = option(None, metavar="NAME[=ALPHA] ...")
+    """Of a stack: tasks whose errors are in columns NAME.x, NAME.y, ..., with their gains [1/s], where known."""
     longest_period: float | None = option(None, unit="s")
     """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
     step: bool = False
@@ -46,6 +49,10 @@ def run(args: Args) -> None:
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
+    for name in ("step", "columns", "alpha") if args.tasks else ():
+        if getattr(args, name):
+            instead = "; gains are given as --tasks hands=20" * (name == "alpha")
+            raise errors.fail(name, f"be left out with --tasks{instead}", "is given")
     if args.Ts is not None and not any(args.written.get("Ts", ())):  # type: ignore[attr-defined]
         remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log, gaps=True)
@@ -72,12 +79,14 @@ def _diagnose(args, names, table, left_out, of):
     from cnclik.measure.files import plain
 
     Ts, stamps = of
-    chosen = _chosen(args.columns, names) or _usual(names, left_out)
-    if not chosen:
-        raise errors.fail("LOG", "have a column besides the times", "has none")
     if args.longest_period is not None:
         errors.number("longest-period", args.longest_period, positive=True)
     longest = LONGEST if args.longest_period is None else max(args.longest_period / Ts, 2.0)
+    if tasks := _tasks(args, names, left_out):
+        return _diagnose_tasks(args, names, table, tasks, of, longest)
+    chosen = _chosen(args.columns, names) or _usual(names, left_out)
+    if not chosen:
+        raise errors.fail("LOG", "have a column besides the times", "has none")
     signal = _whole(table[:, chosen])
     with progress.bar("parts") as report:
         found = diagnose(signal, Ts, alpha=args.alpha, longest=longest, progress=report)
@@ -91,6 +100,62 @@ def _diagnose(args, names, table, left_out, of):
         from cnclik.show.diagnosis import oscillation
 
         _draw(args, lambda: oscillation(signal, found, [names[i] for i in chosen]))
+
+
+def _tasks(args, names, left_out) -> dict:
+    """{task: (places of its columns, its gain or None)}, of --tasks or of a stack that `cnclik solve --csv` wrote."""
+    found: dict = {}
+    for word in args.tasks or ():
+        task, _, gain = word.partition("=")
+        at = [
+            i for i, name in enumerate(names) if i not in left_out and re.match(rf"(e_)?{re.escape(task)}[._/]", name)
+        ]
+        if not at:
+            raise errors.fail(
+                "tasks", f"have columns such as {task}.x in LOG", f"is {word!r}, and LOG has {', '.join(names)}"
+            )
+        try:
+            found[task] = at, float(gain) if gain else None
+        except ValueError:
+            raise errors.fail("tasks", "give gains as numbers, such as hands=20", f"is {word!r}") from None
+    if not args.tasks and not args.columns and args.alpha is None:
+        for i, name in enumerate(names):
+            if name.startswith("e_") and "." in name:
+                found.setdefault(name[2:].partition(".")[0], ([], None))[0].append(i)
+    return found if args.tasks or len(found) > 1 else {}
+
+
+def _diagnose_tasks(args, names, table, tasks, of, longest):
+    from cnclik.cli import progress
+    from cnclik.diagnosis.tasks import diagnose_tasks
+    from cnclik.measure.files import plain
+
+    Ts, stamps = of
+    whole = _whole(table[:, [i for places, _ in tasks.values() for i in places]])
+    ends = [0, *itertools.accumulate(len(places) for places, _ in tasks.values())]
+    signals = {task: whole[:, a:b] for task, (a, b) in zip(tasks, itertools.pairwise(ends), strict=True)}
+    gains = {task: gain for task, (_, gain) in tasks.items() if gain is not None}
+    with progress.bar("tasks") as report:
+        found = diagnose_tasks(signals, Ts, alpha=gains, longest=longest, progress=report)
+    if args.json:
+        each = {n: _fields(one.found) | {f: getattr(one, f) for f in _OF_TASK} for n, one in found.tasks.items()}
+        print_json(plain({"tasks": each, "change": found.change, "delay": found.delay, "Ts": Ts, "Ts_from": stamps}))
+    else:
+        print(found)
+        if found.change:
+            print(f"Change the gain of {found.change[0]}" + "".join(f", then of {n}" for n in found.change[1:]) + ".")
+            first = found.tasks[found.change[0]].found
+            _tell(first, [names[i] for i in tasks[found.change[0]][0]])
+        print(f"Ts = {1e3 * Ts:.4g} ms ({stamps}).")
+    if args.out is not None:
+        from cnclik.show.diagnosis import oscillation
+
+        task = found.change[0] if found.change else next(iter(tasks))
+        of_task = signals[task], found.tasks[task].found, [names[i] for i in tasks[task][0]]
+        _draw(args, lambda: oscillation(*of_task))
+
+
+_OF_TASK = ("share", "along", "alpha", "recommended_alpha", "factor")
 
 
 def _usual(names, left_out) -> list:

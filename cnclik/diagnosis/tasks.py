@@ -1,0 +1,128 @@
+"""Tasks: which gain of a stack to change, from the recorded errors of its tasks.
+
+A stack's loop at rest is e[k+1] = e[k] − Ts J J# K e[k−d], one dead time for all. Where K^½ J J# K^½ u = z u (weighted,
+symmetric), a mode's z changes with the gain k of a task by ∂ log z/∂ log k = the task's part of ‖u‖², which is that of
+K e²: the task that has most of it makes the mode, and others swing along.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.diagnosis.advice import NEAR
+from cnclik.diagnosis.diagnose import LONGEST, Diagnosis, diagnose
+from cnclik.precision import of_numbers
+from cnclik.record import record, replace
+
+ALIKE = 0.1  # share of a period by which those of one mode may differ
+ALONG = 0.1  # part of a mode below which a task swings along
+
+
+@record
+class TaskDiagnosis:
+    """What the errors of one task show.
+
+    Attributes:
+      found: `Diagnosis` of them alone. share: of the mode in which it swings, 1 where no other task does: so many per
+        cent z changes with one per cent of its gain, of tasks in one unit and with equal weights.
+      along: the task with which it swings, whose gain is to be changed, or "".
+      alpha, recommended_alpha: [1/s] now, if given, and then; factor: by which it is to be multiplied. None of what
+        may stay, or is not known.
+      words: what to do.
+    """
+
+    found: Diagnosis
+    share: float
+    along: str
+    alpha: float | None
+    recommended_alpha: float | None
+    factor: float | None
+    words: str
+
+
+@record
+class StackDiagnosis:
+    """What a recording of several tasks shows.
+
+    Attributes:
+      tasks: {name: `TaskDiagnosis`}. change: names of those whose gain is to be changed, the first most.
+      delay: dead time behind what swings most [samples], or None.
+    """
+
+    tasks: dict
+    change: tuple
+    delay: float | None
+
+    def __str__(self):
+        return "\n".join(f"{name}: {one.words}" for name, one in self.tasks.items())
+
+
+@of_numbers
+def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, progress=None) -> StackDiagnosis:
+    """Which task of a stack swings by its own gain, and which gain would end it.
+
+    Args:
+      signals: {task: (N, k)} its errors, in one unit and with equal weights where they are to be compared.
+      Ts, longest, progress: as for `diagnose`. alpha: {task: gain [1/s]} of those that are known, or None.
+    Raises: as `diagnose`, and for an alpha of a task that is not recorded.
+    """
+    if not isinstance(signals, dict) or not signals:
+        raise errors.fail("signals", "be {task: errors}", f"is {type(signals).__name__}")
+    gains: dict[str, Any] = dict.fromkeys(signals) | dict(alpha or {})
+    for name in gains:
+        errors.one_of("alpha", name, signals)
+    each = {}
+    for i, (name, signal) in enumerate(signals.items()):
+        with errors.within(name):
+            each[name] = diagnose(signal, Ts, alpha=gains[name], longest=longest)
+        if progress is not None:
+            progress(i + 1, len(signals), name)
+    sizes = {name: (gains[name] or 1.0) * float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
+    if None in gains.values():  # gains of some alone say nothing of the others
+        sizes = {name: float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
+    seen = {name: _seen(name, each, gains, sizes) for name in each}
+    makers = [name for name, one in seen.items() if one.factor is not None]
+    makers.sort(key=lambda name: -(each[name].growth ** each[name].period))  # what a period leaves of a swing
+    lead = each[makers[0]] if makers else None
+    for name in set(seen) - set(makers[:1]) if lead is not None and lead.recommended is not None else ():
+        seen[name] = _borne(seen[name], lead)
+    change = [*makers, *(name for name in seen if name not in makers)]
+    return StackDiagnosis(
+        tasks=seen,
+        change=tuple(name for name in change if seen[name].factor is not None),
+        delay=None if lead is None else lead.delay,
+    )
+
+
+def _seen(name, each, gains, sizes) -> TaskDiagnosis:
+    """One task beside those that swing as it does."""
+    own = each[name]
+    made = dict(found=own, alpha=gains[name], along="", share=1.0, recommended_alpha=None, factor=None)
+    if not own.rings:
+        return TaskDiagnosis(**made, words=str(own))
+    mode = [n for n, one in each.items() if one.rings and abs(one.period - own.period) <= ALIKE * own.period]
+    made["share"] = sizes[name] / max(sum(sizes[n] for n in mode), np.finfo(float).tiny)
+    lead = max(mode, key=lambda n: sizes[n])
+    if made["share"] < ALONG:
+        made["along"] = lead
+        return TaskDiagnosis(**made, words=f"swings along with {lead} ({100 * made['share']:.2g} % of it).")
+    made |= dict(recommended_alpha=own.recommended_alpha, factor=own.factor)
+    return TaskDiagnosis(**made, words=str(own))
+
+
+def _borne(one, lead) -> TaskDiagnosis:
+    """A task beside what the dead time of the one that swings most bears: as much as any task."""
+    if one.alpha is None:
+        return one
+    most, now = lead.recommended, one.alpha * lead.Ts
+    if now > most * NEAR:
+        much = f"At this dead time no task bears more than {most / lead.Ts:.4g} 1/s without overshoot."
+        words = one.words if one.factor is not None else f"{one.words} {much}"
+        return replace(one, recommended_alpha=most / lead.Ts, factor=most / now, words=words)
+    words = f"{one.words} Its gain may stay." if one.along else one.words
+    if one.factor is not None:
+        words = f"{one.found.kind}, but its gain of {one.alpha:g} 1/s is one that this dead time bears. It may stay."
+    return replace(one, recommended_alpha=None, factor=None, words=words)
