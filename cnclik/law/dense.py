@@ -1,10 +1,14 @@
 """Small dense linear algebra: what a task of a few rows needs."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_solve, solve_triangular
+
+from cnclik.engine.tracing import is_read
 
 
 def wide_side(rows):
@@ -19,12 +23,27 @@ def shifted(matrix, shift):
 
 def cholesky(matrix):
     """L of a symmetric positive definite matrix L Lᵀ; NaN where it isn't."""
-    return jnp.linalg.cholesky(matrix, symmetrize_input=False)
+    return jnp.linalg.cholesky(matrix, symmetrize_input=False) if is_read() else _cholesky(matrix)
 
 
 def cholesky_solve(lower, b):
     """Solution x of L Lᵀ x = b: of a vector, or of the columns of a matrix."""
-    return cho_solve((lower, True), b)
+    return cho_solve((lower, True), b) if is_read() else triangular(lower, triangular(lower, b), transposed=True)
+
+
+def triangular(lower, b, *, transposed=False, unit=False):
+    """Solution x of L x = b, or of Lᵀ x = b; `unit`: with ones in place of L's diagonal."""
+    if is_read():
+        return solve_triangular(lower, b, lower=True, trans=int(transposed), unit_diagonal=unit)
+    eye = np.eye(len(lower), dtype=bool)
+    whole = jnp.where(np.tri(len(lower), dtype=bool), jnp.where(eye & unit, 1.0, lower), 0.0)
+
+    def solved(transposed):
+        return lambda _, b: _substitution(transposed)(whole, b)
+
+    return lax.custom_linear_solve(
+        lambda x: (whole.T if transposed else whole) @ x, b, solved(transposed), solved(not transposed)
+    )
 
 
 def packed(lower):
@@ -37,13 +56,13 @@ def packed(lower):
 def packed_solve(vector, b):
     """`cholesky_solve` with a factor that is `packed`, for a vector: without a root or a division."""
     both = jnp.zeros((len(b), len(b)), vector.dtype).at[np.tril_indices(len(b))].set(vector)
-    half = jnp.diagonal(both) * solve_triangular(both, b, lower=True, unit_diagonal=True)
-    return solve_triangular(both, half, lower=True, trans=1, unit_diagonal=True)
+    half = jnp.diagonal(both) * triangular(both, b, unit=True)
+    return triangular(both, half, transposed=True, unit=True)
 
 
 def inverse_trace(lower):
     """Trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite where there is no factor."""
-    trace = jnp.sum(solve_triangular(lower, jnp.eye(len(lower), dtype=lower.dtype), lower=True) ** 2)
+    trace = jnp.sum(triangular(lower, jnp.eye(len(lower), dtype=lower.dtype)) ** 2)
     return jnp.where(trace > 0, trace, jnp.inf)
 
 
@@ -193,3 +212,72 @@ def _pinv_jvp(primals, tangents):
     a, g, t = dj @ p.T, j @ p.T, p @ p.T @ dj  # t holds the rows of Tᵀ
     inner = a.T - a.T @ g - a - j @ t.T
     return (p, least), (t + inner.T @ p, jnp.zeros_like(least))
+
+
+# --- without LAPACK -----------------------------------------------------------------------------------
+
+# LAPACK's batches share the threads of the program that calls them, and where two are under way they may wait for each
+# other for good (jaxlib 0.10.2). So a batch is eliminated column by column, all lanes at once; one matrix is LAPACK's.
+_WRITTEN_OUT = 8  # columns up to which that is no loop
+
+
+@jax.custom_jvp
+def _cholesky(matrix):
+    return _factored(matrix)
+
+
+@_cholesky.defjvp
+def _cholesky_jvp(primals, tangents):
+    """L Φ(L⁻¹ dA L⁻ᵀ), Φ the lower triangle with half the diagonal (Murray 2016)."""
+    lower, (tangent,) = _cholesky(*primals), tangents
+    inner = triangular(lower, triangular(lower, 0.5 * (tangent + tangent.T)).T)
+    half = np.tri(len(lower)) - 0.5 * np.eye(len(lower))
+    return lower, lower @ (half.astype(lower.dtype) * inner)
+
+
+@jax.custom_batching.custom_vmap
+def _factored(matrix):
+    return jnp.linalg.cholesky(matrix, symmetrize_input=False)
+
+
+@_factored.def_vmap
+def _factored_batch(_, __, matrices):
+    every = np.arange(matrices.shape[-1])
+
+    def one(matrix):
+        def eliminate(rest, i):
+            column = jnp.where(every >= i, rest[:, i], 0.0)
+            scaled = column / rest[i, i]
+            return rest - scaled[:, None] * column, scaled * jnp.sqrt(rest[i, i])
+
+        return lax.scan(eliminate, matrix, every, unroll=len(every) <= _WRITTEN_OUT or 1)[1].T
+
+    return jax.vmap(one)(matrices), True
+
+
+@functools.cache
+def _substitution(transposed):
+    """The function of (L, b) that solves L x = b, or Lᵀ x = b."""
+
+    @jax.custom_batching.custom_vmap
+    def solve(lower, b):
+        return solve_triangular(lower, b, lower=True, trans=int(transposed))
+
+    @solve.def_vmap
+    def _(size, batched, lower, b):
+        every = np.arange(lower.shape[-1])
+
+        def one(lower, b):
+            def eliminate(rest, row):
+                i, column = row
+                found = rest[i] / column[i]
+                left = every < i if transposed else every > i
+                return rest - jnp.multiply.outer(jnp.where(left, column, 0.0), found), found
+
+            rows = lower if transposed else lower.T
+            short = len(every) <= _WRITTEN_OUT
+            return lax.scan(eliminate, b, (every, rows), reverse=transposed, unroll=short or 1)[1]
+
+        return jax.vmap(one, [0 if b else None for b in batched])(lower, b), True
+
+    return solve
