@@ -43,6 +43,7 @@ from .law.paths import (
 )
 from .law.reference import Reference as Reference, References as References, references as references
 from .law.resampled import resampled as resampled
+from .law.walls import wall as wall, wall_margin as wall_margin
 from .measure.dataset import to_dataset as to_dataset
 from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
@@ -69,6 +70,7 @@ from .task.build import (
     function as function, joints as joints, orientation as orientation, pose as pose, position as position,
     stack as stack,
 )
+from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
 from .task.task import Task as Task
 from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune

@@ -31,6 +31,7 @@ class Step:
       contraction: ratio of its last two changes; at 1 or more it diverges.
       status: bits of `Status`.
       task_status: (tasks,) those that the tasks of a stack have of their own; None without a stack.
+      walls: (k,) how much faster each wall might be neared, see `Trajectory`; None without walls.
       history: what a multistep method wants back with its next step; None for one-step methods.
     """
 
@@ -42,6 +43,7 @@ class Step:
     contraction: Float[Array, ""]
     status: Int[Array, ""]
     task_status: Int[Array, " tasks"] | None = None
+    walls: Float[Array, " k"] | None = None
     history: History | None = None
 
 
@@ -85,6 +87,7 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
         contraction=made.contraction,
         status=status,
         task_status=task_flags(law, made.first),
+        walls=made.first.walls,
         history=one.history,
     )
     return step, jnp.min(made.first.least)

@@ -32,7 +32,10 @@ class Status(enum.IntFlag):
     RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
     DIVERGED = 256  # joint values beyond any meaning, see `far`, though still finite
     OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
+    WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: `Trajectory.walls` says by how much
 
+
+MISSED = 1e-4  # [m/s, rad/s] what a wall misses, more than that, is no rounding
 
 OWN = Status.NEAR_SINGULAR | Status.GROWING  # what each task of a stack has of its own
 
@@ -46,6 +49,7 @@ _REMEDY = {
     Status.AT_LIMIT: "choose another start or path",
     Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or saturation()",
     Status.OVER_ACCELERATION: "round the path's corners, make targets jump less (resampled), or allow more",
+    Status.WALLS_CONTRADICT: "move apart the walls whose `walls` of the run are negative, or allow faster joints",
 }
 
 
@@ -99,7 +103,9 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     outside, fast = first.limited, too_fast(chain, qdot)
     if chain.bounded:
         outside |= jnp.any(_at_limit(q, chain.lower, chain.upper))
-    for found, bit in ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY)):
+    broken = False if first.walls is None else jnp.any(first.walls < -MISSED * (1 + jnp.max(jnp.abs(first.qdot))))
+    bits = ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY), (broken, Status.WALLS_CONTRADICT))
+    for found, bit in bits:
         if found is not False:
             status |= jnp.where(found, int(bit), 0)
     if law.task.m > chain.n and not law.task.tasks:

@@ -32,6 +32,8 @@ class Trajectory:
       path_time: (N + 1,) time on the path where it waits for the robot, see `Pace` [s]; None where that is t.
       tasks: of a stack (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is what one of them did.
       task_status: (N, tasks) bits of `Status` that each has of its own, NEAR_SINGULAR and GROWING; None of no stack.
+      walls: (N, k) how much faster the joints might near each wall of `bounded`, ∇h·q̇ + rate·h [m/s, rad/s]: 0 where it
+        holds them, less than 0 where it is not kept, as walls contradict each other or the bounds; None without walls.
     """
 
     t: Float[Array, "*lanes N+1"]
@@ -46,6 +48,7 @@ class Trajectory:
     path_time: Float[Array, "*lanes N+1"] | None = None
     tasks: tuple[tuple[str, int, int], ...] = ()
     task_status: Int[Array, "*lanes N tasks"] | None = None
+    walls: Float[Array, "*lanes N k"] | None = None
 
     def __getitem__(self, name: str) -> Trajectory:
         """The run of a stack as one of its tasks sees it: with its x and e, and its own status."""
@@ -154,7 +157,7 @@ def truncate(run: Trajectory, N: int) -> Trajectory:
 
 def steps_of(run):
     """Names of what a run, or a step, has of each step."""
-    return STEPS if run.task_status is None else (*STEPS, "task_status")
+    return STEPS + tuple(name for name in ("task_status", "walls") if getattr(run, name) is not None)
 
 
 def _path_time(run):

@@ -2,41 +2,54 @@
 
 They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|², which without bounds is what a damped inverse gives, in
 low ≤ q̇ ≤ high: found by projected Newton steps (Bertsekas 1982), a descent from face to face of the box.
+
+What is missing at walls, floor − G q̇ > 0, costs its square over their softness: so there is a least, too, where walls
+contradict each other or the bounds, and they share what is missing. Multipliers y raise the floor by softness·y, and
+keep walls all the same (Hestenes 1969; Powell 1969).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
+from jax.scipy.linalg import solve_triangular
 
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import positive, through
 from cnclik.law.limits import Limited, bounds
-from cnclik.record import brief, record
+from cnclik.law.walls import Rows, Wall, rows_at
+from cnclik.record import brief, record, replace
 from cnclik.shapes import Array, Bool, Float, Int, Number
 
 LEAST = 1e-10  # of the trace of J Jᵀ, for λ²: with less what rounding leaves of H = Jᵀ D⁻¹ J + I is no longer I
+_LEVER = 1e-6  # [m, rad] a wall is as soft as one that joint velocities of cost 1 move by this, at least
+_ROUNDS = 4  # of descents after the first, where walls are still missed
 
 
 class Problem(NamedTuple):
-    """The least of |B q̇ − w|² + |q̇ − rest|² in low ≤ q̇ ≤ high."""
+    """The least of |B q̇ − w|² + |q̇ − rest|² in low ≤ q̇ ≤ high, on the right side of walls."""
 
     b: Float[Array, "m n"]
     w: Float[Array, " m"]
     rest: Float[Array, " n"]
     low: Float[Array, " n"]
     high: Float[Array, " n"]
+    walls: Rows | None = None
+    soft: Float[Array, " k"] | None = None  # of walls
+    raised: Float[Array, " k"] | None = None  # what is added to their floor
 
     def hessian(self):
         """Half of it: BᵀB + I."""
         return dense.shifted(self.b.T @ self.b, 1.0)
 
-    def slope(self, qdot, left):
-        """Minus half the gradient, where B q̇ leaves so much of w."""
-        return left @ self.b + self.rest - qdot
+    def slope(self, qdot, left, push=None):
+        """Minus half the gradient, where B q̇ leaves so much of w, and walls push."""
+        slope = left @ self.b + self.rest - qdot
+        return slope if push is None else slope + push @ self.walls.rows
 
     def clip(self, qdot):
         """The nearest within the bounds."""
@@ -47,21 +60,89 @@ class Problem(NamedTuple):
         out = ((qdot >= self.high) & (slope > 0)) | ((qdot <= self.low) & (slope < 0))
         return out | (self.low >= self.high)
 
+    def behind(self, walls: Rows, shut, push=0.0) -> Problem:
+        """With walls and their multipliers; they are as soft as the joints that are not shut move them, gᵀ H⁻¹ g.
 
-def newton(hessian, shut):
-    """Newton's step for a slope, of the joints that are not shut: a function.
+        Times √eps: what a wall then misses of what it asks, and what rounding takes where walls contradict, are of one
+        size. Where all joints that move a wall are shut, it is as soft as by each joint alone.
+        """
+        hessian, squares = self.hessian(), walls.rows * walls.rows
+        across = newton(hessian, shut).half(walls.rows)
+        alone = squares @ (1.0 / jnp.diagonal(hessian)) + _LEVER**2
+        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.sum(across * across, axis=0), alone)
+        soft = lax.stop_gradient(soft)
+        return self._replace(walls=walls, soft=soft, raised=soft * push)
 
-    A pivot out of proportion locks a joint. The last joints are eliminated first: along a tree nothing is filled in.
-    """
+    def missing(self, qdot):
+        """(k,) of the raised floor; None without walls."""
+        return None if self.walls is None else self.walls.floor + self.raised - self.walls.rows @ qdot
+
+    def pushes(self, qdot):
+        """(k,) what each wall pushes with: what is missing, if more than rounding, over its softness."""
+        if self.walls is None:
+            return None
+        missing, rounding = self.missing(qdot), 16 * jnp.finfo(qdot.dtype).eps * self.walls.size(qdot)
+        return jnp.where(missing > rounding, missing / self.soft, 0.0)
+
+    def crossed(self, missing, before):
+        """How much more what is missing at walls costs than before, half of it."""
+        return 0.5 * jnp.sum((jnp.maximum(missing, 0.0) ** 2 - jnp.maximum(before, 0.0) ** 2) / self.soft)
+
+    def newton(self, hessian, shut, push):
+        """Newton's step of the joints that are not shut, behind the walls that push.
+
+        A function of the slope without pushes and of what is missing, that returns what these walls then push with too.
+        """
+        step = newton(hessian, shut)
+        if push is None:
+            return lambda slope, missing: (step(slope), None)
+        on = push > 0
+        rows = jnp.where(on[:, None], self.walls.rows, 0.0)
+        across = step.half(rows)
+        rounding = 8 * jnp.finfo(rows.dtype).eps * jnp.sum(across * across, axis=0)
+        factor = dense.cholesky(dense.shifted(across.T @ across, self.soft + rounding))
+
+        def behind(slope, missing):
+            push = dense.cholesky_solve(factor, jnp.where(on, missing, 0.0) - step.half(slope) @ across)
+            return step(slope + push @ rows), push
+
+        return behind
+
+
+class Newton(NamedTuple):
+    """Newton's step of the joints that are not shut, for a slope."""
+
+    factor: Float[Array, "n n"]  # L Lᵀ = H, the last joints eliminated first: along a tree nothing is filled in
+    shut: Bool[Array, " n"]
+
+    def __call__(self, slope):
+        made = dense.cholesky_solve(self.factor, jnp.where(self.shut, 0.0, slope)[::-1])[::-1]
+        return jnp.where(self.shut, 0.0, made)
+
+    def half(self, slopes):
+        """L⁻¹ of some, (k, n), as columns (n, k)."""
+        return solve_triangular(self.factor, jnp.where(self.shut, 0.0, slopes)[..., ::-1].T, lower=True)
+
+
+def newton(hessian, shut) -> Newton:
+    """A pivot out of proportion locks a joint."""
     size = lax.stop_gradient(jnp.diagonal(hessian))
     lock = jnp.where(shut, size / jnp.finfo(size.dtype).eps ** 2, 0.0)
-    factor = dense.cholesky(dense.shifted(hessian, lock)[::-1, ::-1])
+    return Newton(dense.cholesky(dense.shifted(hessian, lock)[::-1, ::-1]), shut)
 
-    def step(slope):
-        made = dense.cholesky_solve(factor, jnp.where(shut, 0.0, slope)[::-1])[::-1]
-        return jnp.where(shut, 0.0, made)
 
-    return step
+def nearest(slope, curvature, most, missing, goes, soft):
+    """The t from 0 to `most` with the least ½ curvature t² − slope t + ½ Σ max(0, missing − t goes)²/soft.
+
+    The derivative is linear between kinks, where a wall begins or ends to push.
+    """
+    kink = jnp.clip(jnp.where(goes != 0, missing / jnp.where(goes != 0, goes, 1.0), 0.0), 0.0, most)
+    at = jnp.concatenate([jnp.stack([jnp.zeros_like(most), most]), kink])
+    rate = at * curvature - slope - jnp.maximum(missing - at[:, None] * goes, 0.0) @ (goes / soft)
+    falls = (rate <= 0) | (at == 0)
+    low, high = jnp.max(jnp.where(falls, at, 0.0)), jnp.min(jnp.where(falls, most, at))
+    before, after = jnp.max(jnp.where(falls, rate, -jnp.inf)), jnp.min(jnp.where(falls, jnp.inf, rate))
+    return low + (high - low) * before / (before - after)
 
 
 class _Pass(NamedTuple):
@@ -73,6 +154,7 @@ class _Pass(NamedTuple):
     held: Bool[Array, ""]  # whether no joint at a bound may leave it
     settled: Bool[Array, ""]
     passes: Int[Array, ""]
+    push: Any  # (k,) of walls, or None
 
 
 def descent(of: Problem, start, passes) -> _Pass:
@@ -85,16 +167,19 @@ def descent(of: Problem, start, passes) -> _Pass:
     hessian, eps = of.hessian(), jnp.finfo(start.dtype).eps
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
 
-    def reached(qdot, left, held, passes):
-        slope = of.slope(qdot, left)
+    def reached(qdot, left, held, passes, push):
+        slope = of.slope(qdot, left, push)
         goes = jnp.abs(of.clip(qdot + slope * per_size) - qdot)
+        if push is not None:  # pushes of walls that contradict are large, and balance each other but for rounding
+            goes = goes - 64 * eps * per_size * (jnp.abs(push) @ jnp.abs(of.walls.rows))
         settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
-        return _Pass(qdot, left, slope, held, settled, passes)
+        return _Pass(qdot, left, slope, held, settled, passes, push)
 
     def one(at: _Pass) -> _Pass:
         above, below = at.qdot >= of.high, at.qdot <= of.low
         shut = of.shut(at.qdot, at.slope) | (at.held & (above | below))
-        whole = newton(hessian, shut)(at.slope)
+        asked, missing = at.slope if of.walls is None else of.slope(at.qdot, at.left), of.missing(at.qdot)
+        whole, push = of.newton(hessian, shut, at.push)(asked, missing)
         along = jnp.where((above & (whole > 0)) | (below & (whole < 0)), 0.0, whole)
         clipped = of.clip(at.qdot + whole)
         step = clipped - at.qdot
@@ -103,20 +188,54 @@ def descent(of: Problem, start, passes) -> _Pass:
         def shorter():
             moves, bound, toward = along != 0, jnp.where(along > 0, of.high, of.low), of.b @ along
             share = jnp.where(moves, (bound - at.qdot) / jnp.where(moves, along, 1.0), 2.0)
-            slope, curvature = at.slope @ along, toward @ toward + along @ along
+            slope, curvature = asked @ along, toward @ toward + along @ along
             least = slope / jnp.where(curvature > 0, curvature, 1.0)
             taken = jnp.clip(jnp.minimum(jnp.min(share), least), 0.0, 1.0)
-            won = taken * (0.5 * taken * curvature - slope) < 0.5 * (moved @ moved + step @ step) - at.slope @ step
+            if missing is not None:
+                goes, most = of.walls.rows @ along, jnp.clip(jnp.min(share), 0.0, 1.0)
+                taken = nearest(slope, curvature, most, missing, goes, of.soft)
+            cost = taken * (0.5 * taken * curvature - slope)
+            other = 0.5 * (moved @ moved + step @ step) - asked @ step
+            if missing is not None:
+                cost += of.crossed(missing - taken * goes, missing)
+                other += of.crossed(missing - of.walls.rows @ step, missing)
+            won = cost < other
             first = jnp.where(share <= taken, bound, of.clip(at.qdot + taken * along))
             return jnp.where(won, first, clipped), jnp.where(won, taken * toward, moved), won
 
         fits = jnp.all(clipped == at.qdot + whole)
+        if push is not None:  # and the same walls push, before and after
+            fits &= jnp.all((push > 0) == (at.push > 0)) & jnp.all((at.push > 0) | (of.pushes(clipped) == 0))
         qdot, moved, held = lax.cond(fits, lambda: (clipped, moved, jnp.bool_(False)), shorter)
-        return reached(qdot, at.left - moved, held, at.passes + 1)
+        push = None if push is None else jnp.where(fits, push, of.pushes(qdot))
+        return reached(qdot, at.left - moved, held, at.passes + 1, push)
 
     qdot = of.clip(start)
-    first = reached(qdot, of.w - of.b @ qdot, jnp.bool_(False), jnp.int32(0))
+    first = reached(qdot, of.w - of.b @ qdot, jnp.bool_(False), jnp.int32(0), of.pushes(qdot))
     return lax.while_loop(lambda at: ~at.settled & (at.passes < passes), one, first)
+
+
+def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
+    """The least behind walls: a descent, and more while walls are missed by more than their softness.
+
+    Each of the further descents has the multipliers of the one before, and walls as soft as on the face where it ended.
+    """
+    if walls is None:
+        return descent(of, start, passes)
+
+    def again(at):
+        found, rounds = at
+        more = of.behind(walls, of.shut(found.qdot, found.slope), found.push)
+        return descent(more, found.qdot, passes), rounds + 1
+
+    def missed(at):
+        found, rounds = at
+        missing, size = walls.floor - walls.rows @ found.qdot, walls.size(found.qdot)
+        much = 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
+        return (rounds < _ROUNDS) & found.settled & jnp.any(missing > much)
+
+    first = descent(of.behind(walls, of.low >= of.high), start, passes)
+    return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
 
 
 @record
@@ -125,44 +244,60 @@ class Bounded:
 
     rate: Number
     passes: int
+    walls: tuple[Wall, ...] = ()
+
+    def on(self, chain) -> Bounded:
+        """With its walls on this robot. Raises: ArgumentError for tips and joints that it has not."""
+        return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
         if plain.shift is None:
             raise undamped(inverse)
         asked = through(plain.apply, rows, velocity, null)
-        if not (chain.bounded or chain.slowed):
+        if not (chain.bounded or chain.slowed or self.walls):
             return Limited(qdot=asked, apply=plain.apply, least=plain.least, limited=False)
         low, high = bounds(self.rate, chain, q)
         root = 1.0 / jnp.sqrt(jnp.maximum(plain.shift, LEAST * lax.stop_gradient(jnp.sum(rows**2))))
         rest = jnp.zeros_like(asked) if null is None else null + jnp.zeros_like(asked)
         of = Problem((root * rows.T).T, root * velocity, rest, low, high)
+        walls = rows_at(self.walls, self.rate, chain, q) if self.walls else None
+        still = None if walls is None else jnp.zeros_like(walls.floor)
+
+        def on_face(shut, push):
+            return of if walls is None else of.behind(walls, shut, push)
 
         def least():
-            known, found = lax.stop_gradient((of, asked))
-            found = descent(known, found, self.passes)
-            shut = known.shut(found.qdot, found.slope)
-            # One step more on the face has all derivatives of the least there, and takes away what rounding left. Of
-            # a descent that was cut short it would lead anywhere, and has the derivatives alone.
-            qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
-            step = newton(of.hessian(), shut)(of.slope(qdot, of.w - of.b @ qdot))
+            known, others, found = lax.stop_gradient((of, walls, asked))
+            found = kept(known, others, found, self.passes)
+            shut, push = known.shut(found.qdot, found.slope), found.push
+            # One step more on the face has all derivatives of the least there, and takes away what rounding left, and
+            # what walls missed. Of a descent that was cut short it would lead anywhere, and has the derivatives alone.
+            qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(shut, push)
+            step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot, of.w - of.b @ qdot), face.missing(qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
-            return of.clip(qdot + step), shut.astype(asked.dtype), ~found.settled
+            return of.clip(qdot + step), shut.astype(asked.dtype), ~found.settled, push
 
         def locked(t):
-            """J# of the joints that are not shut, once refined."""
-            step = newton(of.hessian(), shut > 0)
-            first = step((root * t) @ of.b)
-            return first + step((root * t - of.b @ first) @ of.b - first)
+            """J# of the joints that are not shut, along the walls that push, once refined."""
+            step = on_face(shut > 0, push).newton(of.hessian(), shut > 0, push)
+            first, _ = step((root * t) @ of.b, still)
+            missing = None if walls is None else -walls.rows @ first
+            return first + step((root * t - of.b @ first) @ of.b - first, missing)[0]
 
         fits = jnp.all((low <= asked) & (asked <= high))
-        qdot, shut, cut = lax.cond(fits, lambda: (asked, jnp.zeros_like(asked), jnp.bool_(False)), least)
+        if walls is not None:
+            fits &= jnp.all(walls.rows @ asked >= walls.floor)
+        free = asked, jnp.zeros_like(asked), jnp.bool_(False), still
+        qdot, shut, cut, push = lax.cond(fits, lambda: free, least)
+        limited = jnp.any((shut > 0) & (low < high))
         return Limited(
             qdot=qdot,
             apply=lambda t: lax.cond(fits, plain.apply, locked, t),
             least=plain.least,
-            limited=jnp.any((shut > 0) & (low < high)),
+            limited=limited if push is None else limited | jnp.any(push > 0),
             cut=cut,
+            walls=None if walls is None else walls.rows @ qdot - walls.floor,
         )
 
 
@@ -171,7 +306,7 @@ def undamped(inverse):
     return errors.fail("inverse", "be damped, such as damped(0.05), with limits bounded()", f"is {brief(inverse)}")
 
 
-def bounded(rate: Number = 10.0, passes: int = 40) -> Bounded:
+def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:
     """Bounded least squares: of all joint velocities within bounds, those of the least weighted error.
 
     They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`, q̇₀ the null-space
@@ -189,5 +324,10 @@ def bounded(rate: Number = 10.0, passes: int = 40) -> Bounded:
       passes: Newton steps at most. One to four are the rule; of 60,000 postures of an arm and of a humanoid none took
         more than 17, and at levels of λ = 1e-4 and 0.1 none more than 28. With fewer than it takes velocities are
         within bounds and cost no more than the clipped ones, but are not the least.
+      walls: that no part of the robot is to cross, see `wall`: they come before all levels of the task. Which of them
+        hold, and what walls that contradict each other or the bounds miss, `Trajectory.walls` says.
     """
-    return Bounded(rate=positive("rate", rate), passes=errors.integer("passes", passes, at_least=1))
+    if isinstance(walls, Wall) or not all(isinstance(one, Wall) for one in walls):
+        raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")
+    passes = errors.integer("passes", passes, at_least=1)
+    return Bounded(rate=positive("rate", rate), passes=passes, walls=tuple(walls))

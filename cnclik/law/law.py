@@ -72,6 +72,8 @@ class Law:
         if isinstance(self.chain, Chain):
             task = task.on(self.chain)
             object.__setattr__(self, "task", task)
+            if hasattr(self.limits, "on"):
+                object.__setattr__(self, "limits", self.limits.on(self.chain))
         m = task.m
         if m > n and isinstance(self.inverse, Pseudoinverse):
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
@@ -180,6 +182,7 @@ class Evaluation(NamedTuple):
     cut: bool | Bool[Array, ""] = False  # whether the search within limits ended before it had settled
     task_velocity: Float[Array, " m"] | None = None  # what was asked of the task, weighted
     memory: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
+    walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
 def evaluate(law: Law, reference, t, q) -> Evaluation:
@@ -218,6 +221,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         cut=getattr(made, "cut", False),
         task_velocity=velocity,
         memory=getattr(made, "memory", None),
+        walls=getattr(made, "walls", None),
     )
 
 

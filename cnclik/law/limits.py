@@ -33,6 +33,7 @@ class Limited(NamedTuple):
     least: Float[Array, ""]  # estimate of the least singular value of J
     limited: bool | Bool[Array, ""]  # whether a limit changed what was asked for
     cut: bool | Bool[Array, ""] = False  # whether a search for them ended before it had settled
+    walls: Float[Array, " k"] | None = None  # ∇h·q̇ + rate·h of each wall, see `cnclik.law.walls`
 
 
 # --- velocity limits alone ----------------------------------------------------------------------------

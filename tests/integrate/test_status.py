@@ -144,6 +144,7 @@ def test_values_of_bits_never_change():
         "RESTARTED",
         "DIVERGED",
         "OVER_ACCELERATION",
+        "WALLS_CONTRADICT",
     ]
     assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(10)], strict=True))
 

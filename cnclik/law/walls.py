@@ -1,0 +1,125 @@
+"""Walls: what no part of the robot is to cross, as one-sided rows ∇h·q̇ ≥ −rate·h, h ≥ 0 the distance to a wall."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.law.inverse import positive
+from cnclik.record import leaf, record, replace
+from cnclik.robot.model import modelled, one_off
+from cnclik.shapes import Array, ArrayLike, Float, Number
+from cnclik.task.parts import At
+from cnclik.task.task import Task, coordinates, rows
+
+
+class Rows(NamedTuple):
+    """G q̇ ≥ floor."""
+
+    rows: Float[Array, "k n"]
+    floor: Float[Array, " k"]
+
+    def size(self, qdot):
+        """(k,) of what is missing, were nothing to balance."""
+        return jnp.abs(self.floor) + jnp.abs(self.rows) @ jnp.abs(qdot)
+
+
+@record
+class Wall:
+    """See `wall`."""
+
+    task: Task
+    normal: Float[Array, " m"]
+    offset: Number
+    rate: Number | None
+
+    def on(self, chain) -> Wall:
+        """The wall of this robot."""
+        return replace(self, task=self.task.on(chain))
+
+    def distance(self, robot: At):
+        """h = normal·x − offset."""
+        return self.normal @ coordinates(self.task, robot) - self.offset
+
+    def row(self, robot: At):
+        """∇h (n,)."""
+        return self.normal @ rows(self.task, robot)
+
+
+def rows_at(walls, rate, chain, q) -> Rows:
+    """What walls ask of joint velocities at q; `rate` is that of walls without their own."""
+    robot = At(modelled(chain), q)
+    rates = [rate if wall.rate is None else wall.rate for wall in walls]
+    floor = jnp.stack([-r * wall.distance(robot) for r, wall in zip(rates, walls, strict=True)])
+    return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
+
+
+def wall(
+    task: Task,
+    *,
+    above: Number | None = None,
+    below: Number | None = None,
+    normal: Float[ArrayLike, " m"] | None = None,
+    rate: Number | None = None,
+) -> Wall:
+    """A wall for `bounded(walls=[...])`: the task's coordinate stays above, or below, a number.
+
+    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow over a table, `wall(joints(["knee"]), above=0.2)` a
+    knee bent, `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` a hand off a leg,
+    `wall(function(...), above=0.0)` the robot where a signed distance of one's own is positive. Of joint velocities
+    ∇h·q̇ ≥ −rate·h is asked, h the distance to the wall: it is neared exponentially, and who is behind it comes back.
+
+    A velocity held over Ts passes the wall by κv²Ts/(2 rate), see `wall_margin`.
+
+    Args:
+      task: of one coordinate, or of several with a normal: positions, joints, distances, functions.
+      above, below: one of them [the coordinate's unit].
+      normal: (m,) of several coordinates what counts is normal·x; of unit length it makes h a distance.
+      rate: [1/s], at most 1/Ts; None: that of `bounded`. (1 − e^{−α Ts})/Ts does over a step what α does.
+    """
+    task = errors.kind("task", task, Task)
+    if any(getattr(part, "turns", False) for part in task.parts):
+        raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
+    if (above is None) == (below is None):
+        raise errors.fail("above", "be given, or `below`, one of them", "is not" if above is None else "is, too")
+    if normal is None and task.m != 1:
+        raise errors.fail("normal", f"be given for {task.m} coordinates", "is not")
+    normal = errors.array("normal", np.ones(1) if normal is None else normal, (task.m,))
+    offset = errors.number("above", above) if below is None else -errors.number("below", below)
+    normal = normal if below is None else -normal
+    return Wall(task=task, normal=normal, offset=leaf(offset), rate=None if rate is None else positive("rate", rate))
+
+
+def wall_margin(law, run) -> Float[np.ndarray, "*lanes k"]:
+    """By how much each wall may be passed because a velocity is held over a step [m, rad]: κ v² Ts/(2 rate).
+
+    κ v² = −q̇ᵀ ∇²h q̇, the largest along the run; steadily and to first order in Ts it is what is passed, else more than
+    that. Walls that are to hold get so much of distance more.
+    """
+    walls, rate = getattr(law.limits, "walls", ()), getattr(law.limits, "rate", 0.0)
+    if not walls:
+        raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
+    bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))
+    rates = np.array([rate if wall.rate is None else wall.rate for wall in walls])
+    Ts = np.diff(np.asarray(run.t), axis=-1)[..., None]
+    return np.max(np.maximum(-np.asarray(bent) * Ts, 0.0), axis=-2) / (2 * rates)
+
+
+@one_off
+def _bent(walls, chain, q, qdot):
+    """q̇ᵀ ∇²h q̇ (..., k)."""
+
+    def one(q, qdot):
+        def along(s):
+            robot = At(chain, q + s * qdot)
+            return jnp.stack([wall.row(robot) @ qdot for wall in walls])
+
+        return jax.jvp(along, (0.0,), (1.0,))[1]
+
+    for _ in range(np.ndim(q) - 1):
+        one = jax.vmap(one)
+    return one(q, qdot)

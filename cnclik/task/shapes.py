@@ -1,0 +1,171 @@
+"""Shapes carried by links, and distances between them as coordinates of a task: of a wall, or to be controlled.
+
+A sphere or a capsule is all points within a radius of one point, or of a segment; a half-space is all below a plane.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import leaf, record
+from cnclik.robot.rotations import safe_norm
+from cnclik.shapes import Array, ArrayLike, Float, Number
+from cnclik.task.parts import At, Vector
+from cnclik.task.task import Task
+
+
+@record
+class Rounded:
+    """See `sphere` and `capsule`."""
+
+    tip: str | None
+    ends: Float[Array, "ends 3"]  # one or two, in the tip's frame
+    radius: Number
+
+    def placed(self, robot: At):
+        """Its ends in the base frame."""
+        if self.tip is None:
+            return self.ends
+        at = robot.frames(self.tip)
+        return at.position + self.ends @ at.rotation.T
+
+    def along(self, robot: At, point, normal):
+        """(n,) the velocity of its point, along a normal, by those of the joints; both in the base frame."""
+        if self.tip is None:
+            return jnp.zeros_like(robot.q)
+        arm = point - robot.frames(self.tip).position
+        every = (0, 1, 2)
+        return jnp.concatenate([normal, jnp.cross(arm, normal)]) @ robot.rows(self.tip, None, every, every)
+
+
+@record
+class HalfSpace:
+    """See `half_space`."""
+
+    normal: Float[Array, " 3"]
+    offset: Number
+    tip, radius = None, 0.0
+
+    def along(self, robot: At, point, normal):
+        return jnp.zeros_like(robot.q)
+
+
+@record
+class Distance(Vector):
+    """See `distance`."""
+
+    one: Rounded
+    other: Rounded | HalfSpace
+    names, units = ("distance",), ("m",)
+    tip, to = "distance", None
+
+    def on(self, chain):
+        """The part of this robot."""
+        for shape in (self.one, self.other):
+            if shape.tip is not None:
+                chain.tip_number(shape.tip)
+        return self
+
+    def _seen(self, robot: At):
+        """The distance, its nearest points, without radii, and the unit vector from the other to the one."""
+        ends = self.one.placed(robot)
+        if isinstance(self.other, HalfSpace):
+            heights = ends @ self.other.normal - self.other.offset
+            lower = jnp.argmin(heights)
+            near = ends[0] if len(ends) == 1 else jnp.where(lower == 0, ends[0], ends[1])
+            return jnp.min(heights) - self.one.radius, near, near, self.other.normal
+        near, far = _nearest(ends, self.other.placed(robot))
+        apart = near - far
+        length = safe_norm(apart)
+        normal = apart / jnp.where(length > 0, length, 1.0)
+        return length - self.one.radius - self.other.radius, near, far, normal
+
+    def x(self, robot: At):
+        return self._seen(robot)[0][None]
+
+    def rows(self, robot: At):
+        if robot.q.ndim > 1:
+            return np.asarray(jax.vmap(lambda q: self.rows(At(robot.chain, q)))(robot.q))
+        _, near, far, normal = self._seen(robot)
+        return (self.one.along(robot, near, normal) - self.other.along(robot, far, normal))[None]
+
+
+def _nearest(one, other):
+    """The nearest points of two segments, each of which may be a point."""
+    if len(one) == len(other) == 1:
+        return one[0], other[0]
+    if len(one) == 1:
+        return one[0], _on(other, one[0])
+    if len(other) == 1:
+        return _on(one, other[0]), other[0]
+    a, b, away = one[1] - one[0], other[1] - other[0], one[0] - other[0]
+    aa, bb, ab, ac, bc = a @ a, b @ b, a @ b, a @ away, b @ away
+    # On the first segment nearest to the other's line, where they are not parallel; then each on its own in turn.
+    cross = aa * bb - ab * ab
+    crosses = cross > 1e-6 * aa * bb
+    s = jnp.clip(jnp.where(crosses, (ab * bc - ac * bb) / jnp.where(crosses, cross, 1.0), 0.0), 0.0, 1.0)
+    far = _on(other, one[0] + s * a)
+    near = _on(one, far)
+    return near, far
+
+
+def _on(segment, point):
+    """The point of a segment that is nearest to a point."""
+    along = segment[1] - segment[0]
+    return segment[0] + jnp.clip((point - segment[0]) @ along / (along @ along), 0.0, 1.0) * along
+
+
+def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.0, 0.0, 0.0)) -> Rounded:
+    """A sphere on a link that is a tip of the robot, for `distance`.
+
+    Args:
+      tip: its name; None: fixed in the base frame.
+      radius: [m].
+      center: (3,) in the tip's frame [m].
+    """
+    return Rounded(tip=tip, ends=errors.array("center", center, (3,))[None], radius=_radius(radius))
+
+
+def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end: Float[ArrayLike, " 3"]) -> Rounded:
+    """A capsule on a link that is a tip of the robot: all within a radius of a segment.
+
+    Args:
+      tip, radius: as for `sphere`.
+      start, end: (3,) of the segment, in the tip's frame [m].
+    """
+    ends = [errors.array(name, value, (3,)) for name, value in (("start", start), ("end", end))]
+    if all(map(errors.concrete, ends)) and not np.any(ends[0] != ends[1]):
+        raise errors.fail("end", "be another point than `start`, or use ck.sphere", f"is {end!r}")
+    xp = np if all(map(errors.concrete, ends)) else jnp
+    return Rounded(tip=tip, ends=xp.stack(ends), radius=_radius(radius))
+
+
+def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpace:
+    """All below a plane of the base frame, such as a table: normal·p ≤ offset.
+
+    Args:
+      normal: (3,) of unit length, else it is made so.
+      offset: [m], along the unit normal.
+    """
+    normal = errors.array("normal", normal, (3,))
+    xp = np if errors.concrete(normal) else jnp
+    return HalfSpace(normal=normal / xp.sqrt(normal @ normal), offset=leaf(errors.number("offset", offset)))
+
+
+def distance(one: Rounded, other: Rounded | HalfSpace) -> Task:
+    """The distance between two shapes as a task of one coordinate [m], negative where they overlap.
+
+    For `wall(distance(...), above=0.02)`; or to be controlled. A capsule that lies on a plane, or parallel to another,
+    has its nearest point anywhere: its row then jumps. Two spheres, or a wall for each end, have none of that.
+    """
+    one = errors.kind("one", one, Rounded, "be ck.sphere(...) or ck.capsule(...)")
+    known = "be ck.sphere(...), ck.capsule(...) or ck.half_space(...)"
+    other = errors.kind("other", other, (Rounded, HalfSpace), known)
+    return Task(parts=(Distance(one=one, other=other),))
+
+
+def _radius(radius):
+    return leaf(errors.number("radius", radius, at_least=0))

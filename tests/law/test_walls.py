@@ -1,0 +1,359 @@
+"""Walls: the least behind them, what they miss where they contradict, by how much steps pass them, and derivatives."""
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.law.bounded import Bounded
+from cnclik.record import record
+from tests.law.test_bounded import RATE, draws
+from tests.robot.test_trees import ARMS, G1
+from tests.task.test_shapes import DOWN, FRANKA, HUMANOID
+
+INNER = ck.sphere(None, 0.1)
+ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
+GANTRY = ck.from_screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
+ARM = ck.planar_arm([0.5, 0.4, 0.3])
+
+
+# --- the least ----------------------------------------------------------------------------------------
+
+
+@record
+class Given:
+    """A wall whose row and distance are given."""
+
+    gradient: Any
+    h: Any
+    rate = None
+
+    def distance(self, robot):
+        return self.h
+
+    def row(self, robot):
+        return self.gradient
+
+
+def problems(name, count, seed, k=4, beyond=0.0, none=0.2):
+    """Draws with k walls each, half of which touch a velocity within bounds; some no joint moves, or are `beyond`."""
+    drawn, rng = draws(name, count, seed), np.random.default_rng(seed)
+    rows = 0.4 * rng.normal(size=(count, k, drawn.low.shape[1])) * (rng.random((count, k, 1)) >= none)
+    inner = np.clip(rng.normal(size=drawn.low.shape) * rng.uniform(0.1, 2, (count, 1)), drawn.low, drawn.high)
+    room = np.where(rng.random((count, k)) < 0.5, 0.0, rng.exponential(1.0, (count, k)))
+    floor = np.einsum("bkn,bn->bk", rows, inner) - room + beyond * (rng.random((count, k)) < 0.3)
+    return drawn, rows, floor
+
+
+def acts(damping, rows, velocity, low, high, walls, floor):
+    """What `bounded` makes of it, at q = 0 of a chain whose velocities have these bounds."""
+    far, rate, damping = (jnp.asarray(v, low.dtype) for v in (jnp.inf, RATE, damping))
+    bounds = {"lower": low / RATE, "upper": high / RATE, "velocity_limit": far + 0 * low}
+    chain = SimpleNamespace(bounded=True, slowed=True, **bounds)
+    made = tuple(Given(gradient=walls[i], h=-floor[i] / rate) for i in range(len(walls)))
+    limits = Bounded(rate=rate, passes=40, walls=made)
+    return limits(ck.damped(damping), chain, jnp.zeros_like(low), rows, velocity, None)
+
+
+def made_of(damping, drawn, walls, floor, dtype=float):
+    of = (drawn.rows, drawn.velocity, drawn.low, drawn.high, walls, floor)
+
+    def one(*of):
+        made = acts(damping, *of)
+        return made.qdot, made.walls, made.limited
+
+    return map(np.asarray, jax.jit(jax.vmap(one))(*(v.astype(dtype) for v in of)))
+
+
+def check_least(name, damping, count, k):
+    daqp = pytest.importorskip("daqp")
+    drawn, walls, floor = problems(name, count, seed=1, k=k)
+    qdot, room, _ = made_of(damping, drawn, walls, floor)
+    assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
+    worst = []
+    for i in range(count):
+        b, n = drawn.rows[i] / damping, len(drawn.low[i])
+        upper, lower = np.r_[drawn.high[i], np.full(k, 1e30)], np.r_[drawn.low[i], floor[i]]
+        h, f, sense = b.T @ b + np.eye(n), -b.T @ drawn.velocity[i] / damping, np.zeros(n + k, np.intc)
+        found, _, flag, _ = daqp.solve(h, f, walls[i], upper, lower, sense, primal_tol=1e-10, dual_tol=1e-10)
+        if flag == 1:
+            worst.append(np.abs(qdot[i] - found).max() / max(np.abs(found).max(), 1e-3))
+            assert room[i].min() > -1e-6
+    assert len(worst) > 0.9 * count and np.max(worst) < 1e-6
+    return room
+
+
+@pytest.mark.parametrize(("name", "damping", "count"), [("panda", 0.05, 200), ("panda", 1e-3, 200), ("g1", 0.05, 40)])
+def test_it_is_the_least_behind_walls(name, damping, count):
+    room = check_least(name, damping, count, 4)
+    assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda", "g1"])
+def test_it_is_the_least_behind_walls_of_many(name):
+    check_least(name, 0.05, 3000, 9)
+
+
+def test_single_precision():
+    drawn, walls, floor = problems("panda", 300, seed=2)
+    wide, narrow = (next(made_of(0.05, drawn, walls, floor, dtype)) for dtype in (np.float64, np.float32))
+    assert narrow.dtype == np.float32
+    off = np.abs(wide - narrow).max(1) / np.abs(wide).max(1)
+    assert np.median(off) < 1e-4 and np.mean(off < 1e-2) > 0.97
+
+
+def test_walls_that_contradict_share_what_is_missing():
+    """Two that ask one coordinate for the opposite: each gets half, and the other joints do the task."""
+    rows = np.array([[1.0, 0, 0, 0], [-1.0, 0, 0, 0]])
+    jacobian, velocity = jnp.eye(4)[:2], jnp.array([0.3, 0.2])
+    far = jnp.full(4, 5.0)
+    made = acts(0.01, jacobian, velocity, -far, far, jnp.asarray(rows), jnp.array([1.0, 0.5]))
+    np.testing.assert_allclose(made.qdot[:2], [0.25, 0.2], atol=1e-3)
+    np.testing.assert_allclose(made.walls, [-0.75, -0.75], atol=1e-6)
+    assert made.limited
+
+
+def test_many_that_contradict_are_told():
+    drawn, walls, floor = problems("panda", 200, seed=3, k=9, beyond=2.0)
+    qdot, room, limited = made_of(0.05, drawn, walls, floor)
+    assert np.all(np.isfinite(qdot)) and limited.all()
+    np.testing.assert_allclose(room, np.einsum("bkn,bn->bk", walls, qdot) - floor, atol=1e-9)
+    assert 0.1 < np.mean(room.min(1) < -1e-3) < 0.9
+
+
+# --- in a loop ----------------------------------------------------------------------------------------
+
+
+def inside(robot, q):
+    """Distance from the tip to a sphere of 0.1 m around it."""
+    return 0.1 - jnp.linalg.norm(ck.forward(robot, q).position)[None]
+
+
+def passed(law, run, since):
+    """(by how much the wall is passed from a step on, the formula for it)"""
+    wall, q = law.limits.walls[0], run.q[since:]
+    chain = law.chain
+    h = jax.vmap(lambda q: wall.normal @ wall.task.parts[0].value(chain, q) - wall.offset)(q)
+    late = ck.replace(run, q=q, t=run.t[since:], qdot=run.qdot[since:])
+    return -np.min(h), ck.wall_margin(law, late)[0]
+
+
+def in_circles(rate, normal, Ts):
+    """A law that is to go round in a circle of twice the radius, at 0.5 m/s on the wall."""
+    wall = ck.wall(ck.function(inside, ["room"], ["m"]), above=0.0, rate=rate)
+    law = ck.Law(GANTRY, ck.position(), alpha=20.0, inverse=ck.damped(1e-3), limits=ck.bounded(walls=[wall]))
+    path = ck.circle([0.0, 0, 0], 0.2, period=2 * np.pi * 0.1 / 0.5, normal=normal)
+    return law, ck.solve(law, path, np.array([0.05, 0.02, 0.01]), Ts, round(2 / Ts), "EE")
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1.0), (0.3, 0.5, 1.0)])
+@pytest.mark.parametrize(("rate", "Ts"), [(10.0, 0.01), (10.0, 0.001), (90.0, 0.01)])
+def test_steps_pass_a_wall_by_the_formula(rate, Ts, normal):
+    law, run = in_circles(rate, normal, Ts)
+    got, wanted = passed(law, run, len(run.t) // 2)
+    speed = np.linalg.norm(run.qdot[-1])
+    np.testing.assert_allclose(wanted, speed**2 / (0.1 + got) * Ts / (2 * rate), rtol=1e-3)
+    np.testing.assert_allclose(got, wanted, rtol=1e-3)
+
+
+def test_steps_pass_a_wall_as_joints_turn():
+    """A flat wall, and an arm whose tip moves in arcs: a step adds what bends it, and takes rate·Ts of all back."""
+    Ts, rate = 0.004, 10.0
+    wall = ck.wall(ck.position("y"), above=0.5, rate=rate)
+    law = ck.Law(ARM, ck.position("xy"), alpha=50.0, inverse=ck.damped(1e-3), limits=ck.bounded(walls=[wall]))
+    q0 = ck.reach(ARM, [-0.3, 0.55, 0.0], task=ck.position("xy")).q
+    run = ck.solve(law, ck.line([-0.3, 0.4], [0.3, 0.4], duration=2.0), q0, Ts, 450, "EE")
+    passed, margin = 0.5 - np.asarray(run.x[100:, 1]), np.asarray(ck.wall_margin(law, run))[0]
+    cuts = [ck.replace(run, q=run.q[k : k + 2], t=run.t[k : k + 2], qdot=run.qdot[k : k + 1]) for k in range(100, 450)]
+    expected = passed[:1]
+    for one in cuts:
+        expected = np.append(expected, (1 - rate * Ts) * expected[-1] + rate * Ts * ck.wall_margin(law, one)[0])
+    np.testing.assert_allclose(passed, expected, atol=0.02 * passed.max())
+    assert 1e-5 < passed.max() < margin
+
+
+def test_an_exponential_rate_never_overshoots():
+    """Where α·Ts is large a wall is met in one step, not crossed: (1 − e^{−α Ts})/Ts."""
+    Ts = 0.01
+    law, run = in_circles(-np.expm1(-300 * Ts) / Ts, (0, 0, 1.0), Ts)
+    got, wanted = passed(law, run, 100)
+    np.testing.assert_allclose(got, wanted, rtol=1e-3)
+
+
+def test_contradicting_walls_are_told_in_the_status():
+    z = ck.position("z")
+    walls = [ck.wall(z, above=0.1), ck.wall(z, below=-0.1), ck.wall(ck.position("x"), below=0.2)]
+    law = ck.Law(GANTRY, ck.position(), alpha=5.0, inverse=ck.damped(0.01), limits=ck.bounded(walls=walls))
+    run = ck.solve(law, ck.hold([0.4, 0.3, 0.0]), np.zeros(3), 0.01, 300, "EE")
+    assert np.all(run.status & ck.Status.WALLS_CONTRADICT) and np.all(run.status & ck.Status.AT_LIMIT)
+    np.testing.assert_allclose(run.walls[-1], [-1.0, -1.0, 0.0], atol=1e-6)  # 10/s times 0.1 m; and the third holds
+    np.testing.assert_allclose(run.x[-1], [0.2, 0.3, 0.0], atol=1e-3)
+    with pytest.raises(ck.StepError, match="WALLS_CONTRADICT: move apart the walls"):
+        ck.require_ok(run, allow=ck.Status.AT_LIMIT)
+
+
+def test_a_joint_and_an_elbow_stay_on_one_side():
+    robot, task = FRANKA, ck.position(tip="panda_hand")
+    q0 = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.7])
+    elbow = ck.position("z", tip="panda_link4")
+    high = float(ck.forward(robot, q0, tip="panda_link4").position[2]) - 0.02
+    walls = [ck.wall(elbow, above=high), ck.wall(ck.joints(["panda_joint4"]), above=-1.9)]
+    aim = np.add(ck.forward(robot, q0, tip="panda_hand").position, [0.05, 0.1, -0.25])
+    ends = []
+    for limits in (ck.bounded(), ck.bounded(walls=walls)):
+        law = ck.Law(robot, task, alpha=5.0, inverse=ck.damped(0.01), limits=limits)
+        run = ck.solve(law, ck.hold(aim), q0, 0.01, 400, "EXP-EE")
+        ends.append((float(ck.forward(robot, run.q[-1], tip="panda_link4").position[2]) - high, run.q[-1, 3] + 1.9))
+    assert min(ends[0]) < -0.01 and min(ends[1]) > -1e-3
+
+
+def test_rows_of_several_coordinates_count_by_a_normal():
+    wall = ck.wall(ck.position(), normal=(0.6, 0, 0.8), above=-0.1, rate=20.0)
+    law = ck.Law(GANTRY, ck.position(), alpha=5.0, inverse=ck.damped(0.01), limits=ck.bounded(walls=[wall]))
+    run = ck.solve(law, ck.hold([-0.3, 0.2, -0.3]), np.zeros(3), 0.01, 300, "EE")
+    np.testing.assert_allclose(run.x[-1] @ [0.6, 0, 0.8], -0.1, atol=1e-6)
+
+
+# --- together with everything -------------------------------------------------------------------------
+
+
+@functools.cache
+def crowded():
+    """The Panda over a table, with its hand off its base and a pillar."""
+    hand = ck.sphere("panda_hand", 0.08)
+    pairs = [(hand, ck.half_space((0, 0, 1), 0.05)), (hand, ck.capsule("panda_link2", 0.09, *DOWN))]
+    pairs += [(hand, ck.capsule(None, 0.1, (0.5, 0.3, 0), (0.5, 0.3, 0.6)))]
+    walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in pairs]
+    walls += [ck.wall(ck.position("z", tip="panda_link4"), above=0.3), ck.wall(ck.joints(["panda_joint4"]), below=-0.5)]
+    robot = ck.replace(FRANKA, velocity_limit=(2.0,) * 7)
+    limits = ck.bounded(walls=walls)
+    return ck.Law(robot, ck.position(tip="panda_hand"), alpha=8.0, inverse=ck.damped(0.05), limits=limits)
+
+
+def distances(law, q):
+    """h of each wall at joint values (..., n)."""
+    from cnclik.robot.model import modelled
+    from cnclik.task.parts import At
+
+    chain = modelled(law.chain)
+    return np.asarray(
+        jax.jit(jax.vmap(lambda q: jnp.stack([w.distance(At(chain, q)) for w in law.limits.walls])))(
+            np.reshape(q, (-1, np.shape(q)[-1]))
+        )
+    ).reshape(*np.shape(q)[:-1], -1)
+
+
+def starts_and_targets(law, count, seed):
+    """Postures behind no wall, and targets that may be anywhere."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(law.chain.lower, law.chain.upper, (12 * count, law.chain.n))
+    q = q[distances(law, q).min(1) > 0.0][:count]
+    return q, rng.uniform([-0.6, -0.6, -0.1], [0.8, 0.7, 0.8], (len(q), 3))
+
+
+def check_runs(count, seed, dtype):
+    """No run crosses a wall by more than the margin, and rounding."""
+    law, Ts = crowded(), 0.005
+    q0, aims = starts_and_targets(law, count, seed)
+    assert len(q0) == count
+
+    def run(q, aim):
+        return ck.solve(law, ck.hold(aim), q, Ts, 200, "EE")
+
+    runs = ck.lanes(run, cores=1)(q0.astype(dtype), aims.astype(dtype))
+    h, q = distances(law, np.asarray(runs.q, float)), np.asarray(runs.q, float)
+    told = np.asarray(runs.status) & ck.Status.WALLS_CONTRADICT != 0
+    wide = ck.replace(runs, q=q, qdot=np.diff(q, axis=1) / Ts, t=np.asarray(runs.t, float))
+    margin = np.asarray(ck.wall_margin(law, wide))
+    kept = ~told.any(1)
+    beyond = -h.min(1) - 1.02 * margin
+    near = np.abs(np.asarray(runs.walls)).min(axis=(1, 2)) < 1e-4
+    return beyond[kept].max(), told.any(1).mean(), near.mean(), -h.min()
+
+
+def test_random_runs_between_walls():
+    beyond, told, near, _ = check_runs(1000, 0, np.float64)
+    assert beyond < 1e-6 and told < 0.05 and near > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_random_runs_between_walls_of_10_000(dtype):
+    beyond, told, near, _ = check_runs(10_000, 1, dtype)
+    assert beyond < (1e-6 if dtype is np.float64 else 1e-4) and told < 0.05 and near > 0.5
+
+
+def test_lanes_are_the_same():
+    law = crowded()
+    q0, aims = starts_and_targets(law, 20, 2)
+
+    def end(q, aim):
+        run = ck.solve(law, ck.hold(aim), q, 0.01, 40, "EE")
+        return run.q[-1], run.walls[-1], run.status[-1]
+
+    made, wanted = ck.lanes(end, cores=1)(q0, aims), jax.jit(jax.vmap(end))(q0, aims)
+    for own, other in zip(made, wanted, strict=True):
+        np.testing.assert_allclose(own, other, atol=1e-7)
+
+
+def test_derivatives_are_differences():
+    drawn, walls, floor = problems("panda", 30, seed=4, none=0.0)
+    rng = np.random.default_rng(4)
+    of = (drawn.rows, drawn.velocity, drawn.low, drawn.high, walls, floor)
+    toward = [rng.normal(size=v.shape) for v in of]
+
+    def qdot(s, of, toward):
+        return acts(0.05, *(v + s * t for v, t in zip(of, toward, strict=True))).qdot
+
+    slope = jax.jit(jax.vmap(jax.jacfwd(qdot), (None, 0, 0)))(0.0, list(of), toward)
+    ahead, behind = (jax.jit(jax.vmap(qdot, (None, 0, 0)))(s, list(of), toward) for s in (1e-7, -1e-7))
+    wanted = np.asarray(ahead - behind) / 2e-7
+    np.testing.assert_allclose(slope, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
+    back = jax.jit(jax.vmap(jax.grad(lambda of, t: jnp.sum(qdot(0.0, of, t))), (0, 0)))(list(of), toward)
+    along = sum(np.sum(np.asarray(g) * t, axis=tuple(range(1, t.ndim))) for g, t in zip(back, toward, strict=True))
+    np.testing.assert_allclose(along, np.sum(slope, 1), rtol=1e-6, atol=1e-8 * np.abs(slope).max())
+
+
+def test_hands_stay_apart():
+    """G1's hands, told to meet."""
+    pair = ck.sphere(ARMS[0], 0.08), ck.sphere(ARMS[1], 0.08)
+    task = ck.stack(one=ck.position(tip=ARMS[0]), other=ck.position(tip=ARMS[1]), rest=ck.joints())
+    walls = [ck.wall(ck.distance(*pair), above=0.02)]
+    law = ck.Law(
+        HUMANOID,
+        task,
+        alpha={"one": 5.0, "other": 5.0, "rest": 1.0},
+        inverse=ck.levels(["one", "other"], ["rest"], damping=(0.02, 0.5)),
+        limits=ck.bounded(walls=walls),
+    )
+    q0 = np.zeros(HUMANOID.n)
+    middle = ck.hold([0.3, 0.0, 0.1])
+    run = ck.solve(law, ck.hold_at(HUMANOID, task, q0, one=middle, other=middle), q0, 0.01, 300, "EE")
+    h = distances(law, run.q)[:, 0]
+    assert -1e-4 < h.min() < 1e-3 and abs(run.walls[-1, 0]) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: ck.wall(ck.position("z")), "`above` must be given, or `below`"),
+        (lambda: ck.wall(ck.position("z"), above=0.0, below=1.0), "`above` must be given, or `below`"),
+        (lambda: ck.wall(ck.position(), above=0.0), "`normal` must be given for 3 coordinates"),
+        (lambda: ck.wall(ck.pose(), above=0.0), "`task` must be of positions"),
+        (lambda: ck.bounded(walls=ck.wall(ck.position("z"), above=0.0)), "`walls` must be a list"),
+        (lambda: ck.wall_margin(ck.Law(ARM, ck.position("xy"), alpha=1.0), None), "`law` must have limits"),
+        (lambda: ck.Law(
+            ck.load_urdf(G1, tips=ARMS), ck.position(tip=ARMS[0]), alpha=1.0, inverse=ck.damped(0.1),
+            limits=ck.bounded(walls=[ck.wall(ck.position("z", tip="elbow"), above=0.0)]),
+        ), "`tip` must"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(call, says):
+    with pytest.raises(ck.ArgumentError, match=says):
+        call()

@@ -1,0 +1,105 @@
+"""Distances of shapes on links: against coal, of the Panda and of G1's arms; rows against differences; refusals."""
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.robot.model import modelled
+from cnclik.task.parts import At
+from cnclik.task.task import coordinates, rows
+from tests.oracles import close, robot_file
+from tests.robot.test_trees import ARMS, G1, postures
+from tests.robot.test_urdf import Pinocchio, oracle
+
+PANDA = robot_file("panda")
+FRANKA = ck.load_urdf(PANDA, tips=["panda_hand", "panda_link4", "panda_link2"])
+HUMANOID = ck.load_urdf(G1, tips=[*ARMS, "torso_link", "left_elbow_link", "right_elbow_link"])
+DOWN, FOREARM = ((0, 0, -0.1), (0, 0, 0.12)), ((0, 0, 0), (0.2, 0, 0.02))
+PANDA_PAIRS = {
+    "spheres": (ck.sphere("panda_hand", 0.08), ck.sphere("panda_link2", 0.1, (0, -0.1, 0.02))),
+    "sphere, capsule": (ck.sphere("panda_hand", 0.08), ck.capsule("panda_link2", 0.07, *DOWN)),
+    "capsule, sphere": (ck.capsule("panda_link4", 0.07, *DOWN), ck.sphere(None, 0.2, (0.3, 0.2, 0.4))),
+    "capsules": (ck.capsule("panda_hand", 0.05, *DOWN), ck.capsule("panda_link2", 0.07, (0, -0.3, 0), (0, 0.1, 0.05))),
+    "sphere, table": (ck.sphere("panda_hand", 0.08), ck.half_space((0, 0.3, 2.0), 0.1)),
+    "capsule, table": (ck.capsule("panda_hand", 0.05, *DOWN), ck.half_space((0, 0, 1), 0.1)),
+}
+G1_PAIRS = {
+    "hands": (ck.sphere(ARMS[0], 0.08), ck.sphere(ARMS[1], 0.08)),
+    "hand, torso": (ck.sphere(ARMS[0], 0.08), ck.capsule("torso_link", 0.12, (0, 0, 0), (0, 0, 0.25))),
+    "forearms": (ck.capsule("left_elbow_link", 0.05, *FOREARM), ck.capsule("right_elbow_link", 0.05, *FOREARM)),
+    "forearm, torso": (ck.capsule("right_elbow_link", 0.05, *FOREARM), ck.capsule("torso_link", 0.12, *DOWN)),
+}
+CASES = [("panda", name) for name in PANDA_PAIRS] + [("g1", name) for name in G1_PAIRS]
+
+
+def case(robot, name):
+    if robot == "panda":
+        return FRANKA, PANDA, "panda_link0", PANDA_PAIRS[name]
+    return HUMANOID, G1, "pelvis", G1_PAIRS[name]
+
+
+def by_coal(coal, shape, pose):
+    """A shape and where it is, as coal has it: a capsule lies along its own z."""
+    if not hasattr(shape, "ends"):
+        return coal.Halfspace(np.asarray(shape.normal), float(shape.offset)), coal.Transform3s.Identity()
+    position, rotation = (np.zeros(3), np.eye(3)) if shape.tip is None else pose(shape.tip)[:2]
+    ends = position + np.asarray(shape.ends) @ rotation.T
+    if len(ends) == 1:
+        return coal.Sphere(float(shape.radius)), coal.Transform3s(np.eye(3), ends[0])
+    along = ends[1] - ends[0]
+    length = np.linalg.norm(along)
+    other = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 * length else [0, 1.0, 0])
+    axes = np.stack([other / np.linalg.norm(other), np.cross(along, other / np.linalg.norm(other)) / length], 1)
+    turn = np.column_stack([axes, along / length])
+    return coal.Capsule(float(shape.radius), length), coal.Transform3s(turn, ends.mean(0))
+
+
+def seen(robot, task):
+    """A call to the distance and its row at joint values."""
+    chain = modelled(robot)
+    return jax.jit(lambda q: (coordinates(task, At(chain, q))[0], rows(task, At(chain, q))[0]))
+
+
+@pytest.mark.parametrize(("robot", "name"), CASES)
+def test_distances_are_those_of_coal(robot, name):
+    coal = pytest.importorskip("coal")
+    robot, path, base, pair = case(robot, name)
+    where, made = Pinocchio(path, oracle(path)[0]), seen(robot, ck.distance(*pair).on(robot))
+    for q in postures(robot, 40, seed=2):
+        one, other = (by_coal(coal, s, lambda tip, q=q: where.at(robot.joint_names, q, tip, base)) for s in pair)
+        wanted = coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult())
+        close(made(q)[0], wanted, atol=1e-6)  # where shapes overlap coal iterates to that
+
+
+@pytest.mark.parametrize(("robot", "name"), CASES)
+def test_rows_are_derivatives(robot, name):
+    robot, _, _, pair = case(robot, name)
+    made, rng = seen(robot, ck.distance(*pair).on(robot)), np.random.default_rng(3)
+    for q in postures(robot, 5, seed=3):
+        along = rng.normal(size=robot.n)
+        wanted = (made(q + 1e-6 * along)[0] - made(q - 1e-6 * along)[0]) / 2e-6
+        close(made(q)[1] @ along, wanted, atol=1e-7)
+
+
+def test_a_distance_is_controlled():
+    task = ck.stack(apart=ck.distance(*G1_PAIRS["hands"]), rest=ck.joints(weights=np.full(HUMANOID.n, 0.1)))
+    law = ck.Law(HUMANOID, task, alpha=5.0, inverse=ck.damped(0.01))
+    q0 = 0.2 * np.ones(HUMANOID.n)
+    paths = ck.hold_at(HUMANOID, task, q0, apart=ck.hold([0.3]))
+    run = ck.solve(law, paths, q0, 0.01, 200, "EE")
+    close(run["apart"].x[-1], 0.3, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: ck.sphere("hand", -1.0), "`radius` must"),
+        (lambda: ck.capsule("hand", 0.1, (0, 0, 0), (0, 0, 0)), "`end` must be another point"),
+        (lambda: ck.distance(ck.half_space((0, 0, 1)), ck.sphere("hand", 0.1)), r"`one` must be ck.sphere"),
+        (lambda: ck.distance(ck.sphere("hand", 0.1), ck.half_space((0, 0, 1))).on(FRANKA), "`tip` must"),
+    ],
+)
+def test_what_does_not_fit_is_refused(call, says):
+    with pytest.raises(ck.ArgumentError, match=says):
+        call()
