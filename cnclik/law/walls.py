@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -94,11 +94,15 @@ def wall(
     return Wall(task=task, normal=normal, offset=leaf(offset), rate=None if rate is None else positive("rate", rate))
 
 
-def wall_margin(law, run) -> Float[np.ndarray, "*lanes k"]:
+def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
     """By how much each wall may be passed because a velocity is held over a step [m, rad]: κ v² Ts/(2 rate).
 
     κ v² = −q̇ᵀ ∇²h q̇, the largest along the run; steadily and to first order in Ts it is what is passed, else more than
     that. Walls that are to hold get so much of distance more.
+
+    Args:
+      law: with `bounded(walls=...)`.
+      run: a `Trajectory` of it, one or many lanes, that was stepped evenly.
     """
     walls, rate = getattr(law.limits, "walls", ()), getattr(law.limits, "rate", 0.0)
     if not walls:

@@ -74,6 +74,12 @@ def to_dataset(
         variables["path_time"] = (instant, run.path_time, about("time on the path, which waits", "s"))
     if run.task_status is not None:
         variables["task_status"] = ((*step, "task"), run.task_status, about("status bits of each task", "1") | flags)
+    if run.walls is not None:
+        variables["walls"] = (
+            (*step, "wall"),
+            run.walls,
+            about("how much faster a wall might be neared", "m/s or rad/s"),
+        )
     labels = {
         "joint": ("joint", list(law.chain.joint_names), about("joint", "1")),
         "joint_unit": ("joint", list(q_units), about("unit of the joint's value", "1")),

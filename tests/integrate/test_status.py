@@ -146,7 +146,7 @@ def test_values_of_bits_never_change():
         "OVER_ACCELERATION",
         "WALLS_CONTRADICT",
     ]
-    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(10)], strict=True))
+    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(11)], strict=True))
 
 
 def test_over_velocity():
