@@ -82,7 +82,7 @@ def wall(
       rate: [1/s], at most 1/Ts; None: that of `bounded`. (1 − e^{−α Ts})/Ts does over a step what α does.
     """
     task = errors.kind("task", task, Task)
-    if any(getattr(part, "turns", False) for part in task.parts):
+    if any(part.turns or part.tied for part in task.parts):
         raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
     if (above is None) == (below is None):
         raise errors.fail("above", "be given, or `below`, one of them", "is not" if above is None else "is, too")

@@ -70,16 +70,12 @@ def to_dataset(
         "status": (step, run.status, about("status bits", "1") | flags),
         "evaluations": (dims, np.broadcast_to(evaluations, lanes), about("evaluations of f(q, t)", "1")),
     }
-    if run.path_time is not None:
-        variables["path_time"] = (instant, run.path_time, about("time on the path, which waits", "s"))
-    if run.task_status is not None:
-        variables["task_status"] = ((*step, "task"), run.task_status, about("status bits of each task", "1") | flags)
-    if run.walls is not None:
-        variables["walls"] = (
-            (*step, "wall"),
-            run.walls,
-            about("how much faster a wall might be neared", "m/s or rad/s"),
-        )
+    some = {
+        "path_time": (instant, about("time on the path, which waits", "s")),
+        "task_status": ((*step, "task"), about("status bits of each task", "1") | flags),
+        "walls": ((*step, "wall"), about("how much faster a wall might be neared", "m/s or rad/s")),
+    }
+    variables |= {k: (d, getattr(run, k), words) for k, (d, words) in some.items() if getattr(run, k) is not None}
     labels = {
         "joint": ("joint", list(law.chain.joint_names), about("joint", "1")),
         "joint_unit": ("joint", list(q_units), about("unit of the joint's value", "1")),
