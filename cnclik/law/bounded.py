@@ -170,8 +170,11 @@ def descent(of: Problem, start, passes) -> _Pass:
     def reached(qdot, left, held, passes, push):
         slope = of.slope(qdot, left, push)
         goes = jnp.abs(of.clip(qdot + slope * per_size) - qdot)
-        if push is not None:  # pushes of walls that contradict are large, and balance each other but for rounding
-            goes = goes - 64 * eps * per_size * (jnp.abs(push) @ jnp.abs(of.walls.rows))
+        if (
+            push is not None
+        ):  # what walls push, and the task pulls, may be large and balance each other but for rounding
+            pulls = jnp.abs(left) @ jnp.abs(of.b) + jnp.abs(push) @ jnp.abs(of.walls.rows)
+            goes = goes - 64 * eps * per_size * pulls
         settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
         return _Pass(qdot, left, slope, held, settled, passes, push)
 
