@@ -242,11 +242,51 @@ def measure(name):
     return case, off, rows
 
 
+def gradients(batch=2048, N=20):
+    """Rows (what, µs a loss, times the value) of a loss of 20 steps of G1's arms, and how many numbers are not finite.
+
+    Its derivatives are by both arms' target positions and all 17 joint values: forward in one direction of them all,
+    reverse by each. A quarter of the arms are straight.
+    """
+    robot = ck.load_urdf(robots() / G1, tips=HANDS)
+    task = ck.stack(left=ck.pose(tip=HANDS[0]), right=ck.pose(tip=HANDS[1]))
+    law = ck.Law(robot, task, alpha=ALPHA, inverse=ck.damped(DAMPING))
+    rng = np.random.default_rng(0)
+    q = 0.3 * rng.normal(size=(batch, robot.n))
+    q[: batch // 4] = 0.0
+    at = [ck.forward(robot, np.zeros(robot.n), tip=tip) for tip in HANDS]
+    targets = np.stack([np.asarray(one.position) for one in at]) + 0.05 * rng.normal(size=(batch, 2, 3))
+
+    def loss(q, targets):
+        holds = [ck.hold(x, np.asarray(one.rotation)) for x, one in zip(targets, at, strict=True)]
+        made, e = end(law, ck.references(left=holds[0], right=holds[1]), q, TS, N, ck.METHODS["EE"], ck.picard(1))
+        return e @ e + 1e-3 * made @ made
+
+    forward = lambda q, x: jax.jvp(loss, (q, x), (jnp.ones_like(q), jnp.ones_like(x)))  # noqa: E731
+    kinds = {"value": loss, "forward": forward, "reverse": jax.value_and_grad(loss, (0, 1))}
+    calls, found, wrong = {name: ck.lanes(fn, cores=1) for name, fn in kinds.items()}, {}, 0
+    for call in calls.values():
+        wrong += sum(int(np.sum(~np.isfinite(v))) for v in jax.tree.leaves(call(q, targets)))
+    for _ in range(ROUNDS):
+        for name, call in calls.items():
+            found.setdefault(name, []).append(cpu(lambda call=call: call(q, targets)) / batch)
+    ratios = {k: statistics.median(a / b for a, b in zip(v, found["value"], strict=True)) for k, v in found.items()}
+    return {name: (1e6 * statistics.median(v), ratios[name]) for name, v in found.items()}, wrong
+
+
 def main(argv=None):
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(prog="python -m tests.bench.stacks", description=__doc__)
     parser.add_argument("robots", nargs="*", help=", ".join(ROBOTS))
-    for name in parser.parse_args(argv).robots or ROBOTS:
+    parser.add_argument("--gradients", action="store_true", help="of a loss of 20 steps of G1's arms, alone")
+    args = parser.parse_args(argv)
+    if args.gradients:
+        rows, wrong = gradients()
+        for row, (seconds, ratio) in rows.items():
+            print(f"  {row:<10}{seconds:8.2f} µs {ratio:6.2f} times the value")
+        print(f"  {wrong} numbers are not finite")
+        return
+    for name in args.robots or ROBOTS:
         case, off, rows = measure(name)
         print(f"{name}: {case.task.m} rows × {case.robot.n} joints; within {off:.1e} rad of Pinocchio")
         for row, found in rows.items():

@@ -206,17 +206,17 @@ def test_rates_are_real_and_within_the_gains():
     ("method", "factor"), [("EE", lambda z: 1 - z), ("EXP-EE", lambda z: np.exp(-z)), ("IE", lambda z: 1 / (1 + z))]
 )
 def test_each_task_has_its_own_factor(method, factor):
-    """Of an error that is left after a step, exactly, where the tasks don't fight; to first order in the error."""
+    """Of an error that is left after a step, to 1e-6 from z = 0.1 to 100, where the tasks don't fight."""
     robot, Ts = ck.load_urdf(BAXTER, tips=GRIPPERS), 0.01
     task = ck.stack(left=ck.position(tip=GRIPPERS[0]), right=ck.position(tip=GRIPPERS[1]))
     q = 0.4 + np.zeros(robot.n)
-    aims = {tip: np.asarray(ck.forward(robot, q, tip=tip).position) + 1e-6 for tip in GRIPPERS}
+    aims = {tip: np.asarray(ck.forward(robot, q, tip=tip).position) + 3e-9 for tip in GRIPPERS}
     reference = ck.references(left=ck.hold(aims[GRIPPERS[0]]), right=ck.hold(aims[GRIPPERS[1]]))
-    for z in (0.1, 0.7, 1.5):
+    for z in (0.1, 1.0, 10.0, 100.0):
         law = ck.Law(robot, task, alpha={"left": z / Ts, "right": 0.3 * z / Ts})
         run = ck.solve(law, reference, q, Ts, 1, method, ck.chord(4))
         made = np.asarray(run.e[1] / run.e[0])
-        close(made, np.repeat([factor(z), factor(0.3 * z)], 3), atol=2e-5)
+        close(made, np.repeat([factor(z), factor(0.3 * z)], 3), atol=1e-6, rtol=1e-6)
 
 
 def test_lanes_and_native_are_the_plain_loop():
