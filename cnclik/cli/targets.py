@@ -143,7 +143,8 @@ def _of_stack(args) -> Wanted:
     _look_at_units(args, chain, task, {})
     if args.targets is not None or args.random:
         return Wanted(chain, task, title, _given(args, chain, task), lines)
-    q0 = start_from(chain, stack, args.near)
+    near = None if args.near is None else errors.array("near", args.near, (chain.n,))
+    q0 = start_from(chain, stack, near)
     paths = references_of(tables, chain, stack, q0, PERIOD)
     end = whole(paths)
     if args.points > 1 and not end:

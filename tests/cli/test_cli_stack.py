@@ -196,6 +196,7 @@ def test_reach_of_several_tips(tmp_path, capsys):
         (["--stack", "STACK", "--map", "xy"], "`map` must be left out for several tips"),
         (["--stack", "STACK", "--tip", GRIPPERS[0]], "`tip` must be left out with a stack"),
         (["--stack", "STACK", "--target", "1", "2", "3"], "`target` must be left out with a stack"),
+        (["--stack", "STACK", "--near", "0", "0"], "`near` must have shape (14,), but has shape (2,)"),
         (["--stack", "HELD", "--points", "3"], "`points` must be left out where targets stand still"),
         (["--tip", GRIPPERS[0], "--random", "1", "--points", "3"], "`points` must come with the paths of a stack"),
         ([], "--map PLANE and --stack FILE must be given, but there is none of them"),
