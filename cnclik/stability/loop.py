@@ -16,7 +16,7 @@ from cnclik.law.null import MaximizeManipulability
 from cnclik.law.reference import Reference
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import alike, modes_of, own_drives, radius
+from cnclik.stability.driven import alike, looked_at, modes_of, own_drives, radius
 from cnclik.stability.linear import checked
 from cnclik.stability.rates import Rates, rates_of
 from cnclik.stability.spectrum import (
@@ -46,6 +46,12 @@ class LoopAtRest(NamedTuple):
     rate: float
     drive: Drive
     known: dict  # what was asked for: limits of one loop look at the same gains
+
+    @property
+    def points(self) -> int:
+        """How many gains are looked at together."""
+        n, late = self.law.chain.n, self.drive.lumped.delay
+        return looked_at(self.drive, n * (3 + late) - late if own_drives(self.drive) else 3)
 
     @property
     def rates(self) -> Rates | None:

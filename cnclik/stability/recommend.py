@@ -21,7 +21,6 @@ from cnclik.stability.driven import (
     longer,
     looked_at,
     monotone_limit,
-    own_drives,
     radius,
 )
 from cnclik.stability.linear import delay_limit, first_above, least_on
@@ -216,7 +215,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         return loop.radii(z, Ts)[0]
 
     z_largest = largest_stable(loop, Ts, reach)
-    z_fastest, least = least_on(slowest, min(z_largest, reach), _points(loop)) if z_largest else (0.0, 1.0)
+    z_fastest, least = least_on(slowest, min(z_largest, reach), loop.points) if z_largest else (0.0, 1.0)
     if z_fastest >= reach:
         z_fastest = np.inf
     z_monotone = z_recommended = None
@@ -266,13 +265,7 @@ def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:
         task, null = loop.radii(z, Ts)
         return np.maximum(task, null - MEETING)
 
-    return first_above(worst, 1 + SLACK, reach, _points(loop))
-
-
-def _points(loop):
-    """How many gains are looked at."""
-    n, late = loop.law.chain.n, loop.drive.lumped.delay
-    return looked_at(loop.drive, n * (3 + late) - late if own_drives(loop.drive) else 3)
+    return first_above(worst, 1 + SLACK, reach, loop.points)
 
 
 def without_overshoot(loop, drive, Ts, most, reach) -> float:

@@ -16,7 +16,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.law.inverse import Levels, Transpose
 from cnclik.record import record
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import SLACK, driven_limits, each_drive, increments, looked_at, own_drives, radius
+from cnclik.stability.driven import SLACK, driven_limits, each_drive, increments, own_drives, radius
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.rates import Rates, steps_of
@@ -212,7 +212,7 @@ def _task(here, name, at, safe, limits) -> TaskAdvice:
         return changed
 
     def largest(drive):
-        points = looked_at(drive, task.m)
+        points = loop._replace(drive=drive).points
         return first_above(lambda z: here.radius(scale(z), drive), 1 + SLACK, REACH, points) if alpha else np.inf
 
     def does(z):

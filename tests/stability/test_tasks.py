@@ -93,7 +93,11 @@ def test_2000_random_stacks(monkeypatch):
         ends = np.cumsum([0, *sizes])
         parts = [ck.joints([f"j{i}_{k}" for k in range(size)]) for i, size in enumerate(sizes)]
         task = ck.stack(**{f"t{i}": part for i, part in enumerate(parts)})
-        law = type("Law", (), dict(task=task, inverse=ck.damped(0.1), null_velocity=None))
+        law = type(
+            "Law",
+            (),
+            dict(chain=type("Chain", (), {"n": rows.shape[1]}), task=task, inverse=ck.damped(0.1), null_velocity=None),
+        )
         rates = Rates(rows, columns, root, alpha, np.eye(len(rows)), np.linalg.svd(rows, False)[2].T)
         drive = ck.Drive(delay=delay)
         loop = LoopAtRest(law, None, None, ck.EE, None, float(alpha.max()), drive, {"rates": rates})
