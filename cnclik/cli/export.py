@@ -13,8 +13,10 @@ from cnclik.cli.problem import ProblemOptions, problem, table
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions, ProblemOptions):
     """Write NAME.h, NAME.c, example.c with test vectors, and a README. Without a reference among the options the target
-    is an argument of the function; with one the function takes the time, unless --no-paths is said. Of a stack, `cnclik
-    export ROBOT --stack FILE.toml --out DIR`, each task's target is an argument such as hands_left_position."""
+    is an argument of the function; with one the function takes the time, unless --no-paths is said. Of a stack each
+    target is an argument, such as hands_left_position:
+
+    cnclik export ROBOT --stack FILE.toml --no-paths --out DIR"""
 
     out: Path
     """Folder for the files."""

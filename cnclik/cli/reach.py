@@ -18,9 +18,11 @@ from cnclik.cli.targets import wanted_of
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
-    """Joint values that put a tip at targets; several tips at once by --tip and --target for each, or by --stack FILE,
-    whose tips and paths are then meant: `cnclik reach ROBOT --tip left --tip right --target 0.5 0.3 0.2 --target 0.5
-    -0.3 0.2 --task position`, `cnclik reach ROBOT --stack FILE.toml`."""
+    """Joint values that put a tip at targets, or several tips at once: each by --tip and --target of its own, or those
+    of a stack's file, where their paths lead them:
+
+    cnclik reach ROBOT --tip left --tip right --task position --target 0.5 0.3 0.2 --target 0.5 -0.3 0.2
+    cnclik reach ROBOT --stack FILE.toml --points 20"""
 
     targets: pathlib.Path | None = option(None, positional=True)
     """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms. Of

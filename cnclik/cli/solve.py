@@ -15,7 +15,10 @@ from cnclik.cli.remarks import print_json
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
-    """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence."""
+    """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence; of one task, or of
+    several:
+
+    cnclik solve ROBOT --stack FILE.toml"""
 
     out: Path = Path("solved")
     """Folder for trajectory and figures."""

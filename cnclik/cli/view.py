@@ -15,7 +15,10 @@ from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
-    """Show a robot live with sliders, or play runs of `solve`, answers of `reach`, a loop of a sweep."""
+    """Show a robot live with sliders, or play runs of `solve`, answers of `reach`, a loop of a sweep; with one tip or
+    several:
+
+    cnclik view ROBOT --stack FILE.toml"""
 
     robot: str = option(metavar="ROBOT|FILE", positional=True)
     """A robot, as for solve; or what is to be played: trajectory.nc, .csv, .npz, a folder of solve or of a sweep."""
