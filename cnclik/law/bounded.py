@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jax.scipy.linalg import solve_triangular
 
 from cnclik import errors
 from cnclik.law import dense
@@ -121,7 +120,7 @@ class Newton(NamedTuple):
 
     def half(self, slopes):
         """L⁻¹ of some, (k, n), as columns (n, k)."""
-        return solve_triangular(self.factor, jnp.where(self.shut, 0.0, slopes)[..., ::-1].T, lower=True)
+        return dense.triangular(self.factor, jnp.where(self.shut, 0.0, slopes)[..., ::-1].T)
 
 
 def newton(hessian, shut) -> Newton:
@@ -283,7 +282,8 @@ class Bounded:
 
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
-            step = on_face(shut > 0, push).newton(of.hessian(), shut > 0, push)
+            locks = shut > 0
+            step = on_face(locks, push).newton(of.hessian(), locks, push)
             first, _ = step((root * t) @ of.b, still)
             missing = None if walls is None else -walls.rows @ first
             return first + step((root * t - of.b @ first) @ of.b - first, missing)[0]
