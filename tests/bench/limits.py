@@ -20,8 +20,11 @@ from tests.law.test_bounded import FASTEST, draws, robot_and_task
 
 COUNT, ROUNDS, SHORTEST = 60_000, 9, 0.2  # [1, 1, s]
 DAMPING = 0.05
-LIMITS = {"none": None, "saturation": ck.saturation(), "bounded": ck.bounded()}
-TIMED = {"panda": ("none", "saturation", "bounded"), "g1": ("none", "bounded")}
+TIP, PILLAR = ck.panda().tips[0].name, ck.capsule(None, 0.1, (0.5, 0.3, 0.0), (0.5, 0.3, 0.6))
+WALLS = [ck.wall(ck.position(axis), above=least) for axis, least in (("z", 0.0), ("x", -0.5), ("y", -0.6))]
+WALLS += [ck.wall(ck.distance(ck.sphere(TIP, 0.08), PILLAR), above=0.01)]
+LIMITS = {"none": None, "saturation": ck.saturation(), "bounded": ck.bounded(), "walls": ck.bounded(walls=WALLS)}
+TIMED = {"panda": ("none", "saturation", "bounded", "walls"), "g1": ("none", "bounded")}
 
 
 def passes(name, damping):

@@ -56,7 +56,7 @@ def acts(damping, rows, velocity, low, high, walls, floor):
     bounds = {"lower": low / RATE, "upper": high / RATE, "velocity_limit": far + 0 * low}
     chain = SimpleNamespace(bounded=True, slowed=True, **bounds)
     made = tuple(Given(gradient=walls[i], h=-floor[i] / rate) for i in range(len(walls)))
-    limits = Bounded(rate=rate, passes=40, walls=made)
+    limits = Bounded(rate=rate, passes=150, walls=made)
     return limits(ck.damped(damping), chain, jnp.zeros_like(low), rows, velocity, None)
 
 
@@ -75,16 +75,16 @@ def check_least(name, damping, count, k):
     drawn, walls, floor = problems(name, count, seed=1, k=k)
     qdot, room, _ = made_of(damping, drawn, walls, floor)
     assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
-    worst = []
+    off, missed = [], []
     for i in range(count):
         b, n = drawn.rows[i] / damping, len(drawn.low[i])
         upper, lower = np.r_[drawn.high[i], np.full(k, 1e30)], np.r_[drawn.low[i], floor[i]]
         h, f, sense = b.T @ b + np.eye(n), -b.T @ drawn.velocity[i] / damping, np.zeros(n + k, np.intc)
         found, _, flag, _ = daqp.solve(h, f, walls[i], upper, lower, sense, primal_tol=1e-10, dual_tol=1e-10)
         if flag == 1:
-            worst.append(np.abs(qdot[i] - found).max() / max(np.abs(found).max(), 1e-3))
-            assert room[i].min() > -1e-6
-    assert len(worst) > 0.9 * count and np.max(worst) < 1e-6
+            off.append(np.abs(qdot[i] - found).max() / max(np.abs(found).max(), 1e-3))
+            missed.append(-room[i].min())
+    assert len(off) > 0.9 * count and max(off) < 1e-6 and max(missed) < 1e-6
     return room
 
 
