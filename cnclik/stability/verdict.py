@@ -168,10 +168,13 @@ def _confirmed(case, trials):
         contradicted = then != kind
     if not contradicted:
         return kind, what, found
-    if kind in _FOLLOW:
-        strayed = in_words(case.law.task, later.errors[case.steps :])
-        return restless(case, f"{what}, but {on} the error gets as large as {strayed}", found)
-    return restless(case, f"{what}, but {on} the error is at most {later.size} at the end", found)
+    if later.seen.bad is not None:
+        then = f"is not finite from step {later.seen.bad} on"
+    elif kind in _FOLLOW:
+        then = f"gets as large as {in_words(case.law.task, later.errors[case.steps :])}"
+    else:
+        then = f"is at most {later.size} at the end"
+    return restless(case, f"{what}, but {on} the error {then}", found)
 
 
 def _longer(case, trials, N):

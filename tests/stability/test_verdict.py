@@ -565,3 +565,17 @@ def test_an_exact_inverse_is_no_remedy_where_limits_need_damping():
     found = judge(ck.Law(arm, XY, alpha=5.0, limits=ck.bounded(), **pulled), goal, 400, q, 0.01)
     assert found.kind == Behaviour.STALLED
     assert [list(one.change) for one in found.remedies] == [["damping"], ["null_gain"]]
+
+
+def test_a_circle_on_which_the_arm_is_lost_later():
+    """It follows, and its null-space velocity carries it on, to where that is no number."""
+    arm = ck.planar_arm([1.0, 0.8, 0.6])
+
+    def carries(q):
+        return jnp.where(q[1] > 1.5, jnp.nan, 1.0) * jnp.array([0.0, 0.05, 0.0])
+
+    made = ck.Law(arm, XY, alpha=20.0, null_velocity=carries)
+    goal = ck.circle(np.asarray(ck.forward(arm, np.array([0.3, 1.2, 0.9])).position[:2]), 0.05, period=1.0)
+    found = judge(made, goal, 200, np.array([0.3, 1.2, 0.9]), 0.01, ck.EXP_MIDPOINT)
+    assert found.kind == Behaviour.UNDECIDED and "it follows" in found.sentence, found.sentence
+    assert re.search(r"run on, for 4096 steps in all, the error is not finite from step \d+ on", found.sentence)
