@@ -37,6 +37,11 @@ class Recent(collections.OrderedDict):
         while len(self) > KEPT_PROGRAMS:
             self.popitem(last=False)
 
+    def within(self, size):
+        """Let go until all values, by size(value), have at most KEPT_PROGRAMS together; the newest stays."""
+        while len(self) > 1 and sum(map(size, list(self.values()))) > KEPT_PROGRAMS:  # a list: threads come and go
+            self.popitem(last=False)
+
 
 def bounded_jit(fn=None, **options):
     """`jax.jit` that forgets its programs when there are too many, see `_bound`. Decorator, with jit's arguments.

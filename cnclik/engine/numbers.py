@@ -7,7 +7,8 @@ import functools
 import jax
 import numpy as np
 
-from cnclik.cache import KEPT_PROGRAMS, Recent
+from cnclik import cache
+from cnclik.cache import Recent
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.native import called, native
 from cnclik.engine.plan import in_c, wants_c
@@ -74,7 +75,7 @@ class Numbers:
             entry = self.entries.made(program, lambda _: _Entry(program, len(first), tree, self.lets_go))
             call = functools.partial(entry, entry.filled(first), known)
         if lasting:
-            if len(self.ready) >= KEPT_PROGRAMS:
+            if len(self.ready) >= cache.KEPT_PROGRAMS:
                 self.ready.clear()
             self.ready[key] = call
         return call

@@ -110,6 +110,8 @@ def simulate(
     if gained is not None:
         return whole_run(*known, *given, model, noise, N=N, gained=gained)
     loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
+    if len(loops) > 1:  # each has programs of its own
+        loops.within(lambda loop: len(loop.entries))
     with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace in a tenth of C's time
         return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
 

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import Pseudoinverse, Transpose, levels
@@ -93,8 +92,8 @@ def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str
 
 
 def _is_default(name, value) -> bool:
-    known = all(map(errors.concrete, jax.tree.leaves(value)))
-    return value is None or (known and np.ravel(value).tolist() == [DEFAULTS.get(name)])
+    value = value[0] if isinstance(value, (list, tuple)) and len(value) == 1 else value
+    return value is None or (isinstance(value, (int, float)) and value == DEFAULTS.get(name))
 
 
 def _check_names(table):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik import cache
 from cnclik.integrate import solve as solving
 from tests.oracles import close
 
@@ -34,6 +35,16 @@ def programs():
     """How many there are of solve and step: in C, and by XLA."""
     in_c = [len(numbers.entries) for numbers in (solving.a_step, *solving.loops.values())]
     return sum(in_c), solving.solve_soon._cache_size(), solving.step_soon._cache_size()
+
+
+def test_programs_of_several_numbers_of_steps_are_few_together(monkeypatch):
+    """There were as many as are kept for each of as many numbers of steps."""
+    monkeypatch.setattr(cache, "KEPT_PROGRAMS", 3)
+    for length in (0.25, 0.5, 0.75, 1.25):
+        law = ck.Law(ck.planar_arm([length, 0.5]), ck.position("x"), alpha=2.0)
+        for N in (2, 4):
+            ck.solve(law, WAVE, np.ones(2), 0.01, N)
+    assert 0 < sum(len(numbers.entries) for numbers in solving.loops.values()) <= 4
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
