@@ -178,7 +178,7 @@ class DrivenLimits:
     rate: float
 
 
-def looked_at(drive, size: int) -> int:
+def looked_at(drive, size: float) -> int:
     """How many values of z are looked at together: of matrices of this size and the dead time's."""
     return int(np.clip(WORK / (size + drive.lumped.delay) ** 3, 16, POINTS))
 

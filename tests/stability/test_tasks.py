@@ -171,6 +171,13 @@ def test_limits_are_loops_of_their_own():
         assert said in found.words and found.z == pytest.approx(rate * TS)
         assert found.fastest_rate == pytest.approx(4**4 / 5**5 / TS, rel=1e-3)
     assert ck.advise(ck.Law(arm, ck.position(), alpha=2.0), None, q, Ts=TS).limits is None
+    table = ck.wall(ck.position("z"), above=0.05, rate=30.0)
+    law = ck.Law(arm, ck.position(), alpha=2.0, inverse=ck.damped(0.05), limits=ck.bounded(rate=5.0, walls=[table]))
+    found = ck.advise(law, None, q, Ts=TS, drive=ck.Drive(delay=4)).limits
+    assert (found.rate, found.words[:36]) == (
+        30.0,
+        "a wall with rate = 30 1/s (z = 0.3) ",
+    ) and "lets the robot pass" in found.words
 
 
 FILE = """
