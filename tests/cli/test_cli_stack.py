@@ -84,6 +84,7 @@ def test_as_json(stack, tmp_path, capsys):
     assert "rest: 14 joints" in told["asked"][-1] and "hands steps" in told["facts"]
 
 
+@pytest.mark.slow
 def test_tune(stack, tmp_path, capsys):
     """Both grippers of a real robot, and its posture: a gain for each task, and one that no posture is too much for."""
     loop = ["--Ts", "0.01", "--N", "20", "--delay", "2", "--steps", "8", "--out", tmp_path / "tuned"]

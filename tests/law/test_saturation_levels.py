@@ -77,6 +77,7 @@ def test_it_is_algorithm_4(order):
     assert np.mean(shares[:, 0] == 1) > 0.3 and np.mean((shares[:, 0] == 1) & (shares[:, 1] < 1)) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [ck.saturation(), ck.bounded()], ids=["saturation", "bounded"])
 def test_the_first_level_keeps_its_speed(limits):
     """A humanoid whose hands hurry keeps its feet where they are; without levels all of it slows down alike."""

@@ -303,6 +303,7 @@ def test_lanes_are_the_same():
         np.testing.assert_allclose(own, other, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_derivatives_are_differences():
     drawn, walls, floor = problems("panda", 30, seed=4, none=0.0)
     rng = np.random.default_rng(4)
@@ -321,7 +322,7 @@ def test_derivatives_are_differences():
     np.testing.assert_allclose(along, np.sum(slope, 1), rtol=1e-6, atol=1e-8 * np.abs(slope).max())
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
 def test_hands_stay_apart(dtype):
     """G1's hands, told to meet: at rest what walls push and the task pulls is large beside the velocities."""
     pair = ck.sphere(ARMS[0], 0.08), ck.sphere(ARMS[1], 0.08)

@@ -336,7 +336,9 @@ def test_every_option_of_a_task_says_what_it_is():
     assert all(one.help.endswith(".") for one in OF_TASK.values())
 
 
-@pytest.mark.parametrize("limits", [ck.bounded(), ck.saturation()], ids=["bounded", "saturation"])
+@pytest.mark.parametrize(
+    "limits", [ck.bounded(), pytest.param(ck.saturation(), marks=pytest.mark.slow)], ids=["bounded", "saturation"]
+)
 def test_a_verdict_of_many_rows_within_limits_comes(limits):
     """Breaks where the maps of all gains are one batch of LAPACK, whose threads may wait for each other for good."""
     tasks = ck.stack(left=ck.pose(tip=GRIPPERS[0]), right=ck.pose(tip=GRIPPERS[1]), rest=ck.joints())
