@@ -19,13 +19,15 @@ def robots() -> pathlib.Path:
 
 
 def robot_file(name) -> pathlib.Path:
-    """A robot's URDF file: "panda", "ur5", "g1", "allegro"."""
+    """A robot's URDF file, of those below."""
     files = {
         "panda": "panda_description/urdf/panda.urdf",
         "ur5": "ur_description/urdf/ur5_robot.urdf",
         "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
         "baxter": "baxter_description/urdf/baxter.urdf",
         "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
+        "pr2": "pr2_description/urdf/pr2.urdf",
+        "talos": "talos_data/robots/talos_full_v2.urdf",
     }
     return robots() / files[name]
 

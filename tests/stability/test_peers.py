@@ -1,5 +1,7 @@
 """pink and mink: their tasks as a law here step as they do; advised gains are quiet there."""
 
+import importlib
+
 import numpy as np
 import pytest
 
@@ -101,10 +103,35 @@ def test_limits_and_damping_tasks_and_what_is_not_known():
     assert (task.m, list(task.weights)) == (2, [1.0, 2.0])
 
 
-def test_mink_has_the_same_tasks():
-    mink = pytest.importorskip("mink")
-    robot = Robot("panda")
-    frame = mink.FrameTask("panda_hand", "site", position_cost=1.0, orientation_cost=0.0, gain=0.3)
-    law = from_pink(robot.ours, [frame], DT)
-    assert law.task.m == 3
-    np.testing.assert_allclose(law.alpha, 30.0)
+@pytest.mark.parametrize("delay", [0, 4])
+def test_advised_gains_are_quiet_in_mink_and_beyond_the_limit_errors_grow(delay):
+    mink, mujoco = pytest.importorskip("mink"), pytest.importorskip("mujoco")
+    arm = importlib.import_module("tests.bench.loops_arms").Arm("Panda")
+    configuration = mink.Configuration(mujoco.MjSpec.from_string(arm.text).compile(), arm.q)
+    tasks = [mink.FrameTask(arm.tip, "body", position_cost=1.0, orientation_cost=0.5, gain=0.2)]
+    tasks.append(mink.PostureTask(configuration.model, cost=0.1, gain=0.05))
+    for task in tasks:
+        task.set_target_from_configuration(configuration)
+    law = from_pink(arm.chain, tasks, DT, damping=1e-6)
+    said = ck.advise(law, None, arm.q, Ts=DT, method="EE", drive=ck.Drive(delay=delay)).stack
+
+    def run(N):
+        line, sizes = [arm.q + 1e-6 * np.cos(np.arange(arm.n))] * (delay + 1), []
+        for _ in range(N):
+            configuration.update(line[-1])
+            step = mink.solve_ik(configuration, tasks, DT, "daqp", damping=1e-6, limits=[]) * DT
+            line = [line[0] + step, *line[:-1]]
+            sizes.append(np.linalg.norm(step))
+            if sizes[-1] > 1.0:
+                break
+        return np.array(sizes)
+
+    most = said.tasks[arm.tip].largest_stable_alpha * DT
+    if most < 1:  # mink takes no gain above 1
+        tasks[0].gain = 1.05 * most
+        sizes = run(700)
+        assert sizes[-1] > 1.0 or sizes[-50:].max() > sizes[200:250].max()
+    for task, one in zip(tasks, said.tasks.values(), strict=True):
+        task.gain = one.recommended_alpha * DT
+    sizes = run(200)
+    assert sizes[-20:].max() < sizes[:20].max() and sizes.max() < 3 * sizes[delay : delay + 2].max()

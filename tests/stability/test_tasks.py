@@ -41,15 +41,15 @@ LAWS = {
 }
 
 
-def grows(law, name, factor, method, delay):
+def grows(law, name, factor, method, delay, q=Q):
     """Whether a small error grows in the run with one task's gain times a factor."""
     alpha = np.array(law.alpha)
     at = law.task.of(name)
     alpha[(at,) * alpha.ndim] *= factor
     drive, N = (ck.Drive(delay=delay), 3000) if delay else (None, 600)  # through dead time a loop grows slowly
     changed = ck.Law(law.chain, law.task, alpha=alpha, inverse=law.inverse)
-    q0 = Q + 1e-7 * np.array([1.0, -0.7, 0.4, 0.9, -0.3])
-    run = ck.solve(changed, ck.hold_at(law.chain, law.task, Q), q0, TS, N, method, drive=drive)
+    q0 = q + 1e-7 * np.cos(2.0 * np.arange(len(q)))
+    run = ck.solve(changed, ck.hold_at(law.chain, law.task, q), q0, TS, N, method, drive=drive)
     size = np.linalg.norm(np.diff(run.q, axis=0), axis=1)  # what is lost to conflicts stays, and moves nothing
     late = np.nan_to_num(size[-100:], nan=np.inf).max()
     return bool(late > max(size[N // 3 : N // 3 + 50].max(), 1e-12))  # below it is rounding
@@ -70,6 +70,32 @@ def test_up_to_the_largest_gain_the_run_shrinks_and_beyond_it_grows(name, method
         assert grows(law, task, 1.01 * factor, method, delay)
     room = {task: one.largest_stable_alpha / one.alpha for task, one in said.tasks.items()}
     assert said.least_room == min(room, key=room.get)
+
+
+ROBOTS = {  # tips of hands, and of another task
+    "baxter": (["left_gripper", "right_gripper"], None),
+    "g1": (["left_rubber_hand", "right_rubber_hand"], "left_ankle_roll_link"),
+    "pr2": (["l_gripper_palm_link", "r_gripper_palm_link"], "head_tilt_link"),
+    "talos": (["gripper_left_base_link", "gripper_right_base_link"], "head_2_link"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0, 3])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_robots(name, delay):
+    hands, other = ROBOTS[name]
+    robot = ck.load_urdf(robot_file(name), tips=hands + [other] * (other is not None))
+    tasks = {"hands": ck.pose(tip=hands[0]) & ck.position(tip=hands[1]), "rest": ck.joints()}
+    tasks |= {"other": ck.orientation(tip=other)} if other else {}
+    levels = ck.levels(["hands"], [task for task in tasks if task != "hands"], damping=(0.01, 0.3))
+    law = ck.Law(robot, ck.stack(**tasks), alpha=dict.fromkeys(tasks, 5.0), inverse=levels)
+    low, high = (np.clip(v, -2.0, 2.0) for v in (robot.lower, robot.upper))
+    q = 0.5 * (low + high) + 0.2 * (high - low) * np.cos(np.arange(robot.n))
+    said = ck.advise(law, None, q, Ts=TS, method="EE", drive=ck.Drive(delay=delay)).stack
+    for task, one in said.tasks.items():
+        factor = one.largest_stable_alpha / one.alpha
+        assert not grows(law, task, 0.99 * factor, "EE", delay, q) and grows(law, task, 1.01 * factor, "EE", delay, q)
 
 
 def random_stack(rng):
