@@ -109,11 +109,11 @@ def random_stack(rng):
 
 
 @pytest.mark.slow
-def test_2000_random_stacks(monkeypatch):
+def test_random_stacks(monkeypatch):
     """No gain that is called safe grows, none called unstable by more than 1 % decays: explicit Euler, run in NumPy."""
 
     rng = np.random.default_rng(0)
-    for _ in range(2000):
+    for _ in range(150):
         rows, root, alpha, sizes = random_stack(rng)
         columns, delay = rows.T @ np.linalg.inv(rows @ rows.T + np.diag(root**2)), int(rng.integers(0, 6))
         ends = np.cumsum([0, *sizes])
