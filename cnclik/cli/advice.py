@@ -106,10 +106,8 @@ def does_of_tasks(found, said) -> list:
 
 def lines_of_stack(found, said) -> list:
     """What the numbers of a stack mean, in sentences."""
-    stack, lines = (
-        said.stack,
-        [f"Recommended for each task: {said.reason}, at any posture and whatever the others ask for."],
-    )
+    stack = said.stack
+    lines = [f"Recommended for each task: {said.reason}, at any posture and whatever the others ask for."]
     tightest = stack.tasks[stack.least_room]
     if tightest.largest_stable_alpha < math.inf and exact(found.drive):
         often = tightest.largest_stable_alpha / tightest.alpha

@@ -50,11 +50,15 @@ class Wall:
         return self.normal @ rows(self.task, robot)
 
 
+def rate_of(wall, rate):
+    """A wall's rate, or that of walls without their own."""
+    return rate if wall.rate is None else wall.rate
+
+
 def rows_at(walls, rate, chain, q) -> Rows:
     """What walls ask of joint velocities at q; `rate` is that of walls without their own."""
     robot = At(modelled(chain), q)
-    rates = [rate if wall.rate is None else wall.rate for wall in walls]
-    floor = jnp.stack([-r * wall.distance(robot) for r, wall in zip(rates, walls, strict=True)])
+    floor = jnp.stack([-rate_of(wall, rate) * wall.distance(robot) for wall in walls])
     return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
 
 
@@ -108,7 +112,7 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
     if not walls:
         raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
     bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))
-    rates = np.array([rate if wall.rate is None else wall.rate for wall in walls])
+    rates = np.array([rate_of(wall, rate) for wall in walls])
     Ts = np.diff(np.asarray(run.t), axis=-1)[..., None]
     return np.max(np.maximum(-np.asarray(bent) * Ts, 0.0), axis=-2) / (2 * rates)
 

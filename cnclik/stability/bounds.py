@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from cnclik.law.walls import rate_of
 from cnclik.quantities import in_samples
 from cnclik.record import record
-from cnclik.stability.driven import driven_limits, each_drive
+from cnclik.stability.driven import least_limits
 
 
 @record
@@ -39,16 +40,13 @@ def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
     """Of a law whose joints near limits or walls at a rate; None where there is none. Args: drive: see `Drive`."""
     of_all: Any = getattr(law.limits, "rate", None)
     walls = getattr(law.limits, "walls", None) or ()
-    rates = [(float(of_all if one.rate is None else one.rate), _WALLS) for one in walls]
+    rates = [(float(rate_of(one, of_all)), _WALLS) for one in walls]
     if of_all is not None and np.isfinite([law.chain.lower, law.chain.upper]).any():
         rates.append((float(of_all), _LIMITS))
     if not rates:
         return None
     rate, (what, keeps, passes) = max(rates)
-    found = [driven_limits("EE", Ts=Ts, drive=one) for one in each_drive(drive)]
-    stable, fastest, recommended = (
-        min(getattr(one, name) for one in found) / Ts for name in ("stable", "monotone", "recommended")
-    )
+    stable, fastest, recommended = (z / Ts for z in least_limits("EE", None, Ts, drive).values())
     late = drive.lumped.delay
     through = f" through these drives, {in_samples(late, Ts)} late" if late else ""
     kinds = (

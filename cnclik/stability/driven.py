@@ -257,6 +257,12 @@ def driven_limits(method=DEFAULT, stage=None, *, Ts: float, drive: Drive = Drive
     )
 
 
+def least_limits(method, stage, Ts: float, drive: Drive) -> dict:
+    """The least of `driven_limits` of the joints' drives, each as one for all: stable, monotone, recommended."""
+    each = [driven_limits(method, stage, Ts=Ts, drive=one) for one in each_drive(drive)]
+    return {name: min(getattr(one, name) for one in each) for name in ("stable", "monotone", "recommended")}
+
+
 # --- responses ----------------------------------------------------------------------------------------
 
 

@@ -57,7 +57,7 @@ class LoopAtRest(NamedTuple):
     def rates(self) -> Rates | None:
         """See `rates_of`."""
         if "rates" not in self.known:
-            self.known["rates"] = rates_of(self.law, self.held, self.q, lambda rows: directions(rows)[2])
+            self.known["rates"] = rates_of(self.law, self.held, self.q)
         return self.known["rates"]
 
     def maps(self, scale, Ts):

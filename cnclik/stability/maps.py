@@ -18,7 +18,7 @@ from cnclik.precision import in_float64, of_numbers
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
-from cnclik.stability.driven import driven_limits, each_drive
+from cnclik.stability.driven import least_limits
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.recommend import largest_stable
@@ -208,7 +208,7 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
         scale = np.ones((len(first[1]), loop.law.task.m))
         scale[:, first[0]], scale[:, second[0]] = first[1][:, None] / own[0], gain / own[1]
         radius.append(here.radius(scale, loop.drive))
-    limits = [driven_limits(loop.method, loop.stage, Ts=Ts, drive=one) for one in each_drive(loop.drive)]
+    limits = least_limits(loop.method, loop.stage, Ts, loop.drive)
     names, about = list(alpha), {"units": "1", "long_name": "spectral radius"}
     return xr.Dataset(
         {"radius": (names[::-1], np.array(radius), about)},
@@ -216,7 +216,7 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
             n: (n, v, {"units": "1/s", "long_name": f"α of {n}"})
             for n, (_, v) in zip(alpha, (first, second), strict=True)
         },
-        attrs={name: min(getattr(one, name) for one in limits) / Ts for name in ("stable", "recommended")}
+        attrs={name: limits[name] / Ts for name in ("stable", "recommended")}
         | {"Ts": Ts, "method": loop.method.name, "stage": str(loop.stage), "q": np.asarray(loop.q)},
     )
 

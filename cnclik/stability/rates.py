@@ -19,6 +19,7 @@ from cnclik.record import cast, replace
 from cnclik.robot.model import modelled, one_off
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import increments
+from cnclik.stability.spectrum import directions
 
 _TURNED = 1e6  # condition of a gain matrix's eigenvectors, beyond which they are none
 _REAL = 1e-6  # share of rates up to which an imaginary part is rounding
@@ -78,11 +79,8 @@ def parts_at_rest(law, held, q):
 _parts_of_numbers = one_off(parts_at_rest)
 
 
-def rates_of(law, held, q, along) -> Rates | None:
-    """A law at rest, see `at_rest`; None with a null-space velocity, and where the gain's eigenvectors meet.
-
-    Args: along: (rows) to the directions (n, r) in which the task moves.
-    """
+def rates_of(law, held, q) -> Rates | None:
+    """A law at rest, see `at_rest`; None with a null-space velocity, and where the gain's eigenvectors meet."""
     if law.null_velocity is not None:
         return None
     rows, columns, shift = _parts_of_numbers(law, held, q)
@@ -100,7 +98,7 @@ def rates_of(law, held, q, along) -> Rates | None:
         damping=None if shift is None else np.sqrt(np.broadcast_to(np.asarray(shift, float), (m,))),
         alpha=np.broadcast_to(alpha, (m,)),
         turned=turned,
-        along=along(rows),
+        along=directions(rows)[2],
     )
 
 

@@ -16,7 +16,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.law.inverse import Levels, Transpose
 from cnclik.record import record
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import SLACK, driven_limits, each_drive, increments, own_drives, radius
+from cnclik.stability.driven import SLACK, increments, least_limits, own_drives, radius
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.rates import Rates, steps_of
@@ -163,15 +163,15 @@ def at_any_posture(loop, Ts: float, share: float | None = None) -> tuple:
 
     Args: share: what of an error a step may remove at most where a gain is recommended, or None.
     """
-    each = [driven_limits(loop.method, loop.stage, Ts=Ts, drive=one) for one in each_drive(loop.drive)]
-    recommended = min(MOST_Z, *(one.recommended for one in each))
+    limits = least_limits(loop.method, loop.stage, Ts, loop.drive)
+    recommended = min(MOST_Z, limits["recommended"])
     if share is not None:
 
         def removed(z):
             return np.abs(increments(loop.method, loop.stage, z).sum(-1))
 
         recommended = min(recommended, first_above(removed, share, MOST_Z, 128))
-    return min(one.monotone for one in each), recommended
+    return limits["monotone"], recommended
 
 
 def shares_of(loop, Ts: float) -> Shares:
