@@ -44,7 +44,7 @@ def lanes(
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
       tile: lanes per tile of XLA's programs on a CPU, by default 64. C has its own.
-      block: lanes per call of them, a multiple of `tile`; by default 32768, on a GPU 2**20.
+      block: lanes per call of them, a multiple of `tile`; by default 32768. On a GPU the lanes of a tile, 2**20.
       cores: how many cores of a CPU may work at once, by default all this process may use.
       quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
         slower.
@@ -62,7 +62,7 @@ def lanes(
         raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
 
     def traced(*args):
-        return tiled(one, tile, *args)
+        return tiled(one, tile, *args, block=block)
 
     compiled = jax.jit(traced) if not on_cpu else quick_jit(traced) if quick else _hinted(traced)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
@@ -85,7 +85,7 @@ def lanes(
             return traced(*args)
         if isinstance(found, Program):
             return jax.tree.unflatten(function.trees[key_of(avals)], jax.device_put(found(leaves, size, cores)))
-        if size <= tile:
+        if size <= tile or (workers[0] is not None and len(workers) == 1):  # one device, where arrays stay
             return compiled(*args)
         read = in_scalars() and isinstance(function.scalars.of(avals), Derived)
         able = workers if read or not on_cpu else workers[:1]  # LAPACK, see `cnclik.hints.shares_threads`
@@ -139,17 +139,16 @@ def _block(size, tile, block, workers):
     return -(-size // (calls * tile)) * tile
 
 
-def tiled(fn, tile, *args, count=None):
-    """vmap(fn) as a loop over tiles, read and written in place; elsewhere than on a CPU, vmap(fn) itself.
+def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
+    """vmap(fn) as a loop over tiles, read and written in place.
 
     Args:
+      tile, block: lanes of a tile, on a CPU and elsewhere.
       count: how many lanes, from the first, are wanted; of the others' results nothing is said. Traced, so that one
         program serves batches of any size up to that of `args`.
     """
     size = _size(jax.tree.leaves(args))
-    if jax.default_backend() != "cpu":
-        return jax.vmap(fn)(*args)
-    tile = min(tile, size)
+    tile = min(tile if jax.default_backend() == "cpu" else block, size)
 
     def one(start):
         part = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args)

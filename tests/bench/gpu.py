@@ -24,7 +24,6 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.integrate.method import evaluations_per_step
-from cnclik.integrate.solve import end as end_of
 from tests.bench import cases
 
 STEPS, OF_GRADIENT = 50, 20
@@ -56,7 +55,11 @@ def end(name, method="EE", stage=None, batch=LANES, dtype="float32", **changes):
     case, method = panda(**changes), ck.METHODS[method]
     inputs = functools.partial(cases.inputs, case)
     each = STEPS * evaluations_per_step(method, stage, 7)
-    return Row(name, cases.loop(case, STEPS, method, stage), inputs, each, batch, dtype)
+
+    def one(q0, position, rotation):
+        return ck.solve(case.law, ck.hold(position, rotation), q0, cases.TS, STEPS, method, stage).q[-1]
+
+    return Row(name, one, inputs, each, batch, dtype)
 
 
 def two_arms(name):
@@ -81,7 +84,7 @@ def two_arms(name):
 
     def one(q0, p, r, p_right, r_right):
         both = ck.references(left=ck.hold(p, r), right=ck.hold(p_right, r_right))
-        return end_of(law, both, q0, cases.TS, STEPS, ck.EE, ck.picard(1))[0]
+        return ck.solve(law, both, q0, cases.TS, STEPS, ck.EE).q[-1]
 
     return Row(name, one, inputs, STEPS)
 
