@@ -28,7 +28,7 @@ from cnclik.threads import side_by_side
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 BLOCK = 1 << 15  # lanes that one call of a compiled program carries: bounds memory, feeds the cores
-DEVICE_BLOCK = 1 << 20  # the same where a device has thousands of lanes in flight
+DEVICE_BLOCK = 1 << 18  # the same on a GPU: its lanes stay in the cache; half as fast again as 2**20 (`tests.bench.gpu`)
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
@@ -44,7 +44,7 @@ def lanes(
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
       tile: lanes per tile of XLA's programs on a CPU, by default 64. C has its own.
-      block: lanes per call of them, a multiple of `tile`; by default 32768. On a GPU the lanes of a tile, 2**20.
+      block: lanes per call of them, a multiple of `tile`; by default 32768. on a GPU the lanes of a tile, 2**18.
       cores: how many cores of a CPU may work at once, by default all this process may use.
       quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
         slower.
