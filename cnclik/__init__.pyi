@@ -43,7 +43,7 @@ from .law.paths import (
 )
 from .law.reference import Reference as Reference, References as References, references as references
 from .law.resampled import resampled as resampled
-from .law.walls import wall as wall, wall_margin as wall_margin
+from .law.walls import support_polygon as support_polygon, wall as wall, wall_margin as wall_margin
 from .measure.dataset import to_dataset as to_dataset
 from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
@@ -66,6 +66,7 @@ from .stability.recommend import margin as margin, recommend as recommend
 from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
 from .stability.verdict import verdict as verdict
 from .sweeps.sweep import sweep as sweep
+from .task.balance import center_of_mass as center_of_mass, com as com
 from .task.build import (
     function as function, joints as joints, orientation as orientation, pose as pose, position as position,
     stack as stack,

@@ -216,7 +216,7 @@ def _of_task(name, run, task):
 
     from cnclik.integrate.status import OWN
 
-    kinds = ("position", "rotation") if hasattr(task.parts[0], "axes") else ("joint", "joint")
+    kinds = ("joint", "joint") if hasattr(task.parts[0], "wanted") else ("position", "rotation")
     for part, unit, some in zip(kinds, ("m", "rad"), (task.lengths, task.angles), strict=True):
         if some:
             size = np.linalg.norm(np.asarray(run.e, float)[:, some], axis=1)

@@ -13,6 +13,7 @@ from cnclik.law.inverse import positive
 from cnclik.record import leaf, record, replace
 from cnclik.robot.model import modelled, one_off
 from cnclik.shapes import Array, ArrayLike, Float, Number
+from cnclik.task.balance import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows
 
@@ -96,6 +97,48 @@ def wall(
     offset = errors.number("above", above) if below is None else -errors.number("below", below)
     normal = normal if below is None else -normal
     return Wall(task=task, normal=normal, offset=leaf(offset), rate=None if rate is None else positive("rate", rate))
+
+
+def support_polygon(
+    corners: Float[ArrayLike, "k 2"],
+    *,
+    relative_to: str | None = None,
+    margin: float = 0.0,
+    rate: Number | None = None,
+) -> tuple[Wall, ...]:
+    """Walls that keep the centre of mass over the feet: one for each edge of the convex hull of their corners.
+
+    Over the polygon in the plane z = 0 of the base, or of a tip such as a foot, stands what stands still.
+
+    Args:
+      corners: (k, 2) of all feet on the ground [m], in any order.
+      relative_to: the tip in whose frame they are; None: the base.
+      margin: by how much inside the edges it stays [m].
+      rate: as for `wall`.
+    """
+    points = np.asarray(errors.array("corners", corners, (None, 2)), float)
+    hull = _hull(points)
+    if len(hull) < 3:
+        raise errors.fail("corners", "be three or more that are not on one line", f"are {points.tolist()}")
+    task, margin = center_of_mass("xy", relative_to=relative_to), float(errors.number("margin", margin))
+    found = []
+    for a, b in zip(hull, np.roll(hull, -1, axis=0), strict=True):
+        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
+        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate))
+    return tuple(found)
+
+
+def _hull(points):
+    """Corners of the convex hull (h, 2), anticlockwise (Andrew 1979)."""
+    halves = []
+    for order in (1, -1):
+        half: list = []
+        for c in np.unique(points, axis=0)[::order]:
+            while len(half) > 1 and np.linalg.det([half[-1] - half[-2], c - half[-1]]) <= 0:
+                half.pop()
+            half.append(c)
+        halves += half[:-1]
+    return np.array(halves)
 
 
 def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:

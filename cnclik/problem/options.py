@@ -149,6 +149,7 @@ OF_TASK = {  # of one task of a stack: a table of a stack's file
     "relative_to": Option(NAME, "Tip in whose frame, and as seen from which, the task is; the base by default."),
     "frame": Option(NAME, f"Whose axes its coordinates are along: {_listed(FRAMES)}, the tip's own; base by default."),
     "joints": Option(NAMES, "Of joints: their names; all by default."),
+    "axes": Option(NAME, "Of center_of_mass: letters of xyz, such as xy for balance; all by default."),
     "weights": Option(NUMBERS, "Weights of its coordinates in the least-squares sense, one each (for each tip).",
                       must="positive"),
     "alpha": OPTIONS["alpha"]._replace(default=None),

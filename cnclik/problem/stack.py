@@ -24,15 +24,16 @@ from cnclik.problem.words import REFERENCES
 from cnclik.reading import read_toml
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
+from cnclik.task.balance import center_of_mass
 from cnclik.task.build import joints, stack
 from cnclik.task.task import Task
-from cnclik.task.values import Joints
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _DAMPING = ("inverse", "damping", "threshold")  # options of a loop that a level may have of its own
 # Options of a loop with one task, and what there is with a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
 _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
+_NOT_OF = {"joints": ("tip", "relative_to", "frame", "axes"), "center_of_mass": ("tip", "frame", "joints")}
 
 
 class Table(NamedTuple):
@@ -138,19 +139,18 @@ def stack_from(tables, chain: Chain) -> Task:
 
 def task_of(one: Table, chain: Chain) -> Task:
     """The task that a table says, of one tip or of several."""
-    weights = one.given.get("weights")
-    if _is_joints(one.given):
-        for key in ("tip", "relative_to", "frame"):
-            if key in one.given:
-                raise errors.fail(key, "be left out for the task 'joints'", f"is {one.given[key]!r}")
+    kind = "joints" if _is_joints(one.given) else one.given.get("task", "")
+    for key in _NOT_OF.get(kind, ("joints", "axes")):
+        if key in one.given:
+            raise errors.fail(key, f"be left out for the task {kind or 'pose'!r}", f"is {one.given[key]!r}")
+    weights, to = one.given.get("weights"), one.given.get("relative_to")
+    if kind == "joints":
         return joints(one.given.get("joints"), weights=weights).on(chain)
-    if "joints" in one.given:
-        raise errors.fail("joints", "come with the task 'joints'", f"comes with {one.given['task']!r}")
-    about = {"relative_to": one.given.get("relative_to"), "frame": one.given.get("frame", "base"), "weights": weights}
+    if kind == "center_of_mass":
+        return center_of_mass(one.given.get("axes", "xyz"), relative_to=to, weights=weights).on(chain)
+    about = {"relative_to": to, "frame": one.given.get("frame", "base"), "weights": weights}
     tips = _several(one.given.get("tip"))
-    return functools.reduce(
-        operator.and_, (task_from(one.given.get("task"), chain, tip=t, **about).on(chain) for t in tips)
-    )
+    return functools.reduce(operator.and_, (task_from(kind or None, chain, tip=t, **about).on(chain) for t in tips))
 
 
 def gains_from(tables, alpha):
@@ -235,13 +235,14 @@ def references_of(tables, chain: Chain, task: Task, q0, horizon) -> References:
 def _path(one, chain, q0, horizon, _, task):
     """The path of one target of a task."""
     kind, path = one.given.get("reference", "hold"), {key: one.given.get(key) for key in PATH}
-    if isinstance(task.parts[0], Joints):
+    of_tip = hasattr(task.parts[0], "axes")
+    if not of_tip:
         errors.one_of("reference", kind, ("hold",))
     if kind == "hold":
         path = fitting("reference", kind, REFERENCES[kind], path)
         if "target" not in path:
             return hold_at(chain, task, q0)
-        if isinstance(task.parts[0], Joints):
+        if not of_tip:
             values = errors.array(
                 "target", path["target"], (task.m,), *[()] * (task.m == 1)
             )  # one joint's may be a number

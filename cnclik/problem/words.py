@@ -37,7 +37,7 @@ ROBOTS = {
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
 FRAMES = ("base", "tip")
-STACKED = (*TASKS, "joints")  # of a stack
+STACKED = (*TASKS, "joints", "center_of_mass")  # of a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),
     "damped": Takes("law.inverse:damped", needs=("damping",)),

@@ -16,6 +16,7 @@ from cnclik import errors, markup
 from cnclik.record import record
 from cnclik.robot import poses
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, rotation_about, vsub
+from cnclik.robot.masses import Mass
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import MOST
@@ -57,6 +58,7 @@ class Chain:
     lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
     upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
     velocity_limit: tuple[Number, ...]  # (n,) [rad/s or m/s], inf where unlimited
+    masses: tuple[Mass, ...] = ()  # of the base, then of each joint, with what is fixed to it; () where none are known
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
@@ -273,6 +275,7 @@ def assemble(
     lower: Float[ArrayLike, " n"] | None = None,
     upper: Float[ArrayLike, " n"] | None = None,
     velocity_limit: Float[ArrayLike, " n"] | None = None,
+    masses: tuple[Mass, ...] = (),
 ) -> Chain:
     """Chain from joints built one by one, with limits checked against the number of coordinates.
 
@@ -299,6 +302,7 @@ def assemble(
         lower=limits("lower", lower, -math.inf),
         upper=limits("upper", upper, math.inf),
         velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
+        masses=masses,
     )
     remark_on_robot(made)
     return made

@@ -89,10 +89,12 @@ class Offset:
 
 def compose(first: Offset, second: Offset) -> Offset:
     """The transform `first`, then `second` as seen from there."""
-    return Offset(
-        position=vadd(first.position, matvec(first.rotation, second.position)),
-        rotation=matmul(first.rotation, second.rotation),
-    )
+    return Offset(position=placed(first, second.position), rotation=matmul(first.rotation, second.rotation))
+
+
+def placed(offset: Offset, point: Triple) -> Triple:
+    """A point as seen from the frame before, of one as seen from an offset."""
+    return vadd(offset.position, matvec(offset.rotation, point))
 
 
 def inverse(offset: Offset) -> Offset:

@@ -44,7 +44,7 @@ class Model:
     velocity_limit: Float[Array, " n"]
     bounded: bool  # whether some joint has a position limit, as far as that is known
     slowed: bool  # and a velocity limit
-    standing: tuple[tuple[Frames, Frames], ...] | None = None  # by tips, and their derivatives by q; None: q moves them
+    standing: tuple[Float[Array, "j 4 4"], Float[Array, "j 4 4 n"]] | None = None  # frames of joints, derivatives by q
 
     def tip_number(self, tip: str | None = None) -> int:
         """Which of the tips has this name; None: the only one."""
@@ -64,6 +64,8 @@ class Frames:
 
 def joint_frames(chain: Model, q):
     """The joints' frames in the base frame (..., j, 4, 4), each after its joint's motion, at q (..., n)."""
+    if chain.standing is not None:
+        return _standing(*chain.standing, q)
     xp = library(q, chain.tips[0])
     values = q if chain.mimic is None else q @ chain.mimic[0].T + chain.mimic[1]
     still, sine, cosine, slide = chain.transforms
@@ -81,8 +83,6 @@ def frames(chain: Model, q, tip: int = 0) -> Frames:
 
     Args: tip: the number of the tip.
     """
-    if chain.standing is not None:
-        return _standing(*chain.standing[tip], q)
     xp = library(q, chain.tips[tip])
     chain = chain if xp is np else of_the_model(chain)
     at = joint_frames(chain, q)
@@ -93,13 +93,37 @@ def frames(chain: Model, q, tip: int = 0) -> Frames:
     return Frames(position=place, rotation=turn, axes=axes, points=at[..., :3, 3], support=support)
 
 
+def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
+    """The centre of mass at q (n,) as a tip: its rows of the Jacobian are those of `jacobian_rows`.
+
+    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, with cᵢ the centre and sᵢ the share of all that the joint carries.
+    """
+    at = joint_frames(chain, q)
+    xp = library(at, bodies)
+    moments = (at @ bodies[1:, :, None])[..., 0]
+    sums = [moments[..., i, :] for i in range(len(chain.parents))]
+    whole = bodies[0]
+    for i in reversed(range(len(sums))):
+        if chain.parents[i] < 0:
+            whole = whole + sums[i]
+        else:
+            sums[chain.parents[i]] = sums[chain.parents[i]] + sums[i]
+    carried, place = xp.stack(sums, -2), whole[..., :3]
+    share, points = carried[..., 3], at[..., :3, 3]
+    own = carried[..., :3] / xp.where(share > 0, share, 1.0)[..., None]
+    axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
+    points = place[..., None, :] - own + points  # so that it is seen from there as what the joint carries from its axis
+    turn = xp.broadcast_to(xp.eye(3, dtype=place.dtype), (*place.shape, 3))
+    return Frames(position=place, rotation=turn, axes=axes, points=points, support=share)
+
+
 def standing(chain: Model, q) -> Model:
     """The chain whose frames stand as they are at q (n,), and whose derivatives by the joint values are those at q.
 
     For what is differentiated at q alone: of many loops that rest there, all that depends on frames is computed once.
     """
-    at = [functools.partial(frames, chain, tip=i) for i in range(len(chain.tips))]
-    return replace(chain, standing=tuple((one(q), jax.jacfwd(one)(q)) for one in at))
+    at = functools.partial(joint_frames, chain)
+    return replace(chain, standing=(at(q), jax.jacfwd(at)(q)))
 
 
 @jax.custom_jvp
@@ -110,7 +134,7 @@ def _standing(at, by_joint, q):
 @_standing.defjvp
 def _standing_jvp(primals, tangents):
     (moved, _, turned), by_joint = tangents, primals[1]
-    return _standing(*primals), jax.tree.map(lambda own, each: own + each @ turned, moved, by_joint)
+    return _standing(*primals), moved + by_joint @ turned
 
 
 def jacobian_rows(chain: Model, at: Frames, linear, angular):
@@ -124,7 +148,7 @@ def jacobian_rows(chain: Model, at: Frames, linear, angular):
         turning = chain.turning[:, None]
         velocity, spin = xp.where(turning, velocity, at.axes), xp.where(turning, spin, 0.0)
     if at.support is not None:
-        velocity, spin = at.support[:, None] * velocity, at.support[:, None] * spin
+        velocity, spin = at.support[..., None] * velocity, at.support[..., None] * spin
     rows = xp.swapaxes(xp.concatenate([velocity, spin], axis=-1), -1, -2)
     rows = rows[..., np.array([*linear, *(3 + i for i in angular)], int), :]
     return rows if chain.mimic is None else rows @ chain.mimic[0]

@@ -4,6 +4,7 @@ from cnclik import errors
 from cnclik.record import replace
 from cnclik.robot.chain import Chain, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose
+from cnclik.robot.masses import added, put
 from cnclik.robot.poses import PoseLike
 
 
@@ -29,8 +30,8 @@ def with_base(chain: Chain, base: PoseLike) -> Chain:
 
     Targets, Jacobians and the tips' poses are then in the world's frame.
     """
-    parents = errors.kind("chain", chain, Chain).parents
-    return replace(chain, joints=_placed(chain.joints, parents, offset_of("base", base, places=True)))
+    parents, place = errors.kind("chain", chain, Chain).parents, offset_of("base", base, places=True)
+    return replace(chain, joints=_placed(chain.joints, parents, place), masses=put(chain.masses, place))
 
 
 def _placed(joints, parents, base):
@@ -78,4 +79,5 @@ def join(
         if twice := sorted({name for name in several if several.count(name) > 1}):
             raise errors.fail("prefix", "tell the names of both robots apart", f"leaves {', '.join(twice)} twice")
     limits = {name: getattr(chain, name) + getattr(other, name) for name in ("lower", "upper", "velocity_limit")}
-    return assemble(joints, tuple(tips), joint_names=names, **limits)
+    masses = added(chain.masses, put(other.masses, start), carrier.joint)
+    return assemble(joints, tuple(tips), joint_names=names, **limits, masses=masses)

@@ -1,6 +1,6 @@
-"""The kinematic tree of a URDF file: links, joints, limits. Read without loading JAX.
+"""The kinematic tree of a URDF file: links, joints, limits, masses. Read without loading JAX.
 
-Meshes, inertias and plugin sections are passed over, so nothing has to be found next to the file.
+Meshes and plugin sections are passed over, so nothing has to be found next to the file.
 """
 
 import codecs
@@ -47,6 +47,7 @@ class Tree:
     root: str
     links: tuple
     edges: tuple  # of Edge, in the file's order
+    inertials: dict  # link name -> (mass [kg], its centre as seen from the link [m]), of those that have a mass
 
     @functools.cached_property
     def above(self) -> dict:
@@ -111,7 +112,7 @@ def read_urdf(path) -> Tree:
         what = f"The rpy of joint {joint.name!r} in {file}"
         if joint.origin is not None and remark_on_angles(what, joint.origin[1]):
             break
-    return _tree(file, root.get("name", file), links, joints)
+    return _tree(file, root.get("name", file), links, joints, _inertials(file, root))
 
 
 def _root(file, data):
@@ -205,6 +206,24 @@ def _written(file, element) -> _Written:
     )
 
 
+def _inertials(file, root) -> dict:
+    """{link: (mass, its centre)}; none where one can't be read, which is remarked on: kinematics needs none of them."""
+    found = {}
+    for link in root.iterfind("link"):
+        mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
+        if mass is None:
+            continue
+        words = [mass.get("value", ""), *("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()]
+        of, *center = [math.nan if (x := quantities.number(word)) is None else x for word in words]
+        if len(center) != 3 or not (0 <= of <= MOST and all(abs(x) <= MOST for x in center)):
+            what = f"Link {link.get('name')!r} of {file} has an inertial of {' '.join(words)!r}"
+            errors.remark(f"{what}: the robot is taken as one without masses.")
+            return {}
+        if of:
+            found[link.get("name")] = of, tuple(center)
+    return found
+
+
 def _rotation(roll, pitch, yaw):
     """Rows of Rz(yaw)·Ry(pitch)·Rx(roll)."""
     (a, b, c), (d, e, f) = ([turn(angle) for angle in (roll, pitch, yaw)] for turn in (math.sin, math.cos))
@@ -215,7 +234,7 @@ def _rotation(roll, pitch, yaw):
     )
 
 
-def _tree(file, name, links, joints) -> Tree:
+def _tree(file, name, links, joints, inertials) -> Tree:
     """The robot as a checked tree: names unique, links known, one root, no loop."""
 
     def bad(what):
@@ -252,7 +271,7 @@ def _tree(file, name, links, joints) -> Tree:
         more = f" and {len(roots) - 5:,} more" if len(roots) > 6 else ""
         raise bad(f"has {len(roots):,} roots: {', '.join(roots[: 5 if more else 6])}{more}")
     edges = tuple(_edge(file, joint) for joint in joints)
-    return Tree(file=file, name=name, root=roots[0], links=links, edges=edges)
+    return Tree(file=file, name=name, root=roots[0], links=links, edges=edges, inertials=inertials)
 
 
 def _edge(file, joint) -> Edge:

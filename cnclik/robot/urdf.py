@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from cnclik import errors
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of, turn
 from cnclik.robot.fixed import Offset, compose, inverse, scale
+from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
 _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -58,10 +59,13 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
         raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
     else:
         ends = _ends(tree, tips)
-    joints, at, followed = _walked(tree, base, [link for link, _ in ends.values()], _frozen(tree, freeze))
+    frozen = _frozen(tree, freeze)
+    joints, at, followed = _walked(tree, base, [link for link, _ in ends.values()], frozen)
     for link, _ in ends.values():
         if at[link][0] < 0:
             raise errors.fail("tips" if tips else "tip", "be moved by a joint", f"is {link!r}, fixed to {base!r}")
+    if tree.inertials:
+        _rest(tree, at, frozen)
     return assemble(
         joints,
         tuple(Tip(name=n, joint=at[link][0], offset=compose(at[link][1], off)) for n, (link, off) in ends.items()),
@@ -69,6 +73,7 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
         lower=[e.lower for e in followed],
         upper=[e.upper for e in followed],
         velocity_limit=[e.velocity for e in followed],
+        masses=lumped(tree.inertials, at, len(joints)),
     )
 
 
@@ -83,25 +88,64 @@ def _walked(tree, base, links, frozen) -> tuple:
             here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
             if there in at:
                 continue
-            (parent, before), origin = at[here], Offset(position=edge.origin[0], rotation=edge.origin[1])
-            before, after = (before, inverse(origin)) if turned else (compose(before, origin), Offset())
-            axis = scale(-1.0, edge.axis) if turned else edge.axis  # from its child a joint turns the other way
+            parent, before = at[here]
             if edge.type == "fixed":
-                at[there] = parent, compose(before, after) if turned else before
+                at[there] = parent, _after(before, edge, turned)
                 continue
             if edge.type not in _MOVING:
                 raise _odd(tree, link, edge, turned)
             kind, (leader, multiplier, offset) = _MOVING[edge.type], _leader(by_name, edge, leaders)
             if leader.name in frozen:
-                still = _moved(kind, axis, multiplier * frozen[leader.name] + offset)
-                at[there] = parent, compose(compose(before, still), after)
+                at[there] = parent, _after(before, edge, turned, multiplier * frozen[leader.name] + offset)
                 continue
+            before, axis, after = _around(before, edge, turned)
             if leader not in followed:
                 followed.append(leader)
             about = dict(coordinate=followed.index(leader), multiplier=multiplier, offset=offset, parent=parent)
             joints.append(Joint(kind=kind, axis=axis, origin=before, **about))
             at[there] = len(joints) - 1, after
     return joints, at, followed
+
+
+def _around(before: Offset, edge, turned) -> tuple:
+    """Where a joint is, its axis there, and what comes after its motion."""
+    origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
+    if turned:  # from its child a joint turns the other way
+        return before, scale(-1.0, edge.axis), inverse(origin)
+    return compose(before, origin), edge.axis, Offset()
+
+
+def _after(before: Offset, edge, turned, value=0.0) -> Offset:
+    """Where the link after a joint of a known value is."""
+    before, axis, after = _around(before, edge, turned)
+    kind = _MOVING.get(edge.type)
+    if kind is not None:
+        still = Offset(rotation=turn(axis, value)) if kind == REVOLUTE else Offset(position=scale(value, axis))
+        before = compose(before, still)
+    return compose(before, after) if turned else before
+
+
+def _rest(tree, at, frozen) -> None:
+    """Adds to `at` what hangs on joints that are no coordinates: they stay as near to 0 as their limits let them.
+
+    What only a floating or planar joint holds is left out: it is another body.
+    """
+    waiting = [*at]
+    for link in waiting:
+        above = [(tree.above[link], True)] if link in tree.above else []
+        for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
+            there = edge.parent if turned else edge.child
+            if there not in at and edge.type in (*_MOVING, "fixed"):
+                value = _at_rest(edge, frozen)
+                at[there] = at[link][0], _after(at[link][1], edge, turned, value)
+                waiting.append(there)
+
+
+def _at_rest(edge, frozen) -> float:
+    if edge.mimic is not None:
+        leader, multiplier, offset = edge.mimic
+        return multiplier * frozen.get(leader, 0.0) + offset
+    return frozen.get(edge.name, min(max(0.0, edge.lower), edge.upper))
 
 
 def _ends(tree, tips) -> dict:
@@ -134,11 +178,6 @@ def _frozen(tree, freeze) -> dict:
         if not edge.lower <= value <= edge.upper:
             raise errors.fail(f"freeze[{name!r}]", f"be within {edge.lower:g} and {edge.upper:g}", f"is {value:g}")
     return {name: float(value) for name, value in (freeze or {}).items()}
-
-
-def _moved(kind, axis, value) -> Offset:
-    """What a joint of a known value does."""
-    return Offset(rotation=turn(axis, value)) if kind == REVOLUTE else Offset(position=scale(value, axis))
 
 
 def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:

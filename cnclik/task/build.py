@@ -75,7 +75,7 @@ def pose(
 
 def _part(kinds, name, axes, tip, to, frame):
     kind = kinds[errors.one_of("frame", frame, kinds)]
-    return kind(axes=_letters(name, axes), tip=tip, to=to)
+    return kind(axes=letters_of(name, axes), tip=tip, to=to)
 
 
 def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
@@ -150,7 +150,7 @@ def _names(name, value):
     return tuple(several)
 
 
-def _letters(name, axes):
+def letters_of(name, axes):
     if hasattr(axes, "joints"):  # of a robot, whose tip's pose `ck.pose` was until 0.2
         raise errors.fail(name, 'be letters of "xyz"', "is a robot: its tip's pose is ck.forward(robot, q)")
     if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):

@@ -43,10 +43,11 @@ class At:
         self.chain, self.q, self._frames = chain, q, {}
 
     def frames(self, tip) -> Frames:
-        """The frames of a tip by its name, or of the only one; each is computed once."""
-        number = self.chain.tip_number(tip)
+        """The frames of a tip by its name, of the only one, or of a part that is `seen` as one; each computed once."""
+        number = -1 if hasattr(tip, "seen") else self.chain.tip_number(tip)
         if number not in self._frames:
-            self._frames[number] = frames(self.chain, self.q, number)
+            found = tip.seen(self.chain, self.q) if number < 0 else frames(self.chain, self.q, number)
+            self._frames[number] = found
         return self._frames[number]
 
     def position(self, tip, to=None):

@@ -1,0 +1,73 @@
+"""Masses: what a robot's links weigh, by the joints that carry them, and where their centre is."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.record import record, replace
+from cnclik.robot.fixed import ZERO, Offset, Triple, placed, scale, vadd
+from cnclik.shapes import Array, Float, Number
+
+
+@record
+class Mass:
+    """What a joint carries before the next one, or the base: a mass and its centre."""
+
+    mass: Number = 0.0  # [kg]
+    center: Triple = ZERO  # [m], as seen from the joint; of what the base carries from there
+
+
+def _sum(*each: tuple) -> Mass:
+    """Several, as (mass, centre), as one."""
+    whole = sum(mass for mass, _ in each)
+    moment = functools.reduce(vadd, (scale(mass, center) for mass, center in each), ZERO)
+    return Mass(mass=whole, center=scale(1.0 / whole, moment)) if each else Mass()
+
+
+def lumped(inertials: dict, at: dict, count: int) -> tuple[Mass, ...]:
+    """What the base carries, then each joint; () where nothing has a mass.
+
+    Args:
+      inertials: {link: (mass, its centre as seen from the link)}.
+      at: {link: (index of the joint that carries it, −1 of the base, where it is as seen from there)}.
+      count: of joints.
+    """
+    found: list = [[] for _ in range(count + 1)]
+    for link, (mass, center) in inertials.items():
+        if link in at:
+            joint, offset = at[link]
+            found[joint + 1].append((mass, placed(offset, center)))
+    return tuple(_sum(*each) for each in found) if any(found) else ()
+
+
+def put(masses: tuple[Mass, ...], base: Offset) -> tuple[Mass, ...]:
+    """The masses of a robot whose base is somewhere else."""
+    return tuple(replace(m, center=placed(base, m.center)) if i == 0 else m for i, m in enumerate(masses))
+
+
+def added(one: tuple[Mass, ...], other: tuple[Mass, ...], joint: int) -> tuple[Mass, ...]:
+    """The masses of a robot that carries another one on a joint; () where one of them has none."""
+    if not one or not other:
+        return ()
+    both = [(m.mass, m.center) for m in (one[joint + 1], other[0]) if m.mass]
+    return (*one[: joint + 1], _sum(*both), *one[joint + 2 :], *other[1:])
+
+
+def shares(chain) -> Float[Array, "j+1 4"]:
+    """Of what the base carries, then of each joint: its share s of all mass, and its centre, as s·(c, 1).
+
+    Raises: ArgumentError for a robot without masses.
+    """
+    if not chain.masses:
+        raise errors.fail("robot", "have masses, as of a URDF file with <inertial> in its links", "has none")
+    each = [[*scale(m.mass, m.center), m.mass] for m in chain.masses]
+    if all(errors.concrete(x) for row in each for x in row):
+        each = np.array(each, float)
+        return each / each[:, 3].sum()
+    import jax.numpy as jnp
+
+    each = jnp.array(each)
+    return each / each[:, 3].sum()

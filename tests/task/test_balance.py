@@ -1,0 +1,183 @@
+"""The centre of mass: values and rows against Pinocchio, as a task and as walls; what is refused."""
+
+import jax
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import cnclik as ck
+from cnclik.robot.model import modelled
+from cnclik.robot.tree import read_urdf
+from cnclik.robot.urdf import chain
+from cnclik.task.parts import At
+from cnclik.task.task import coordinates, rows
+from tests.oracles import central_differences, close, robot_file
+from tests.robot.test_trees import ARMS, G1, ROBOTS, ROOT, postures
+from tests.robot.test_urdf import Pinocchio
+
+FEET = ["left_ankle_roll_link", "right_ankle_roll_link"]
+
+
+class Weighed(Pinocchio):
+    """With a free base, as Pinocchio leaves out what is fixed to a fixed one."""
+
+    def __init__(self, path):
+        super().__init__(path, pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()))
+
+    def center(self, names, q):
+        model, full, columns = self.model, pin.neutral(self.model), np.zeros((self.model.nv, len(names)))
+        for name, (value, i, multiplier) in self.values(names, q).items():
+            joint = model.joints[model.getJointId(name)]
+            circle = [np.cos(value), np.sin(value)]
+            full[joint.idx_q : joint.idx_q + joint.nq] = circle if joint.nq == 2 else value
+            columns[joint.idx_v, i] += multiplier
+        j = pin.jacobianCenterOfMass(model, self.data, full) @ columns
+        return self.data.com[0].copy(), j, self.data.mass[0]
+
+
+@pytest.mark.parametrize("name", ["g1", "talos", "icub", "baxter", "tiago_pro", "romeo", "pr2"])
+def test_it_is_pinocchios(name):
+    """Breaks for a link that is left out, and for a joint that moves what it does not carry."""
+    tree, other = read_urdf(ROOT / ROBOTS[name]), Weighed(ROOT / ROBOTS[name])
+    robot = chain(tree, tips=tree.tips())
+    task, model = ck.center_of_mass().on(robot), modelled(robot)
+    every = postures(robot, 3)
+    for q, found in zip(every, task.rows_at(model, every), strict=True):
+        place, j, mass = other.center(robot.joint_names, q)
+        close(ck.com(robot, q), place, atol=1e-12)
+        close(found, j, atol=1e-12)
+        close(sum(m.mass for m in robot.masses), mass, rtol=1e-12)
+
+
+def seen(robot, task):
+    task, model = task.on(robot), modelled(robot)
+    return jax.jit(lambda q: (coordinates(task, At(model, q)), rows(task, At(model, q))))
+
+
+def test_joints_that_are_no_coordinates_stand_still():
+    whole = ck.load_urdf(G1, tips=[*ARMS, *FEET])
+    bent = {"left_knee_joint": 0.8, "waist_roll_joint": 0.2}
+    arm = ck.load_urdf(G1, tip=ARMS[0], freeze=bent)
+    (q,) = postures(arm, 1)
+    every = np.array([dict(zip(arm.joint_names, q, strict=True)).get(n, bent.get(n, 0.0)) for n in whole.joint_names])
+    close(ck.com(arm, q), ck.com(whole, every), atol=1e-14)
+
+
+@pytest.mark.parametrize("to", [None, FEET[0]])
+def test_rows_are_derivatives(to):
+    robot = ck.load_urdf(G1, tips=[*ARMS, *FEET])
+    made, (q,) = seen(robot, ck.center_of_mass("xz", relative_to=to)), postures(robot, 1, seed=4)
+    close(made(q)[1], central_differences(jax.vmap(lambda q: made(q)[0]), q), atol=1e-10)
+    close(made(q)[0], ck.com(robot, q, relative_to=to)[np.array([0, 2])], atol=1e-14)
+
+
+def test_robots_that_are_put_together_weigh_both():
+    """Two Pandas on a torso: their masses where they stand."""
+    torso = ck.load_urdf(G1, tips={"left": "torso_link", "right": ("torso_link", [0, 0, 0.4])})
+    panda = ck.load_urdf(robot_file("panda"), tip="panda_hand")
+    robot = ck.with_base(
+        ck.join(ck.join(torso, panda, at="left", prefix="a_"), panda, at="right", prefix="b_"), [1, 2, 3]
+    )
+    (q,), arms = postures(torso, 1), postures(panda, 2)
+    each = [(torso, ck.com(torso, q))]
+    for tip, own in zip(("left", "right"), arms, strict=True):
+        at = ck.forward(torso, q, tip=tip)
+        each.append((panda, at.position + at.rotation @ ck.com(panda, own)))
+    weights = [sum(m.mass for m in robot.masses) for robot, _ in each]
+    wanted = np.average([np.asarray(c) for _, c in each], axis=0, weights=weights) + np.array([1, 2, 3])
+    close(ck.com(robot, np.concatenate([q, *arms])), wanted, atol=1e-13)
+    assert ck.join(torso, ck.panda(), at="left").masses == ()
+
+
+LEANING = """<robot name="leaning">{}{}</robot>""".format(
+    "".join(
+        f"""<link name="l{i}"><inertial><origin xyz="0 0 0.2"/><mass value="{4 - i}"/></inertial></link>"""
+        for i in range(4)
+    ),
+    "".join(
+        f"""<joint name="j{i}" type="continuous"><origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
+        <parent link="l{i}"/><child link="l{i + 1}"/></joint>"""
+        for i in range(3)
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def leaning():
+    """Three links on a fourth; the tip reaches ahead, with as little motion as can be."""
+    robot = ck.load_urdf(LEANING)
+    return robot, ck.position("x"), np.array([0.3, -0.2, 0.1])
+
+
+def test_walls_keep_it_over_the_feet(leaning):
+    robot, task, q0 = leaning
+    walls = ck.support_polygon([[-0.1, -0.1], [0.1, 0.1], [0.0, 0.0], [-0.1, 0.1], [0.1, -0.1]], margin=0.01)
+    assert len(walls) == 4
+    law = ck.Law(robot, task, alpha=5.0, inverse=ck.damped(0.05), limits=ck.bounded(walls=walls))
+    run = ck.solve(law, ck.hold([0.4]), q0, 0.01, 300, "EE")
+    along = np.array([ck.com(robot, q)[0] for q in np.asarray(run.q)])
+    assert 0.0895 < along[-1] < 0.0901 and along.max() < 0.0901 and run.x[-1, 0] > 0.399
+
+
+def test_a_stacks_file_has_it(leaning):
+    robot, _, q0 = leaning
+    tables = {"balance": {"task": "center_of_mass", "axes": "x", "target": "50 mm", "level": 1, "damping": 1e-3},
+              "tip": {"task": "x", "target": [0.3], "level": 2, "damping": 0.05}}  # fmt: skip
+    made = ck.problem_from(robot, tasks=tables, q0=q0, N=300, alpha=5.0, method="EE")
+    run = made.run()
+    assert made.law.task.names == ("balance.x", "tip.x") and made.law.task.units == ("m", "m")
+    close(ck.com(robot, run.q[-1])[0], 0.05, atol=1e-5)
+    close(run["tip"].x[-1], 0.3, atol=1e-3)
+    for wrong, says in (({"tip": "tip"}, "`tasks.balance.tip` must be left out for the task 'center_of_mass'"),
+                        ({"reference": "circle"}, "`tasks.balance.reference` must be one of hold")):  # fmt: skip
+        with pytest.raises(ck.ArgumentError, match=says):
+            ck.problem_from(robot, tasks={"balance": tables["balance"] | wrong}, N=3)
+
+
+SOLE = np.array([[-0.05, -0.03], [-0.05, 0.03], [0.12, -0.03], [0.12, 0.03]])
+
+
+@pytest.mark.slow
+def test_a_humanoid_that_reaches_ahead_stays_over_its_feet():
+    """A hand reaches far ahead while both feet stand: free it falls over, with walls it stays 1 cm inside."""
+    robot, foot = ck.load_urdf(G1, tips=[*FEET, ARMS[0]]), FEET[0]
+    hand = ck.position(tip=ARMS[0], relative_to=foot)
+    task = ck.stack(feet=ck.pose(tip=FEET[1], relative_to=foot), hand=hand, rest=ck.joints())
+    q0 = np.zeros(robot.n)
+    apart = np.asarray(ck.forward(robot, q0, tip=FEET[1]).position - ck.forward(robot, q0, tip=foot).position)[:2]
+    walls = ck.support_polygon([*SOLE, *(SOLE + apart)], relative_to=foot, margin=0.01)
+    paths = ck.hold_at(robot, task, q0, hand=ck.hold([0.7, 0.0, 0.9]))
+    found = []
+    for limits in (ck.bounded(), ck.bounded(walls=walls)):
+        levels = ck.levels(["feet"], ["hand"], ["rest"], damping=(0.01, 0.05, 0.5))
+        law = ck.Law(robot, task, alpha={"feet": 20.0, "hand": 5.0, "rest": 1.0}, inverse=levels, limits=limits)
+        run = ck.solve(law, paths, q0, 0.02, 100, "EE")
+        found.append(np.array([ck.com(robot, q, relative_to=foot)[:2] for q in np.asarray(run.q)[::10]]))
+    free, kept = found
+    assert free[-1, 0] > 0.12 and kept[:, 0].max() < 0.1101
+    assert np.max(kept[:, 1]) < 0.0201 and np.min(kept[:, 1]) > apart[1] - 0.0201
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: ck.com(ck.panda(), np.zeros(7)), "`robot` must have masses, as of a URDF file .* but has none"),
+        (lambda: ck.Law(ck.panda(), ck.center_of_mass("xy"), alpha=1.0), "`robot` must have masses"),
+        (lambda: ck.center_of_mass("yx"), "`axes` must be letters"),
+        (lambda: ck.center_of_mass(relative_to="foot").on(ck.load_urdf(G1, tip=ARMS[0])), "`tip` must be one of"),
+        (lambda: ck.support_polygon([[0, 0], [1, 1], [2, 2]]), "`corners` must be three or more"),
+    ],
+)
+def test_what_does_not_fit_is_refused(call, says):
+    with pytest.raises(ck.ArgumentError, match=says):
+        call()
+
+
+ARM = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="{}"/></inertial></link>
+<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>"""
+
+
+def test_an_inertial_that_cannot_be_read_is_remarked_on():
+    with pytest.warns(ck.Remark, match="Link 'b' of the text has an inertial of 'heavy 0 0 0'"):
+        assert ck.load_urdf(ARM.format("heavy")).masses == ()
+    assert ck.load_urdf(ARM.format("2.5")).masses[1].mass == 2.5
