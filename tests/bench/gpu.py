@@ -128,8 +128,8 @@ def rows() -> list[Row]:
     ]
 
 
-def arguments(row, batch=None):
-    return tuple(jnp.asarray(v) for v in row.inputs(batch or row.batch, row.dtype).values())
+def arguments(row):
+    return tuple(jnp.asarray(v) for v in row.inputs(row.batch, row.dtype).values())
 
 
 def measured(row, way) -> dict:
@@ -156,7 +156,7 @@ def on_cpu(names) -> dict:
     for row in rows():
         if row.name in names:
             with jax.enable_x64(row.dtype == "float64"):
-                few = [v[:FEW] for v in arguments(row, min(row.batch, 1 << 16))]
+                few = [v[:FEW] for v in arguments(row)]
                 got = jax.block_until_ready(ck.lanes(row.fn)(*few))
             found[row.name] = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(got)]
     return found
