@@ -291,7 +291,7 @@ def _unstable(case, error):
 
 
 def _shrinking(case, error):
-    if case.crawls or (case.spans < ENOUGH and not _fallen(case)):
+    if case.crawls or reasons.slow(case) or (case.spans < ENOUGH and not _fallen(case)):
         return undecided(case, error)
     if _shakes(case) and case.seen.largest > 0.8 * case.seen.before.max():
         return _shaking(case, error)
@@ -320,7 +320,7 @@ def restless(case, what, found):
 
 def undecided(case, error):
     if why := reasons.open_ended(case):
-        return Behaviour.UNDECIDED, f"{error}; {why}", remedies.longer(case)
+        return Behaviour.UNDECIDED, f"{error}; {why}", remedies.quicker(case)
     holds = f"the run holds {plainly(float(f'{case.spans:.2g}'))} of the loop's own time constants"
     share = f"{100 * case.covered:.2g}" if case.covered < 0.1 else int(100 * case.covered)
     path = f" and {share} % of the path" if case.covered < 1 else ""

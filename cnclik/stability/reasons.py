@@ -3,6 +3,7 @@
 import numpy as np
 
 from cnclik.integrate.status import Status
+from cnclik.quantities import plainly
 from cnclik.reaching.result import ReachStatus
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values
@@ -12,7 +13,7 @@ from cnclik.stability.stacked import out_of_reach
 
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
-LONGEST = 1e4  # steps in which an error next to a singularity falls e-fold, that are believed
+LONGEST = 1e4  # steps in which an error falls e-fold, at most, that are waited for
 SLOWEST = 1e6  # steps in which an error falls e-fold, at most
 INSIDE = 1e-6  # [rad, m] beyond a limit that is a rounding
 LEAK = 0.3  # share of what the gain asks for that the null-space velocity's pull must be
@@ -37,10 +38,19 @@ def open_ended(case) -> str:
         return f"limits hold the joints back{where}, and how long that lasts is not known"
     if case.fold > LONGEST and case.seen.often(Status.NEAR_SINGULAR):
         return "next to a singularity a direction of the task hardly moves, and how long it takes is not known"
+    if slow(case):
+        steps, Ts = case.fold, case.loop[0]
+        takes = f"in {plainly(float(f'{steps:.2g}'))} steps ({float(f'{steps * Ts:.2g}'):g} s)"
+        return f"what is left of it falls e-fold {takes}, too slowly for a run to tell, and where it ends is not known"
     pulled, away = leaky(case.law), case.law.null_velocity is not None and case.null_radius >= 1 - 1 / SLOWEST
     if (pulled and case.law.limits is not None) or (away and (pulled or (case.stirred and not case.seen.shrinks))):
         return "the null-space velocity still moves the arm, and how long it does is not known"
     return ""
+
+
+def slow(case) -> bool:
+    """Whether the loop's step at rest takes longer with what is left of an error than anybody waits."""
+    return case.fold * case.advance > LONGEST and case.radius <= 1
 
 
 def keeps_positions(law) -> bool:

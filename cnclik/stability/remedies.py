@@ -24,6 +24,7 @@ INSIDE = 0.97  # of the way to the edge of what can be reached, where a target i
 BRAKES = 0.5  # of what a pace can, that joints nearing their limits take
 SMALL = 0.05  # joint step that is gentle [rad, m]
 ARRIVES = math.log(1e3)  # time constants in which an error is gone
+GENTLE = 0.2  # of an error that a step takes, at a gain that hardly any loop is too late for
 
 
 @record
@@ -138,6 +139,29 @@ def raised(case) -> tuple:
     if share <= 1.2:
         return ()
     return (Remedy(change={"alpha": _gain(case.law, share)}, words=f"raise {_words(case.law, share, 'to')}"),)
+
+
+def quicker(case) -> tuple:
+    """What gets an error there that takes too long at rest, and a run in which it is gone: an inverse that moves the
+    slowest direction of the task, or more gain."""
+    law, (Ts, _, _, drive) = case.law, case.loop
+    if not (reasons.slow(case) and law.task.of_one_tip) or isinstance(law.inverse, Levels):
+        return ()
+    weak = float(f"{np.linalg.svd(case.rows, compute_uv=False)[-1]:.2g}")
+    rate = float(np.max(np.abs(np.asarray(law.alpha, float))))
+    share = GENTLE / ((Ts + float(np.max(drive.late_by(Ts)))) * rate)
+    other = weak < float(np.max(getattr(law.inverse, "damping", np.inf * isinstance(law.inverse, Transpose) or 0.0)))
+    if other and weak < float(law.near_singular):
+        return ()
+    share = min(share, 1.0) if other else share
+    taken = share * rate * Ts * (0.5 if other else 1.0)  # of the slowest direction by a step
+    N = math.ceil(float(f"{case.steps + case.dead + MARGIN * ARRIVES / taken:.2g}"))
+    change = {"damping": weak} if other else {}
+    words = [f"use damped({weak:.2g})"] * other
+    if share != 1:
+        change |= {"alpha": _gain(law, share)}
+        words.append(f"{'raise' if share > 1 else 'reduce'} {_words(law, share, 'to')}")
+    return (Remedy(change=change | {"N": N}, words=f"{' and '.join(words)}, and run for N = {N} steps"),)
 
 
 def _gain(law, share):

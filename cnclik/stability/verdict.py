@@ -32,6 +32,7 @@ _UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because o
 # Of a longer run, what contradicts:
 CALM = 0.02  # share of the joint speed that is reversed, below which a loop does not shake
 LESS = 0.3  # ratio of errors below which it does not diverge
+SLOWLY = 0.9  # ratio of errors beyond which one that falls at each step is not seen to converge
 SAME = 0.75, 1.9  # ratios between which an error stays
 STRAYS = 4.0  # ratio of errors beyond which a loop follows its path no more
 _STAY = (Behaviour.STALLED, Behaviour.AT_LIMIT)
@@ -167,7 +168,8 @@ def _confirmed(case, trials):
             return then, f"{on} {shakes}", mends
         contradicted = then != kind
     if not contradicted:
-        return kind, what, found
+        slowly = kind == Behaviour.CONVERGING and later.seen.largest > FALLEN * case.seen.largest
+        return kind, f"slowly; {what}" if slowly and not what.startswith("slowly") else what, found
     if later.seen.bad is not None:
         then = f"is not finite from step {later.seen.bad} on"
     elif kind in _FOLLOW:
@@ -197,8 +199,8 @@ def _contradicted(kind, case, later) -> bool:
         return later.radius <= UNSTABLE and rests
     if kind in _STAY:
         return not SAME[0] * before <= seen.largest <= SAME[1] * before
-    falls = seen.shrinks or seen.arrived or bool(np.all(np.diff(seen.late) < 0))
-    return seen.largest > FALLEN * before and not falls
+    falls = seen.shrinks or bool(np.all(np.diff(seen.late) < 0) and seen.largest < SLOWLY * before)
+    return seen.largest > FALLEN * before and not (falls or seen.arrived)
 
 
 def _tried(case, trials, found):
