@@ -89,6 +89,7 @@ def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, 
 
 
 _OPTIONS = {  # what the library's remedies speak of, as it is written on the command line
+    r"\bdamped\((.*?)\) in place of \w+\(\)": r"--inverse damped --damping \1",
     r"\bdamped\((.*?)\)": r"--damping \1",
     r"an error_clamp of \((.*?), (.*?)\)": r"--error-clamp \1 \2",
     r"limits velocity_scaling\(\)": "--limits velocity-scaling",
@@ -99,7 +100,6 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
     r"N = (\d+) steps": r"--N \1",
     r"period = (\S+) s": r"--period \1",
     r"limits (saturation|bounded)\(\)": r"--limits \1",
-    r"limits (saturation|bounded)\((\S+?)\)": r"--limits \1 --limit-rate \2",
     "feedback commanded": "--feedback commanded",
 }
 

@@ -183,7 +183,7 @@ def _paced(loop, made, pacing, t, q):
     scaled, and a scaled step is the first of a new memory.
     """
     stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
-    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q, made.qdot))
+    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q))
     status = made.status & ~int(Status.OVER_VELOCITY)
     status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
     status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)

@@ -11,6 +11,7 @@ the same bounds (Bobrow, Dubowsky & Gibson 1985); here they are looked ahead by 
 
 Where no share keeps the limits of acceleration and jerk, as after a jump of the target under way, the joints leave the
 path: each brakes, within its limits, towards the velocity that the law wants. The loop sees where it is and comes back.
+A joint that could not be stopped before a position limit after the step, if the law keeps those, brakes instead of it.
 """
 
 from __future__ import annotations
@@ -198,7 +199,7 @@ def _largest(v):
 def share(pace, state, f, Ts, stop, sharpness, room=None):
     """(s, the next state) for an asked velocity f (n,); the velocity to take is the state's.
 
-    Args: room: (n,) how far each joint may go in the direction of f [rad, m], or None where no limits are kept.
+    Args: room: (2, n) how far each joint may go down and up [rad, m], or None where no limits are kept.
     """
     dtype, limits = f.dtype, (pace.velocity, pace.acceleration, pace.jerk)
     v, a, j = (None if w is None else jnp.broadcast_to(jnp.asarray(w, dtype), f.shape) for w in limits)
@@ -211,7 +212,7 @@ def share(pace, state, f, Ts, stop, sharpness, room=None):
 
     most = jnp.ones((), dtype) if v is None else 1 / jnp.maximum(1.0, _largest(f / v))
     if room is not None:
-        most = jnp.minimum(most, _inside(a, j, state, f, Ts, room))
+        most = jnp.minimum(most, _inside(a, j, state, f, Ts, jnp.where(f < 0, *room)))
     low, high, excess = _kept(a, j, state, f, Ts, most)
     leaves = excess > _whole(dtype)
     steep = _steepness(state, f, Ts)
@@ -221,6 +222,10 @@ def share(pace, state, f, Ts, stop, sharpness, room=None):
     velocity = s * f
     if not (a is None and j is None):
         velocity = jnp.where(leaves, _braked(a, j, state, wanted * f, Ts), velocity)
+        if room is not None:  # a joint that could brake too late for its limit brakes now
+            late = _too_late(a, j, state, velocity, Ts, room)
+            velocity = jnp.where(late, _braked(a, j, state, jnp.zeros_like(f), Ts), velocity)
+            leaves, excess = leaves | late.any(), jnp.where(late.any(), jnp.maximum(excess, 2.0), excess)
         s = jnp.where(leaves, _along(velocity, f), s)
     return s, Pacing(
         velocity=velocity,
@@ -340,6 +345,39 @@ def _braked(a, j, state, wanted, Ts):
     if a is not None:
         change = jnp.clip(change, -a, a)
     return state.velocity + Ts * change
+
+
+def _too_late(a, j, state, velocity, Ts, room):
+    """Which joints, after a step at a velocity (n,), `_braked` could not stop before a position limit any more."""
+    v, grows = (jnp.stack([-w, w]) for w in (velocity, (velocity - state.velocity) / Ts))
+    far = _stopping(a, j, v, grows, Ts)
+    return ((far > 0) & (far + v * Ts > room)).any(axis=0)
+
+
+def _stopping(a, j, v, grows, Ts):
+    """How far joints go on towards a limit, at v and at an acceleration `grows` towards it, while `_braked` stops them.
+
+    With a jerk limit: on with all of it to where the braking can ease, at a itself for a while where it gets there,
+    and eased to rest. One that still moves away goes on from where it turns round.
+    """
+    fast = jnp.maximum(v, 0.0)
+    if j is None:
+        return jnp.where(fast > a * Ts, fast * (fast / (2 * a) - Ts / 2) + a * Ts**2 / 8, 0.0)
+    j = jnp.minimum(j, FAR / Ts**2)
+    top = v + jnp.maximum(grows, 0.0) ** 2 / (2 * j)
+    turned = safe_sqrt(2 * j * jnp.maximum(top, 0.0))
+    begins = jnp.where(v > 0, jnp.maximum(grows, -safe_sqrt(2 * EASING * j * fast)), turned)
+    eases = jnp.maximum(fast + begins**2 / (2 * j), 0.0) / (1 + EASING)
+    brakes = safe_sqrt(2 * EASING * j * eases)
+    held = 0.0
+    if a is not None:
+        a = jnp.minimum(a, FAR / Ts)
+        full, reached = a * a / (2 * EASING * j), fast + (begins**2 - a * a) / (2 * j)
+        held = jnp.where(eases > full, (reached**2 - full**2) / (2 * a), 0.0)
+        brakes, eases = jnp.minimum(brakes, a), jnp.minimum(eases, full)
+    lasts = (begins + brakes) / j
+    far = lasts * (fast + lasts * (begins / 2 - lasts * j / 6)) + held
+    return jnp.where(top > 0, far + eases / 3 * safe_sqrt(2 * eases / (EASING * j)), 0.0)
 
 
 def _steepness(state, f, Ts):

@@ -330,11 +330,11 @@ def inside(law, q, after):
     return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))
 
 
-def room(law, q, qdot):
-    """(n,) how far the joints may go in the direction of their velocities, or None where the law keeps no position."""
+def room(law, q):
+    """(2, n) how far the joints may go down and up, or None where the law keeps no position."""
     if not _keeps_positions(law):
         return None
-    return jnp.maximum(jnp.where(qdot < 0, q - law.chain.lower, law.chain.upper - q), 0.0)
+    return jnp.maximum(jnp.stack([q - law.chain.lower, law.chain.upper - q]), 0.0)
 
 
 def _keeps_positions(law):

@@ -39,9 +39,8 @@ def open_ended(case) -> str:
     if case.fold > LONGEST and case.seen.often(Status.NEAR_SINGULAR):
         return "next to a singularity a direction of the task hardly moves, and how long it takes is not known"
     if slow(case):
-        steps, Ts = case.fold, case.loop[0]
-        takes = f"in {plainly(float(f'{steps:.2g}'))} steps ({float(f'{steps * Ts:.2g}'):g} s)"
-        return f"what is left of it falls e-fold {takes}, too slowly for a run to tell, and where it ends is not known"
+        takes = f"{plainly(float(f'{case.fold:.2g}'))} steps ({float(f'{case.fold * case.loop[0]:.2g}'):g} s)"
+        return f"what is left of it takes {takes} to fall by a factor of e, and where that ends is not known"
     pulled, away = leaky(case.law), case.law.null_velocity is not None and case.null_radius >= 1 - 1 / SLOWEST
     if (pulled and case.law.limits is not None) or (away and (pulled or (case.stirred and not case.seen.shrinks))):
         return "the null-space velocity still moves the arm, and how long it does is not known"
@@ -70,8 +69,7 @@ def outside(case) -> str:
     unit = "rad" if law.chain.joints[most].kind == REVOLUTE else "m"
     others = int(np.sum(beyond > INSIDE)) - 1
     more = f", and {others} more {'is' if others == 1 else 'are'} beyond theirs" if others else ""
-    by = "its drive" if case.pace is None else "braking at this pace"
-    past = f": {by} takes it past what the law keeps" if keeps_positions(law) else ""
+    past = ": its drive takes it past what the law keeps" if keeps_positions(law) else ""
     return f"joint {law.chain.joint_names[most]} is up to {beyond[most]:.3g} {unit} beyond its limit{more}{past}"
 
 

@@ -1,14 +1,13 @@
 """Remedies: what would have made a run better, as numbers under the names of a problem's options, and in words."""
 
 import math
+import re
 
 import numpy as np
 
-from cnclik.integrate.pace import CHAIN
 from cnclik.integrate.stage import Picard
 from cnclik.law.bounded import Bounded
 from cnclik.law.inverse import Levels, Transpose
-from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
@@ -21,7 +20,6 @@ from cnclik.stability.spectrum import leaky
 MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
 ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
 INSIDE = 0.97  # of the way to the edge of what can be reached, where a target is brought to
-BRAKES = 0.5  # of what a pace can, that joints nearing their limits take
 SMALL = 0.05  # joint step that is gentle [rad, m]
 ARRIVES = math.log(1e3)  # time constants in which an error is gone
 GENTLE = 0.2  # of an error that a step takes, at a gain that hardly any loop is too late for
@@ -153,15 +151,21 @@ def quicker(case) -> tuple:
     other = weak < float(np.max(getattr(law.inverse, "damping", np.inf * isinstance(law.inverse, Transpose) or 0.0)))
     if other and weak < float(law.near_singular):
         return ()
-    share = min(share, 1.0) if other else share
+    share = min(share, max(share / 100, 1.0)) if other else share  # as it is, where that is neither much nor nothing
     taken = share * rate * Ts * (0.5 if other else 1.0)  # of the slowest direction by a step
     N = math.ceil(float(f"{case.steps + case.dead + MARGIN * ARRIVES / taken:.2g}"))
     change = {"damping": weak} if other else {}
-    words = [f"use damped({weak:.2g})"] * other
+    words = [f"use {_damped(law, weak)}"] * other
     if share != 1:
         change |= {"alpha": _gain(law, share)}
         words.append(f"{'raise' if share > 1 else 'reduce'} {_words(law, share, 'to')}")
     return (Remedy(change=change | {"N": N}, words=f"{' and '.join(words)}, and run for N = {N} steps"),)
+
+
+def _damped(law, damping):
+    """The inverse in words: in place of one that is neither damped(...) nor without a name on the command line."""
+    name = re.sub(r"\B(?=[A-Z])", "_", type(law.inverse).__name__).lower()
+    return f"damped({damping:.2g})" + f" in place of {name}()" * (name not in ("damped", "pseudoinverse"))
 
 
 def _gain(law, share):
@@ -199,7 +203,7 @@ def gentle(case, mends="error") -> tuple:
     damping = max(0.1 * size, 3 * float(np.max(np.asarray(getattr(law.inverse, "damping", 0.0)))))
     most = min(float(np.min(np.array(law.chain.velocity_limit, float))), SMALL / Ts)
     clamp = float(f"{min(0.1 * size, 1.4 * damping * most / rate if rate else np.inf):.2g}")
-    words = f"use damped({damping:.2g}) with an error_clamp of ({clamp:.2g}, {clamp:.2g})"
+    words = f"use {_damped(law, damping)} with an error_clamp of ({clamp:.2g}, {clamp:.2g})"
     change = {"damping": float(f"{damping:.2g}"), "error_clamp": [clamp, clamp]}
     return (Remedy(change=change, words=words, mends=mends),)
 
@@ -281,22 +285,13 @@ def slower_joints(case) -> tuple:
 
 
 def inside(case) -> tuple:
-    """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther: at a pace
-    neared so slowly that it can brake. From a velocity v a rate r takes an acceleration of r·v and a jerk of r²·v."""
-    q, chain, pace, limits = case.start.q, case.law.chain, case.pace, case.law.limits
-    if np.any((q < np.array(chain.lower)) | (q > np.array(chain.upper))) or not case.loop[-1].prompt:
+    """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther."""
+    q, chain = case.start.q, case.law.chain
+    began = np.all((q >= np.array(chain.lower)) & (q <= np.array(chain.upper)))
+    if reasons.keeps_positions(case.law) or not (began and case.loop[-1].prompt):
         return ()
-    rate, change = float(limits.rate) if isinstance(limits, (Bounded, Saturated)) else math.inf, {}
-    if pace is not None and pace.smooth:
-        v = float(np.max(np.asarray(chain.velocity_limit if pace.velocity in (CHAIN, None) else pace.velocity, float)))
-        a, j = (math.inf if one is None else float(np.min(np.asarray(one))) for one in (pace.acceleration, pace.jerk))
-        most = BRAKES * min(a / v, (j / v) ** 0.5) if 0 < v < math.inf else 0.0
-        change = {"limit_rate": float(f"{most:.2g}")} if most else {}
-    if reasons.keeps_positions(case.law) and not 0 < change.get("limit_rate", 0.0) < rate:
-        return ()
-    name = "bounded" if isinstance(limits, Bounded) else "saturation"
-    words = f"keep the joints inside with limits {name}({', '.join(map(str, change.values()))})"
-    return (Remedy(change={"limits": name} | change, words=words, mends="limits"),)
+    words = "keep the joints inside with limits saturation()"
+    return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)
 
 
 def less_pull(case) -> tuple:

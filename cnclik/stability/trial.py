@@ -86,8 +86,7 @@ def changed(run: Run, change: dict) -> Run:
     if "damping" in change:
         law = replace(law, inverse=inverse.damped(np.asarray(change.pop("damping"), float)))
     if "limits" in change:
-        rate = [change.pop("limit_rate")] if "limit_rate" in change else []
-        law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))(*rate))
+        law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
     if "null_gain" in change:
         law = replace(law, null_velocity=_slower(law.null_velocity, change.pop("null_gain")))
     numbers = ("alpha", "error_clamp", "feedforward")

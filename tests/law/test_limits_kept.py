@@ -105,26 +105,29 @@ def test_kept(limits, name, dtype):
     assert status.any()
 
 
-PACES = {"velocity": (), "acceleration": (1.0,), "jerk": (1.0, 10.0)}
+PACES = {"velocity": (), "acceleration": (1.0,), "jerk": (1.0, 10.0), "little jerk": (1.0, 1.0)}
 
 
 @pytest.mark.parametrize(
-    ("limits", "smooth", "dtype", "past"),  # the last: how far past a limit a joint may be [rad]
+    ("limits", "smooth", "dtype"),
     [
-        ("weights", "velocity", np.float64, 1e-12),
-        ("weights", "acceleration", np.float64, 1e-3),
-        ("saturation", "jerk", np.float32, 1e-6),
-        ("bounded", "jerk", np.float64, 1e-12),
-        pytest.param("bounded", "acceleration", np.float32, 1e-6, marks=pytest.mark.slow),
-        pytest.param("weights", "acceleration", np.float32, 1e-3, marks=pytest.mark.slow),
-        pytest.param("saturation", "acceleration", np.float64, 1e-12, marks=pytest.mark.slow),
-        pytest.param("weights", "jerk", np.float64, 0.1, marks=pytest.mark.slow),
+        ("weights", "velocity", np.float64),
+        ("weights", "jerk", np.float64),
+        ("saturation", "jerk", np.float32),
+        pytest.param("bounded", "jerk", np.float64, marks=pytest.mark.slow),
+        pytest.param("bounded", "acceleration", np.float32, marks=pytest.mark.slow),
+        pytest.param("weights", "acceleration", np.float32, marks=pytest.mark.slow),
+        pytest.param("weights", "jerk", np.float32, marks=pytest.mark.slow),
+        pytest.param("saturation", "acceleration", np.float64, marks=pytest.mark.slow),
+        pytest.param("weights", "little jerk", np.float64, marks=pytest.mark.slow),
+        pytest.param("bounded", "little jerk", np.float64, marks=pytest.mark.slow),
     ],
 )
-def test_kept_at_a_pace(limits, smooth, dtype, past):
-    """Braking took joints up to 2.6 rad past a limit; in float32 they stood still there, whatever was sent."""
+def test_kept_at_a_pace(limits, smooth, dtype):
+    """Braking took joints up to 2.6 rad past a limit; in float32 they stood still there, whatever was sent. Later
+    one in a hundred still went past, by 0.1 rad: weights let them go at full speed until they are there."""
     low, high = np.array([-2.0, -1.0, -1.0]), np.array([2.0, 1.3, 1.0])
-    rng, B = np.random.default_rng(0), 300
+    rng, B = np.random.default_rng(0), 300 if "little" not in smooth else 4000
     starts, targets = low + (high - low) * rng.random((B, 3)), 2.2 * rng.uniform(-1, 1, (B, 2))
     alpha, speed, strong = (10 ** rng.uniform(*ends, B) for ends in ((0.0, 1.5), (-0.2, 0.7), (0.3, 1.5)))
     arm = ck.replace(ck.planar_arm([1.0, 0.8, 0.6]), lower=tuple(low), upper=tuple(high))
@@ -137,7 +140,7 @@ def test_kept_at_a_pace(limits, smooth, dtype, past):
     made = [v.astype(dtype) for v in (starts, targets, alpha, speed, strong)]
     run = jax.jit(jax.vmap(one))(*made)
     q, qdot = np.asarray(run.q, float), np.asarray(run.qdot, float)
-    assert np.maximum(q - high, low - q).max() <= past
+    assert np.maximum(q - high, low - q).max() <= 10 * np.finfo(dtype).eps
     assert (np.minimum(high - q, q - low).min((1, 2)) < 1e-3).sum() > 20  # they come to their limits
     rounding = 100 * np.finfo(dtype).eps
     np.testing.assert_allclose(np.diff(q, axis=1) / 0.02, qdot, atol=rounding / 0.02)

@@ -75,7 +75,7 @@ def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
             14, 36, 11, 0.17, "Run for N = 1700", id="joints that the path turns, at N = 810", marks=pytest.mark.slow
         ),
         pytest.param(26, 4, 0, 1.0, "no better: reduce", id="calm at the end of the trial", marks=pytest.mark.slow),
-        pytest.param(13, 13, 31, 0.17, "Use damped(0.024)", id="five million steps", marks=pytest.mark.slow),
+        pytest.param(13, 13, 31, 0.17, "Use damped(0.024) in", id="five million steps", marks=pytest.mark.slow),
     ],
 )
 def test_what_a_path_does_later_counts(number, loop, seed, paced, said):
