@@ -48,6 +48,7 @@ from .measure.dataset import to_dataset as to_dataset
 from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
+from .problem.names import load as load
 from .reaching.map import reachability as reachability
 from .reaching.public import reach as reach
 from .reaching.result import ReachStatus as ReachStatus, Reached as Reached
@@ -58,6 +59,7 @@ from .robot.chain import (
 )
 from .robot.kinematics import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
 from .robot.mounted import join as join, with_base as with_base, with_tool as with_tool
+from .robot.mjcf import load_mjcf as load_mjcf
 from .robot.urdf import load_urdf as load_urdf
 from .show.run import plot as plot
 from .stability.advice import advise as advise

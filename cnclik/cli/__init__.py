@@ -18,7 +18,7 @@ _BEGUN = time.time()
 _NO_PLATFORM = RuntimeError, AssertionError  # what JAX raises where it doesn't find what it is to run on
 VERBS = {
     "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
-    "robots": "show a URDF file: its tree, joints, limits and candidate tips",
+    "robots": "show a robot's file: its tree, joints, limits and candidate tips",
     "solve": "run one loop on one robot: trajectory, figures, summary",
     "reach": "joint values that put the tip at targets: one or a million, with a reason where none do",
     "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",

@@ -1,9 +1,8 @@
-"""`cnclik robots`: what a URDF file holds: its tree, joints, limits and the links that can be a tip."""
+"""`cnclik robots`: what a robot's file holds: its tree, joints, limits and the links that can be a tip."""
 
 import dataclasses
 import math
 import sys
-from pathlib import Path
 
 from cnclik.cli.arguments import option
 from cnclik.cli.common import CacheOption
@@ -15,14 +14,14 @@ DEEPEST = 120  # columns that the lines of the tree take; what is deeper stands 
 class Args(CacheOption):
     """Show a robot's tree, joints and limits."""
 
-    file: Path = option(positional=True)
-    """A URDF file."""
+    robot: str = option(positional=True)
+    """A URDF or MJCF file, or a name of robot_descriptions."""
 
 
 def run(args: Args) -> None:
-    from cnclik.robot.tree import read_urdf
+    from cnclik.robot.files import file_of, read_robot
 
-    tree = read_urdf(args.file)
+    tree = read_robot(file_of(args.robot) or args.robot)
     tips = dict.fromkeys(tree.tips())
     rows = [(tree.root in tips, tree.root, *[""] * 5)]
     rows += [(edge.child in tips, f"{lead}{edge.child}", *_joint(edge)) for edge, lead in _branches(tree)]

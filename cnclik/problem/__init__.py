@@ -8,6 +8,15 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "options": ["DEFAULTS", "OF_TASK", "OPTIONS"],
         "reference": ["REFERENCES", "reference_from"],
         "build": ["Problem", "problem_from"],
-        "names": ["inverse_from", "limits_from", "method_from", "robot_from", "stage_from", "start_from", "task_from"],
+        "names": [
+            "inverse_from",
+            "limits_from",
+            "load",
+            "method_from",
+            "robot_from",
+            "stage_from",
+            "start_from",
+            "task_from",
+        ],
     },
 )

@@ -91,7 +91,7 @@ def problem_from(
     """A whole problem from a flat table of names and numbers, such as a sweep file's `[fixed]`.
 
     Args:
-      robot: a URDF file, panda, ur5, planar:1,1 …, or a `Chain`.
+      robot: a file or a name, as for `cnclik.load`, or a `Chain`.
       tasks: of a stack {name of a task: {option: value}}, options of `cnclik.problem.OF_TASK`, as the tables of a
         file have them that `stack` names.
       options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which say what each means and its

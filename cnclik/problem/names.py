@@ -4,6 +4,8 @@ import itertools
 import os
 import pathlib
 import re
+from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +17,8 @@ from cnclik.problem import words
 from cnclik.record import replace
 from cnclik.robot import urdf
 from cnclik.robot.chain import Chain
+from cnclik.robot.files import file_of, read_robot
 from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
-from cnclik.robot.tree import read_urdf
 from cnclik.task import build
 from cnclik.task.task import Task
 
@@ -39,8 +41,49 @@ def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
 # --- robot, task and start ----------------------------------------------------------------------------
 
 
+def load(
+    robot: str | os.PathLike | Any,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    tips: Sequence[str] | dict | None = None,
+    freeze: dict[str, float] | None = None,
+) -> Chain:
+    """The robot of a file or a name, as the command line reads it.
+
+    Args:
+      robot: a file in URDF or MJCF, told apart by its first element, or its text; a `mujoco.MjSpec` or `MjModel`;
+        `panda`, `ur5` or `planar:1,1,1`; or a name of the package robot_descriptions, where that is installed, such as
+        `g1_description` or `ur5e_mj_description`.
+      tip, base, tips, freeze: as for `load_urdf` and `load_mjcf`, of a file.
+    Raises: ArgumentError, one line, as those.
+    """
+    if isinstance(robot, (str, os.PathLike)):
+        file = _file_of(str(robot))
+        if file is None:
+            given = {"tip": tip, "base": base, "tips": tips, "freeze": freeze}
+            for name, value in given.items():
+                if value is not None:
+                    raise errors.fail(name, f"be left out for the robot {str(robot)!r}", f"is {value!r}")
+            return robot_from(robot)
+        robot = file
+    return urdf.chain(read_robot(robot), tip, base, tips=tips, freeze=freeze)
+
+
+def _file_of(name: str) -> str | None:
+    """The file, or text of one, that a name means; None of a robot of `words`. Raises: ArgumentError for others."""
+    if name.partition(":")[0] in words.ROBOTS:
+        return None
+    file = name if name.lstrip("\ufeff \t\r\n").startswith("<") else file_of(name)
+    if file is None:
+        names = ", ".join(n for n in words.ROBOTS if not words.ROBOTS[n].needs)
+        must = f"be a URDF or MJCF file, {names}, planar:1,1,1 or a name of robot_descriptions"
+        raise errors.fail("robot", must, f"is {name!r}")
+    return file
+
+
 def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
-    """A URDF file, `panda`, `ur5`, or a planar arm; `planar:1,1,1` is `planar` with these link lengths [m].
+    """A file or a name as for `load`, or a planar arm; `planar:1,1,1` is `planar` with these link lengths [m].
 
     `planar-clockwise` turns as the paper's arms do. `tip` and `base` name links of a file.
     """
@@ -67,11 +110,7 @@ def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
             raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {str(text)!r}") from None
     elif str(text) not in words.ROBOTS:
         name = str(text)
-        if not os.path.exists(name) and not name.lower().endswith((".urdf", ".xml", ".xacro")):
-            names = ", ".join(n for n in words.ROBOTS if not words.ROBOTS[n].needs)
-            raise errors.fail("robot", f"be a URDF file, {names} or planar:1,1,1", f"is {name!r}")
-        links = fitting("robot", name, words.URDF, given)
-        tree = read_urdf(name)
+        tree, links = read_robot(_file_of(name)), fitting("robot", name, words.URDF, given)
         if tips:
             links["tips"] = [urdf.link_of(tree, argument, link) for link, argument in tips.items()]
             return urdf.chain(tree, **links), ", ".join(tips)

@@ -47,11 +47,11 @@ def _of(option: str) -> str:
 
 
 OPTIONS = {
-    "robot": Option(NAME, f"A URDF file, {_listed(n for n in ROBOTS if not ROBOTS[n].needs)}, or planar:1,1,1 (link "
-                    "lengths in m)."),
-    "tip": Option(NAME, "Last link of the chain in a URDF file; needed where it has several (`cnclik robots FILE` "
-                  "lists them)."),
-    "base": Option(NAME, "First link of the chain in a URDF file; the root by default."),
+    "robot": Option(NAME, f"A URDF or MJCF file, {_listed(n for n in ROBOTS if not ROBOTS[n].needs)}, planar:1,1,1 "
+                    "(link lengths in m), or a name of robot_descriptions."),
+    "tip": Option(NAME, "Last link of the chain in a file; needed where it has several (`cnclik robots FILE` lists "
+                  "them)."),
+    "base": Option(NAME, "First link of the chain in a file; the root by default."),
     "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
     "task": Option(NAME, f"{_listed(TASKS)}, or coordinates such as xy or xyrz; pose where there are joints enough "
                    "for it."),

@@ -9,6 +9,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "mounted": ["join", "with_base", "with_tool"],
         "kinematics": ["Pose", "forward", "jacobian", "manipulability"],
         "urdf": ["load_urdf"],
+        "mjcf": ["load_mjcf"],
         "builtin": ["panda", "ur5"],
     },
 )

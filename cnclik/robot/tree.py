@@ -283,7 +283,7 @@ def _edge(file, joint) -> Edge:
         position, angles = joint.origin
         if not all(abs(x) <= MOST for x in (*position, *angles)):  # nor NaN
             raise bad(f"has an origin that is not finite, or not within ±{MOST:g}")
-        origin = _snapped(position), tuple(map(_snapped, _rotation(*angles)))
+        origin = snapped(position), tuple(map(snapped, _rotation(*angles)))
     lower, upper, velocity, mimic = -math.inf, math.inf, math.inf, None
     if joint.type not in (*MOVING, "fixed", "floating", "planar"):
         raise bad(f"has type {joint.type!r}")
@@ -292,7 +292,7 @@ def _edge(file, joint) -> Edge:
         length = math.hypot(*vector)
         if not math.isfinite(length) or length == 0:
             raise bad(f"has axis {' '.join(f'{x:g}' for x in vector)}")
-        axis = _snapped(x / length for x in vector)
+        axis = snapped(x / length for x in vector)
         if joint.limit is None and joint.type != "continuous" and joint.mimic is None:
             raise bad(f"is {joint.type} and has no <limit>")
         if joint.limit is not None:
@@ -316,6 +316,6 @@ def _edge(file, joint) -> Edge:
     return Edge(**told, origin=origin, axis=axis, lower=lower, upper=upper, velocity=velocity, mimic=mimic)
 
 
-def _snapped(values):
+def snapped(values):
     """Rounding dust of sines and cosines made exact, so that literal zeros and ones fold away."""
     return tuple(float(round(x)) if abs(x - round(x)) < 1e-15 else x for x in values)

@@ -118,24 +118,28 @@ def _around(before: Offset, edge, turned) -> tuple:
 def _after(before: Offset, edge, turned, value=0.0) -> Offset:
     """Where the link after a joint of a known value is."""
     before, axis, after = _around(before, edge, turned)
-    kind = _MOVING.get(edge.type)
-    if kind is not None:
-        still = Offset(rotation=turn(axis, value)) if kind == REVOLUTE else Offset(position=scale(value, axis))
-        before = compose(before, still)
+    before = compose(before, moved(edge.type, axis, value)) if edge.type in _MOVING else before
     return compose(before, after) if turned else before
+
+
+def moved(kind: str, axis, value) -> Offset:
+    """What a joint of a known value does."""
+    if _MOVING[kind] == PRISMATIC:
+        return Offset(position=scale(value, axis))
+    return Offset(rotation=turn(axis, value))
 
 
 def _rest(tree, at, frozen) -> None:
     """Adds to `at` what hangs on joints that are no coordinates: they stay as near to 0 as their limits let them.
 
-    What only a floating or planar joint holds is left out: it is another body.
+    What only a floating or planar joint holds is left out: it is another body. Ball joints stand as they are given.
     """
     waiting = [*at]
     for link in waiting:
         above = [(tree.above[link], True)] if link in tree.above else []
         for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
             there = edge.parent if turned else edge.child
-            if there not in at and edge.type in (*_MOVING, "fixed"):
+            if there not in at and edge.type not in ("floating", "planar"):
                 value = _at_rest(edge, frozen)
                 at[there] = at[link][0], _after(at[link][1], edge, turned, value)
                 waiting.append(there)

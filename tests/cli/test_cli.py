@@ -88,7 +88,7 @@ def test_options_are_named_as_they_are_typed():
 
     with pytest.raises(errors.ArgumentError, match="Option `--out` must be given, but is not"):
         arguments.parse(Export, ["panda"], prog="x", description="x")
-    with pytest.raises(errors.ArgumentError, match="Argument `ROBOT` must be given, but is not: A URDF file"):
+    with pytest.raises(errors.ArgumentError, match="Argument `ROBOT` must be given, but is not: A URDF or MJCF file"):
         arguments.parse(Solve, [], prog="x", description="x")
 
 

@@ -30,12 +30,12 @@ def mesh_parts(file, tips=None, base=None, *, color=style.SKY, faces=MOST_FACES)
     """
     file = pathlib.Path(file).resolve()
     try:
-        links = {
-            one.get("name"): one
-            for one in ElementTree.fromstring(read_bytes("path", file, "a URDF file")).findall("link")
-        }
+        root = ElementTree.fromstring(read_bytes("path", file, "a URDF file"))
     except ElementTree.ParseError:  # such as prefixes that are nowhere declared
         return []
+    if root.tag != "robot":  # MJCF
+        return []
+    links = {one.get("name"): one for one in root.findall("link")}
     found = []
     for name, (frame, at) in placed(read_urdf(file), tips, base).items():
         for kind in ("visual", "collision"):

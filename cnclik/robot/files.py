@@ -1,0 +1,66 @@
+"""Files of robots: URDF or MJCF, told apart by what they hold; and the names that robot_descriptions knows."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import re
+
+from cnclik import errors
+from cnclik.reading import read_bytes
+from cnclik.robot.tree import Tree, read_urdf
+
+ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
+_DESCRIPTIONS = "robot_descriptions"
+_FIRST = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->|<!\w[^>]*>)*<([\w:.-]+)", re.S)
+
+
+def read_robot(robot) -> Tree:
+    """The kinematic tree of a URDF or MJCF file, of the text of one, or of a model of MuJoCo's.
+
+    Raises: ArgumentError as `load_urdf` and `load_mjcf`.
+    """
+    if is_mjcf(robot):
+        from cnclik.robot.mjcf import read_mjcf
+
+        return read_mjcf(robot)
+    return read_urdf(robot)
+
+
+def is_mjcf(robot) -> bool:
+    """Whether it is a model of MuJoCo's, or a file or text whose first element is <mujoco>."""
+    if type(robot).__module__.partition(".")[0] == "mujoco":
+        return True
+    if isinstance(robot, str) and robot.lstrip("\ufeff \t\r\n").startswith("<"):
+        data = robot.lstrip("\ufeff \t\r\n").encode(errors="replace")
+    elif isinstance(robot, (str, os.PathLike)) and os.path.isfile(robot):
+        data = read_bytes("robot", robot, "a file of a robot")
+    else:
+        return False
+    first = _FIRST.match(data)
+    return first is not None and first[1] == b"mujoco"
+
+
+def file_of(name: str) -> str | None:
+    """The file that a name means: itself, where it is a file or ends like one, or that of robot_descriptions, which
+    loads a known robot's from its makers; None of anything else.
+
+    Raises: ArgumentError where robot_descriptions knows the name and can't load it.
+    """
+    if os.path.exists(name) or name.lower().endswith(ENDINGS):
+        return name
+    module = f"{_DESCRIPTIONS}.{name}"
+    if not re.fullmatch(r"[a-z]\w*", name) or importlib.util.find_spec(_DESCRIPTIONS) is None:
+        return None
+    if importlib.util.find_spec(module) is None:
+        return None
+    try:
+        loaded = importlib.import_module(module)
+    except Exception as error:  # of the network, of git, of a disk
+        must = f"be one that {_DESCRIPTIONS} can load"
+        raise errors.fail("robot", must, f"{name!r} ends with {errors.in_a_line(error)}") from None
+    for kind in ("URDF_PATH", "MJCF_PATH"):
+        if hasattr(loaded, kind):
+            return str(getattr(loaded, kind))
+    raise errors.fail("robot", f"be one that {_DESCRIPTIONS} has in URDF or MJCF", f"is {name!r}")

@@ -1,0 +1,185 @@
+"""MJCF: the kinematic tree of a model that MuJoCo reads. MuJoCo is loaded with the first model."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.reading import read_bytes
+from cnclik.robot.chain import Chain
+from cnclik.robot.fixed import ZERO, Offset, compose, scale, vsub
+from cnclik.robot.tree import MOST, MOVING, Edge, Tree, snapped
+from cnclik.robot.urdf import chain, moved
+
+_TYPES = ("floating", "ball", "prismatic", "revolute")  # by mjtJoint
+
+
+def load_mjcf(
+    model: str | os.PathLike | Any,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    tips: Sequence[str] | dict | None = None,
+    freeze: dict[str, float] | None = None,
+) -> Chain:
+    """Chain from base to tip, or the tree from base to several tips, of a model in MJCF, as MuJoCo reads it.
+
+    Bodies and sites are the links. Hinges and slides become coordinates, whose values are MuJoCo's `qpos`, and keep
+    their ranges; MJCF has no velocity limits. A joint that an active equality constraint couples to another is a mimic
+    joint of it, where the coupling is linear. Masses are those of bodies that belong to something with joints, so that
+    a table in the scene is none of the robot's.
+
+    A free joint, as of a humanoid's pelvis, and ball joints are no coordinates: take the body behind it as the base.
+
+    Args:
+      model: the file, the text of one, which begins with "<", a `mujoco.MjSpec` or a `mujoco.MjModel`.
+      tip: name of a body or a site; by default the only one at the end that the joints move.
+      base: name of the first body, by default the world.
+      tips, freeze: as for `load_urdf`.
+
+    Raises: ArgumentError as `load_urdf`; where MuJoCo is not installed, or can't read the model.
+    """
+    return chain(read_mjcf(model), tip, base, tips=tips, freeze=freeze)
+
+
+def read_mjcf(model) -> Tree:
+    """The whole kinematic tree of a model. Args and raises: as `load_mjcf`."""
+    file, compiled = _compiled(model)
+    bodies = [compiled.body(i).name or f"body{i}" for i in range(compiled.nbody)]
+    joints = [compiled.joint(i).name or f"joint{i}" for i in range(compiled.njnt)]
+    coupled, edges = _couplings(file, compiled, joints), []
+    for i, body in enumerate(bodies[1:], 1):
+        edges += _joints_of(compiled, i, bodies[compiled.body_parentid[i]], body, joints, coupled)
+    known = {"world", *bodies, *(edge.child for edge in edges)}
+    for i in range(compiled.nsite):
+        name = compiled.site(i).name or f"site{i}"
+        name = f"{name} (site)" if name in known else name
+        parent = bodies[compiled.site_bodyid[i]]
+        edges.append(_edge(name, "fixed", parent, name, _offset(compiled.site_pos[i], compiled.site_quat[i])))
+    return Tree(
+        file=file,
+        name=bytes(compiled.names).partition(b"\0")[0].decode(errors="replace") or file,
+        root=bodies[0],
+        links=(bodies[0], *(edge.child for edge in edges)),
+        edges=tuple(edges),
+        inertials=_inertials(compiled, bodies),
+    )
+
+
+def _compiled(model) -> tuple:
+    """(what it is called, the MjModel)"""
+    try:
+        mujoco: Any = importlib.import_module("mujoco")
+    except ImportError:
+        need = "A model in MJCF needs the package mujoco, which is not installed: pip install 'cnclik[mjcf]'"
+        raise errors.ArgumentError(need) from None
+    if isinstance(model, mujoco.MjModel):
+        return "the model", model
+    text = isinstance(model, str) and model.lstrip("\ufeff \t\r\n").startswith("<")
+    if not text and not isinstance(model, (str, os.PathLike, mujoco.MjSpec)):
+        must = "be an MJCF file, the text of one, a mujoco.MjSpec or a mujoco.MjModel"
+        raise errors.fail("model", must, f"is {type(model).__name__}")
+    file = "the text" if text else "the spec" if isinstance(model, mujoco.MjSpec) else pathlib.Path(model).name
+    try:
+        if isinstance(model, mujoco.MjSpec):
+            return file, model.copy().compile()
+        if text:
+            return file, mujoco.MjModel.from_xml_string(model.lstrip("\ufeff \t\r\n"))
+        read_bytes("model", model, "an MJCF file")  # says what is wrong with a file in our words
+        return file, mujoco.MjModel.from_xml_path(os.fspath(model))
+    except (ValueError, mujoco.FatalError) as error:
+        if isinstance(error, errors.ArgumentError):
+            raise
+        raise errors.fail("model", "be one that MuJoCo reads", f"{file}: {' '.join(str(error).split())}") from None
+
+
+def _offset(position, quaternion) -> Offset:
+    w, x, y, z = (float(v) for v in quaternion)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return Offset(position=snapped(map(float, position)), rotation=tuple(map(snapped, rows)))
+
+
+def _edge(name, kind, parent, child, origin: Offset, axis=(1.0, 0.0, 0.0), bounds=(-math.inf, math.inf), mimic=None):
+    return Edge(
+        name=name,
+        type=kind,
+        parent=parent,
+        child=child,
+        origin=(origin.position, origin.rotation),
+        axis=axis,
+        lower=bounds[0],
+        upper=bounds[1],
+        velocity=math.inf,
+        mimic=mimic,
+    )
+
+
+def _joints_of(model, i, parent, body, joints, coupled) -> list:
+    """The way from a body's parent to it: a joint for each of its own, about its place in the body's frame.
+
+    A joint's value is MuJoCo's qpos, which moves the body by the difference to its reference, qpos0.
+    """
+    found, at, before = [], _offset(model.body_pos[i], model.body_quat[i]), ZERO
+    first = model.body_jntadr[i]
+    for k in range(first, first + model.body_jntnum[i]):
+        kind, place, axis = (
+            _TYPES[model.jnt_type[k]],
+            *(snapped(map(float, v[k])) for v in (model.jnt_pos, model.jnt_axis)),
+        )
+        origin = compose(at, Offset(position=vsub(place, before)))
+        (leader, *mimic), bounds = coupled.get(joints[k], ("",)), (-math.inf, math.inf)
+        if kind in MOVING:
+            rest = (mimic[1] if leader is None else 0.0) - float(model.qpos0[model.jnt_qposadr[k]])
+            origin = compose(origin, moved(kind, axis, rest))
+            bounds = tuple(map(float, model.jnt_range[k])) if model.jnt_limited[k] else bounds
+        child, kind = f"{joints[k]} of {body}", "fixed" if leader is None else kind
+        found.append(_edge(joints[k], kind, parent, child, origin, axis, bounds, (leader, *mimic) if leader else None))
+        parent, before, at = child, place, Offset()
+    if found and not any(before):
+        return [*found[:-1], Edge(**(vars(found[-1]) | {"child": body}))]
+    return [*found, _edge(body, "fixed", parent, body, compose(at, Offset(position=scale(-1.0, before))))]
+
+
+def _couplings(file, model, joints) -> dict:
+    """{joint: (the joint that it follows, multiplier, offset)}; None in place of a joint that it stays at an offset."""
+    found: dict = {}
+    left = []
+    for k in np.flatnonzero(model.eq_active0):
+        kind, one, other = int(model.eq_type[k]), int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        if kind != 2:  # mjEQ_JOINT
+            left += ["a closed loop (connect, weld)"] if kind < 2 else ["a coupling of tendons"] if kind == 3 else []
+            continue
+        shift, factor, *higher = map(float, model.eq_data[k][:5])
+        if other >= 0 and any(higher):
+            left.append(f"the coupling of {joints[one]} to {joints[other]}, which is not linear")
+            continue
+        at, its = (float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other))
+        if other < 0:
+            found[joints[one]] = None, 0.0, at + shift
+        else:
+            found[joints[one]] = joints[other], factor, at + shift - factor * its
+    if left:
+        more = f" and {len(left) - 1} more" if len(left) > 1 else ""
+        errors.remark(f"{file} has {left[0]}{more}: joints are taken as if there were none.")
+    return found
+
+
+def _inertials(model, bodies) -> dict:
+    """Of bodies that hang on something with joints."""
+    jointed = set(model.body_rootid[model.jnt_bodyid].tolist())
+    return {
+        name: (float(model.body_mass[i]), tuple(map(float, model.body_ipos[i])))
+        for i, name in enumerate(bodies)
+        if model.body_rootid[i] in jointed and 0 < model.body_mass[i] <= MOST
+    }

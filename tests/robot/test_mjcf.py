@@ -1,0 +1,243 @@
+"""Models in MJCF against MuJoCo's own kinematics: poses and Jacobians of all bodies and sites; what is refused."""
+
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.cli import main
+from cnclik.robot.mjcf import read_mjcf
+from cnclik.robot.urdf import chain
+from tests.oracles import close, robots
+from tests.robot.test_trees import postures
+
+mujoco = pytest.importorskip("mujoco")
+
+MIXED = """<mujoco model="mixed"><worldbody>
+<body name="table" pos="1 0 0"><geom size=".3 .3 .1" type="box"/></body>
+<body name="box" pos="1 0 .5"><freejoint/><geom size=".1"/></body>
+<body name="base" pos=".1 .2 .3" euler="10 20 30"><geom size=".1"/>
+  <body name="arm" pos="0 .1 .2" quat="1 .1 .2 .3">
+    <joint name="turn" axis="1 2 3" pos=".1 0 .05" range="-90 90"/>
+    <joint name="lift" type="slide" axis="0 1 1" pos="0 .2 0" ref=".05" range="-.2 .3"/>
+    <joint name="roll" axis="0 0 1" ref="25" pos=".3 .1 0"/>
+    <geom size=".1" pos=".1 0 0"/>
+    <site name="camera" pos=".1 .2 .3" euler="0 90 0"/>
+    <body name="hand" pos=".3 0 0">
+      <joint name="left" type="slide" axis="0 1 0" range="0 .04"/><geom size=".02"/>
+      <site name="hand" pos="0 0 .1"/>
+    </body>
+    <body name="finger" pos=".3 .1 0">
+      <joint name="right" type="slide" axis="0 -1 0" ref=".01"/><geom size=".02"/>
+    </body>
+    <body name="hatch" pos=".5 0 0"><joint name="stuck" axis="0 1 0" ref="5"/><geom size=".02"/></body>
+  </body>
+</body></worldbody>
+<equality><joint joint1="right" joint2="left" polycoef=".002 .8 0 0 0"/><joint joint1="stuck" polycoef=".3 0 0 0 0"/>
+</equality></mujoco>"""
+HUMANOID = """<mujoco><worldbody><body name="pelvis" pos="0 0 1"><freejoint name="root"/><geom size=".1"/>
+<body name="thigh" pos="0 .1 0"><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.2"/>
+<body name="foot" pos="0 0 -.4"><joint name="knee" axis="0 1 0"/><geom size=".05"/><site name="sole" pos="0 0 -.05"/>
+</body></body><body name="head" pos="0 0 .5"><joint name="neck" type="ball"/><geom size=".1"/></body>
+</body></worldbody></mujoco>"""
+URDFS = {
+    "panda": "panda_description/urdf/panda.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "g1": "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+    "baxter": "baxter_description/urdf/baxter.urdf",
+    "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
+    "talos": "talos_data/robots/talos_full_v2.urdf",
+    "z1": "z1_description/urdf/z1.urdf",
+    "solo": "solo_description/robots/solo12.urdf",
+}
+
+
+def through_mujoco(file):
+    """A URDF file as MuJoCo has it, its links kept apart and without its meshes."""
+    root = ElementTree.parse(robots() / file).getroot()
+    for link in root.iter("link"):
+        for kind in ("visual", "collision"):
+            for one in link.findall(kind):
+                link.remove(one)
+    settings = {"fusestatic": "false", "balanceinertia": "true", "boundmass": "1e-6", "boundinertia": "1e-9"}
+    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", settings)
+    return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+
+
+def compare(model, base=None, count=3):
+    """Largest deviation of poses and Jacobians of all that joints move; names of what is compared."""
+    tree = read_mjcf(model)
+    base = tree.root if base is None else base
+    links = [k for k in tree.links if any(e.type != "fixed" for e in tree.way(k, base)[1]) and not tree.way(k, base)[0]]
+    links = [k for k in links if not {e.type for e in tree.way(k, base)[1]} & {"ball", "floating"} and " of " not in k]
+    robot = chain(tree, base=base, tips=links)
+    data, worst = mujoco.MjData(model), 0.0
+    way = np.zeros((model.nv, robot.n))
+    for q in postures(robot, count):
+        data.qpos[:] = model.qpos0
+        for j, joint in zip(robot.joints, names_of(tree, base, links), strict=True):
+            data.qpos[model.jnt_qposadr[model.joint(joint).id]] = j.multiplier * q[j.coordinate] + j.offset
+            way[model.jnt_dofadr[model.joint(joint).id], j.coordinate] = j.multiplier
+        for name, value in still(model).items():
+            data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        origin, axes = data.body(base).xpos, data.body(base).xmat.reshape(3, 3)
+        for link in links:
+            site = link.removesuffix(" (site)") if link.endswith("(site)") else link
+            of_site = link != site or mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link) < 0
+            seen = data.site(site) if of_site else data.body(link)
+            j = np.zeros((6, model.nv))
+            (mujoco.mj_jacSite if of_site else mujoco.mj_jacBody)(model, data, j[:3], j[3:], seen.id)
+            found = ck.forward(robot, q, tip=link)
+            wanted = np.vstack([axes.T @ j[:3], axes.T @ j[3:]]) @ way
+            pairs = (
+                (found.position, axes.T @ (seen.xpos - origin)),
+                (found.rotation, axes.T @ seen.xmat.reshape(3, 3)),
+                (ck.jacobian(robot, q, tip=link), wanted),
+            )
+            worst = max(worst, *(np.abs(np.asarray(a) - b).max() for a, b in pairs))
+    return worst, links
+
+
+def names_of(tree, base, links):
+    """Of the chain's joints, in its order."""
+    way = [e for link in links for e in tree.way(link, base)[1]]
+    return [e.name for e in dict.fromkeys(way) if e.type in ("revolute", "prismatic")]
+
+
+def still(model):
+    """Joints that an equality constraint stays at a value."""
+    each = [k for k in range(model.neq) if model.eq_type[k] == 2 and model.eq_obj2id[k] < 0]
+    at = [(model.joint(model.eq_obj1id[k]), model.eq_data[k][0]) for k in each]
+    return {joint.name: model.qpos0[joint.qposadr[0]] + shift for joint, shift in at}
+
+
+def compiled(name):
+    text = {"mixed": MIXED, "humanoid": HUMANOID}.get(name)
+    return mujoco.MjModel.from_xml_string(text) if text else through_mujoco(URDFS[name]).compile()
+
+
+@pytest.mark.parametrize("name", ["mixed", "humanoid", *URDFS])
+def test_all_bodies_and_sites_are_mujocos(name):
+    """Breaks for joints of one body in another order, about another place, or counted from another zero."""
+    worst, links = compare(
+        compiled(name), base="pelvis" if name == "humanoid" else None, count=1 if name == "g1" else 3
+    )
+    assert worst < 1e-12 and len(links) > 1
+
+
+def test_what_a_model_says_of_its_joints(tmp_path):
+    file = tmp_path / "mixed.xml"
+    file.write_text(MIXED, encoding="utf-8")
+    tips = ["hand (site)", "finger", "camera", "hatch"]
+    every = [
+        ck.load_mjcf(m, tips=tips)
+        for m in (str(file), file, MIXED, mujoco.MjSpec.from_string(MIXED), compiled("mixed"))
+    ]
+    robot = every[0]
+    assert all(str(one) == str(robot) for one in every)
+    assert robot.joint_names == ("turn", "lift", "roll", "left")
+    close(robot.lower, [-np.pi / 2, -0.2, -np.inf, 0])
+    close(robot.upper, [np.pi / 2, 0.3, np.inf, 0.04])
+    assert robot.velocity_limit == (np.inf,) * 4 and robot.units == ("rad", "m", "rad", "m")
+    assert ck.load_mjcf(MIXED, tip="camera", freeze={"lift": 0.1}).joint_names == ("turn", "roll")
+
+
+@pytest.mark.parametrize(("name", "tips"), [("mixed", ["hand"]), ("humanoid", ["foot"])])
+def test_the_centre_of_mass_is_mujocos(name, tips):
+    """Of what has joints: neither of a table nor of a box that lies about."""
+    model = compiled(name)
+    robot = ck.load_mjcf(model, tips=tips, base="pelvis" if name == "humanoid" else None)
+    (q,), data = postures(robot, 1), mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    for joint in ("lift", "left", "right", "stuck") if name == "mixed" else ():
+        data.qpos[model.jnt_qposadr[model.joint(joint).id]] = 0.0
+    for joint, value in zip(robot.joint_names, q, strict=True):
+        data.qpos[model.jnt_qposadr[model.joint(joint).id]] = value
+    for joint, value in still(model).items():
+        data.qpos[model.jnt_qposadr[model.joint(joint).id]] = value
+    if name == "mixed":  # what follows a joint that is a coordinate, on a way to no tip, stands as at 0
+        data.qpos[model.jnt_qposadr[model.joint("right").id]] = 0.01 + 0.002
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    place, turn = data.body("pelvis").xpos if name == "humanoid" else np.zeros(3), np.eye(3)
+    root = model.body("pelvis" if name == "humanoid" else "base").id
+    close(ck.com(robot, q), turn @ (data.subtree_com[root] - place), atol=1e-12)
+
+
+CLOSED = """<mujoco><worldbody><body name="a"><joint name="p" axis="0 1 0"/><geom size=".1"/>
+<body name="b" pos="1 0 0"><joint name="r" axis="0 1 0"/><geom size=".1"/></body></body></worldbody>
+<equality>{}</equality></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("constraint", "says"),
+    [
+        ('<connect body1="b" body2="world" anchor="1 0 0"/>', "the text has a closed loop"),
+        ('<joint joint1="r" joint2="p" polycoef="0 1 2 0 0"/>', "the coupling of r to p, which is not linear"),
+    ],
+)
+def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
+    with pytest.warns(ck.Remark, match=says):
+        assert ck.load_mjcf(CLOSED.format(constraint)).n == 2
+    assert ck.load_mjcf(CLOSED.format('<joint joint1="r" joint2="p" polycoef="0 1 2 0 0" active="false"/>')).n == 2
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: ck.load_mjcf(HUMANOID, tip="sole"), "joint 'root' on the way is 'floating'; base 'pelvis' begins"),
+        (lambda: ck.load_mjcf(HUMANOID, tip="head", base="pelvis"), "joint 'neck' on the way is 'ball'"),
+        (lambda: ck.load_mjcf(HUMANOID, tip="soles", base="pelvis"), "`tip` must be one of .* 'soles' .did you mean"),
+        (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but the text: "),
+        (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
+        (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
+        (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
+        (lambda: ck.load("panda", tip="hand"), "`tip` must be left out for the robot 'panda'"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(call, says):
+    with pytest.raises(ck.ArgumentError, match=says) as told:
+        call()
+    assert "\n" not in str(told.value)
+
+
+def test_one_reader_takes_files_and_names(tmp_path, monkeypatch, capsys):
+    """Also on the command line: a name of robot_descriptions, which here is a package of three."""
+    package, other = tmp_path / "robot_descriptions", tmp_path / "model.urdf"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    file = tmp_path / "anything"
+    file.write_text("<?xml version='1.0'?>\n<!-- a <robot> -->\n" + HUMANOID, encoding="utf-8")
+    other.write_bytes(file.read_bytes())
+    (package / "one_mj_description.py").write_text(f"MJCF_PATH = {str(file)!r}")
+    (package / "panda_description.py").write_text(f"URDF_PATH = {str(robots() / URDFS['panda'])!r}")
+    (package / "far_description.py").write_text("raise OSError('no network')")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in (file, str(other), "one_mj_description"):
+        robot = ck.load(name, base="pelvis", tips={"foot": ("sole", [0, 0, 0.1])}, freeze={"hip": 0.1})
+        assert robot.joint_names == ("knee",)
+    assert ck.load("panda_description", tip="panda_hand").n == ck.load("panda").n == 7
+    assert ck.load("planar:1,2").n == 2 and ck.load(robots() / URDFS["panda"], tip="panda_link3").n == 3
+    with pytest.raises(ck.ArgumentError, match="'far_description' ends with OSError: no network"):
+        ck.load("far_description")
+    for name, said in (
+        ("one_mj_description", "Tips .*: head, sole"),
+        (str(file), "floating"),
+        ("panda_description", "tcp"),
+    ):
+        main(["robots", name])
+        assert re.search(said, capsys.readouterr().out)
+    main(["solve", str(file), "--base", "pelvis", "--tip", "sole", "--task", "x", "--N", "3", "--no-figures", "--out",
+          str(tmp_path / "out")])  # fmt: skip
+    assert "sole" in capsys.readouterr().out
+
+
+def test_without_mujoco_it_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ck.ArgumentError, match=r"needs the package mujoco.*pip install 'cnclik\[mjcf\]'"):
+        ck.load(HUMANOID)
