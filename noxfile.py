@@ -1,9 +1,13 @@
+#!/usr/bin/env -S uv run --script
+# /// script
+# dependencies = ["nox>=2025.5"]
+# ///
 """What there is to run, each in an environment of its own: `nox -l` lists it, `nox -s tests` runs it."""
 
 import nox
 
+nox.needs_version = ">=2025.5"
 nox.options.default_venv_backend = "uv|virtualenv"
-nox.options.sessions = ["lint", "tests"]
 WHOLE = ("-p", "xdist.plugin", "-n", "auto", "-o", "addopts=--disable-plugin-autoload --import-mode=importlib -m slow")
 
 
@@ -23,7 +27,7 @@ def tests(session):
     session.run("pytest", *session.posargs)
 
 
-@nox.session
+@nox.session(default=False)
 def lowest(session):
     """The suite with the oldest dependencies that are allowed."""
     session.install(
@@ -32,14 +36,14 @@ def lowest(session):
     session.run("pytest", *session.posargs)
 
 
-@nox.session
+@nox.session(default=False)
 def slow(session):
     """Tests of minutes."""
     session.install("-e", ".[test,peers]")
     session.run("pytest", *WHOLE, *session.posargs)
 
 
-@nox.session
+@nox.session(default=False)
 def stress(session):
     """Hostile inputs and faults of the system."""
     session.install("-e", ".[test]")
@@ -47,24 +51,28 @@ def stress(session):
     session.run("python", "-m", "tests.stress.faults")
 
 
-@nox.session
+@nox.session(default=False)
 def docs(session):
     """The site with its examples; warnings are errors."""
     session.install(".[docs]")
     session.run("python", "-m", "sphinx", "-W", "-b", "html", "docs", "site")
 
 
-@nox.session
+@nox.session(default=False)
 def bench(session):
     """Beside the peers; needs g++ and Eigen's headers."""
     session.install("-e", ".[test,bench]")
     session.run("python", "-m", "tests.bench", *session.posargs)
 
 
-@nox.session
+@nox.session(default=False)
 def build(session):
     """Wheel and sdist, and the wheel by itself: it must work on jax and numpy alone."""
     session.install("build")
     session.run("python", "-m", "build", "--outdir", "dist")
     session.run("python", "-m", "pip", "install", "--force-reinstall", "--find-links", "dist", "cnclik")
     session.run("cnclik", "--version")
+
+
+if __name__ == "__main__":
+    nox.main()

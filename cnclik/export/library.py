@@ -233,7 +233,7 @@ _NAMES = tuple(field.name for field in dataclasses.fields(Step))
 jax.tree_util.register_pytree_node(
     NativeStep,
     lambda made: ([getattr(made, name) for name in _NAMES], None),
-    lambda _, values: Step(**dict(zip(_NAMES, values, strict=True))),  # type: ignore
+    lambda _, values: Step(**dict(zip(_NAMES, values, strict=True))),  # type: ignore[arg-type, return-value]
 )
 
 

@@ -178,6 +178,6 @@ def join(parts) -> Trajectory:
     return Trajectory(
         **{name: instants(name) for name in (*INSTANTS, *_path_time(parts[0]))},
         **{name: steps(name) for name in steps_of(parts[0])},
-        evaluations=sum(np.asarray(p.evaluations) for p in parts),  # type: ignore
+        evaluations=sum(np.asarray(p.evaluations) for p in parts),  # type: ignore[arg-type, misc]
         tasks=parts[0].tasks,
     )
