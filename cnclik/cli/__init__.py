@@ -15,32 +15,32 @@ from cnclik.cli import terminal
 from cnclik.version import __version__
 
 _BEGUN = time.time()
-_NO_PLATFORM = RuntimeError, AssertionError  # what JAX raises where it doesn't find what it is to run on
+_NO_PLATFORM = RuntimeError, AssertionError  # what JAX raises where it finds no device
 VERBS = {
-    "reproduce": "run the paper's experiments: figures, data and its claims, reading by reading",
-    "robots": "show a robot's file: its tree, joints, limits and candidate tips",
-    "solve": "run one loop on one robot: trajectory, figures, summary",
-    "reach": "joint values that put the tip at targets: one or a million, with a reason where none do",
-    "stability": "which gain is safe at which sampling time: limits, margins, regions and measured maps",
-    "diagnose": "from a recording: does the loop ring, how late is the robot, which gain would end it; its drive",
+    "reproduce": "repeat the paper's experiments: data, figures and a check of its claims",
+    "robots": "show what a robot file contains: link tree, joints, limits, possible tips",
+    "solve": "run one loop on one robot: trajectory, figures, verdict",
+    "reach": "find joint values that put the tip at one target or at a million, with a reason where there are none",
+    "stability": "say which gain is safe at which sampling time: limits, margins, stability regions and maps",
+    "diagnose": "read a recording: does the loop ring, what is its dead time, which gain stops it; or fit its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
-    "tune": "gains by gradient under a stability margin: tuned.json, figures, one-page summary",
-    "view": "a robot and its loop in a browser, with sliders; or a finished run, played; or one page that moves",
-    "export": "the step as C for a controller: header, source, test vectors, README",
+    "tune": "tune gains by gradient under a stability margin: tuned.json, figures, one-page summary",
+    "view": "show a robot and its loop in a browser with sliders, play a finished run, or write a moving page",
+    "export": "write a step of the loop as C for a controller: header, source, test vectors, README",
 }
 
 
 def main(argv=None) -> None:
     """Entry point of `cnclik`.
 
-    What is wrong is one line on stderr; the exit code is 2 for arguments that can't be used, 1 for figures or output
-    that could not be written, 130 after an interrupt, 143 after SIGTERM.
+    An error is one line on stderr. Exit codes: 2 for invalid arguments, 1 for figures or output that could not be
+    written, 130 after an interrupt, 143 after SIGTERM.
     """
     process = argv is None
     argv = list(sys.argv[1:] if process else argv)
     if process:
-        os.environ["MPLBACKEND"] = "agg"  # figures go to files: what windows are drawn with has no say
+        os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever backend the user has set for windows
     with terminal.guarded(process):
         if argv[:1] in (["-V"], ["--version"]):
             print(f"cnclik {__version__}")
@@ -61,7 +61,7 @@ def _run(verb, *options) -> None:
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
-        if isinstance(args, common.ComputeOptions):  # the others are quick without JAX
+        if isinstance(args, common.ComputeOptions):  # the other verbs do not need JAX
             with _nothing_collected():
                 _prepare(args.cache)
         with remarks.listening(), reading.remembered(), _watched(args) as spans:
@@ -72,7 +72,7 @@ def _run(verb, *options) -> None:
         _leave(2, error)
     except FigureError as error:
         _leave(1, error)
-    except ImportError as error:  # of what draws: what was computed is written before that is loaded
+    except ImportError as error:  # of the plotting packages: results are written before these are loaded
         _leave(1, errors.in_a_line(error))
     except _NO_PLATFORM:
         if _has_platform():
@@ -82,7 +82,7 @@ def _run(verb, *options) -> None:
 
 
 def _check_report(args, argv) -> None:
-    """Look whether a report can be written, before anything is computed; and tell it of the command."""
+    """Check that a report can be written before anything is computed, and store the command line for it."""
     if getattr(args, "report", None) is not None:
         import shlex
 
@@ -93,7 +93,7 @@ def _check_report(args, argv) -> None:
 
 
 def _has_platform() -> bool:
-    """Whether JAX finds what it is to run on, for which it looks when it first needs it."""
+    """Whether JAX finds a device to run on; it looks for one when it first needs it."""
     if "jax" in sys.modules:
         try:
             sys.modules["jax"].devices()
@@ -109,7 +109,7 @@ def _leave(code, message) -> None:
 
 @contextlib.contextmanager
 def _nothing_collected():
-    """Context manager: no search for garbage, which takes an eighth of the time of loading modules and finds none."""
+    """Context manager without garbage collection, which takes an eighth of the import time and finds nothing."""
     gc.disable()
     try:
         yield
@@ -118,7 +118,7 @@ def _nothing_collected():
 
 
 def _watched(args):
-    """Context manager that yields the spans of what takes time, where they are asked for, else None."""
+    """Context manager that yields the measured times where --timings asks for them, else None."""
     if not getattr(args, "timings", False):
         return contextlib.nullcontext()
     from cnclik.cli import timings
@@ -127,7 +127,7 @@ def _watched(args):
 
 
 def _prepare(cache: bool) -> None:
-    """Float64, no window, programs kept: for numbers that are quoted and figures that are saved."""
+    """Set float64, a backend without windows, and the cache of compiled programs."""
     os.environ.setdefault("MPLBACKEND", "agg")
     import jax
 
@@ -141,7 +141,9 @@ def _prepare(cache: bool) -> None:
         place = use_cache()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
-    keep(None if "JAX_COMPILATION_CACHE_DIR" in os.environ else place)  # others may write where that is
+    keep(
+        None if "JAX_COMPILATION_CACHE_DIR" in os.environ else place
+    )  # other programs may write into the folder that the variable names
 
 
 def _overview() -> str:
@@ -155,6 +157,6 @@ def _overview() -> str:
             "",
             *lines,
             "",
-            "cnclik VERB --help lists a verb's options; cnclik --version tells the version.",
+            "cnclik VERB --help lists the options of a verb; cnclik --version prints the version.",
         ]
     )

@@ -11,7 +11,7 @@ class CacheOption:
     """For every verb."""
 
     cache: bool = True
-    """Keep compiled programs in the user's cache folder, and take them from there."""
+    """Keep compiled programs in the user's cache folder and reuse them."""
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -19,17 +19,19 @@ class ComputeOptions(CacheOption):
     """For verbs that compute."""
 
     overwrite: bool = False
-    """Write into a folder, or over a file, that is not cnclik's own, too; never over what the command reads."""
+    """Allow writing into folders, and over files, that cnclik did not make. Files that the command reads are never
+    overwritten."""
     timings: bool = False
-    """Tell at the end how long importing, tracing, compiling, running and drawing took."""
+    """Print at the end how long importing, tracing, compiling, running and drawing took."""
 
 
 @dataclasses.dataclass(kw_only=True)
 class ReportOption:
-    """For verbs whose result can be a page; `typed` is the line that asked for it."""
+    """For verbs whose result can be a page; `typed` is the command line that asked for it."""
 
     report: Path | None = None
-    """Also write one page, FILE.html, that opens offline: answer, numbers, figures, the moving robot (extra viewer)."""
+    """Also write a page, FILE.html, with the answer, the numbers, the figures and the moving robot. It opens offline;
+    it needs the extra `viewer`."""
     typed = ""
     undrawn = None
 

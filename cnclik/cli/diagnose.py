@@ -1,5 +1,4 @@
-"""`cnclik diagnose`: from a recording, whether the loop rings, how late the robot is, which gain would end it; its
-drive."""
+"""`cnclik diagnose`: from a recording, whether the loop rings, its dead time, the gain that stops it; or its drive."""
 
 import dataclasses
 import itertools
@@ -18,27 +17,27 @@ from cnclik.quantities import in_samples
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions):
     log: pathlib.Path = option(metavar="LOG.csv", positional=True)
-    """A recording: a row for each sample, a column for each joint, error or command."""
+    """The recording: one row per sample, one column per joint, error or command."""
     Ts: float | None = option(None, unit="s")
-    """Sampling time of loop and recording [s]; of a column of times (time, timestamp, header.stamp, ...) by default."""
+    """Sampling time of loop and recording [s]; default: from a column of times (time, timestamp, header.stamp, ...)."""
     alpha: float | None = option(None, unit="1/s")
-    """Gain of the loop [1/s]: the answer then names the gain that ends the ringing, else by how much to change it."""
+    """Gain of the loop [1/s]. With it the answer names the gain that stops the ringing, without it a factor."""
     columns: tuple[str, ...] | None = None
-    """Which columns, by name or number; all but times and status by default. With --step: commands, then motions."""
+    """Columns to read, by name or number; default: all but times and status. With --step: commands, then motions."""
     tasks: tuple[str, ...] | None = option(None, metavar="NAME[=ALPHA] ...")
-    """Of a stack: tasks whose errors are in columns NAME.x, NAME.y, ..., with their gains [1/s], where known."""
+    """For a stack: the tasks whose errors are in columns NAME.x, NAME.y, ..., with their gains [1/s] where known."""
     longest_period: float | None = option(None, unit="s")
-    """Period [s] from which on motion is taken for that of a path; 250 samples by default."""
+    """Motion with a longer period [s] is taken as motion of the path; default: 250 samples."""
     step: bool = False
-    """Fit a drive to recorded commands and motion: joint_1_cmd with joint_1_pos, or the two columns."""
+    """Fit a drive to recorded commands and motion: to joint_1_cmd and joint_1_pos, or to the two columns."""
     command: Literal["position", "velocity"] = "position"
-    """With --step: what was commanded."""
+    """With --step: what the commands are."""
     kind: Literal["delay", "lag", "second-order"] | None = None
-    """With --step: which drive; by default the simplest that explains the recording."""
+    """With --step: the model of the drive; default: the simplest that explains the recording."""
     json: bool = False
-    """Print all numbers as JSON."""
+    """Print the result as JSON."""
     out: pathlib.Path | None = None
-    """Where to draw diagnose.png."""
+    """Folder for the figure diagnose.png."""
 
 
 def run(args: Args) -> None:

@@ -12,31 +12,31 @@ from cnclik.cli.problem import ProblemOptions, problem, table
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions, ProblemOptions):
-    """Write NAME.h, NAME.c, example.c with test vectors, and a README. Without a reference among the options the target
-    is an argument of the function; with one the function takes the time, unless --no-paths is said. Of a stack each
-    target is an argument, such as hands_left_position:
+    """Write NAME.h, NAME.c, example.c with test vectors, and a README. Without a reference the target is an argument of
+    the function. With one the function takes the time, unless --no-paths is given. In a stack each target is an
+    argument, such as hands_left_position:
 
     cnclik export ROBOT --stack FILE.toml --no-paths --out DIR"""
 
     out: Path
     """Folder for the files."""
     what: Literal["step", "solve", "reach", "fk", "jacobian"] = "step"
-    """What the function does: one step, N steps in one call, joint values for one target, forward kinematics, or the
-    Jacobian."""
+    """What the function computes: one step; N steps (solve); joint values for one target (reach); forward kinematics
+    (fk); the Jacobian."""
     name: str = "clik_step"
-    """Name of the function and of the files; `clik_` is put before one that does not begin with it."""
+    """Name of the function and of the files; `clik_` is prepended unless the name begins with it."""
     dtype: Literal["double", "float"] = "double"
-    """Type of all numbers."""
+    """C type of all numbers."""
     runtime: tuple[str, ...] | None = None
-    """Parameters that may be set at run time, such as alpha; the others are compiled in. All by default."""
+    """Parameters that can be set at run time, such as alpha; default: all. The others are compiled in."""
     compiled_in: bool = False
-    """Compile all parameters in."""
+    """Compile in all parameters."""
     paths: bool = True
-    """Compile in the paths that are given; --no-paths makes all targets arguments."""
+    """Compile in the given paths; with --no-paths all targets are arguments."""
     batch: bool = False
-    """Also the loop for many lanes by vector instructions, NAME_batch.c (GCC, Clang)."""
+    """Also write NAME_batch.c, which runs many loops at once with vector instructions (GCC, Clang)."""
     seeds: int | None = None
-    """Postures that a search (`--what reach`) starts from, after the joint values that it is given; 64 by default."""
+    """With --what reach: number of start postures after the given joint values; default: 64."""
 
 
 def run(args: Args) -> None:

@@ -11,9 +11,9 @@ from cnclik.cli.common import ComputeOptions
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions):
     folder: pathlib.Path = option(positional=True)
-    """Folder of a sweep, with its data.zarr."""
+    """Folder of a finished sweep, which contains data.zarr."""
     spec: pathlib.Path | None = None
-    """A spec whose [[figure]] tables to draw in place of those the sweep was run with."""
+    """Spec whose [[figure]] tables are drawn instead of those of the sweep's own spec."""
     format: Literal["png", "pdf", "svg"] = "png"
     """File format of the figures."""
 

@@ -1,4 +1,4 @@
-"""`cnclik reach`: joint values for targets of a file, for random ones, or over a map of places."""
+"""`cnclik reach`: joint values for targets of a file, for random ones, or over a map of positions."""
 
 import contextlib
 import dataclasses
@@ -18,55 +18,55 @@ from cnclik.cli.targets import wanted_of
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
-    """Joint values that put a tip at targets, or several tips at once: each by --tip and --target of its own, or those
-    of a stack's file, where their paths lead them:
+    """Find joint values that put the tip at targets, or several tips at their targets at the same time. Several tips
+    have a --tip and a --target each, or are those of a stack's file, with targets on their paths:
 
     cnclik reach ROBOT --tip left --tip right --task position --target 0.5 0.3 0.2 --target 0.5 -0.3 0.2
     cnclik reach ROBOT --stack FILE.toml --points 20"""
 
     targets: pathlib.Path | None = option(None, positional=True)
-    """FILE.csv, .npy or .npz: a target per row, position [m] and for a pose a quaternion w x y z; or 4×4 transforms. Of
-    several tips columns begin with each one's name: left.x."""
+    """FILE.csv, .npy or .npz with one target per row: position [m] and, for a pose, a quaternion w x y z; or 4×4
+    transforms. With several tips each column begins with its tip's name, as in left.x."""
     tip: list[str] = option(list)
-    """Last link of the chain in a URDF file; given again, another tip that has targets at the same time."""
+    """Last link of the chain. Give --tip several times for several tips with targets at the same time."""
     target: list[tuple[float, ...]] = option(list, unit="x")
-    """One target, in place of TARGETS: position [m] and for a pose a quaternion w x y z; given again for each tip."""
+    """One target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z. Give it once for each tip."""
     points: int = 1
-    """Of a --stack: points of its paths, evenly over their time; 1: where they begin."""
+    """With --stack: number of targets on the paths, evenly spaced in time; 1 is where the paths begin."""
     random: int | None = None
-    """So many poses that can be reached, at random, in place of TARGETS."""
+    """Number of random reachable poses, in place of TARGETS."""
     map: Literal["xy", "xz", "yz", "box"] | None = None
-    """Where the robot can reach, over a plane or a box, in place of TARGETS."""
+    """Map where the robot can reach, over a plane or a box, in place of TARGETS."""
     cells: int = 40
-    """Places of --map along each axis."""
+    """Number of positions of --map along each axis."""
     orientations: int = 24
-    """Orientations of --map at each place."""
+    """Number of orientations of --map at each position."""
     at: float = option(0.0, unit="m")
-    """Where on the third axis the plane of --map lies [m]."""
+    """Position of the plane of --map along the third axis [m]."""
     seed: int = 0
-    """Of --random and of the search."""
+    """Seed of the random numbers of --random and of the search."""
     tolerance: tuple[float, float] = option((1e-6, 1e-6), unit="m, rad")
-    """Of position [m] and orientation [rad]."""
+    """Tolerance of position [m] and orientation [rad]."""
     accept: tuple[float, float] | None = option(None, unit="m, rad")
-    """A wider pair, within which an answer is ACCEPTED where the tolerance is not met."""
+    """Wider tolerances. An answer within them that misses --tolerance is reported as ACCEPTED."""
     near: tuple[float, ...] | None = option(None, unit="q")
-    """Joint values to search from [rad, m], such as where the robot is now."""
+    """Joint values from which the search starts [rad, m], such as the robot's present ones."""
     path: bool = False
-    """Targets are a path: search each from the answer before it."""
+    """Treat the targets as a path: start each search from the previous answer."""
     jump: float | None = option(None, unit="q")
-    """The most that any joint may be away from --near, or from the answer before [rad, m]."""
+    """Largest distance of each joint from --near or from the previous answer [rad, m]."""
     solutions: int = 1
-    """Different answers for each target."""
+    """Number of different answers for each target."""
     seeds: int | None = None
-    """Postures to start from, at most, for each target; 512, of --map 32."""
+    """Largest number of start postures for each target; default: 512, or 32 with --map."""
     budget: int = 25_000
-    """Evaluations for each target, at most, while there is no answer."""
+    """Largest number of evaluations for a target that has no answer yet."""
     limits: bool = True
-    """Keep the joint limits."""
+    """Keep joint values within their limits."""
     json: bool = False
-    """Print the summary as JSON; the search runs twice, for the time without compiling."""
+    """Print the summary as JSON. The search then runs twice, to measure its time without compilation."""
     out: pathlib.Path | None = None
-    """Where to write the answers: FILE.npz, .nc or .csv; of --map a folder, reach-out."""
+    """File for the answers: FILE.npz, .nc or .csv. With --map: folder; default: reach-out."""
 
 
 def run(args: Args) -> None:

@@ -1,4 +1,4 @@
-"""`cnclik reproduce`: the paper's experiments, from the first step to the figures."""
+"""`cnclik reproduce`: the paper's experiments, with data, figures and a check of its claims."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ class Args(ComputeOptions):
     """Folder for data, claims.json, claims.md and figures."""
 
     reading: str = str(paper.DEFAULT)
-    """What figures 1 to 12 show: on-path or printed / once or twice / consistent or printed."""
+    """Reading of the paper that figures 1 to 12 show: on-path or printed / once or twice / consistent or printed."""
 
 
 def run(args: Args) -> None:

@@ -1,4 +1,4 @@
-"""`cnclik robots`: what a robot's file holds: its tree, joints, limits and the links that can be a tip."""
+"""`cnclik robots`: what a robot file contains: its tree, joints, limits and the links that can be a tip."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ DEEPEST = 120  # columns that the lines of the tree take; what is deeper stands 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(CacheOption):
-    """Show a robot's tree, joints and limits."""
+    """Print the tree of links with joints and limits; possible tips are in bold."""
 
     robot: str = option(positional=True)
     """A URDF or MJCF file, or a name of robot_descriptions."""

@@ -15,8 +15,8 @@ from cnclik.cli.remarks import print_json
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
-    """Run one loop: trajectory.nc, figures, a summary, and what the loop did in one sentence; of one task, or of
-    several:
+    """Run one loop. Writes trajectory.nc and figures, prints a summary and says in a sentence what the loop did. The
+    loop has one task, or several:
 
     cnclik solve ROBOT --stack FILE.toml"""
 
@@ -25,7 +25,7 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
     csv: bool = False
     """Also write trajectory.csv."""
     figures: bool = True
-    """Draw joint paths, error, joint velocities, status and the path of the tip."""
+    """Draw joint values, error, joint velocities, status and the path of the tip."""
     json: bool = False
     """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedies as options."""
 

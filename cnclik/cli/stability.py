@@ -20,34 +20,35 @@ from cnclik.problem.options import DRIVE
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: str = option("planar-clockwise:1,1,1,1,1", positional=True)
-    """A URDF file, panda, ur5, or planar:1,1,1 (link lengths in m); the paper's 5-dof arm by default."""
+    """A URDF or MJCF file; panda, ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. Default: the
+    paper's 5-dof arm."""
     target: tuple[float, ...] | None = option(None, unit="x")
-    """Where the loop is to come to rest: position [m], for a pose optionally a quaternion w x y z."""
+    """Target at which the loop rests: position [m]; for a pose, optionally a quaternion w x y z after it."""
     speed: float = option(0.1, unit="m/s")
-    """Of the tip [m/s]: for lag, tracking error and joint velocities."""
+    """Speed of the tip [m/s] for which lag, tracking error and joint velocities are given."""
     json: bool = False
-    """Print the advice as JSON, and nothing else."""
+    """Print the advice as JSON and nothing else."""
     N: int | None = None
-    """Horizon of the measured loops in steps: 100, and 400 with a drive, through which loops swing and settle late."""
+    """Steps of each simulated loop of --map; default: 100, or 400 with a drive, as such loops settle later."""
     tolerance: float = 1e-3
-    """Fraction of the initial error below which a measured loop must stay to count as converged."""
+    """A simulated loop counts as converged when its error stays below this fraction of the initial error."""
     plane: bool = False
-    """Regions in the complex z-plane for --methods and --passes, and the real-axis limits as a table."""
+    """Draw stability regions of --methods and --passes in the complex z-plane; print the largest real z of each."""
     map: bool = False
-    """Measured map of whole loops over alpha and Ts, and a strip over M for implicit methods; with --stack of the
-    linear loop over the gains of two tasks."""
+    """Simulate loops over a grid of alpha and Ts and draw how each ends; for implicit methods also over M. With
+    --stack: the linearized loop over the gains of two tasks."""
     gains: tuple[str, ...] | None = None
-    """With --stack and --map: its two tasks; the first two by default."""
+    """With --stack and --map: the two tasks whose gains are varied; default: the first two."""
     methods: tuple[str, ...] = ("EE", "HEUN", "MIDPOINT", "RK4", "IE", "CN", "TRAPEZOID")
     """Methods of --plane."""
     passes: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 10)
-    """Passes M of --plane; the strip over M goes up to the largest."""
+    """Iterations M of --plane; the map over M goes up to the largest."""
     alpha_range: tuple[float, float] | None = option(None, unit="1/s")
-    """Gains of --map [1/s]; by default about --alpha and the linear boundary."""
+    """Range of gains of --map [1/s]; default: around --alpha and the linear stability limit."""
     Ts_range: tuple[float, float] | None = option(None, unit="s")
-    """Sampling times of --map [s]; by default about --Ts and the linear boundary."""
+    """Range of sampling times of --map [s]; default: around --Ts and the linear stability limit."""
     cells: int = 128
-    """Cells of --map along each axis."""
+    """Number of cells of --map along each axis."""
     out: pathlib.Path = pathlib.Path("stability-out")
     """Folder for figures and data (netCDF)."""
 

@@ -15,27 +15,27 @@ from cnclik.quantities import in_samples
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions):
     spec: pathlib.Path = option(positional=True)
-    """The spec, a TOML file (see docs/sweeps.md and sweeps/)."""
+    """The spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md."""
     set: list[str] = option(list)
-    """NAME=VALUE in place of what the spec says; may be repeated. --set alpha=5, --set axes.M=[1,5]."""
+    """NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. May be repeated."""
     out: pathlib.Path | None = None
-    """Folder for data.zarr, figures and summary; sweep-NAME of the spec by default."""
+    """Folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec."""
     fresh: bool = False
-    """Start over, even where the folder holds results."""
+    """Start again, even if the folder holds results."""
     check: bool = False
-    """Only validate, and estimate size, memory and time from a measured first block."""
+    """Only check the spec and estimate size, memory and time from a first block that is run."""
     export: Literal["nc", "csv"] | None = None
     """Also write data.nc or data.csv."""
     figures: bool = True
-    """Draw the figures when done."""
+    """Draw the figures at the end."""
     distributed: bool = False
-    """One of several processes that share the work (jax.distributed): settings from SLURM, MPI or those below."""
+    """Share the work with other processes (jax.distributed). Settings are those of SLURM, MPI or the next options."""
     coordinator: str | None = None
-    """HOST:PORT of process 0."""
+    """With --distributed: HOST:PORT of process 0."""
     processes: int | None = None
-    """How many processes there are."""
+    """With --distributed: number of processes."""
     process: int | None = None
-    """The number of this one, from 0."""
+    """With --distributed: number of this process, from 0."""
 
 
 def run(args: Args) -> None:

@@ -1,4 +1,4 @@
-"""`cnclik tune`: gains by gradient under a stability margin, with what a controller needs of them."""
+"""`cnclik tune`: gains by gradient under a stability margin, with the numbers that a controller needs."""
 
 import dataclasses
 import json
@@ -20,45 +20,46 @@ _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
-    """Tune the loop that these options describe: tuned.json, figures, summary.md."""
+    """Tune the loop that these options describe. Writes tuned.json, figures and summary.md."""
 
     N: int = 200
-    """Steps."""
+    """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What is tuned: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts; with --stack also weights, and
-    those of one task: hands.alpha."""
+    """What to tune: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
+    parameters of one task, as in hands.alpha."""
     shape: str = "as-given"
-    """Gain to tune: scalar, per-axis, matrix (symmetric positive definite), or as --alpha is given."""
+    """Form of the gain: scalar, per-axis, matrix (symmetric positive definite), or as-given, the form of --alpha."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")
-    """tracking (RMS), worst, settling, effort, jerk, noise, delay; several with weights: tracking=1 jerk=1e-4."""
+    """What to minimize: tracking (RMS), worst, settling, effort, jerk, noise, delay. Several have weights, as in
+    tracking=1 jerk=1e-4."""
     delay_margin: float = option(1.0, unit=SAMPLES)
-    """Further dead time [samples] with which a step must still not overshoot."""
+    """Additional dead time [samples] with which a step must still not overshoot."""
     noise_gain: float = 0.5
-    """Bound of how much of measurement noise the joints follow (standard deviations)."""
+    """Largest ratio of joint motion to measurement noise (standard deviations)."""
     ringing: bool = False
-    """Let go of both: the loss alone is made small, and the loop rings."""
+    """Drop --delay-margin and --noise-gain: only the loss is minimized, and the loop may ring."""
     margin: float | None = None
-    """Bound of the spectral radius along the path, by which small errors shrink per step; 1, or 0.9 with --ringing."""
+    """Largest spectral radius along the path (factor of small errors per step); default: 1, or 0.9 with --ringing."""
     alpha_bounds: tuple[float, float] | None = option(None, unit="1/s")
-    """Bounds of the gain [1/s]; z = alpha·Ts from 0.001 to 10 by default."""
+    """Bounds of the gain [1/s]; default: z = alpha·Ts from 0.001 to 10."""
     Ts_bounds: tuple[float, float] | None = option(None, unit="s")
-    """Bounds of the sampling time [s], where it is tuned; a factor 4 around --Ts by default."""
+    """Bounds of the sampling time [s] where it is tuned; default: --Ts/4 to 4·--Ts."""
     velocity_limit: float | None = option(None, unit="q/s")
-    """Joint velocity limit [rad/s, m/s] for all joints in place of the robot's own; 0 for none."""
+    """Velocity limit [rad/s, m/s] of all joints, in place of the robot's own limits; 0: no limit."""
     model_error: float = 0.0
-    """Relative error of the link lengths the law believes in."""
+    """Relative error of the link lengths in the law's model of the robot."""
     draws: int = 1
-    """Scenarios drawn of noise and model error."""
+    """Number of random scenarios of noise and model error."""
     tolerance: float = 1e-3
-    """What counts as arrived, for the loss settling [m, rad]."""
+    """For the loss `settling`: error below which the tip has settled [m, rad]."""
     steps: int = 100
-    """Evaluations with gradient per start."""
+    """Number of gradient evaluations per start."""
     starts: int = 1
-    """Descents side by side, the first from --alpha, the others drawn."""
+    """Number of descents, the first from --alpha, the others from random values."""
     out: Path = Path("tuned")
-    """Folder for results."""
+    """Folder for tuned.json, summary.md and figures."""
     figures: bool = True
-    """Draw figures."""
+    """Draw the figures."""
 
 
 def run(args: Args) -> None:

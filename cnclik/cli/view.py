@@ -1,4 +1,4 @@
-"""`cnclik view`: a robot with its loop in a browser, with sliders; or a run that was written, played."""
+"""`cnclik view`: a robot with its loop in a browser, with sliders; or a saved run, played."""
 
 import contextlib
 import dataclasses
@@ -15,23 +15,23 @@ from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
-    """Show a robot live with sliders, or play runs of `solve`, answers of `reach`, a loop of a sweep; with one tip or
-    several:
+    """Show a robot live with sliders, or play a run of `solve`, answers of `reach`, or a loop of a sweep. The robot has
+    one tip or several:
 
     cnclik view ROBOT --stack FILE.toml"""
 
     robot: str = option(metavar="ROBOT|FILE", positional=True)
-    """A robot, as for solve; or what is to be played: trajectory.nc, .csv, .npz, a folder of solve or of a sweep."""
+    """A robot, as for solve; or what to play: trajectory.nc, .csv, .npz, a folder of solve or of a sweep."""
     file: Path | None = option(None, positional=True)
-    """After a ROBOT a file to play that doesn't name it; after a FILE another one, shown beside it."""
+    """After a ROBOT: a file to play that does not name its robot. After a FILE: a second one to show beside it."""
     N: int = 500
-    """Steps."""
+    """Number of steps."""
     host: str = "localhost"
-    """Name or address to listen on; others than this machine can look where it is 0.0.0.0."""
+    """Host name or address to listen on; with 0.0.0.0 other machines can connect."""
     port: int = 8080
-    """Port to listen on; the next one that is free."""
+    """Port to listen on; if it is in use, the next free one."""
     html: Path | None = None
-    """Write the moving scene as one page, FILE.html, and end."""
+    """Write the moving scene as one page, FILE.html, and exit."""
 
 
 def run(args: Args) -> None:

@@ -1,18 +1,16 @@
-"""Options: every name that a problem has, what it holds, and its default.
+"""The options of a problem: for each name its kind, help, default and unit.
 
-The command line, sweep files and Python share this table; to add an option, add its line here and where it is
-built.
+The command line, sweep files and Python share this table. To add an option, add a line here and use it where the
+problem is built (`build.py`).
 """
 
 from typing import Any, NamedTuple
 
 from cnclik import errors
 from cnclik.problem.words import (
-    BEGINS,
     COMMANDS,
     FEEDBACKS,
     FRAMES,
-    FUTURES,
     INVERSES,
     LIMITS,
     METHODS,
@@ -33,8 +31,8 @@ class Option(NamedTuple):
     kind: str  # NAME, NAMES, NUMBER, NUMBERS or INTEGER
     help: str
     default: Any = None
-    unit: str = "1"  # "q": that of the joints; "J", "w", "x": of a singular value, threshold, point
-    must: str = ""  # what each of its numbers must be: a key of `_FITS`
+    unit: str = "1"  # "q": unit of the joints; "J", "w", "x": unit of a singular value, a threshold, a point
+    must: str = ""  # condition on each number: a key of `_FITS`
 
 
 def _listed(names) -> str:
@@ -42,99 +40,105 @@ def _listed(names) -> str:
 
 
 def _of(option: str) -> str:
-    """The references that take an option: what its help begins with."""
+    """Names of the references that take an option; its help begins with them."""
     return " and ".join(name for name, choice in REFERENCES.items() if option in choice.options)
 
 
 OPTIONS = {
-    "robot": Option(NAME, f"A URDF or MJCF file, {_listed(n for n in ROBOTS if not ROBOTS[n].needs)}, planar:1,1,1 "
-                    "(link lengths in m), or a name of robot_descriptions."),
-    "tip": Option(NAME, "Last link of the chain in a file; needed where it has several (`cnclik robots FILE` lists "
+    "robot": Option(NAME, f"A URDF or MJCF file; {_listed(n for n in ROBOTS if not ROBOTS[n].needs)}; planar:1,1,1 "
+                    "(link lengths in m); or a name of robot_descriptions."),
+    "tip": Option(NAME, "Last link of the chain. Required where the file has several (`cnclik robots FILE` lists "
                   "them)."),
-    "base": Option(NAME, "First link of the chain in a file; the root by default."),
+    "base": Option(NAME, "First link of the chain; default: the root of the file."),
     "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
-    "task": Option(NAME, f"{_listed(TASKS)}, or coordinates such as xy or xyrz; pose where there are joints enough "
-                   "for it."),
-    "stack": Option(NAME, "FILE.toml of several tasks, each with its tip, gain, level and path, in place of --task, "
+    "task": Option(NAME, f"What to control: {_listed(TASKS)}, or coordinates such as xy or xyrz. Default: pose where "
+                   "the robot has enough joints for it."),
+    "stack": Option(NAME, "FILE.toml with several tasks, each with its tip, gain, level and path; replaces --task, "
                     "--tip and --reference."),
-    "reference": Option(NAME, f"{_listed(REFERENCES)}, or FILE.csv of waypoints: time, position, optional quaternion "
-                        "w x y z.", "hold"),
-    "target": Option(NUMBERS, f"{_of('target')}: the point, as position [m] and for a pose optionally a quaternion "
-                     "w x y z.", unit="x"),
-    "from": Option(NUMBERS, f"{_of('from')}: the first point; the tip at q0 by default.", unit="x"),
-    "to": Option(NUMBERS, f"{_of('to')}: the last point.", unit="x"),
-    "center": Option(NUMBERS, f"{_of('center')}: the centre [m].", unit="x"),
-    "radius": Option(NUMBER, f"{_of('radius')}: the radius [m].", unit="m", must="positive"),
-    "normal": Option(NUMBERS, f"{_of('normal')}: normal of its plane; z by default."),
-    "amplitude": Option(NUMBERS, f"{_of('amplitude')}: amplitude [m], one for all axes or one each.", unit="m"),
+    "reference": Option(NAME, f"The target's path: {_listed(REFERENCES)}, or FILE.csv with waypoints (time, position, "
+                        "optional quaternion w x y z).", "hold"),
+    "target": Option(NUMBERS, f"{_of('target')}: the target position [m]; for a pose, optionally a quaternion "
+                     "w x y z after it.", unit="x"),
+    "from": Option(NUMBERS, f"{_of('from')}: first point; default: the tip's position at q0.", unit="x"),
+    "to": Option(NUMBERS, f"{_of('to')}: last point.", unit="x"),
+    "center": Option(NUMBERS, f"{_of('center')}: centre [m].", unit="x"),
+    "radius": Option(NUMBER, f"{_of('radius')}: radius [m].", unit="m", must="positive"),
+    "normal": Option(NUMBERS, f"{_of('normal')}: normal vector of the circle's plane; default: z."),
+    "amplitude": Option(NUMBERS, f"{_of('amplitude')}: amplitude [m], one number or one per axis.", unit="m"),
     "frequency": Option(NUMBERS, f"{_of('frequency')}: cycles per period, one per axis."),
-    "phase": Option(NUMBERS, f"{_of('phase')}: angle at t = 0 [rad]; a lissajous figure has one per axis.",
-                    unit="rad"),
-    "period": Option(NUMBER, "Time of one turn (negative: the other sense), or of the line [s]; the length of the run "
-                     "by default.", unit="s", must="other than 0"),
-    "future": Option(NAME, f"Of the path, to a controller: {_listed(FUTURES)}, where a step sees place and velocity "
-                     "at its start alone.", "known"),
-    "method": Option(NAME, f"{_listed(METHODS)}; CN is the paper's.", "EXP-MIDPOINT"),
-    "stage": Option(NAME, f"How implicit stages are solved: {_listed(STAGES)}.", "picard"),
-    "M": Option(INTEGER, "Passes of that iteration.", 5, must="at least 0"),
-    "alpha": Option(NUMBERS, "Gain of the error [1/s], one or one per task coordinate; alpha·Ts is the dimensionless "
-                    "gain per step.", 5.0, "1/s", must="at least 0"),
+    "phase": Option(NUMBERS, f"{_of('phase')}: angle at t = 0 [rad]; lissajous takes one per axis.", unit="rad"),
+    "period": Option(NUMBER, "Duration of one turn (negative: opposite direction) or of the line [s]; default: the "
+                     "duration of the run.", unit="s", must="other than 0"),
+    "future": Option(NAME, "Whether the controller knows the path ahead (known) or only the target's position and "
+                     "velocity at the start of each step (unknown).", "known"),
+    "method": Option(NAME, f"How a step is integrated: {_listed(METHODS)}. CN is the paper's method.", "EXP-MIDPOINT"),
+    "stage": Option(NAME, f"Iteration that solves an implicit step: {_listed(STAGES)}.", "picard"),
+    "M": Option(INTEGER, "Number of iterations per implicit step.", 5, must="at least 0"),
+    "alpha": Option(NUMBERS, "Gain [1/s], one number or one per task coordinate. alpha·Ts is the dimensionless gain "
+                    "per step.", 5.0, "1/s", must="at least 0"),
     "Ts": Option(NUMBER, "Sampling time [s].", 0.01, "s", must="positive"),
-    "N": Option(INTEGER, "Steps.", 1000),
-    "inverse": Option(NAME, f"{_listed(INVERSES)}; damped where a damping is given."),
-    "damping": Option(NUMBER, "λ (not λ²) of the damped inverses.", unit="J", must="positive"),
-    "threshold": Option(NUMBER, "Manipulability or least singular value below which the last two are damped.",
-                        unit="w", must="positive"),
+    "N": Option(INTEGER, "Number of steps.", 1000),
+    "inverse": Option(NAME, f"Inverse of the Jacobian: {_listed(INVERSES)}. Default: pseudoinverse, or damped where "
+                      "--damping is given."),
+    "damping": Option(NUMBER, "Damping λ (not λ²) of the damped inverses.", unit="J", must="positive"),
+    "threshold": Option(NUMBER, "Manipulability (manipulability-damped) or least singular value (singular-damped) "
+                        "below which the inverse is damped.", unit="w", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(LIMITS)}.", "none"),
-    "limit_rate": Option(NUMBER, "Of weighted-least-norm, saturation and bounded: rate at which a joint may near "
-                         "its limit [1/s]; 1/Ts, at most 10, by default.", unit="1/s", must="positive"),
-    "error_clamp": Option(NUMBERS, "Largest position [m] and orientation [rad] error that the gain sees: what settles "
-                          "before far targets.", unit="m, rad", must="positive"),
-    "feedforward": Option(NUMBER, "Factor of the desired velocity: 1 tracks (default), 0 is pure feedback."),
-    "near_singular": Option(NUMBER, "Least singular value under which a step is marked near singular; 0.01 by "
-                            "default.", unit="J"),
-    "posture": Option(NUMBERS, "Joint values to draw towards in the null space [rad, m].", unit="q"),
-    "posture_rate": Option(NUMBER, "Rate at which they are drawn to [1/s]; 1 by default.", unit="1/s", must="positive"),
-    "manipulability": Option(NUMBER, "Gain of climbing the manipulability in the null space.", must="positive"),
-    "q0": Option(NUMBERS, "Joint values at the start [rad, m]; a posture inside the limits, away from singularities, "
-                 "by default.", unit="q"),
-    "begin": Option(NAME, f"Where the loop begins: {_listed(BEGINS)}; on-path is where the path begins, with the joint "
-                    "values nearest to q0.", "q0"),
+    "limit_rate": Option(NUMBER, "weighted-least-norm, saturation and bounded: rate at which a joint may approach its "
+                         "limit [1/s]; default: 1/Ts, at most 10.", unit="1/s", must="positive"),
+    "error_clamp": Option(NUMBERS, "Limits of the position [m] and orientation [rad] error that the gain multiplies. "
+                          "They keep joint velocities small when the target is far away.", unit="m, rad",
+                          must="positive"),
+    "feedforward": Option(NUMBER, "Factor of the target's velocity: 1 is full feed-forward (default), 0 pure "
+                          "feedback."),
+    "near_singular": Option(NUMBER, "Least singular value below which a step is reported as near-singular; default: "
+                            "0.01.", unit="J"),
+    "posture": Option(NUMBERS, "Preferred joint values, approached in the null space [rad, m].", unit="q"),
+    "posture_rate": Option(NUMBER, "Rate at which the posture is approached [1/s]; default: 1.", unit="1/s",
+                           must="positive"),
+    "manipulability": Option(NUMBER, "Gain with which the null-space motion increases the manipulability.",
+                             must="positive"),
+    "q0": Option(NUMBERS, "Joint values at the start [rad, m]; default: a posture within the limits and away from "
+                 "singularities.", unit="q"),
+    "begin": Option(NAME, "Where the loop starts: at q0, or on-path, at the path's first point with the joint values "
+                    "nearest to q0.", "q0"),
 }  # fmt: skip
 
-DRIVE = {  # what lies between a command and the motion, and what is measured of it: fields of `Drive`
-    "delay": Option(NUMBER, "Dead time between command and motion [samples], not only whole ones; 34ms is a time.",
-                    unit=SAMPLES, must="at least 0"),
-    "measurement_delay": Option(INTEGER, "Whole samples by which what is measured is late, its time being known.",
+DRIVE = {  # what lies between a command and its measured motion: fields of `Drive`
+    "delay": Option(NUMBER, "Dead time between command and motion [samples]. Fractions are allowed; a time is written "
+                    "with its unit, as in 34ms.", unit=SAMPLES, must="at least 0"),
+    "measurement_delay": Option(INTEGER, "Delay of the measurement [whole samples]; measurements are time-stamped.",
                                 unit=SAMPLES, must="at least 0"),
     "lag": Option(NUMBERS, "Time constant of a first-order drive [s], one number or one per joint.", unit="s",
                   must="positive"),
-    "natural_frequency": Option(NUMBERS, "ω₀ of a second-order drive [rad/s], in place of a lag: √(k_p/m) of a "
-                                "position servo.", unit="rad/s", must="positive"),
-    "damping_ratio": Option(NUMBERS, "ζ of a second-order drive, 1 by default: k_v/(2 m ω₀) of a position servo.",
-                            must="positive"),
-    "command": Option(NAME, f"What a drive takes: {_listed(COMMANDS)}; velocity by default."),
-    "feedback": Option(NAME, f"Joint values that the controller looks at: {_listed(FEEDBACKS)} (measured, and position "
-                       "commands begin there); measured by default."),
-    "drive_velocity": Option(NUMBERS, "Joint velocity beyond which the drive doesn't follow [rad/s, m/s].",
-                             unit="q/s", must="positive"),
-    "drive_acceleration": Option(NUMBERS, "Joint acceleration beyond which the drive doesn't follow [rad/s², m/s²].",
+    "natural_frequency": Option(NUMBERS, "Natural frequency ω₀ of a second-order drive [rad/s], in place of --lag; "
+                                "√(k_p/m) of a position servo.", unit="rad/s", must="positive"),
+    "damping_ratio": Option(NUMBERS, "Damping ratio ζ of a second-order drive; k_v/(2 m ω₀) of a position servo. "
+                            "Default: 1.", must="positive"),
+    "command": Option(NAME, f"Command that the drives take: {_listed(COMMANDS)}. Default: velocity."),
+    "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(FEEDBACKS)}. With rebased they are "
+                       "measured, and each position command starts from them. Default: measured."),
+    "drive_velocity": Option(NUMBERS, "Largest joint velocity that the drives reach [rad/s, m/s].", unit="q/s",
+                             must="positive"),
+    "drive_acceleration": Option(NUMBERS, "Largest joint acceleration that the drives reach [rad/s², m/s²].",
                                  unit="q/s²", must="positive"),
-    "joint_noise": Option(NUMBERS, "Standard deviation of measured joint values [rad, m].", unit="q",
+    "joint_noise": Option(NUMBERS, "Standard deviation of the noise in measured joint values [rad, m].", unit="q",
                           must="at least 0"),
     "resolution": Option(NUMBERS, "Resolution of measured joint values [rad, m].", unit="q", must="at least 0"),
 }  # fmt: skip
 NOISE = {
-    "noise": Option(NUMBERS, "Standard deviation of white noise of the measured error, one number or one per task "
-                    "coordinate [m, rad].", unit="m, rad", must="at least 0"),
-    "seed": Option(INTEGER, "Of what is drawn; 0 by default.", must="at least 0"),
+    "noise": Option(NUMBERS, "Standard deviation of white noise in the measured error [m, rad], one number or one per "
+                    "task coordinate.", unit="m, rad", must="at least 0"),
+    "seed": Option(INTEGER, "Seed of the random numbers; default: 0.", must="at least 0"),
 }  # fmt: skip
-PACE = {  # limits that the loop keeps by going slower along its way: fields of `Pace`
-    "max_velocity": Option(NUMBERS, "Joint velocity that the steps are scaled to, one number or one per joint "
-                           "[rad/s, m/s]; with the next two the robot's own by default.", unit="q/s", must="positive"),
-    "max_acceleration": Option(NUMBERS, "Joint acceleration that they are scaled to [rad/s², m/s²].", unit="q/s²",
-                               must="positive"),
-    "max_jerk": Option(NUMBERS, "Joint jerk that they are scaled to [rad/s³, m/s³].", unit="q/s³", must="positive"),
+PACE = {  # limits that the loop keeps by moving more slowly along its path: fields of `Pace`
+    "max_velocity": Option(NUMBERS, "Joint velocity limit [rad/s, m/s] that the motion keeps by slowing down along "
+                           "the path, one number or one per joint. Default with --max-acceleration or --max-jerk: the "
+                           "robot's own.", unit="q/s", must="positive"),
+    "max_acceleration": Option(NUMBERS, "Joint acceleration limit that is kept in the same way [rad/s², m/s²].",
+                               unit="q/s²", must="positive"),
+    "max_jerk": Option(NUMBERS, "Joint jerk limit that is kept in the same way [rad/s³, m/s³].", unit="q/s³",
+                       must="positive"),
 }  # fmt: skip
 MEASURED = DRIVE | NOISE  # what a robot adds to a loop
 SWEPT = OPTIONS | MEASURED | PACE
@@ -142,19 +146,19 @@ SWEPT = OPTIONS | MEASURED | PACE
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
 
-OF_TASK = {  # of one task of a stack: a table of a stack's file
-    "task": Option(NAME, f"{_listed(STACKED)}, or coordinates such as xy or xyrz; pose where the tip has joints enough "
-                   "for it, joints where those are given."),
-    "tip": Option(NAMES, "The tip, or several: then it is the same task for each."),
-    "relative_to": Option(NAME, "Tip in whose frame, and as seen from which, the task is; the base by default."),
-    "frame": Option(NAME, f"Whose axes its coordinates are along: {_listed(FRAMES)}, the tip's own; base by default."),
-    "joints": Option(NAMES, "Of joints: their names; all by default."),
-    "axes": Option(NAME, "Of center_of_mass: letters of xyz, such as xy for balance; all by default."),
-    "weights": Option(NUMBERS, "Weights of its coordinates in the least-squares sense, one each (for each tip).",
-                      must="positive"),
+OF_TASK = {  # one task of a stack: a table in the stack's file
+    "task": Option(NAME, f"What to control: {_listed(STACKED)}, or coordinates such as xy or xyrz. Default: pose where "
+                   "the tip has enough joints for it, joints where `joints` is given."),
+    "tip": Option(NAMES, "The tip; several names make the same task for each."),
+    "relative_to": Option(NAME, "Tip in whose frame the task is expressed, and relative to which it moves; default: "
+                          "the base."),
+    "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(FRAMES)}. Default: base."),
+    "joints": Option(NAMES, "joints: names of the joints; default: all."),
+    "axes": Option(NAME, "center_of_mass: letters of xyz, such as xy for balance; default: all."),
+    "weights": Option(NUMBERS, "Least-squares weights of the coordinates, one each (for each tip).", must="positive"),
     "alpha": OPTIONS["alpha"]._replace(default=None),
-    "level": Option(INTEGER, "Its level of priority: 1 comes first, tasks of equal numbers share what there is.",
-                    must="positive"),
+    "level": Option(INTEGER, "Priority level: 1 comes first. Tasks on the same level share the joints by weighted "
+                    "least squares.", must="positive"),
     **{name: OPTIONS[name] for name in ("inverse", "damping", "threshold")},
     **{name: OPTIONS[name] for name in ("reference", *PATH)},
 }  # fmt: skip
