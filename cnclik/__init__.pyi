@@ -43,7 +43,9 @@ from .law.paths import (
 )
 from .law.reference import Reference as Reference, References as References, references as references
 from .law.resampled import resampled as resampled
-from .law.walls import support_polygon as support_polygon, wall as wall, wall_margin as wall_margin
+from .law.walls import (
+    support_polygon as support_polygon, wall as wall, wall_distance as wall_distance, wall_margin as wall_margin,
+)
 from .measure.dataset import to_dataset as to_dataset
 from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run

@@ -16,7 +16,7 @@ import jax
 import pytest
 
 from cnclik.cli import main
-from cnclik.problem import OF_TASK
+from cnclik.problem import OF_SHAPE, OF_TASK, OF_WALL
 from cnclik.show.viewer.need import has_viser
 from tests.oracles import robot_file
 
@@ -121,20 +121,25 @@ def prepare(folder, less):
     (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     for name, page in (("stack", "robots"), ("tray", "stacks")):
         (folder / f"{name}.toml").write_text(written_stack(page), encoding="utf-8")
+    walls = written_stack("stacks") + written_stack("stacks", "walls")
+    (folder / "walls.toml").write_text(walls, encoding="utf-8")
     rings = "\n".join(f"{1.5 + 0.1 * (-0.8) ** k:.9f}" for k in range(60))
     (folder / "log.csv").write_text(f"q1\n{rings}\n", encoding="utf-8")
     (folder / "targets.csv").write_text("0.5,0.1,0.4,0,1,0,0\n0.3,-0.4,0.5,0,1,0,0\n", encoding="utf-8")
 
 
-def written_stack(page):
-    """The stack of tasks that a page shows as a file."""
-    return re.search(r"```toml\n(\[tasks\..*?)^```", (ROOT / f"docs/{page}.md").read_text("utf-8"), re.M | re.S)[1]
+def written_stack(page, kind="tasks"):
+    """The stack of tasks, or its walls, that a page shows as a file."""
+    return re.search(rf"```toml\n(\[{kind}\..*?)^```", (ROOT / f"docs/{page}.md").read_text("utf-8"), re.M | re.S)[1]
 
 
-def test_every_option_of_a_task_is_explained():
+def test_every_option_of_a_stack_is_explained():
     page = (ROOT / "docs/robots.md").read_text("utf-8").partition("## Several tasks")[2].partition("## ")[0]
     told = {word for row in re.findall(r"^\| ([a-z_, ]+) \|", page, re.M) for word in row.split(", ")}
     assert told - {"key"} == set(OF_TASK)
+    page = (ROOT / "docs/robots.md").read_text("utf-8").partition("#### Walls of a file")[2].partition("## ")[0]
+    told = {word for row in re.findall(r"^\| ([a-z_, ]+) \|", page, re.M) for word in row.split(", ")}
+    assert told - {"key"} == set(OF_WALL | OF_SHAPE)
 
 
 def needs_viser(page):

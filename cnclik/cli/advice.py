@@ -77,6 +77,7 @@ def lines_of(found, said, written) -> list:
 
 LEAKS = 1e-3  # share from which on a leak is told
 TASK_COLUMNS = ("task", "alpha [1/s]", "alpha·Ts", "largest stable", "no overshoot", "recommended")
+WALL_COLUMNS = ("wall", "distance", "rate [1/s]", "rate·Ts", "steps may pass it by")
 DOES_COLUMNS = ("task", "gets", "alone", "lag [ms]", "settles [s]", "noise ×", "more dead time")
 
 
@@ -130,6 +131,18 @@ def lines_of_stack(found, said) -> list:
             f"{stack.growth:.3g} as weights and levels count them."
         )
     return lines if said.limits is None else [*lines, _sentence(said.limits.words)]
+
+
+def walls_of(said) -> list:
+    """Rows of WALL_COLUMNS: how far walls are where the loop rests, how fast they are neared, what steps pass."""
+    from cnclik.quantities import aloud
+
+    rows = []
+    for name, one in said.walls.items():
+        away = f"{aloud(abs(one.distance), one.unit)}{' behind it' * (one.distance < 0)}"
+        passed = aloud(one.passed if one.passed >= 1e-9 else 0.0, one.unit) if one.passed == one.passed else ""
+        rows.append((name, away, f"{one.rate:.4g}", f"{one.z:.4g}", passed))
+    return rows
 
 
 def _conflict(name, one, found) -> str:

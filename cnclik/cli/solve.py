@@ -43,6 +43,7 @@ def run(args: Args) -> None:
     beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     config |= {} if made.tables is None else {"tasks": made.tables}
+    config |= {} if made.walls is None else {"walls": made.walls}
     trajectory, seconds, data, written, refused = _kept(made, args, config)
     with progress.bar("verdict"):
         beside.result()
@@ -163,7 +164,11 @@ def _rows(data):
     if "task" in data.dims:
         header += [f"status_{name}" for name in data.task.values]
         bits = np.hstack([bits, data.task_status.values])
-    steps = [[*qdot, *own] for qdot, own in zip(data.qdot.values.tolist(), bits.tolist(), strict=True)]
+    parts = [data.qdot.values, bits]
+    if "wall" in data.dims:
+        header += [f"wall_{name}" for name in data.wall.values]
+        parts.append(data.walls.values)
+    steps = [[v for part in each for v in part] for each in zip(*(part.tolist() for part in parts), strict=True)]
     last = [""] * (len(header) - len(points[0]))
     yield header
     yield from (point + step for point, step in zip(points, [*steps, last], strict=True))
@@ -195,6 +200,7 @@ def _summary(made, trajectory, seconds):
     else:
         each = [("", trajectory, law.task)]
     rows = [row for one in each for row in _of_task(*one)]
+    rows += [] if trajectory.walls is None else _of_walls(trajectory, law)
     if trajectory.path_time is not None:
         done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
         rows.append(("path", f"{done:.4g} s of it in {whole:.4g} s: it waits for the robot"))
@@ -225,6 +231,28 @@ def _of_task(name, run, task):
             yield f"{name}{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"
     if name:
         yield f"{name}steps", _counted(np.asarray(run.status) & OWN)
+
+
+def _of_walls(run, law):
+    """Rows of how often a wall holds, and by how much it was passed, or how near it was."""
+    import numpy as np
+
+    from cnclik.integrate.status import rounding_of
+    from cnclik.law.walls import names_of, wall_distance, wall_margin
+    from cnclik.quantities import aloud
+
+    walls, q = law.limits.walls, np.asarray(run.q, float)
+    room, most = np.asarray(run.walls), rounding_of(np.asarray(run.qdot))
+    away, margin = wall_distance(law, q), wall_margin(law, run)
+    for i, (name, wall) in enumerate(zip(names_of(walls), walls, strict=True)):
+        unit, missed = wall.task.units[0], int(np.sum(room[:, i : i + 1] < -most))
+        said = f"holds in {int(np.sum(room[:, i : i + 1] <= most))} of {len(room)} steps"
+        first, least = away[0, i], away[:, i].min()
+        said += f", begun {aloud(-first, unit)} behind it" if first < 0 else ""
+        said += f", nearest {aloud(least, unit)}" if least >= 0 else ""
+        said += f", passed by up to {aloud(-least, unit)}" if least < min(first, 0.0) else ""
+        said += f"; held velocities may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
+        yield f"wall {name}", f"{said}; not kept in {missed}, see the status" if missed else said
 
 
 def _counted(status) -> str:

@@ -146,6 +146,8 @@ def _tell(args, advised):
     if said.stack is not None:
         print_table(advice.gains_of_tasks(found, said), advice.TASK_COLUMNS, title=advice.title_of(found))
         print_table(advice.does_of_tasks(found, said), advice.DOES_COLUMNS, title="what the tasks do now")
+        if said.walls:
+            print_table(advice.walls_of(said), advice.WALL_COLUMNS, title=f"walls, at {said.speed:g} m/s of the tips")
         print(*advice.lines_of_stack(found, said), sep="\n")
         return
     print_table(advice.gains_of(found, said, args.written), advice.COLUMNS, title=advice.title_of(found))

@@ -134,11 +134,13 @@ def _of_stack(args) -> Wanted:
     from cnclik.stability.case import whole
 
     alone = {"task": args.task, "tip": args.tip or None, "target": args.target or None}
-    tables = tables_from(read_stack(args.stack), alone)
-    chain, tip = _robot(args, tips_of({name: one.given for name, one in tables.items()}))
+    written = read_stack(args.stack)
+    tables = tables_from(written, alone).tasks
+    chain, tip = _robot(args, tips_of(written))
     stack = stack_from(tables, chain)
     task, title = of_tips(stack), robot_and_task(robot_name(args.robot), tip, stack)
     left = [name for name, _ in stack.tasks if name not in dict(task.tasks)]
+    left += written.walls
     lines = (f"Left out: {', '.join(left)}. Reach is of positions and orientations of tips.",) * bool(left)
     _look_at_units(args, chain, task, {})
     if args.targets is not None or args.random:

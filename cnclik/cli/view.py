@@ -59,7 +59,7 @@ def run(args: Args) -> None:
 
 def _shown(args):
     """(motions, live)."""
-    from cnclik.problem.stack import read_stack, tips_of
+    from cnclik.problem.stack import read_stack, tables_from, tips_of
     from cnclik.show.viewer import files, front
     from cnclik.show.viewer.live import Live
 
@@ -67,7 +67,11 @@ def _shown(args):
         named = [args.robot] if args.file is None else [args.robot, args.file]
         return [motion for one in named for motion in files.read_motions(one)][: front.MOST], None
     if args.file is not None:
-        tips = None if args.stack is None else tips_of(read_stack(args.stack))
+        tips = None
+        if args.stack is not None:
+            written = read_stack(args.stack)
+            tables_from(written, {})  # checked
+            tips = tips_of(written)
         robot = files.robot_of(args.robot, args.tip, args.base, args.lengths, tips)
         return files.read_motions(args.file, robot), None
     made = problem(args)

@@ -12,7 +12,7 @@ from cnclik import errors
 from cnclik.law.law import metric
 from cnclik.law.reference import motion
 from cnclik.precision import of_numbers
-from cnclik.robot.rotations import safe_sqrt
+from cnclik.robot.rotations import library, safe_sqrt
 from cnclik.shapes import ArrayLike
 
 Run = TypeVar("Run", bound=Any)  # a `Trajectory`, whose class is of a module above
@@ -91,6 +91,12 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
     raise StepError(f"Step {k}{where} (t = {t:.6g} s) is {names(bad)}: {_REMEDY[worst]}.")
 
 
+def rounding_of(qdot):
+    """What a wall may miss at joint velocities (..., n), and still hold (..., 1)."""
+    xp = library(qdot)
+    return MISSED * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
+
+
 def flags(law, q, qdot, e, residual, tolerance, first):
     """Status bits of one step; `first` is the law's evaluation at its start."""
     chain = law.chain
@@ -103,7 +109,7 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     outside, fast = first.limited, too_fast(chain, qdot)
     if chain.bounded:
         outside |= jnp.any(_at_limit(q, chain.lower, chain.upper))
-    broken = False if first.walls is None else jnp.any(first.walls < -MISSED * (1 + jnp.max(jnp.abs(first.qdot))))
+    broken = False if first.walls is None else jnp.any(first.walls < -rounding_of(first.qdot))
     bits = ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY), (broken, Status.WALLS_CONTRADICT))
     for found, bit in bits:
         if found is not False:

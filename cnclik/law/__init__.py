@@ -15,7 +15,7 @@ from cnclik.law.limits import saturation, velocity_scaling, weighted_least_norm
 from cnclik.law.null import maximize_manipulability, posture
 from cnclik.law.paths import causal, circle, hold, hold_at, line, lissajous, path, waypoints, with_feedforward
 from cnclik.law.reference import Reference, References, references
-from cnclik.law.walls import wall, wall_margin
+from cnclik.law.walls import wall, wall_distance, wall_margin
 
 __all__ = [
     "Law",
@@ -42,6 +42,7 @@ __all__ = [
     "transpose",
     "velocity_scaling",
     "wall",
+    "wall_distance",
     "wall_margin",
     "waypoints",
     "weighted_least_norm",

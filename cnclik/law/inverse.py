@@ -273,7 +273,8 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
     lists = all(isinstance(some, (list, tuple)) for some in names)
     if not (names and lists and all(isinstance(name, str) for some in names for name in some)):
         raise errors.fail("names", 'be a list of names for each level, such as ["feet"]', f"is {names!r}")
-    if isinstance(damping, (int, float)) or len(damping) != len(names):
+    several = isinstance(damping, (list, tuple)) or getattr(damping, "ndim", 0) == 1
+    if not several or len(damping) != len(names):
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
     kinds = (Damped, ManipulabilityDamped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)

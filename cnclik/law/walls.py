@@ -37,6 +37,7 @@ class Wall:
     normal: Float[Array, " m"]
     offset: Number
     rate: Number | None
+    name: str = ""
 
     def on(self, chain) -> Wall:
         """The wall of this robot."""
@@ -56,6 +57,11 @@ def rate_of(wall, rate):
     return rate if wall.rate is None else wall.rate
 
 
+def names_of(walls) -> list[str]:
+    """What walls are called: those without a name by their number."""
+    return [wall.name or str(i + 1) for i, wall in enumerate(walls)]
+
+
 def rows_at(walls, rate, chain, q) -> Rows:
     """What walls ask of joint velocities at q; `rate` is that of walls without their own."""
     robot = At(modelled(chain), q)
@@ -70,6 +76,7 @@ def wall(
     below: Number | None = None,
     normal: Float[ArrayLike, " m"] | None = None,
     rate: Number | None = None,
+    name: str = "",
 ) -> Wall:
     """A wall for `bounded(walls=[...])`: the task's coordinate stays above, or below, a number.
 
@@ -85,6 +92,7 @@ def wall(
       above, below: one of them [the coordinate's unit].
       normal: (m,) of several coordinates what counts is normal·x; of unit length it makes h a distance.
       rate: [1/s], at most 1/Ts; None: that of `bounded`. (1 − e^{−α Ts})/Ts does over a step what α does.
+      name: what it is called where it is spoken of; its number by default.
     """
     task = errors.kind("task", task, Task)
     if any(part.turns or part.tied for part in task.parts):
@@ -96,7 +104,18 @@ def wall(
     normal = errors.array("normal", np.ones(1) if normal is None else normal, (task.m,))
     offset = errors.number("above", above) if below is None else -errors.number("below", below)
     normal = normal if below is None else -normal
-    return Wall(task=task, normal=normal, offset=leaf(offset), rate=None if rate is None else positive("rate", rate))
+    rate = None if rate is None else positive("rate", rate)
+    return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
+
+
+def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray, "*lanes k"]:
+    """How far each wall is at joint values, h (..., k) [m, rad], negative behind it.
+
+    Args: law: as for `wall_margin`.
+    """
+    n = law.chain.n
+    q = errors.array("q", q, (n,), (None, n), (None, None, n), finite=False)
+    return np.asarray(_apart(_walls_of(law)[0], law.chain, q))
 
 
 def support_polygon(
@@ -151,13 +170,35 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
       law: with `bounded(walls=...)`.
       run: a `Trajectory` of it, one or many lanes, that was stepped evenly.
     """
-    walls, rate = getattr(law.limits, "walls", ()), getattr(law.limits, "rate", 0.0)
-    if not walls:
-        raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
+    walls, rate = _walls_of(law)
     bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))
     rates = np.array([rate_of(wall, rate) for wall in walls])
     Ts = np.diff(np.asarray(run.t), axis=-1)[..., None]
     return np.max(np.maximum(-np.asarray(bent) * Ts, 0.0), axis=-2) / (2 * rates)
+
+
+def _walls_of(law):
+    """(walls, rate of those without their own) of a law."""
+    walls = getattr(law.limits, "walls", ())
+    if not walls:
+        raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
+    return walls, law.limits.rate
+
+
+@one_off
+def _apart(walls, chain, q):
+    """h (..., k)."""
+
+    def one(q):
+        return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
+
+    return _of_each(one, q)
+
+
+@one_off
+def bends(walls, chain, q):
+    """∇²h (k, n, n) at q (n,)."""
+    return jax.jacfwd(lambda q: jnp.stack([wall.row(At(chain, q)) for wall in walls]))(q)
 
 
 @one_off
@@ -171,6 +212,11 @@ def _bent(walls, chain, q, qdot):
 
         return jax.jvp(along, (0.0,), (1.0,))[1]
 
-    for _ in range(np.ndim(q) - 1):
+    return _of_each(one, q, qdot)
+
+
+def _of_each(one, *of):
+    """A function of vectors, over all leading axes."""
+    for _ in range(np.ndim(of[0]) - 1):
         one = jax.vmap(one)
-    return one(q, qdot)
+    return one(*of)

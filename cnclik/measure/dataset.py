@@ -16,6 +16,7 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
+from cnclik.law.walls import names_of
 from cnclik.precision import of_numbers
 from cnclik.shapes import ArrayLike
 from cnclik.version import __version__
@@ -83,6 +84,8 @@ def to_dataset(
         "axis_unit": ("axis", list(x_units), about("unit of the task coordinate", "1")),
         "step": ("step", np.arange(N), about("step", "1")),
     }
+    if run.walls is not None:
+        labels["wall"] = ("wall", names_of(getattr(law.limits, "walls", ())), about("wall", "1"))
     axes = axes_of(law.task, law.chain)
     if not law.task.of_one_tip:
         labels["axis_tip"] = ("axis", axes.tips, about("the tip whose coordinate it is", "1"))

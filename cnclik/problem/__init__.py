@@ -5,7 +5,7 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "options": ["DEFAULTS", "OF_TASK", "OPTIONS"],
+        "options": ["DEFAULTS", "OF_SHAPE", "OF_TASK", "OF_WALL", "OPTIONS"],
         "reference": ["REFERENCES", "reference_from"],
         "build": ["Problem", "problem_from"],
         "names": [

@@ -36,7 +36,17 @@ from cnclik.problem.names import (
 )
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
-from cnclik.problem.stack import gains_from, inverse_of, read_stack, references_of, stack_from, tables_from, tips_of
+from cnclik.problem.stack import (
+    Written,
+    gains_from,
+    inverse_of,
+    read_stack,
+    references_of,
+    stack_from,
+    tables_from,
+    tips_of,
+)
+from cnclik.problem.walls import walls_from
 from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.robot.chain import Chain
 from cnclik.shapes import AnyArray, ArrayLike, Float, Number
@@ -51,7 +61,7 @@ class Problem:
 
     `drive` and `pace` are None where nothing was said of them. `noise` (m,) or a number is the standard deviation of
     the measured error, or None, `seed` that of what is drawn. `tip` is what the robot's tip is called; `tables` are
-    those of a stack, as they were given.
+    those of a stack's tasks, as they were given, and `walls` of its walls.
     """
 
     name: str
@@ -68,6 +78,7 @@ class Problem:
     seed: int = 0
     tip: str = ""
     tables: Mapping[str, Mapping[str, Any]] | None = None
+    walls: Mapping[str, Mapping[str, Any]] | None = None
 
     @property
     def loop(self) -> tuple:
@@ -86,7 +97,11 @@ class Problem:
 
 
 def problem_from(
-    robot: str | os.PathLike | Chain, *, tasks: Mapping[str, Mapping[str, Any]] | None = None, **options: Any
+    robot: str | os.PathLike | Chain,
+    *,
+    tasks: Mapping[str, Mapping[str, Any]] | None = None,
+    walls: Mapping[str, Mapping[str, Any]] | None = None,
+    **options: Any,
 ) -> Problem:
     """A whole problem from a flat table of names and numbers, such as a sweep file's `[fixed]`.
 
@@ -94,6 +109,7 @@ def problem_from(
       robot: a file or a name, as for `cnclik.load`, or a `Chain`.
       tasks: of a stack {name of a task: {option: value}}, options of `cnclik.problem.OF_TASK`, as the tables of a
         file have them that `stack` names.
+      walls: of a stack {name of a wall: {option: value}}, of `cnclik.problem.OF_WALL`.
       options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which say what each means and its
         default; None is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be
         the record itself. Numbers may be traced.
@@ -103,10 +119,13 @@ def problem_from(
     given = as_written({name: value for name, value in options.items() if value is not None})
     for key in given:
         errors.one_of("option", key, SWEPT)
+    asked = None if tasks is None else Written(tasks, walls or {})
     if "stack" in given:
         if tasks is not None:
             raise errors.fail("tasks", "be left out where `stack` is given", f"are {', '.join(tasks)}")
-        tasks = read_stack(given["stack"])
+        asked = read_stack(given["stack"])
+    if walls and (asked is None or "stack" in given):
+        raise errors.fail("walls", "come with `tasks`, or stand in the file of `stack`", f"are {', '.join(walls)}")
     given, written = in_own_units(given)
     v = dict.fromkeys(SWEPT) | DEFAULTS | given
     if "M" in given and hasattr(v["stage"], "tolerance"):
@@ -115,21 +134,20 @@ def problem_from(
     N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    tables = None if tasks is None else tables_from(tasks, given)
-    tips = None if tables is None else tips_of({name: one.given for name, one in tables.items()})
+    stack, tips = (None, None) if asked is None else (tables_from(asked, given), tips_of(asked))
     chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"], tips)
-    task = task_from(v["task"], chain) if tables is None else stack_from(tables, chain)
+    task = task_from(v["task"], chain) if stack is None else stack_from(stack.tasks, chain)
     check_units(chain, task, written)
-    law = _law(chain, task, v, Ts, tables)
+    law = _law(chain, task, v, Ts, stack)
     q0 = start_from(chain, task, v["q0"])
     seed = errors.seed(given.get("seed", 0))
     begin = errors.one_of("begin", v["begin"], BEGINS)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
-    if tables is None:
+    if stack is None:
         path = {name: v[name] for name in PATH}
         reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
     else:
-        reference = references_of(tables, chain, task, q0, N * Ts)
+        reference = references_of(stack.tasks, chain, task, q0, N * Ts)
     q0 = on_path(chain, task, reference, q0) if begin == "on-path" else q0
     return Problem(
         name=robot_name(robot, v["tip"]),
@@ -145,24 +163,30 @@ def problem_from(
         pace=_pace(chain, given),
         noise=v["noise"],
         seed=seed,
-        tables=None if tables is None else {name: one.given for name, one in tables.items()},
+        **{} if stack is None else {"tables": _as_given(stack.tasks), "walls": _as_given(stack.walls) or None},
     )
 
 
-def _law(chain, task, v, Ts, tables) -> Law:
+def _as_given(tables) -> dict:
+    return {name: one.given for name, one in tables.items()}
+
+
+def _law(chain, task, v, Ts, stack) -> Law:
+    walls: tuple = ()
     damping = {name: v[name] for name in ("inverse", "damping", "threshold")}
-    if tables is None:
+    if stack is None:
         alpha, inverse = gain_from(v["alpha"]), inverse_from(*damping.values())
         if task.m > chain.n and isinstance(inverse, Pseudoinverse):
             require_free(chain, task)
     else:
-        alpha, inverse = gains_from(tables, v["alpha"]), inverse_of(tables, task, chain, **damping)
+        alpha, inverse = gains_from(stack.tasks, v["alpha"]), inverse_of(stack.tasks, task, chain, **damping)
+        walls = walls_from(stack.walls, chain)
     return Law(
         chain,
         task,
         alpha=alpha,
         inverse=inverse,
-        limits=limits_from(v["limits"], Ts, v["limit_rate"]),
+        limits=limits_from(v["limits"], Ts, v["limit_rate"], walls),
         null_velocity=null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )

@@ -22,6 +22,7 @@ def check_units(chain, task, written: dict) -> None:
     """
     parts, axes = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), list(task.units)
     wanted: dict = {} if hasattr(task.parts[0], "axes") else {"target": axes}
+    wanted |= dict.fromkeys(("above", "below", "margin"), axes[:1])
     wanted |= {"error_clamp": parts, "noise": axes, "tolerance": ["m", "rad"], "accept": ["m", "rad"]}
     for name, units in written.items():
         option = SWEPT.get(name)

@@ -228,24 +228,27 @@ def inverse_from(name=None, damping=None, threshold=None):
     return choice.make(**{key: errors.number(key, value) for key, value in given.items()})
 
 
-def limits_from(name="none", Ts=None, rate=None):
-    """How limits are respected, one of `words.LIMITS`.
+def limits_from(name="none", Ts=None, rate=None, walls=()):
+    """How limits are respected, one of `words.LIMITS`; with walls they are bounded.
 
     Where no rate is given and the sampling time is known, a joint nears its limit at most as fast as one step can stop:
     1/Ts, and 10 per second at most.
     """
+    if walls and name not in ("none", "bounded"):
+        raise errors.fail("limits", "be bounded, or be left out, where there are walls", f"is {name!r}")
+    name, walls = ("bounded", {"walls": walls}) if walls else (name, {})
     choice = words.LIMITS[errors.one_of("limits", name, words.LIMITS)]
     if rate is not None:
         if not choice.takes:
             several = " or ".join(name for name, other in words.LIMITS.items() if other.takes)
             raise errors.fail("limit_rate", f"come with limits {several}", f"comes with {name}")
-        return choice.make(errors.number("limit_rate", rate, positive=True))
+        return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
     rate = 10.0
     if Ts is not None:
         rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
     if not choice.maker:
         return None
-    return choice.make(rate) if choice.takes else choice.make()
+    return choice.make(rate, **walls) if choice.takes else choice.make()
 
 
 def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):

@@ -22,13 +22,13 @@ from cnclik.problem.words import (
 )
 from cnclik.quantities import SAMPLES, read_each
 
-NAME, NAMES, NUMBER, NUMBERS, INTEGER = "name", "names", "number", "numbers", "integer"
+NAME, NAMES, NUMBER, NUMBERS, INTEGER, TABLES = "name", "names", "number", "numbers", "integer", "tables"
 
 
 class Option(NamedTuple):
     """One option of a problem."""
 
-    kind: str  # NAME, NAMES, NUMBER, NUMBERS or INTEGER
+    kind: str  # NAME, NAMES, NUMBER, NUMBERS, INTEGER or TABLES
     help: str
     default: Any = None
     unit: str = "1"  # "q": unit of the joints; "J", "w", "x": unit of a singular value, a threshold, a point
@@ -163,6 +163,27 @@ OF_TASK = {  # one task of a stack: a table in the stack's file
     **{name: OPTIONS[name] for name in ("reference", *PATH)},
 }  # fmt: skip
 
+OF_WALL = {  # of one wall of a stack: a table of a stack's file
+    "task": OF_TASK["task"]._replace(help="Coordinates of the tip that stay on one side, such as z, or joints."),
+    **{name: OF_TASK[name] for name in ("tip", "relative_to", "joints", "axes")},
+    "distance": Option(TABLES, "In place of a task: the two shapes whose distance stays above, tables of `OF_SHAPE`."),
+    "normal": Option(NUMBERS, "Of several coordinates what counts is normal·x."),
+    "above": Option(NUMBER, "What the coordinate stays above; 0 of a distance by default [rad, m].", unit="q"),
+    "below": Option(NUMBER, "Or what it stays below.", unit="q"),
+    "margin": Option(NUMBER, "By how much more.", unit="q", must="at least 0"),
+    "rate": Option(NUMBER, "Rate at which it may be neared [1/s]; --limit-rate by default.", unit="1/s",
+                   must="positive"),
+}  # fmt: skip
+OF_SHAPE = {  # a point, a sphere, a capsule, or a half-space
+    "tip": Option(NAME, "The tip that carries it; fixed in the base frame without one."),
+    "radius": Option(NUMBER, "Of a sphere or a capsule; 0 by default [m].", unit="m", must="at least 0"),
+    "center": Option(NUMBERS, "Of a sphere, as seen from the tip; 0 0 0 by default [m].", unit="m"),
+    "from": Option(NUMBERS, "Of a capsule: one end of its segment, as seen from the tip [m].", unit="m"),
+    "to": Option(NUMBERS, "Of a capsule: the other end.", unit="m"),
+    "normal": Option(NUMBERS, "Of a half-space, all points p with normal·p below the offset."),
+    "offset": Option(NUMBER, "Of a half-space, along the unit normal; 0 by default [m].", unit="m"),
+}  # fmt: skip
+
 _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
 
 
@@ -201,7 +222,7 @@ def in_own_units(given: dict, options=SWEPT) -> tuple:
 
 def _written(value, kind) -> bool:
     """Whether an option of numbers is given as a text, or, where it may be several, as a list that holds one."""
-    if kind in (NAME, NAMES):
+    if kind in (NAME, NAMES, TABLES):
         return False
     several = kind == NUMBERS and isinstance(value, (list, tuple))
     return isinstance(value, str) or (several and any(isinstance(v, str) for v in value))

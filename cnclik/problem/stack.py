@@ -1,4 +1,4 @@
-"""Stacks in plain names: tables of several tasks, from a file or a dict, turned into task, gain, J# and references."""
+"""Stacks in plain names: tables of several tasks, and walls, turned into task, gain, J#, references and limits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cnclik.law.paths import hold, hold_at
 from cnclik.law.reference import References, of_each, references
 from cnclik.problem.magnitudes import check_units, remark_on_lengths
 from cnclik.problem.names import fitting, gain_from, inverse_from, task_from
-from cnclik.problem.options import DEFAULTS, NAME, NAMES, OF_TASK, PATH, in_own_units
+from cnclik.problem.options import DEFAULTS, NAME, NAMES, OF_SHAPE, OF_TASK, OF_WALL, PATH, TABLES, in_own_units
 from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import REFERENCES
 from cnclik.reading import read_toml
@@ -29,6 +29,7 @@ from cnclik.task.build import joints, stack
 from cnclik.task.task import Task
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
+_KNOWN = {"tasks": OF_TASK, "walls": OF_WALL}
 _DAMPING = ("inverse", "damping", "threshold")  # options of a loop that a level may have of its own
 # Options of a loop with one task, and what there is with a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
@@ -36,30 +37,37 @@ _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its t
 _NOT_OF = {"joints": ("tip", "relative_to", "frame", "axes"), "center_of_mass": ("tip", "frame", "joints")}
 
 
+class Written(NamedTuple):
+    """The tables of a stack as they are given."""
+
+    tasks: Any  # {name of a task: {option: value}}
+    walls: Any  # {name of a wall: {option: value}}
+
+
 class Table(NamedTuple):
-    """One task of a stack as it was given."""
+    """One task, wall or shape of a stack as it was given."""
 
     where: str  # "tasks.NAME"
     given: dict  # {option: value}, numbers in the option's own unit
     written: dict  # {option: the unit of each number, or None}
 
 
-def read_stack(file) -> dict:
-    """The tables of a stack's file: {name of a task: {option: value}}."""
+def read_stack(file) -> Written:
+    """The tables of a stack's file."""
     written = read_toml("stack", file)
     for key in written:
-        if key != "tasks":
-            hint = errors.nearest(key, ["tasks"]) or ": a stack has [tasks.NAME] tables alone"
+        if key not in Written._fields:
+            hint = errors.nearest(key, Written._fields) or ": a stack has [tasks.NAME] and [walls.NAME] tables alone"
             raise errors.fail("stack", "hold known keys", f"holds {key!r}{hint}")
-    tables, folder = written.get("tasks", {}), pathlib.Path(file).parent
-    for table in tables.values() if isinstance(tables, dict) else ():
+    found, folder = Written(written.get("tasks", {}), written.get("walls", {})), pathlib.Path(file).parent
+    for table in found.tasks.values() if isinstance(found.tasks, dict) else ():
         if isinstance(table, dict) and os.path.isfile(path := folder / str(table.get("reference"))):
             table["reference"] = str(path)  # a file of waypoints beside it
-    return tables
+    return found
 
 
-def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str, Table]:
-    """Tables of tasks, checked, with texts such as "50 mm" as numbers.
+def tables_from(written: Written, given: dict) -> Written:
+    """The same with a `Table` for each task and wall, checked, with texts such as "50 mm" as numbers.
 
     Args: given: options of the whole loop, by the names that a user writes.
     Raises: ArgumentError naming the entry that does not fit, such as `tasks.hands.alpha`.
@@ -68,28 +76,40 @@ def tables_from(tasks: Mapping[str, Mapping[str, Any]], given: dict) -> dict[str
         value = given.get(name)
         if value is not None and not (isinstance(value, str) and value == DEFAULTS.get(name)):
             raise errors.fail(name, f"be left out with a stack: {instead}", f"is {value!r}")
-    if not isinstance(tasks, Mapping) or not tasks:
-        raise errors.fail("tasks", "be tables of tasks, [tasks.NAME]", f"is {tasks!r}" if tasks else "are none")
-    found = {}
-    for name, table in tasks.items():
-        where = f"tasks.{name}"
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise errors.fail("tasks", "have names of letters, digits and _", f"has {name!r}")
-        if not isinstance(table, Mapping):
-            raise errors.fail(where, "be a table of a task's options", f"is {table!r}")
-        table = as_written({key: value for key, value in table.items() if value is not None})
-        for key in table:
-            if key not in OF_TASK:
-                hint = errors.nearest(key, OF_TASK) or f" (known are {', '.join(OF_TASK)})"
-                raise errors.fail(where, "hold known options", f"holds {key!r}{hint}")
-        with errors.within(where):
-            _check_names(table)
-            units = OF_TASK | ({"target": OF_TASK["target"]._replace(unit="q")} if _is_joints(table) else {})
-            found[name] = Table(where, *in_own_units(table, units))
+    found = Written(*(_each(kind, tables) for kind, tables in written._asdict().items()))
+    if not found.tasks:
+        raise errors.fail("tasks", "be tables of tasks, [tasks.NAME]", "are none")
     for name in ("alpha", *_DAMPING):  # what nobody would use is not dropped silently
-        if not _is_default(name, given.get(name)) and all(name in one.given for one in found.values()):
+        if not _is_default(name, given.get(name)) and all(name in one.given for one in found.tasks.values()):
             raise errors.fail(name, "be left out where every task has its own", f"is {given[name]!r}")
     return found
+
+
+def _each(kind, tables) -> dict[str, Table]:
+    """Tables of tasks, or of walls."""
+    if not isinstance(tables, Mapping):
+        raise errors.fail(kind, f"be tables of {kind}, [{kind}.NAME]", f"is {tables!r}")
+    if strange := [name for name in tables if not isinstance(name, str) or not _NAME.fullmatch(name)]:
+        raise errors.fail(kind, "have names of letters, digits and _", f"has {strange[0]!r}")
+    return {name: table_from(f"{kind}.{name}", table, _KNOWN[kind]) for name, table in tables.items()}
+
+
+def table_from(where, table, known) -> Table:
+    """A table, checked. Args: known: {option: Option} of what it may hold."""
+    if not isinstance(table, Mapping):
+        raise errors.fail(where, "be a table of options", f"is {table!r}")
+    table = as_written({key: value for key, value in table.items() if value is not None})
+    for key in table:
+        if key not in known:
+            hint = errors.nearest(key, known) or f" (known are {', '.join(known)})"
+            raise errors.fail(where, "hold known options", f"holds {key!r}{hint}")
+    with errors.within(where):
+        _check_names(table, known)
+        if "target" in known and _is_joints(table):
+            known = known | {"target": known["target"]._replace(unit="q")}
+        for shape in table.get("distance", ()):
+            table_from("distance", shape, OF_SHAPE)
+        return Table(where, *in_own_units(table, known))
 
 
 def _is_default(name, value) -> bool:
@@ -97,9 +117,11 @@ def _is_default(name, value) -> bool:
     return value is None or (isinstance(value, (int, float)) and value == DEFAULTS.get(name))
 
 
-def _check_names(table):
+def _check_names(table, known):
     for key, value in table.items():
-        kind = OF_TASK[key].kind
+        kind = known[key].kind
+        if kind == TABLES and not (isinstance(value, (list, tuple)) and len(value) == 2):
+            raise errors.fail(key, "be two tables, each of a shape", f"is {value!r}")
         names = value if kind == NAMES and isinstance(value, (list, tuple)) and value else [value]
         if kind in (NAME, NAMES) and not all(isinstance(one, str) for one in names):
             must = "be a name or a list of names" if kind == NAMES else "be a name"
@@ -112,14 +134,17 @@ def _is_joints(table) -> bool:
     return table.get("task", "joints" if "joints" in table else None) == "joints"
 
 
-def tips_of(tasks) -> dict:
-    """{name of a link that the robot must have as a tip: the argument that names it}, of {task: {option: value}}."""
+def tips_of(written: Written) -> dict:
+    """{name of a link that the robot must have as a tip: the argument that names it}, of tables that are checked."""
     found: dict = {}
-    for task, given in tasks.items():
-        for key in ("tip", "relative_to"):
-            for name in _several(given.get(key)):
-                if name is not None:
-                    found.setdefault(name, f"tasks.{task}.{key}")
+    for kind, tables in written._asdict().items():
+        for name, table in tables.items():
+            shapes = ((f"{kind}.{name}.distance", shape) for shape in table.get("distance") or ())
+            for where, given in ((f"{kind}.{name}", table), *shapes):
+                for key in ("tip", "relative_to"):
+                    for tip in _several(given.get(key)):
+                        if tip is not None:
+                            found.setdefault(tip, f"{where}.{key}")
     return found
 
 

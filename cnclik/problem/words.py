@@ -62,6 +62,11 @@ METHODS = (
     *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "AB2", "AB3", "AB4", "ZNN4", "ZEAD4", "ZNN6", "IFD5"),
     *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
 )
+SHAPES = {  # of the distance that a wall is of
+    "half-space": Takes("task.shapes:half_space", needs=("normal",), takes=("offset",)),
+    "capsule": Takes("task.shapes:capsule", needs=("from", "to"), takes=("tip", "radius")),
+    "sphere": Takes("task.shapes:sphere", takes=("tip", "radius", "center")),
+}
 STAGES = {name: Takes(f"integrate.stage:{name}") for name in ("picard", "chord", "newton")}
 BEGINS = ("q0", "on-path")
 FUTURES = ("known", "unknown")

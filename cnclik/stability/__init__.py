@@ -10,7 +10,7 @@ import warnings
 from cnclik.measure.outcome import Ending, Outcome, outcome
 from cnclik.stability.advice import Advice, advise
 from cnclik.stability.attraction import attraction_radius, certified_radius, curvature_bound, sampled_attraction
-from cnclik.stability.bounds import LimitAdvice
+from cnclik.stability.bounds import LimitAdvice, WallAdvice
 from cnclik.stability.driven import DrivenLimits, driven_factors, driven_limits
 from cnclik.stability.judged import Behaviour
 from cnclik.stability.linear import (
@@ -47,6 +47,7 @@ from cnclik.stability.verdict import Verdict, verdict
 
 __all__ = ["Advice", "Analysis", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "RealAxisLimits"]
 __all__ += ["Leak", "LimitAdvice", "Recommendation", "Remedy", "Spectrum", "StackAdvice", "TaskAdvice", "Verdict"]
+__all__ += ["WallAdvice"]
 __all__ += ["from_pink", "to_pink"]
 __all__ += ["advise", "agreement", "amplification", "analyse", "at_rest", "attraction_radius", "certified_radius"]
 __all__ += [

@@ -16,7 +16,7 @@ from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.shapes import ArrayLike, Float, Number
-from cnclik.stability.bounds import LimitAdvice, limit_advice
+from cnclik.stability.bounds import LimitAdvice, limit_advice, wall_advice
 from cnclik.stability.driven import (
     POINTS,
     SPARE,
@@ -60,6 +60,7 @@ class Advice:
       stack: `StackAdvice`, what each task of a stack bears; None of one task. Its gains above are in proportion: the
         largest of them.
       limits: `LimitAdvice`, how fast joints may near their limits; None where the law has none, or no rate.
+      walls: {name: `WallAdvice`}; {} where the law has none.
       analysis: `Analysis`, on which this rests.
     """
 
@@ -80,6 +81,7 @@ class Advice:
     notes: tuple
     stack: StackAdvice | None
     limits: LimitAdvice | None
+    walls: dict
     analysis: Analysis
 
 
@@ -150,6 +152,7 @@ def advise(
         notes=(*_left(loop, found.spectrum), *_pulled(law, loop, chosen / Ts), *_notes(loop, drive, chosen, Ts)),
         stack=None if at_any is None else stack_advice(loop, safe, at_any, Ts),
         limits=limit_advice(law, safe, Ts),
+        walls=wall_advice(loop, Ts, speed),
         analysis=found,
     )
 

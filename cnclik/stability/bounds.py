@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from cnclik.law.walls import rate_of
+from cnclik.law.walls import bends, names_of, rate_of, wall_distance
 from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.stability.driven import least_limits
+from cnclik.stability.rates import parts_of_numbers
 
 
 @record
@@ -32,15 +33,52 @@ class LimitAdvice:
     words: str
 
 
+@record
+class WallAdvice:
+    """What a wall asks where a loop rests.
+
+    Attributes:
+      distance: to it [`unit`]; who is behind it, where that is negative, comes back at its rate.
+      rate: [1/s]. z: rate·Ts.
+      passed: by how much steps may pass it because a velocity is held over Ts [`unit`], with the tips as fast as
+        asked for, in the worst direction of the task; see `wall_margin`. NaN where the task has no position.
+      unit: m or rad.
+    """
+
+    distance: float
+    rate: float
+    z: float
+    passed: float
+    unit: str
+
+
+def wall_advice(loop, Ts: float, speed: float) -> dict[str, WallAdvice]:
+    """Of each wall of a loop at rest, by name. Args: speed: of the tips [m/s]."""
+    law, q = loop.law, loop.q
+    walls = getattr(law.limits, "walls", None)
+    if not walls:
+        return {}
+    away, bent, found = wall_distance(law, q), np.asarray(bends(walls, law.chain, q)), {}
+    weights = 1.0 if law.task.weights is None else np.asarray(law.task.weights, float)
+    moved = speed * (np.asarray(parts_of_numbers(law, loop.held, q)[1]) * weights)[:, law.task.lengths]
+    for i, (name, wall) in enumerate(zip(names_of(walls), walls, strict=True)):
+        rate, curved = float(rate_of(wall, law.limits.rate)), moved.T @ bent[i] @ moved
+        most = max(0.0, -float(np.linalg.eigvalsh(curved + curved.T)[0]) / 2) if curved.size else np.nan
+        said = dict(distance=float(away[i]), rate=rate, z=rate * Ts, passed=most * Ts / (2 * rate))
+        found[name] = WallAdvice(**said, unit=wall.task.units[0])
+    return found
+
+
 _LIMITS = "limits", "keeps joints within their limits", "takes joints past their limits"
-_WALLS = "a wall", "keeps the robot on its side", "lets the robot pass"
+_WALLS = "keeps the robot on its side", "lets the robot pass"
 
 
 def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
     """Of a law whose joints near limits or walls at a rate; None where there is none. Args: drive: see `Drive`."""
     of_all: Any = getattr(law.limits, "rate", None)
     walls = getattr(law.limits, "walls", None) or ()
-    rates = [(float(rate_of(one, of_all)), _WALLS) for one in walls]
+    named = zip(names_of(walls), walls, strict=True)
+    rates: list = [(float(rate_of(one, of_all)), (f"wall {name}", *_WALLS)) for name, one in named]
     if of_all is not None and np.isfinite([law.chain.lower, law.chain.upper]).any():
         rates.append((float(of_all), _LIMITS))
     if not rates:

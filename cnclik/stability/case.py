@@ -9,15 +9,16 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.pace import path_waits
-from cnclik.integrate.status import Status
+from cnclik.integrate.status import Status, rounding_of
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
+from cnclik.law.walls import names_of
 from cnclik.quantities import aloud
 from cnclik.record import replace
 from cnclik.robot.posture import beyond_arm
 from cnclik.stability.driven import each_drive, modes_of, overshoot
 from cnclik.stability.local import Instant, maps, radii, resting, targets
-from cnclik.stability.observed import Observed, observe, rms
+from cnclik.stability.observed import OFTEN, Observed, observe, rms
 from cnclik.stability.reasons import SLOWEST
 from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_numbers, of_error, spectrum_of, staying
 from cnclik.stability.stacked import together
@@ -51,7 +52,8 @@ class Case:
       advance: how far the path's time got in the last quarter's steps, of theirs: at a pace it waits for the robot.
       fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold, at the run's pace.
       e: weighted error at the end. errors: (N + 1, m), up to the first that is not finite.
-      size: of the last quarter's error, in words. more: pace and noise of the run.
+      size: of the last quarter's error, in words. walls: names of those that hold in most of its steps.
+      more: pace and noise of the run.
     """
 
     law: Law
@@ -77,6 +79,7 @@ class Case:
     e: np.ndarray
     errors: np.ndarray
     size: str
+    walls: list
     more: dict
 
     @property
@@ -247,6 +250,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         e=weighted,
         errors=e[: seen.bad],
         size=in_words(law.task, e[: seen.bad][-len(seen.late) :]),
+        walls=_held_by(law, run, len(seen.late)),
         more=more,
         advance=advance,
         **rest | {"fold": rest["fold"] / advance},
@@ -257,6 +261,14 @@ def in_words(task, errors) -> str:
     """The largest of errors (N, m), such as "1.2 mm and 0.3 rad"."""
     parts = ((errors[:, task.lengths], "m"), (errors[:, task.angles], "rad"))
     return " and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size)
+
+
+def _held_by(law, run, late) -> list:
+    """Names of the walls that hold in most of the last steps."""
+    if run.walls is None:
+        return []
+    holds = np.asarray(run.walls)[-late:] <= rounding_of(np.asarray(run.qdot)[-late:])
+    return [name for name, often in zip(names_of(law.limits.walls), holds.mean(0) > OFTEN, strict=True) if often]
 
 
 def _advance(t, late, Ts) -> float:

@@ -76,14 +76,14 @@ def parts_at_rest(law, held, q):
     return made.rows, jax.vmap(made.apply, out_axes=1)(jnp.eye(len(made.e), dtype=q.dtype)), factored.shift
 
 
-_parts_of_numbers = one_off(parts_at_rest)
+parts_of_numbers = one_off(parts_at_rest)
 
 
 def rates_of(law, held, q) -> Rates | None:
     """A law at rest, see `at_rest`; None with a null-space velocity, and where the gain's eigenvectors meet."""
     if law.null_velocity is not None:
         return None
-    rows, columns, shift = _parts_of_numbers(law, held, q)
+    rows, columns, shift = parts_of_numbers(law, held, q)
     rows, columns = np.asarray(rows, float), np.asarray(columns, float)
     m, alpha, turned = law.task.m, np.asarray(law.alpha, float), np.eye(law.task.m)
     weights = np.ones(m) if law.task.weights is None else np.asarray(law.task.weights, float)

@@ -21,14 +21,16 @@ PULLED = "the null-space velocity pulls at the task, as I − J# J of this inver
 
 
 def at_limits(case) -> str:
-    """Which joints' limits stop the arm, in words; empty where the law keeps none, or none is near."""
+    """Which joints' limits, and walls, stop the arm, in words; empty where the law keeps none, or none is near."""
     if not (keeps_positions(case.law) and case.seen.often(Status.AT_LIMIT)):
         return ""
     chain, q = case.law.chain, case.end.q
     near = 1e-3 * (1 + np.abs(q))
     stopped = (q <= np.array(chain.lower) + near) | (q >= np.array(chain.upper) - near)
     names = [name for name, is_there in zip(chain.joint_names, stopped, strict=True) if is_there]
-    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit" if names else ""
+    at = [f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit"] * bool(names)
+    at += [f"wall {name} holds" for name in case.walls]
+    return ", ".join(at)
 
 
 def open_ended(case) -> str:

@@ -65,9 +65,10 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
             raise errors.fail(key, "be a sentence", "is missing" if key not in written else f"is {written[key]!r}")
     fixed, bundles = _table(written, "fixed"), _bundles(written)
     tasks = {name: _table(written["tasks"], name, "tasks.") for name in _table(written, "tasks")}
+    walls = _table(written, "walls")
     if "tasks" in _table(written, "axes") and "stack" in fixed and not tasks:  # axes of a file's tasks
         file = fixed.pop("stack")
-        tasks = read_stack(path if os.path.isfile(path := pathlib.Path(folder, str(file))) else file)
+        tasks, walls = read_stack(path if os.path.isfile(path := pathlib.Path(folder, str(file))) else file)
     axes = _of_tasks(_table(written, "axes"), tasks, "tasks" not in written)
     _check_names(fixed, axes, bundles, tasks)
     unit_names = _table(written, "units")
@@ -83,6 +84,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         metrics=_metrics(written.get("metrics", list(metrics.DEFAULT))),
         fixed=fixed,
         tasks=tasks,
+        walls=walls,
         axes={},
         written=axes,
         bundles=bundles,

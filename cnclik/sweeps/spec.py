@@ -6,7 +6,7 @@ their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other n
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
 stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
 the error is measured that is fed back. `[tasks.NAME]` are the tables of a stack of tasks, whose options may be
-expressions, too; an axis tasks.NAME.OPTION varies one.
+expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import robot_and_tip, stage_from
-from cnclik.problem.stack import read_stack, tips_of
+from cnclik.problem.stack import Written, read_stack, tips_of
 from cnclik.reading import read_toml, toml
 from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
@@ -41,7 +41,7 @@ from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
 from cnclik.sweeps.labels import UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
-TABLES = ("fixed", "tasks", "axes", "cases", "bundles", "units", "figure")
+TABLES = ("fixed", "tasks", "walls", "axes", "cases", "bundles", "units", "figure")
 FILES = ("robot", "reference", "stack")  # options that may name one
 LIMIT = "limit"
 PIECES = 8  # blocks of a program, at least, where there are lanes enough
@@ -64,6 +64,7 @@ class Spec:
     metrics: tuple
     fixed: dict
     tasks: dict  # {task: {option: value}} of a stack; {} where there is none
+    walls: dict  # {wall: {option: value}} of it
     axes: dict  # name -> Axis
     written: dict  # name -> the axis as written
     bundles: dict  # axis -> {label: {name: value}}; "case" first
@@ -127,7 +128,7 @@ class Spec:
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        made = problem_from(**v, tasks=self._stack(known, look))
+        made = problem_from(**v, tasks=self._stack(known, look), walls=self.walls)
         written = {name: expression.units(name, known[name]) for name in v if name not in NAMES}
         check_units(made.law.chain, made.law.task, written)
         return made
@@ -200,7 +201,7 @@ class Spec:
         named = [table[name] for table in tables for name in FILES if name in table]
         named += [v for name in FILES if name in self.axes for v in self.axes[name].values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
-        about |= {"tasks": self.tasks} if self.tasks else {}
+        about |= {name: table for name in ("tasks", "walls") if (table := getattr(self, name))}
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
 
 
@@ -212,7 +213,7 @@ def _evaluations(p) -> float:
 def joints_of(known, look, spec) -> int:
     """Number of joints of a loop's robot, which nothing else may depend on."""
     lengths, file = look("lengths") if "lengths" in known else None, known.get("stack")
-    tips = tips_of(spec.tasks if file is None else read_stack(spec.file(file) or file))
+    tips = tips_of(Written(spec.tasks, spec.walls) if file is None else read_stack(spec.file(file) or file))
     return robot_and_tip(known["robot"], known.get("tip"), known.get("base"), lengths, tips)[0].n
 
 
@@ -262,7 +263,8 @@ def _change(written, change):
         value = text  # a bare word, such as CN, or an expression
     fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))
     *path, key = name.split(".")
-    if not path or len(path) != {"fixed": 1, "axes": 1, "units": 1, "tasks": 2, "cases": 2, "bundles": 3}.get(path[0]):
+    deep = {"fixed": 1, "axes": 1, "units": 1, "tasks": 2, "walls": 2, "cases": 2, "bundles": 3}
+    if not path or len(path) != deep.get(path[0]):
         if name in (*KEYS, *TABLES):
             written[name] = value
             return

@@ -151,7 +151,10 @@ def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpac
       offset: [m], along the unit normal.
     """
     normal = errors.array("normal", normal, (3,))
+    if errors.concrete(normal) and not np.any(normal):
+        raise errors.fail("normal", "be other than 0", "is 0")
     xp = np if errors.concrete(normal) else jnp
+    normal = normal / xp.max(xp.abs(normal))  # whose square is no overflow
     return HalfSpace(normal=normal / xp.sqrt(normal @ normal), offset=leaf(errors.number("offset", offset)))
 
 

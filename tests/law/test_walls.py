@@ -236,24 +236,11 @@ def crowded():
     return ck.Law(robot, ck.position(tip="panda_hand"), alpha=8.0, inverse=ck.damped(0.05), limits=limits)
 
 
-def distances(law, q):
-    """h of each wall at joint values (..., n)."""
-    from cnclik.robot.model import modelled
-    from cnclik.task.parts import At
-
-    chain = modelled(law.chain)
-    return np.asarray(
-        jax.jit(jax.vmap(lambda q: jnp.stack([w.distance(At(chain, q)) for w in law.limits.walls])))(
-            np.reshape(q, (-1, np.shape(q)[-1]))
-        )
-    ).reshape(*np.shape(q)[:-1], -1)
-
-
 def starts_and_targets(law, count, seed):
     """Postures behind no wall, and targets that may be anywhere."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(law.chain.lower, law.chain.upper, (12 * count, law.chain.n))
-    q = q[distances(law, q).min(1) > 0.0][:count]
+    q = q[ck.wall_distance(law, q).min(1) > 0.0][:count]
     return q, rng.uniform([-0.6, -0.6, -0.1], [0.8, 0.7, 0.8], (len(q), 3))
 
 
@@ -267,7 +254,7 @@ def check_runs(count, seed, dtype):
         return ck.solve(law, ck.hold(aim), q, Ts, 200, "EE")
 
     runs = ck.lanes(run, cores=1)(q0.astype(dtype), aims.astype(dtype))
-    h, q = distances(law, np.asarray(runs.q, float)), np.asarray(runs.q, float)
+    h, q = ck.wall_distance(law, np.asarray(runs.q, float)), np.asarray(runs.q, float)
     told = np.asarray(runs.status) & ck.Status.WALLS_CONTRADICT != 0
     wide = ck.replace(runs, q=q, qdot=np.diff(q, axis=1) / Ts, t=np.asarray(runs.t, float))
     margin = np.asarray(ck.wall_margin(law, wide))
@@ -338,7 +325,7 @@ def test_hands_stay_apart(dtype):
     q0 = np.zeros(HUMANOID.n, dtype)
     middle = ck.hold([0.3, 0.0, 0.1])
     run = ck.solve(law, ck.hold_at(HUMANOID, task, q0, one=middle, other=middle), q0, 0.01, 300, "EE")
-    h = distances(law, np.asarray(run.q, float))[:, 0]
+    h = ck.wall_distance(law, np.asarray(run.q, float))[:, 0]
     assert -1e-4 < h.min() < 1e-3 and abs(run.walls[-1, 0]) < (1e-6 if dtype is np.float64 else 1e-4)
     assert np.all(run.status == ck.Status.AT_LIMIT) and run.q.dtype == dtype
 

@@ -208,7 +208,7 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ),
         ({"hands": HAND | {"inverse": "transpose"}}, {"damping": 0.1}, "`tasks.hands.damping` must be left out"),
         ({"a b": HAND}, {}, "`tasks` must have names of letters, digits and _, but has 'a b'"),
-        ({"hands": 1}, {}, "`tasks.hands` must be a table of a task's options, but is 1"),
+        ({"hands": 1}, {}, "`tasks.hands` must be a table of options, but is 1"),
         ({}, {}, r"`tasks` must be tables of tasks, \[tasks.NAME\], but are none"),
         ({"hands": HAND}, {"task": "pose"}, "`task` must be left out with a stack: its tasks have their own"),
         ({"hands": HAND}, {"reference": "circle"}, "`reference` must be left out with a stack"),
@@ -233,7 +233,7 @@ def test_what_is_refused(tables, options, told):
     ("text", "told"),
     [
         ("[task.hands]", r"`stack` must hold known keys, but holds 'task' \(did you mean 'tasks'"),
-        ("Ts = 1", r"holds 'Ts': a stack has \[tasks.NAME\] tables alone"),
+        ("Ts = 1", r"holds 'Ts': a stack has \[tasks.NAME\] and \[walls.NAME\] tables alone"),
         ("[tasks", "`stack` must be a TOML file"),
         ("", r"`tasks` must be tables of tasks, \[tasks.NAME\], but are none"),
     ],

@@ -12,7 +12,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.dataset import Axes, axes_of
 from cnclik.problem.names import robot_and_tip, robot_name
-from cnclik.problem.stack import stack_from, tables_from, tips_of
+from cnclik.problem.stack import Written, stack_from, tables_from, tips_of
 from cnclik.problem.tables import read_columns
 from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
@@ -57,10 +57,11 @@ def read_motions(path, robot=None) -> list:
 def _motion(found, path, robot):
     """What a file holds, by its names, as a motion."""
     config = found.pop("config", None) or _beside(path)
-    tables = None if "tasks" not in config else tables_from(config["tasks"], {})
+    written = Written(config["tasks"], config.get("walls", {})) if "tasks" in config else None
+    tables = None if written is None else tables_from(written, {}).tasks
     if robot is None and "robot" in config:
         named = [config.get(name) for name in ("tip", "base", "lengths")]
-        robot = robot_of(config["robot"], *named, None if tables is None else tips_of(config["tasks"]))
+        robot = robot_of(config["robot"], *named, None if written is None else tips_of(written))
     if robot is None:
         raise errors.fail("ROBOT", f"be given before {path.name}, which doesn't name it", "is not")
     chain, name, links = robot

@@ -10,7 +10,7 @@ import numpy as np
 import cnclik as ck
 from cnclik.law.law import check_loop
 from cnclik.problem.build import problem_from
-from cnclik.problem.options import OF_TASK, SWEPT
+from cnclik.problem.options import OF_SHAPE, OF_TASK, OF_WALL, SWEPT
 from tests.specs import reaching
 from tests.stress.fuzz import arguments, toml
 from tests.stress.fuzz.nasty import TEXTS, VALUES, any_of, chance
@@ -35,6 +35,12 @@ BASES = (
     {"a": {"task": "xz", "tip": "right", "reference": "line", "to": [0.5, 0.1], "alpha": 3}, "b": {"tip": "left"}},
     {"look": {"task": "orientation", "tip": "left", "target": [1.0, 0.0, 0.0, 0.0]}, "rest": {"task": "joints"}},
 )
+WALLS = (
+    {},
+    {"a": {"task": "z", "tip": "left", "above": "-1 m", "margin": 0.1}, "b": {"joints": "j_left1", "below": "100 deg"}},
+    {"apart": {"distance": [{"tip": "left", "radius": 0.1}, {"tip": "right", "from": [0, 0, 0], "to": "0 0 50 mm"}]}},
+    {"floor": {"distance": [{"tip": "trunk"}, {"normal": [0, 0, 1], "offset": -0.5}], "above": 0.1, "rate": 5}},
+)
 OPTIONS = (
     {"damping": 0.05},
     {"damping": 0.05, "limits": "bounded", "limit_rate": 4.0},
@@ -43,7 +49,7 @@ OPTIONS = (
     {"delay": 2, "lag": 0.02, "max_acceleration": 3.0},
     {},
 )
-NAMES = (*OF_TASK, *SWEPT, "tasks")
+NAMES = (*OF_TASK, *OF_WALL, *OF_SHAPE, *SWEPT, "tasks", "walls")
 TIPS = ("left", "right", "trunk", "base", None)
 NUMERIC = (1.0, 5, 0.0, -1.0, 1e-3, 1e-320, 1e308, float("nan"), True, None, "0.1", [1.0, 2.0], [[1.0]], {})
 DOORS = ("dict", "dict", "file", "spec", "command", "records", "records")
@@ -57,9 +63,10 @@ def draw(rng):
     if chance(rng, 0.02):  # many
         count = int(10 ** rng.uniform(1, 2.5))
         return door, {"tasks": {f"t{k}": {"tip": "left", "task": "x"} for k in range(count)}, "fixed": {"damping": 0.1}}
-    written = {"tasks": copy.deepcopy(any_of(rng, BASES)), "fixed": dict(any_of(rng, OPTIONS))}
+    walls = copy.deepcopy(any_of(rng, WALLS)) if chance(rng, 0.3) else {}
+    written = {"tasks": copy.deepcopy(any_of(rng, BASES)), "walls": walls, "fixed": dict(any_of(rng, OPTIONS))}
     for _ in range(int(rng.integers(4))):
-        toml.mutate(rng, written, NAMES, ("tasks", "fixed"))
+        toml.mutate(rng, written, NAMES, ("tasks", "walls", "fixed"))
     try:
         repr(written)
     except RecursionError:  # so deep that only TOML can say it
@@ -73,9 +80,9 @@ def attempt(made, folder) -> None:
     if door == "records":
         _looked_at(*_loop(**written))
         return
-    tasks, options = written.get("tasks", {}), written.get("fixed", {})
+    tables, options = {name: written[name] for name in ("tasks", "walls") if name in written}, written.get("fixed", {})
     file = folder / "stack.toml"
-    file.write_text(toml.as_toml({"tasks": tasks}), errors="surrogatepass")
+    file.write_text(toml.as_toml(tables), errors="surrogatepass")
     if door == "spec":
         (folder / "arm.urdf").write_bytes(URDF)
         own = reaching(["final_error"], alpha="[1.0, 2.0]").partition("[fixed]")[0]
@@ -86,7 +93,7 @@ def attempt(made, folder) -> None:
         words = [w for name, value in given for w in (f"--{name.replace('_', '-')}", str(value)) if "\0" not in w]
         arguments.attempt((["solve", "arm.urdf", "--stack", "stack.toml", *words], URDF), folder)
     else:
-        by = {"tasks": tasks} if door == "dict" else {"stack": str(file)}
+        by = {"tasks": {}} | tables if door == "dict" else {"stack": str(file)}
         options = options if isinstance(options, dict) else {}
         p = problem_from(_two(), **({"N": 5} | {k: v for k, v in options.items() if k != "robot"} | by))
         _looked_at(p.law, p.reference, p.q0)

@@ -1,0 +1,52 @@
+"""Walls in plain names: tables of a stack's walls, turned into walls of `bounded`."""
+
+from __future__ import annotations
+
+from cnclik import errors
+from cnclik.law.walls import Wall, wall
+from cnclik.problem import words
+from cnclik.problem.magnitudes import check_units
+from cnclik.problem.names import fitting
+from cnclik.problem.options import OF_SHAPE
+from cnclik.problem.stack import Table, table_from, task_of
+from cnclik.robot.chain import Chain
+from cnclik.task.shapes import distance
+
+_OF_TASK = ("task", "tip", "relative_to", "joints", "axes", "normal")
+
+
+def walls_from(tables: dict[str, Table], chain: Chain) -> tuple[Wall, ...]:
+    """The walls of a stack, on its robot. Raises: ArgumentError naming the entry, such as `walls.table.above`."""
+    made = []
+    for name, one in tables.items():
+        with errors.within(one.where):
+            made.append(_wall(name, one, chain))
+    return tuple(made)
+
+
+def _wall(name, one, chain) -> Wall:
+    given = one.given
+    sides = {side: errors.number(side, given[side]) for side in ("above", "below") if side in given}
+    if "distance" in given:
+        if extra := [key for key in _OF_TASK if key in given]:
+            raise errors.fail(extra[0], "be left out of a wall with a `distance`", f"is {given[extra[0]]!r}")
+        with errors.within("distance"):  # a half-space comes last, as `distance` has it
+            shapes = sorted(map(_shape, given["distance"]), key=lambda shape: not hasattr(shape, "ends"))
+        task, sides = distance(*shapes), sides or {"above": 0.0}
+    else:
+        task = task_of(one, chain)
+    check_units(chain, task.on(chain), one.written)
+    margin = errors.number("margin", given.get("margin", 0.0), at_least=0)
+    sides = {side: value + margin * (1 if side == "above" else -1) for side, value in sides.items()}
+    return wall(task, normal=given.get("normal"), rate=given.get("rate"), name=name, **sides)
+
+
+def _shape(table):
+    """A shape from its table."""
+    given = table_from("shape", table, OF_SHAPE).given
+    kind = "half-space" if "normal" in given else "capsule" if {"from", "to"} & set(given) else "sphere"
+    given = fitting("shape", kind, words.SHAPES[kind], given)
+    if kind == "half-space":
+        return words.SHAPES[kind].make(**given)
+    ends = {new: given.pop(old) for old, new in (("from", "start"), ("to", "end")) if old in given}
+    return words.SHAPES[kind].make(**({"tip": None, "radius": 0.0} | given | ends))
