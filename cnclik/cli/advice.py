@@ -11,6 +11,26 @@ def title_of(found) -> str:
     return f"{robot_and_task(found.name, found.tip, found.law.task)}, {loop_of(found)}"
 
 
+def tables_of(found, said, written) -> list:
+    """[(title, columns, rows)] of what is said. Args: written: names of the options that the user wrote."""
+    if said.stack is None:
+        return [(title_of(found), COLUMNS, gains_of(found, said, written))]
+    tables: list = [(title_of(found), TASK_COLUMNS, gains_of_tasks(found, said))]
+    tables.append(("what the tasks do now", DOES_COLUMNS, does_of_tasks(found, said)))
+    walls = (f"walls, at {said.speed:g} m/s of the tips", WALL_COLUMNS, walls_of(said))
+    return [*tables, walls] if said.walls else tables
+
+
+def rest_of(found, rest) -> list:
+    """A sentence on where a stack rests, where that is elsewhere than where it begins."""
+    import numpy as np
+
+    from cnclik.record import in_words
+
+    far = found.law.task.tasks and np.abs(np.asarray(rest) - np.asarray(found.q0)).max() > 1e-6
+    return [f"It rests at q = {in_words(rest)}, where it is looked at."] if far else []
+
+
 def gains_of(found, said, written) -> list:
     """Rows of COLUMNS. Args: written: names of the options that the user wrote."""
     from cnclik.record import in_words
@@ -52,6 +72,8 @@ def lines_of(found, said, written) -> list:
     """What the numbers mean, in sentences."""
     from cnclik.record import in_words
 
+    if said.stack is not None:
+        return lines_of_stack(found, said)
     now, eigen = said.analysis.margin, said.analysis.spectrum
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines += [NOT_KNOWN] * (not exact(found.drive))

@@ -57,12 +57,12 @@ def table(args) -> dict:
     return {name: value for name, value in given.items() if value is not None}
 
 
-def problem(args):
-    """The `Problem` that a verb's options describe. Raises: ArgumentError."""
+def problem(args, **others):
+    """The `Problem` that a verb's options describe, some of which stand for its own. Raises: ArgumentError."""
     from cnclik.cli import progress
     from cnclik.problem.build import problem_from
 
-    given = table(args)
+    given = {name: value for name, value in (table(args) | others).items() if value is not None}
     with progress.bar("start and path"):
         made = problem_from(**given)
     look_at_units(args, given, made.law.chain, made.law.task, made.Ts)

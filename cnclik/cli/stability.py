@@ -6,6 +6,7 @@ import math
 import pathlib
 import textwrap
 import time
+from typing import Any, NamedTuple
 
 from cnclik import errors
 from cnclik.cli import advice, progress
@@ -22,8 +23,9 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     robot: str = option("planar-clockwise:1,1,1,1,1", positional=True)
     """A URDF or MJCF file; panda, ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. Default: the
     paper's 5-dof arm."""
-    target: tuple[float, ...] | None = option(None, unit="x")
-    """Target at which the loop rests: position [m]; for a pose, optionally a quaternion w x y z after it."""
+    target: list[tuple[float, ...]] = option(list, unit="x")
+    """Target at which the loop rests: position [m]; for a pose, optionally a quaternion w x y z after it. With --stack
+    give it once for each tip."""
     speed: float = option(0.1, unit="m/s")
     """Speed of the tip [m/s] for which lag, tracking error and joint velocities are given."""
     json: bool = False
@@ -106,15 +108,19 @@ def _check(args):
 
 
 def _loop(args):
+    from cnclik.cli.stacked import at_targets
     from cnclik.problem.names import require_free
+    from cnclik.stability.loop import rest_of_stack
     from cnclik.stability.spectrum import settle
 
-    found = problem(args)
-    if found.law.task.tasks:
-        for name in ("report", "target"):
-            if getattr(args, name):
-                raise errors.fail(name, "be left out with a stack, which is looked at where it starts", "is given")
-        return found, found.q0
+    targets, several = args.target, args.stack is not None
+    if len(targets) > 1 and not several:
+        raise errors.fail("target", "be given once", f"is given {len(targets)} times")
+    found = problem(args, target=targets[0] if targets and not several else None)
+    if several:
+        found = at_targets(found, targets) if targets else found
+        with progress.bar("rest"):
+            return found, rest_of_stack(found.law, found.reference, found.q0)
     if args.gains is not None:
         raise errors.fail("gains", "come with --stack", "comes without")
     require_free(found.law.chain, found.law.task)
@@ -127,12 +133,21 @@ def _has_passes(found):
     return found.method.implicit and found.drive is None
 
 
+class _Advised(NamedTuple):
+    """What was asked, where it rests, and what is said of it."""
+
+    found: Any
+    rest: Any
+    said: Any
+
+
 def _advice(args, found, rest):
     from cnclik.stability.advice import advise
 
     loop = dict(Ts=found.Ts, method=found.method, stage=found.stage, drive=found.drive)
     with progress.bar("advice"):
-        return found, advise(found.law, found.reference, rest, speed=args.speed, **loop)
+        held = None if found.law.task.tasks else found.reference
+        return _Advised(found, rest, advise(found.law, held, rest, speed=args.speed, **loop))
 
 
 def _tell(args, advised):
@@ -140,26 +155,21 @@ def _tell(args, advised):
     if args.json:
         print_json(_as_table(*advised))
         return
-    found, said = advised
-    asked = (f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args)))
+    found, rest, said = advised
+    asked = [f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args))]
+    asked += advice.rest_of(found, rest)
     print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")  # what the numbers can't say comes before
-    if said.stack is not None:
-        print_table(advice.gains_of_tasks(found, said), advice.TASK_COLUMNS, title=advice.title_of(found))
-        print_table(advice.does_of_tasks(found, said), advice.DOES_COLUMNS, title="what the tasks do now")
-        if said.walls:
-            print_table(advice.walls_of(said), advice.WALL_COLUMNS, title=f"walls, at {said.speed:g} m/s of the tips")
-        print(*advice.lines_of_stack(found, said), sep="\n")
-        return
-    print_table(advice.gains_of(found, said, args.written), advice.COLUMNS, title=advice.title_of(found))
+    for title, columns, rows in advice.tables_of(found, said, args.written):
+        print_table(rows, columns, title=title)
     print(*advice.lines_of(found, said, args.written), sep="\n")
 
 
-def _as_table(found, said) -> dict:
+def _as_table(found, rest, said) -> dict:
     """The advice as plain numbers; null is any, and what is not known is not there."""
     from cnclik.measure.files import plain
 
     margin = said.analysis.margin
-    about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0)
+    about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0, rest=rest)
     late = None if found.drive is None else found.drive.lumped.delay
     about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
     about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
@@ -206,7 +216,7 @@ def _map(args, out, found, rest):
     begun = time.perf_counter()
     advised = _advice(args, found, rest)
     _tell(args, advised)
-    now, rate = advised[1].analysis.margin, largest_rate(found.law.alpha)
+    now, rate = advised.said.analysis.margin, largest_rate(found.law.alpha)
     # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
     half = np.sqrt(min(now.margin, 20 / now.z))
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)
@@ -251,9 +261,9 @@ def _map_of_gains(args, out, found, rest):
     _tell(args, advised)
     known = [name for name, _ in found.law.task.tasks]
     names = args.gains or tuple(known[:2])
-    if len(set(names)) != 2 or advised[1].stack is None:
+    if len(set(names)) != 2 or advised.said.stack is None:
         raise errors.fail("gains", "name two tasks of a stack that has rates", f"is {' '.join(names)}")
-    tasks = {name: advised[1].stack.tasks[errors.one_of("gains", name, known)] for name in names}
+    tasks = {name: advised.said.stack.tasks[errors.one_of("gains", name, known)] for name in names}
     now = [one.alpha for one in tasks.values()]
     far = [2 * max(min(one.largest_stable_alpha, 10 / found.Ts), one.alpha) for one in tasks.values()]
     ranges = [args.alpha_range or (min(alpha, top / 20) / 3, top) for alpha, top in zip(now, far, strict=True)]
@@ -285,10 +295,10 @@ def _report(args, figures, advised):
     if advised is None:
         args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
         return
-    found, said = advised
+    found, _, said = advised
     answer = f"Recommended: alpha = {advice.or_any(said.recommended_alpha)} 1/s: {said.reason}."
     with progress.bar("runs"):
-        motions = _runs(args, found, said)
+        motions = _runs(args, *advised)
     if not figures:
         from cnclik.show.report_figures import errors_beside
 
@@ -296,21 +306,29 @@ def _report(args, figures, advised):
     args.write_report(
         advice.title_of(found),
         answer,
-        tables=[("Gains", advice.COLUMNS, advice.gains_of(found, said, args.written))],
+        tables=advice.tables_of(found, said, args.written),
         lines=[
             *said.notes,
             *(line for line in advice.lines_of(found, said, args.written) if not line.startswith("Recommended")),
         ],
         figures=figures,
-        captions={"errors": "The error of a step to the target."},
+        captions={
+            "errors": "The errors of all tasks, each joint begun a little away from where the loop rests."
+            if said.stack
+            else "The error of a step to the target."
+        },
         motions=lambda: motions,
     )
 
 
-def _runs(args, found, said) -> list:
+def _runs(args, found, rest, said) -> list:
     """A step to the target with the recommended gain, and with one that is too large, or if there is none that now."""
+    from cnclik.cli.stacked import runs_of_stack
     from cnclik.show.viewer.look import look, loop_of
 
+    if said.stack is not None:
+        runs = runs_of_stack(found, rest, said)
+        return args.motions(found.law, *((run, {"name": name, "radius": radius}) for name, run, radius in runs))
     now = loop_of(found)
     most = said.largest_stable_alpha
     other = (now.alpha, "now") if math.isinf(most) else (1.1 * most, "a tenth beyond the largest stable")

@@ -8,12 +8,15 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import Method
+from cnclik.integrate.method import EE, Method
 from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
-from cnclik.law.law import Law
+from cnclik.law.curves import Hold
+from cnclik.law.law import Law, check_loop
 from cnclik.law.null import MaximizeManipulability
-from cnclik.law.reference import Reference
+from cnclik.law.reference import Reference, of_each
+from cnclik.precision import of_numbers
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import alike, looked_at, modes_of, own_drives, radius
@@ -23,10 +26,12 @@ from cnclik.stability.spectrum import (
     Spectrum,
     at_rest,
     directions,
+    error_of_numbers,
     growing,
     largest_rate,
     null_flow_of_numbers,
     null_radius,
+    rest_tolerance,
     spectrum_of,
     staying,
     step_map,
@@ -123,6 +128,34 @@ class LoopAtRest(NamedTuple):
         scale, times = self._at(z, Ts)
         taken = self.rates.taken(scale[:, None], times[:, None], self.method)
         return alike(self.rates.modes(taken, self.method, self.stage)), np.zeros((len(scale), 0, self.method.steps))
+
+
+FINE = 0.2  # of an error that a step removes, on the way to where a stack rests
+LONG = 2000  # steps of it
+
+
+@of_numbers
+def rest_of_stack(law: Law, reference, q0) -> Float[np.ndarray, " n"]:
+    """Where a stack rests with its targets held where they are at t = 0: (n,) joint values, after a long run.
+
+    Its errors need not vanish there, as tasks may ask for what they can't all have. One that begins on its targets
+    stays where it begins.
+    """
+    check_loop(law, reference)
+    q0 = as_joint_values(law.chain, q0, "q0")
+    held = of_each(lambda one, _: _held_at_start(one), reference, law.task)
+    at = np.asarray(error_of_numbers(law, held, q0))
+    if np.linalg.norm(at) < rest_tolerance(law.chain):
+        return np.asarray(q0)
+    run = solve(law, held, q0, FINE / largest_rate(law.alpha), LONG, EE)
+    if not np.isfinite(np.asarray(run.q)[-1]).all():
+        raise errors.fail("target", "be one the loop comes to rest on", "makes joint values that are not finite")
+    return np.asarray(run.q)[-1]
+
+
+def _held_at_start(one):
+    position, rotation = one.curve(0.0)
+    return Reference(curve=Hold(position=position, rotation=rotation))
 
 
 def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:

@@ -349,7 +349,7 @@ def leaky(law) -> bool:
 
 def _require_rest(law, reference, q):
     try:
-        size = float(_error(law, reference, q))
+        size = float(jnp.linalg.norm(error_of_numbers(law, reference, q)))
         near = size < rest_tolerance(law.chain)
     except jax.errors.ConcretizationTypeError:
         return  # traced geometry: taken at the caller's word
@@ -363,8 +363,9 @@ def rest_tolerance(chain):
 
 
 @one_off
-def _error(law, reference, q):
-    return jnp.linalg.norm(evaluate(modelled(law), reference, jnp.zeros_like(q[0]), q).e)
+def error_of_numbers(law, reference, q):
+    """e (m,) at t = 0."""
+    return evaluate(modelled(law), reference, jnp.zeros_like(q[0]), q).e
 
 
 @in_float64

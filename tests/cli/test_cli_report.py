@@ -2,8 +2,10 @@
 
 import json
 
+import numpy as np
 import pytest
 
+import cnclik as ck
 from cnclik.cli import main
 from cnclik.show import report_figures, style
 from cnclik.show.viewer import need
@@ -34,6 +36,38 @@ def test_solve(tmp_path, capsys):
     sentence = next(line for line in shown.splitlines() if line.startswith(("Settled", "Converging")))
     assert sentence.split(";")[0] in text and text.count("image/svg+xml") == 5 and "cnclik[viewer]" in text
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["trajectory.nc"] and "Wrote one.html." in shown
+
+
+STACK = """
+[tasks.place]
+task = "position"
+alpha = 10
+damping = 0.01
+[tasks.rest]
+task = "joints"
+alpha = 60
+damping = 0.3
+"""
+
+
+def test_stability_of_a_stack(tmp_path, capsys):
+    """Where it rests at other targets than those it begins at, and a run beyond the limit of its tightest task."""
+    (tmp_path / "s.toml").write_text(STACK)
+    asked = ["stability", "planar:1,0.8,0.5", "--stack", "s.toml", "--method", "EE", "--target", "1.0", "1.2"]
+    text, shown = page([*asked, "--delay", "1"], capsys)
+    assert (
+        "It rests at q = " in shown
+        and "hold from 1 1.2 m." in shown
+        and "(default)" not in shown.split("place:")[1][:99]
+    )
+    for words in ("what the tasks do now", "rest has the least room"):
+        assert words in text, words
+    assert text.count("image/svg+xml") == 1
+    main([*asked, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    arm = ck.planar_arm([1, 0.8, 0.5])
+    off = np.subtract(ck.forward(arm, np.array(told["rest"])).position[:2], [1.0, 1.2])
+    assert np.linalg.norm(off) < 0.05 and np.linalg.norm(np.subtract(told["rest"], told["q0"])) > 0.1
 
 
 def test_a_report_that_fails_costs_no_data(tmp_path, monkeypatch, capsys):

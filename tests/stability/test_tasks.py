@@ -243,7 +243,7 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     assert 0 < said["tasks"]["left"]["recommended_alpha"] < 10 and LOST < 1
     with pytest.raises(SystemExit):
         main([*asked, "--target", "1", "2", "3"])
-    assert "`target` must be left out with a stack" in capsys.readouterr().err
+    assert "`target` must be given once for each tip (left.left_gripper, right" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("method", "delay"), [("EE", 0), ("EXP-MIDPOINT", 3)])

@@ -1,0 +1,62 @@
+"""Stacks in `cnclik stability`: where one rests, at which targets, and its runs with other gains."""
+
+import dataclasses
+import math
+
+from cnclik import errors
+
+PUSH = 0.05  # [rad, m] by which all joints are elsewhere when a run begins
+
+
+def at_targets(found, targets):
+    """The problem with other targets of its tips, one after the other."""
+    from cnclik.law.reference import of_each
+    from cnclik.problem.reference import reference_from
+    from cnclik.reaching.aims import aims, of_tips
+
+    law = found.law
+    labels = [aim.label for aim in aims(of_tips(law.task))]
+    if len(targets) != len(labels):
+        times = f"is given {len(targets)} time{'s' * (len(targets) != 1)}"
+        raise errors.fail("target", f"be given once for each tip ({', '.join(labels)})", times)
+    given = iter(targets)
+
+    def other(one, parts):
+        if not hasattr(parts.parts[0], "axes"):
+            return one
+        return reference_from("hold", law.chain, parts, found.q0, target=next(given))
+
+    tables = {name: table | {"target": None} for name, table in found.tables.items()}
+    return dataclasses.replace(found, reference=of_each(other, found.reference, law.task), tables=tables)
+
+
+def runs_of_stack(found, rest, said) -> list:
+    """[(name, a run, the loop's spectral radius)]: as recommended, and with the tightest task's gain beyond its limit.
+
+    All joints begin a little away from where the loop rests.
+    """
+    import numpy as np
+
+    from cnclik.record import replace
+    from cnclik.show.viewer.look import look, loop_of
+    from cnclik.stability.spectrum import held_at
+
+    law, stack = found.law, said.stack
+    push = PUSH * (-1.0) ** np.arange(law.chain.n)
+    q0 = np.clip(rest + push, np.array(law.chain.lower), np.array(law.chain.upper))
+    settled = max(one.now.settling_time if one.now else math.inf for one in stack.tasks.values())
+    N = min(max(math.ceil(2 * settled / found.Ts), 40), 400) if math.isfinite(settled) else 400
+    made = dataclasses.replace(found, reference=held_at(law, np.asarray(rest)), q0=q0, N=N)
+    tight, runs = stack.tasks[stack.least_room], []
+    wanted = {name: min(one.alpha, one.recommended_alpha) for name, one in stack.tasks.items()}
+    beyond: tuple = ({}, "as they are")
+    if math.isfinite(most := tight.largest_stable_alpha):
+        beyond = {stack.least_room: 1.1 * most}, f"{stack.least_room} a tenth beyond its largest stable gain"
+    for gains, name in ((wanted, "none above what is recommended"), beyond):
+        alpha = np.broadcast_to(np.asarray(law.alpha, float), (law.task.m,) * max(np.ndim(law.alpha), 1)).copy()
+        for task, value in gains.items():
+            at = (law.task.of(task),) * alpha.ndim
+            alpha[at] *= value / max(stack.tasks[task].alpha, 1e-300)
+        seen = look(one := dataclasses.replace(made, law=replace(law, alpha=alpha)), loop_of(one))
+        runs.append((name, seen.run, seen.radius))
+    return runs
