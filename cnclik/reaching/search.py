@@ -23,6 +23,7 @@ from cnclik.reaching.strategy import (
     CAREFUL,
     COARSE,
     NEARBY,
+    OUTER,
     PLACES,
     PLAIN,
     SELDOM,
@@ -94,23 +95,30 @@ class Try(NamedTuple):
     step: Int[Array, ""]
     most: Int[Array, ""]  # steps
     careful: Bool[Array, ""]
+    free: Bool[Array, ""]  # of all bounds: where it arrives, it begins again within them
     over: Bool[Array, ""]
     found: Bool[Array, ""]
 
 
-def advance(of: Given, pose, bounds, roots, own: Try) -> Try:
+def advance(of: Given, pose, near, bounds, roots, own: Try) -> Try:
     """A look and a step on, and whether the try is over with it; one that is over stays."""
-    at = iterate(of.model, of.asked.task, own.at, pose, bounds, of.asked.tolerance, own.careful, roots)
+    within_bounds = tuple(jnp.where(own.free, end, bound) for end, bound in zip((-np.inf, np.inf), bounds, strict=True))
+    at = iterate(of.model, of.asked.task, own.at, pose, within_bounds, of.asked.tolerance, own.careful, roots)
     step, short = own.step + 1, own.most <= CAREFUL
     within, close = ((at.squares <= most**2).all() for most in (of.asked.tolerance, COARSE))
     ends = at.arrived | (short & (at.steep <= STUCK)) | (step >= own.most)
     on = ends & ~within & ~at.arrived & short & close  # some more steps
-    new = Try(at, step, jnp.where(on, own.most + SLOW, own.most), own.careful | on, ends & ~on, ends & within)
+    most = jnp.where(on, own.most + SLOW, own.most)
+    inward = ends & within & own.free
+    q = jnp.clip(turned(at.best, 0.0 if near is None else near, of.asked.periods, *bounds, jnp), *bounds)
+    again = begin(q.astype(at.q.dtype), 0.0 * at.trust)._replace(looks=at.looks)
+    new = Try(at, step, most, own.careful | on, own.free, ends & ~on, ends & within)
+    new = choose(inward, Try(again, 0 * step, 0 * step + CAREFUL, own.careful, ~inward, ~inward, ~inward), new)
     return choose(own.over, own, new)
 
 
 def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
-    """The posture that try k begins at, and whether there is such a try."""
+    """The posture that try k begins at, whether it is free of all bounds, and whether there is such a try."""
     asked, _, postures, to = of
     ends, number, (low, high) = spans(asked.chain), asked.seed + k, bounds
     middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
@@ -133,7 +141,9 @@ def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     place = jnp.minimum(k, PLACES - 1)
     q = jnp.where(phase.downhill > 0, made.places[place], q)
     there = (phase.downhill == 0) | jnp.isfinite(made.costs[place])
-    return jnp.clip(q, low, high).astype(pose.dtype), (k < phase.tries) & there
+    outer = (phase.downhill == 0) & (k >= SETS) & (jnp.isfinite(low) | jnp.isfinite(high)).any()
+    there = there & ~(outer & (number % (2 * OUTER) == 2 * OUTER - 1)) & (k < phase.tries)
+    return jnp.clip(q, low, high).astype(pose.dtype), outer & (number % OUTER == 2), there
 
 
 def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Found:
@@ -143,27 +153,27 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     """
     bounds = narrowed(phase.low, phase.high, phase.jump, near, jnp)
     number, downhill = k + jnp.arange(together, dtype=jnp.int32), phase.downhill > 0
-    q, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
+    q, free, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
     plain = (number < PLAIN) & ~downhill
     most = jnp.where(downhill, phase.downhill, jnp.where(plain, STEPS, CAREFUL))
     at, parts = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q), in_parts(of.asked.task, pose)
-    own = Try(at, jnp.zeros_like(number), most, ~plain, ~there, jnp.zeros_like(there))
+    own = Try(at, jnp.zeros_like(number), most, ~plain, free, ~there, jnp.zeros_like(there))
     roots, order = None if of.asked.task.weights is None else phase.roots, jnp.arange(together)
 
     def first(own):
         return jnp.min(jnp.where(own.found, order, together))
 
     def once(own):
-        return jax.vmap(lambda own: advance(of, parts, bounds, roots, own))(own)
+        return jax.vmap(lambda own: advance(of, parts, near, bounds, roots, own))(own)
 
     own = lax.while_loop(lambda own: (~own.over & (order < first(own))).any(), once, own)
     at, won, counted = own.at, first(own), order <= first(own)
-    cost = jnp.where(there & counted & jnp.isfinite(at.cost), at.cost, jnp.inf)
+    cost = jnp.where(there & counted & ~own.free & jnp.isfinite(at.cost), at.cost, jnp.inf)
     best = jnp.where(won < together, won, jnp.argmin(cost))
     taken = (won < together) | downhill & (cost[best] < made.cost)
     told = (jnp.where(taken, v[best], old) for v, old in zip((at.best, *at[2:5]), made[:4], strict=True))
     posture, squares, least, steep = told
-    looks = made.looks + jnp.sum(jnp.where(counted, own.step, 0))
+    looks = made.looks + jnp.sum(jnp.where(counted & there, at.looks, 0.0))
     costs = jnp.concatenate([made.costs, jnp.where(own.found | downhill, jnp.inf, cost)])
     kept = jnp.argsort(costs)[:PLACES]
     places = jnp.concatenate([made.places, at.best])[kept]

@@ -22,6 +22,9 @@ STUCK = 1e-5  # of `step.Search.steep`: a try whose error falls as slowly as tha
 PLACES = 4  # the best places of tries that did not arrive are kept
 AROUND = 0.5  # of the range of seeds, about `near`: where the last plain tries start; the first starts there
 NEARBY, SELDOM = 0.35, 4  # of the range of seeds, about a place found; one try in so many starts there
+# More postures lead to answers beyond the limits than to one at them: beyond the sets one try in so many is free of all
+# bounds, and begins again within them from where it arrives. One in twice as many is not made for it.
+OUTER = 4
 DOWNHILL = 150  # steps from a place to the nearest pose
 FIRST = 16  # tries of all targets, also of those farther off than the arm is long; nearly all need no more
 ENDLESS = (1 << 30) - 1  # looks
@@ -29,7 +32,7 @@ FAR = np.asarray(1e3)  # [rad, m] of no jump
 FREE = 128  # tries of the search without limits
 SURE = 256  # tries, at least, before it is said that there is no answer
 CLOSE, LONGER = (0.1, 1e-3), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
-NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "AROUND", "NEARBY", "SELDOM"  # C has, too
+NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "AROUND", "NEARBY", "SELDOM", "OUTER"
 
 
 class Phase(NamedTuple):

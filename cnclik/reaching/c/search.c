@@ -28,6 +28,7 @@ typedef struct { /* of B targets; the same as `native._Call` */
 typedef struct { /* of one lane */
   int64_t target, number; /* number: of the try */
   int step, most;
+  int bounded, free; /* whether its target has bounds; whether the try is free of them */
   Real looks;
 } Try;
 
@@ -89,14 +90,58 @@ static Real turned(Real q, Real about, Real period, Real low, Real high)
   return q + period * (turns < few ? few : turns > most ? most : turns);
 }
 
+static Real most(Real a, Real b) { return a > b ? a : b; }
+static Real least(Real a, Real b) { return a < b ? a : b; }
+
+/* Where the joints of a lane's target are searched for; whether that is bounded. */
+static int narrow(const Asked *a, Lanes *s, int64_t target, int i)
+{
+  int bounded = 0;
+  for (int j = 0; j < N; ++j) { /* outside the limits: what is nearest to `near` */
+    const Real about = a->jump[j] < INFINITY ? a->near[target * N + j] : 0;
+    const Real low = least(most(a->low[j], about - a->jump[j]), a->high[j]);
+    LANE(s->high[j], i) = most(least(a->high[j], about + a->jump[j]), a->low[j]);
+    LANE(s->low[j], i) = low;
+    bounded |= low > -INFINITY || LANE(s->high[j], i) < INFINITY;
+  }
+  return bounded;
+}
+
+/* A lane that has not looked yet. */
+static void fresh(Lanes *s, Try *own, int i, int steps)
+{
+  LANE(s->squares[0], i) = LANE(s->squares[1], i) = LANE(s->cost, i) = LANE(s->steep, i) = INFINITY;
+  LANE(s->trust, i) = 1;
+  LANE(s->arrived, i) = 0;
+  own->step = 0;
+  own->most = steps;
+}
+
+/* A try that arrived free of all bounds begins again within them, from what is nearest to its answer there. */
+static void inward(const Asked *a, Lanes *s, Try *own, int i)
+{
+  narrow(a, s, own->target, i);
+  for (int j = 0; j < N; ++j) {
+    const Real low = LANE(s->low[j], i), high = LANE(s->high[j], i), about = a->near == NULL ? 0 : a->near[own->target * N + j];
+    const Real q = turned(LANE(s->best[j], i), about, a->periods[j], low, high);
+    LANE(s->q[j], i) = LANE(s->best[j], i) = q < low ? low : q > high ? high : q;
+  }
+  own->free = 0;
+  fresh(s, own, i, CAREFUL);
+}
+
 /* The next try of a lane's target; whether there is one. */
 static int begin(const Asked *a, Lanes *s, Try *own, int i)
 {
   const int64_t target = own->target;
   const Found *made = a->made + target;
+  const int outer = own->bounded && !a->downhill;
   for (; a->downhill && own->number < PLACES && !(made->costs[own->number] < INFINITY); ++own->number) {}
+  if (outer && own->number >= SETS && (a->seed + own->number) % (2 * OUTER) == 2 * OUTER - 1) own->number += 1;
   if (own->number >= a->tries || (own->number >= PLAIN && own->looks >= (Real)a->budget)) return 0;
   const int64_t k = own->number, number = a->seed + k;
+  if (own->free) narrow(a, s, target, i);
+  own->free = outer && k >= SETS && number % OUTER == 2;
   const int plain = k < PLAIN && !a->downhill, by = plain && k < BY_NEAR && a->near != NULL;
   static const Real stretches[] = {STRETCHED};
   static const int owners[N] = {OWNERS};
@@ -132,32 +177,25 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
     }
     q = q < low ? low : q > high ? high : q;
     LANE(s->q[j], i) = LANE(s->best[j], i) = q;
+    if (own->free) {
+      LANE(s->low[j], i) = -INFINITY;
+      LANE(s->high[j], i) = INFINITY;
+    }
   }
-  LANE(s->squares[0], i) = LANE(s->squares[1], i) = LANE(s->cost, i) = LANE(s->steep, i) = INFINITY;
-  LANE(s->trust, i) = 1;
-  LANE(s->arrived, i) = 0;
   LANE(s->careful, i) = !plain;
-  own->step = 0;
-  own->most = a->downhill ? (int)a->downhill : plain ? STEPS : CAREFUL;
+  fresh(s, own, i, a->downhill ? (int)a->downhill : plain ? STEPS : CAREFUL);
   return 1;
 }
-
-static Real most(Real a, Real b) { return a > b ? a : b; }
-static Real least(Real a, Real b) { return a < b ? a : b; }
 
 /* The next target for a lane; whether there is anything to try for it. */
 static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
 {
   Found *made = a->made + target;
   Real sum = 0; /* NaN where the target is */
-  for (int j = 0; j < N; ++j) { /* outside the limits: what is nearest to `near` */
-    const Real about = a->jump[j] < INFINITY ? a->near[target * N + j] : 0;
-    const Real low = least(most(a->low[j], about - a->jump[j]), a->high[j]);
-    LANE(s->high[j], i) = most(least(a->high[j], about + a->jump[j]), a->low[j]);
-    LANE(s->low[j], i) = low;
-  }
   for (int j = 0; j < 12 * AIMS; ++j) LANE(s->target[j], i) = a->pose[12 * AIMS * target + j];
   own->target = target;
+  own->bounded = narrow(a, s, target, i);
+  own->free = 0;
   own->number = a->done;
   if (a->done == 0) made->cost = INFINITY;
   if (a->done == 0 && !a->downhill) {
@@ -222,6 +260,10 @@ static int over(const Asked *a, Lanes *s, Try *own, int i)
   Found *made = a->made + own->target;
   const Real where = LANE(s->squares[0], i), turn = LANE(s->squares[1], i);
   if (where <= a->tolerance[0] * a->tolerance[0] && turn <= a->tolerance[1] * a->tolerance[1]) {
+    if (own->free) {
+      inward(a, s, own, i);
+      return 0;
+    }
     note(made, s, i);
     made->found = 1;
     made->looks = own->looks;
@@ -234,7 +276,7 @@ static int over(const Asked *a, Lanes *s, Try *own, int i)
     return 0;
   }
   if (!a->downhill) {
-    keep(made, s, i);
+    if (!own->free) keep(made, s, i);
   } else if (LANE(s->cost, i) < made->cost) {
     note(made, s, i);
   }
