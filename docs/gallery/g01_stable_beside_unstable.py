@@ -2,8 +2,8 @@
 What does a gain that is too large look like?
 =============================================
 
-The same arm, the same path, the same explicit Euler steps; on the left z = alpha·Ts = 0.5, on the right 2.1, just
-beyond the limit of 2.
+The arm, the path and the explicit Euler steps are the same on both sides. On the left z = alpha·Ts = 0.5; on the right
+z = 2.1, just beyond the limit of 2.
 
 .. image:: /_static/safe-gain.gif
    :alt: Two planar arms follow a line; one smoothly, one shaking ever harder

@@ -2,8 +2,8 @@
 Is my gain stable?
 ==================
 
-Explicit Euler keeps 1 − z of an error in each step: it fades up to z = 2, without overshoot up to 1, and grows beyond
-2.
+Explicit Euler keeps 1 − z of an error in each step. The error decays up to z = 2, and has no overshoot up to z = 1.
+Beyond z = 2 it grows.
 """
 
 import jax

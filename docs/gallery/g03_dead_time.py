@@ -2,8 +2,8 @@
 How far does dead time lower it?
 ================================
 
-Two closed forms: a loop d samples late is stable below 2 sin(π/(2(2d + 1))), and does not overshoot up to dᵈ/(d +
-1)ᵈ⁺¹. An exponential step has no limit until the error is two samples late.
+Two closed forms give the limits of a loop with d samples of dead time. It is stable below 2 sin(π/(2(2d + 1))), and
+does not overshoot up to dᵈ/(d + 1)ᵈ⁺¹. An exponential step has a limit only from two samples on.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 Which method, per evaluation?
 =============================
 
-A Jacobian and its inverse are what a step costs. The error of a circle, tracked at alpha = 5 1/s, against how many of
-them are spent in a second.
+The cost of a step is its Jacobians, each with its inverse. The figure shows the error on a circle, tracked at
+alpha = 5 1/s, against the number of Jacobians per second.
 """
 
 import jax

@@ -2,9 +2,9 @@
 What happens at a singularity?
 ==============================
 
-A target beyond the arm's reach stretches the arm. The pseudoinverse then asks for joint velocities without bound. With
-a damping of 0.05 m they stay below 12 rad/s, but the stretched arm does not come to rest; with 0.2 m it does. The price
-is the error on the way there.
+A target beyond the arm's reach stretches the arm. The pseudoinverse then asks for unbounded joint velocities. With a
+damping of 0.05 m they stay below 12 rad/s, but the stretched arm does not come to rest; with 0.2 m it does. The cost of
+damping is the error on the way there.
 """
 
 import jax

@@ -2,9 +2,9 @@
 A redundant arm: what does the posture do?
 ==========================================
 
-Five joints, two coordinates of the tip: three joints' worth of motion is left over. A posture in the null space uses
-it, as far as the tip, which stays where it is, lets it. Left the arm on its way from blue to red, right how far its
-joints are from those of the posture.
+The arm has five joints and the task two coordinates, so the null space has three dimensions. A posture uses the null
+space as far as the task allows: the tip stays where it is. The left panel shows the motion of the arm from blue to red,
+the right panel the distance of its joints from the posture.
 """
 
 import jax

@@ -2,8 +2,8 @@
 What does a limit on velocity do to a path?
 ===========================================
 
-Joints that may turn at 0.6 rad/s follow a circle that asks for more. Cutting each joint off leads the tip astray; a
-`Pace` slows all of them by one share, and the path waits.
+Joints with a limit of 0.6 rad/s follow a circle that needs more. Clipping each joint leads the tip off the circle. A
+`Pace` slows all joints by one share, and the path waits.
 """
 
 import jax

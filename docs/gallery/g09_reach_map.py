@@ -2,9 +2,9 @@
 Where can the arm reach, and in how many orientations?
 ======================================================
 
-`ck.reachability` tries every place of a plane in orientations that fill the turns evenly: here 10 of them for a
-Panda, over 20 × 20 places. Left, in how many of them the tip gets there; right, how far from a singularity it is then.
-Pale grey is out of reach.
+`ck.reachability` tries every place of a plane in evenly distributed orientations: here 10 for a Panda, over 20 × 20
+places. The left panel shows the share of orientations that the tip reaches, the right panel its distance from a
+singularity. Pale grey is out of reach.
 """
 
 import cnclik as ck

@@ -2,9 +2,9 @@
 From where does a loop arrive?
 ==============================
 
-Theory speaks of small errors. Forty thousand starts of a two-joint arm, side by side in the lanes of the processor,
-say how far it carries: each point is a start, its colour the steps until the tip is within 1 mm of the target. The two
-crosses are the postures that have it there.
+Theory holds for small errors. Forty thousand starts of a two-joint arm, run side by side, show how far it carries. Each
+point is a start; its colour is the number of steps until the tip is within 1 mm of the target. The two crosses are the
+postures with the tip at the target.
 """
 
 import jax.numpy as jnp

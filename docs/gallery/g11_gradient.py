@@ -2,8 +2,8 @@
 Which way should I turn the gain?
 =================================
 
-A loop is differentiable from end to end: each short line has the slope of a tracking cost over alpha, its
-derivative taken through 60 steps. Downhill is to the right up to z = 1.69, and to the left beyond.
+A loop is differentiable from end to end. Each short line has the slope of a tracking cost over alpha, from the
+derivative through 60 steps. The cost falls with alpha up to z = 1.69, and grows beyond.
 """
 
 import jax

@@ -2,8 +2,8 @@
 What do a drive and its dead time do to a step?
 ===============================================
 
-The recommended gain of each robot, and the answer to a target that jumps by 1 cm: a robot that follows at once, one
-that is late, one with a lag, and a position servo.
+The figure shows each robot with its recommended gain, after the target jumps by 1 cm. One robot follows at once, one
+has a dead time, one a lag, and one a position servo.
 """
 
 import jax

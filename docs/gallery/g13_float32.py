@@ -2,9 +2,9 @@
 How much does float32 cost?
 ===========================
 
-JAX computes in float32 unless told otherwise. A loop that reaches a point goes the same way, down to the rounding of
-its joint values: a tenth of a micrometre on an arm of two metres. What is left below that it no longer sees: to float32
-the error is then 0, and its line leaves the picture.
+JAX computes in float32 by default. A loop that reaches a point follows the same path in float32, down to the rounding
+of its joint values: a tenth of a micrometre on an arm of two metres. Below that the float32 error is 0, and its line
+leaves the figure.
 """
 
 import jax

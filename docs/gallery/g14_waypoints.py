@@ -2,8 +2,8 @@
 How does it go through my waypoints?
 ====================================
 
-`ck.waypoints` lays a curve through points in time, smooth in velocity and acceleration. Here a Panda's tip goes through
-five points in eight seconds, from rest to rest, and back to where it began; where it points is left to the arm.
+`ck.waypoints` makes a curve in time through points, smooth in velocity and acceleration. Here a Panda's tip goes
+through five points in eight seconds, from rest to rest, and back to its start. The orientation of the tip is free.
 """
 
 import jax

@@ -2,8 +2,8 @@
 Which gain is safe at which sampling time?
 ==========================================
 
-Every cell is a whole loop of a five-joint arm, run and judged; the line is what linear theory says beforehand. The
-circle is a loop of 5 1/s at 10 steps a second, whose gain may still grow fourfold.
+Every cell is a whole loop of a five-joint arm. The line is the prediction of linear theory. The circle is a loop of
+5 1/s at 10 steps a second, whose gain may still grow fourfold.
 """
 
 import numpy as np

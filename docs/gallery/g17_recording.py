@@ -2,8 +2,8 @@
 My robot shakes. What does its recording say?
 =============================================
 
-A loop with four samples of dead time and z = 0.3 rings. From a recording of its joints alone `ck.diagnose` finds the
-rhythm, and from that the dead time, the gain, and the gain that would end it.
+A loop with four samples of dead time and z = 0.3 rings. From a recording of its joints alone, `ck.diagnose` finds the
+rhythm, then the dead time and the gain, and the gain that stops the ringing.
 """
 
 import numpy as np

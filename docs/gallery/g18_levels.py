@@ -2,9 +2,9 @@
 Two tasks that can't both be had: who gives way?
 ================================================
 
-A torso of one link with an arm on each side, and two targets that are too far apart. With weights both hands miss; with
-levels the left one, which comes first, is where it should be, and what the conflict leaks into it falls as the square
-of the ratio of the two dampings.
+A torso of one link has an arm on each side, and the two targets are too far apart. With weights both hands miss. With
+levels the left hand, which is the first level, is at its target. A conflict leaks into the first level as the square of
+the ratio of the two dampings.
 """
 
 import jax

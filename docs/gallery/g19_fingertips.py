@@ -2,7 +2,7 @@
 Four fingertips: does each keep to its path?
 ============================================
 
-The Allegro hand, sixteen joints, each fingertip on a circle of its own, with the posture as a second level.
+The Allegro hand has sixteen joints. Each fingertip follows a circle of its own, and the posture is a second level.
 ``ck.plot(run, law, "tip")`` has a panel for each tip, all of one scale.
 """
 
