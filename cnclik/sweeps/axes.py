@@ -28,6 +28,8 @@ def read(name, value, joints=0) -> Axis:
         if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
             raise errors.fail(where, "be a list of names", f"is {values!r}")
         values = {v: v for v in values}
+    if isinstance(values, list):
+        values = [_worked_out(where, v) for v in values]
     if isinstance(values, np.ndarray) and name not in COUNTED + COMPILED_IN:
         values = values.astype(float)
     nested = values.ndim > 1 if isinstance(values, np.ndarray) else any(isinstance(v, list) for v in values)
@@ -85,6 +87,12 @@ def _numbers(where, value):
     for name in expression.names(where, value):
         raise errors.fail(where, "be numbers", f"refers to {name!r}")
     return expression.evaluate(where, [value], None)[0]
+
+
+def _worked_out(where, value):
+    """A value that refers to no other as a number or a list, such as of "4 ms" or "pi/2"; others as they are."""
+    apart = not isinstance(value, str) or expression.names(where, value)
+    return value if apart else _numbers(where, value).tolist()
 
 
 def _samples(where, value, width):

@@ -334,7 +334,7 @@ def test_files_that_are_no_toml(tmp_path, text):
     with pytest.raises(ArgumentError, match="No such file"):
         spec.read(tmp_path / "none.toml")
     path.write_text(TEXT)
-    with pytest.raises(ArgumentError, match="`robot` must be a URDF file, panda"):  # and no name is too long for it
+    with pytest.raises(ArgumentError, match="`robot` must be a URDF or MJCF file"):  # and no name is too long for it
         spec.read(path, ["robot=" + "a" * 5000])
 
 
@@ -438,6 +438,13 @@ def test_a_dead_time_follows_from_the_sampling_time_of_its_loop():
     assert [a.name for a in s.grid().outer] == ["method", "Ts", "delay"]
     delays = [s.values(**p, **s.first())["delay"] for p in s.grid().programs if p["method"] == "EE"]
     assert delays == [2, 4, 1, 2]
+
+
+def test_an_axis_of_numbers_with_units_is_one_of_numbers():
+    s = check.parse(written(fixed__Ts=None, axes__Ts=["10 ms", "0.02"], axes__alpha=["2*pi", 5]))
+    axes = {a.name: a for a in s.grid().axes}
+    np.testing.assert_array_equal(axes["Ts"].values, [0.01, 0.02])
+    np.testing.assert_array_equal(axes["alpha"].values, [2 * np.pi, 5.0])
 
 
 @pytest.mark.parametrize(
