@@ -441,10 +441,10 @@ def test_a_dead_time_follows_from_the_sampling_time_of_its_loop():
 
 
 def test_an_axis_of_numbers_with_units_is_one_of_numbers():
-    s = check.parse(written(fixed__Ts=None, axes__Ts=["10 ms", "0.02"], axes__alpha=["2*pi", 5]))
+    s = check.parse(written(fixed__Ts=None, axes__Ts=["10 ms", "0.02"], axes__z=["pi/2", 1]))
     axes = {a.name: a for a in s.grid().axes}
     np.testing.assert_array_equal(axes["Ts"].values, [0.01, 0.02])
-    np.testing.assert_array_equal(axes["alpha"].values, [2 * np.pi, 5.0])
+    np.testing.assert_array_equal(axes["z"].values, [np.pi / 2, 1.0])
 
 
 @pytest.mark.parametrize(
