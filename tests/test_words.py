@@ -1,0 +1,69 @@
+"""Pages are read at full speed: short sentences, the field's words, and no page longer than 250 lines."""
+
+import pathlib
+import re
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[1]
+MADE = (("results",), ("gallery-pages",))  # by a build of the site
+# Pages, and what is split from them, that are still to be rewritten.
+UNWRITTEN = tuple(f"docs/{n}" for n in ("bases", "diagnose", "reach", "reliability", "robots", "stability", "stack"))
+PAGES = [ROOT / "README.md", ROOT / "sweeps/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES if p.relative_to(ROOT).parts[1:2] not in MADE]
+MOST_WORDS, MOST_LINES = 40, 250
+# Words with a meaning of their own in earlier texts, and the field's word for each.
+PRIVATE = {
+    r"bears?": "tolerates",
+    r"(takes?|taken|took) back": "removes",
+    r"(is|are|was|were) told": "knows, is given, reports",
+    r"tells": "shows, reports",
+    r"fore(tells?|told)": "predicts",
+    r"unless (said|told)": "unless stated otherwise, by default",
+    r"it is said": "cnclik reports",
+    r"says": "shows, states",
+    r"(comes?|is|are|samples?) late": "is delayed by",
+    r"late error": "delayed error",
+    r"by nothing": "zero",
+    r"one's": "your",
+    r"were the \w+ (a|one) sample": "even with one more sample",
+}
+
+
+def prose(text):
+    """Paragraphs, items and cells, without code, formulas and tables that a program writes."""
+    text = re.sub(r"\A---\n.*?^---\n", "", text, flags=re.M | re.S)
+    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.M | re.S)
+    text = re.sub(r"^\$\$.*?^\$\$", "", text, flags=re.M | re.S)
+    text = re.sub(r"^<!-- (\w+) -->.*?^<!-- end -->", "", text, flags=re.M | re.S)
+    text = re.sub(r"^    .*$", "", text, flags=re.M)
+    for block in re.split(r"\n\s*\n", text):
+        if block.startswith("|"):
+            yield from block.replace("\n", "|").split("|")
+        else:
+            yield from re.split(r"\n(?=\s*(?:[-*]|\d+\.) )", block)
+
+
+def sentences(text):
+    for part in prose(text):
+        part = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", part.replace("\n", " "))
+        yield from re.split(r"(?<=[.!?:;])\s+(?=[A-ZÀ-Ž0-9*`J\[(])", re.sub(r"`[^`]*`", "CODE", part))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith(UNWRITTEN)])
+def test_a_page_is_plain(name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    assert text.count("\n") <= MOST_LINES
+    long = [s for s in sentences(text) if len(re.findall(r"[^\W\d_]{2,}", s)) > MOST_WORDS]
+    assert not long
+    private = [
+        (s, word, plain) for s in sentences(text) for word, plain in PRIVATE.items() if re.search(rf"\b{word}\b", s)
+    ]
+    assert not private
+
+
+def test_it_finds_what_it_looks_for():
+    text = "It bears 2 samples more.\n\n```\nbears\n```\n\n| a | it tells |\n| --- | --- |\n| " + "word " * 41 + "| |\n"
+    found = list(sentences(text))
+    assert [s for s in found if re.search(r"\bbears\b", s)] == ["It bears 2 samples more."]
+    assert len([s for s in found if s.count("word") > MOST_WORDS]) == 1 and any("tells" in s for s in found)
