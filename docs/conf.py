@@ -50,7 +50,7 @@ nitpicky = False
 # Pages
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 myst_enable_extensions = ["dollarmath", "deflist"]
-myst_heading_anchors = 3
+myst_heading_anchors = 4
 myst_links_external_new_tab = False
 highlight_language = "text"  # a fence without a language is what a terminal shows
 os.environ["IPYTHONDIR"] = look.kernels()
