@@ -1,4 +1,4 @@
-"""What `cnclik stability` says in words: gains as rows, what they mean as sentences."""
+"""The answer of `cnclik stability`: gains as table rows, their meaning as sentences."""
 
 import math
 
@@ -12,30 +12,30 @@ def title_of(found) -> str:
 
 
 def tables_of(found, said, written) -> list:
-    """[(title, columns, rows)] of what is said. Args: written: names of the options that the user wrote."""
+    """[(title, columns, rows)] of the advice. Args: written: names of the options that the user wrote."""
     if said.stack is None:
-        return [(title_of(found), COLUMNS, gains_of(found, said, written))]
-    tables: list = [(title_of(found), TASK_COLUMNS, gains_of_tasks(found, said))]
-    tables.append(("what the tasks do now", DOES_COLUMNS, does_of_tasks(found, said)))
-    walls = (f"walls, at {said.speed:g} m/s of the tips", WALL_COLUMNS, walls_of(said))
+        return [("Gains", COLUMNS, gains_of(found, said, written))]
+    tables: list = [("Gains of the tasks [1/s]", TASK_COLUMNS, gains_of_tasks(found, said))]
+    tables.append(("With the present gains", DOES_COLUMNS, does_of_tasks(found, said)))
+    walls = (f"Walls, with tips at {said.speed:g} m/s", WALL_COLUMNS, walls_of(said))
     return [*tables, walls] if said.walls else tables
 
 
 def rest_of(found, rest) -> list:
-    """A sentence on where a stack rests, where that is elsewhere than where it begins."""
+    """A sentence with the posture at which a stack rests, where that is not the start."""
     import numpy as np
 
     from cnclik.record import in_words
 
     far = found.law.task.tasks and np.abs(np.asarray(rest) - np.asarray(found.q0)).max() > 1e-6
-    return [f"It rests at q = {in_words(rest)}, where it is looked at."] if far else []
+    return [f"Linearized where it rests, at q = {in_words(rest)}."] if far else []
 
 
 def gains_of(found, said, written) -> list:
     """Rows of COLUMNS. Args: written: names of the options that the user wrote."""
     from cnclik.record import in_words
 
-    at_once = ", if drives followed at once" if said.assumed_dead_time else ""
+    at_once = ", if drives had no delay" if said.assumed_dead_time else ""
     rows = []
     for row, name in (
         (f"largest stable{at_once}", "largest_stable_alpha"),
@@ -49,8 +49,8 @@ def gains_of(found, said, written) -> list:
 
 
 NOT_KNOWN = (
-    "The largest stable gain is not known from a lag or servo alone: joints that move together are heavier. A recorded "
-    "step of all joints says between which gains it lies (cnclik diagnose LOG.csv --step)."
+    "The largest stable gain is not known from a lag or servo alone: joints that move together have more inertia. "
+    "Record a step of all joints to find a range for it (cnclik diagnose LOG.csv --step)."
 )
 
 
@@ -58,13 +58,13 @@ _OF_LARGEST = ("largest_stable_alpha", "gain_margin")
 
 
 def without_largest(told: dict) -> dict:
-    """The advice as plain numbers without those that rest on the largest stable gain."""
+    """The advice as plain numbers, without those that depend on the largest stable gain."""
     kept = {name: v for name, v in told.items() if name not in _OF_LARGEST}
     return {name: without_largest(v) if isinstance(v, dict) else v for name, v in kept.items()}
 
 
 def exact(drive) -> bool:
-    """Whether the largest stable gain is known: without a lag or servo, or where the loop knows of none."""
+    """Whether the largest stable gain is known: drives without lag or servo, or feedback of commands."""
     return drive is None or drive.order == 0 or drive.feedback == "commanded"
 
 
@@ -78,7 +78,7 @@ def lines_of(found, said, written) -> list:
     lines = [f"Recommended: {said.reason}.", *_costs(said, found)]
     lines += [NOT_KNOWN] * (not exact(found.drive))
     lines += [] if said.limits is None else [_sentence(said.limits.words)]
-    whose = "The default" if _present(written) == "by default" else "Your"
+    whose = "The default" if _present(written) == "default" else "Your"
     alpha = in_words(found.law.alpha).removesuffix(".")
     lines.append(f"{whose} gain (alpha = {alpha} 1/s) {_margin(now, said, found.drive, found.Ts)}")
     if said.analysis.times is not None:
@@ -86,8 +86,8 @@ def lines_of(found, said, written) -> list:
         some = "any sampling time"
         if times.z_largest < math.inf:
             some = f"sampling times up to {1e3 * times.largest:.4g} ms"
-        at_once = "and drives that follow at once " * (said.assumed_dead_time is not None)
-        lines.append(f"With this gain {at_once}the loop is stable for {some}.")
+        at_once = " and drives without delay" * (said.assumed_dead_time is not None)
+        lines.append(f"With this gain{at_once} the loop is stable for {some}.")
     count = len(eigen.null)
     null = f"{count} direction{'s' * (count != 1)}, |λ| = {eigen.null_radius:.4g}" if count else "none"
     lines.append(f"Jacobians per step: {said.analysis.gains.evaluations}. Null space: {null}.")
@@ -97,14 +97,14 @@ def lines_of(found, said, written) -> list:
 
 # --- of a stack ---------------------------------------------------------------------------------------
 
-LEAKS = 1e-3  # share from which on a leak is told
-TASK_COLUMNS = ("task", "alpha [1/s]", "alpha·Ts", "largest stable", "no overshoot", "recommended")
-WALL_COLUMNS = ("wall", "distance", "rate [1/s]", "rate·Ts", "steps may pass it by")
-DOES_COLUMNS = ("task", "gets", "alone", "lag [ms]", "settles [s]", "noise ×", "more dead time")
+LEAKS = 1e-3  # smaller shares are not reported
+TASK_COLUMNS = ("task", "alpha", "alpha·Ts", "largest stable", "no overshoot", "recommended")
+WALL_COLUMNS = ("wall", "distance", "rate [1/s]", "rate·Ts", "a step may pass it by")
+DOES_COLUMNS = ("task", "gets", "alone", "lag [ms]", "settles [s]", "noise gain", "more dead time")
 
 
 def gains_of_tasks(found, said) -> list:
-    """Rows of TASK_COLUMNS: the gains of a stack's tasks [1/s], the largest stable ones with the others as they are."""
+    """Rows of TASK_COLUMNS: gains [1/s] of a stack's tasks; the largest stable one with the other gains unchanged."""
     known, rows = exact(found.drive), []
     for name, one in said.stack.tasks.items():
         gains = one.largest_stable_alpha, one.fastest_monotone_alpha, one.recommended_alpha
@@ -114,7 +114,7 @@ def gains_of_tasks(found, said) -> list:
 
 
 def does_of_tasks(found, said) -> list:
-    """Rows of DOES_COLUMNS: what a stack's tasks get, and do with the gains they have, in the directions they get."""
+    """Rows of DOES_COLUMNS: how many directions a stack's tasks get, and their response with the present gains."""
     rows = []
     for name, one in said.stack.tasks.items():
         m, now = len(one.direction), one.now
@@ -130,33 +130,33 @@ def does_of_tasks(found, said) -> list:
 def lines_of_stack(found, said) -> list:
     """What the numbers of a stack mean, in sentences."""
     stack = said.stack
-    lines = [f"Recommended for each task: {said.reason}, at any posture and whatever the others ask for."]
+    lines = [f"Recommended for each task: {said.reason}, at any posture and for any motion of the other tasks."]
     tightest = stack.tasks[stack.least_room]
     if tightest.largest_stable_alpha < math.inf and exact(found.drive):
         often = tightest.largest_stable_alpha / tightest.alpha
-        room = f"it may grow {often:.3g} times" if often > 1 else f"UNSTABLE: at most {often:.3g} times it is stable"
-        lines.append(f"{stack.least_room} has the least room: with the other gains as they are {room}.")
+        room = f"may grow by a factor of {often:.3g}" if often > 1 else f"is UNSTABLE above {often:.3g} times its value"
+        lines.append(f"{stack.least_room} has the smallest margin: with the other gains unchanged, its gain {room}.")
     else:
         lines += [NOT_KNOWN] * (not exact(found.drive))
     over = [name for name, one in stack.tasks.items() if one.alpha > one.recommended_alpha * (1 + 1e-9)]
     if over:
-        lines.append(f"Above what is recommended: {', '.join(over)}.")
+        lines.append(f"Above the recommended gain: {', '.join(over)}.")
     lines += [_conflict(name, one, found) for name, one in stack.tasks.items() if one.yields_to]
     for leak in stack.leaks:
         if leak.share > LEAKS:
             lines.append(
-                f"Levels leak: what {leak.source} asks for moves {leak.into} by {100 * leak.share:.2g} % of it."
+                f"Levels leak: {100 * leak.share:.2g} % of the motion that {leak.source} asks for moves {leak.into}."
             )
     if 1.005 < stack.error_growth < math.inf:
         lines.append(
-            f"Errors may grow on their way to 0, by {stack.error_growth:.3g} times in m and rad and by "
+            f"Errors may grow before they decay: by a factor of {stack.error_growth:.3g} in m and rad, of "
             f"{stack.growth:.3g} as weights and levels count them."
         )
     return lines if said.limits is None else [*lines, _sentence(said.limits.words)]
 
 
 def walls_of(said) -> list:
-    """Rows of WALL_COLUMNS: how far walls are where the loop rests, how fast they are neared, what steps pass."""
+    """Rows of WALL_COLUMNS: distance of each wall at rest, its rate, and how far a step may pass it."""
     from cnclik.quantities import aloud
 
     rows = []
@@ -175,16 +175,16 @@ def _conflict(name, one, found) -> str:
     size = np.abs(one.direction)
     most = [names[i] for i in np.argsort(-size)[:2] if size[i] > 0.3]
     return (
-        f"{name} yields to {one.yields_to}: along {' and '.join(most)} it gets {100 * one.least:.2g} % of what it asks "
-        f"for, {100 * one.least_alone:.2g} % were it alone."
+        f"{name} yields to {one.yields_to}: along {' and '.join(most)} it gets {100 * one.least:.2g} % of the motion "
+        f"that it asks for, and would get {100 * one.least_alone:.2g} % alone."
     )
 
 
 def _present(written) -> str:
-    """What to call the gain that the loop has: nobody gave the default."""
+    """Name of the present gain in the table: "default" where the user gave none."""
     from cnclik.cli.heading import unless_given
 
-    return "by default" if unless_given(written, "alpha") else "now"
+    return "default" if unless_given(written, "alpha") else "yours"
 
 
 def or_any(value) -> str:
@@ -192,18 +192,20 @@ def or_any(value) -> str:
 
 
 def _margin(now, said, drive, Ts) -> str:
-    """What the present gain does, in words that follow its name."""
+    """The rest of a sentence about the present gain: whether it is stable, and its margins."""
     from cnclik.quantities import in_samples
 
     own, assumed = said.now, said.assumed_dead_time is not None
     if now.margin <= 1:
-        most = f"at most {now.margin:.4g} times it is stable; " if exact(drive) else ""
+        most = f"multiplied by at most {now.margin:.4g} it is stable; " if exact(drive) else ""
         return f"is UNSTABLE: {most}{now.limit}."
     if own is None:
-        return "is UNSTABLE on the assumed drives; it is stable only where drives follow at once."
+        return "is UNSTABLE on the assumed drives; it is stable only with drives that have no delay."
     margin, room = own.gain_margin if assumed else now.margin, []
     if exact(drive):
-        room.append("any larger gain is stable, too" if margin == math.inf else f"it may grow {margin:.4g} times")
+        room.append(
+            "any larger gain is stable, too" if margin == math.inf else f"it may grow by a factor of {margin:.4g}"
+        )
     if own.delay_margin < math.inf:
         room.append(f"the dead time may grow by {in_samples(own.delay_margin, Ts)}")
     stable = ": ".join(filter(None, ("is stable" + " on the assumed drives" * assumed, ", or ".join(room))))
@@ -222,16 +224,14 @@ def _sentence(words) -> str:
 
 
 def _costs(said, found) -> list:
-    """What the recommended gain does."""
+    """Sentences about the loop with the recommended gain."""
     from cnclik.quantities import aloud, in_samples
     from cnclik.stability.settings import OWN_COMMANDS
 
     gain, Ts, drive, chain = said.recommended, found.Ts, found.drive, found.law.chain
     late = "any dead time" if gain.delay_margin == math.inf else f"{in_samples(gain.delay_margin, Ts)} more dead time"
     within = f"settles to within 2 % in {gain.settling_time:.3g} s"
-    settles = (
-        within if gain.settling_time < math.inf else "does not settle to within 2 % in the time that was looked at"
-    )
+    settles = within if gain.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times this gain"
     lines = [f"A step {settles}. The loop stays stable with {late}{f', or with {more}' if exact(drive) else ''}."]
     own = drive is not None and drive.feedback == "commanded"
@@ -245,12 +245,12 @@ def _costs(said, found) -> list:
         v, fed = said.speed, gain.lag_fed_forward * said.speed
         lines.append(
             f"At {v:g} m/s the tip lags by {aloud(gain.lag * v, 'm')} without feed-forward. With feed-forward the lag "
-            f"is {aloud(fed, 'm')}, after a transient of at most {aloud(gain.start_error * v, 'm')}."
+            f"is {aloud(fed, 'm')} after a transient of at most {aloud(gain.start_error * v, 'm')}."
         )
         if said.joint_speed == said.joint_speed:
             lines.append(
-                f"Where the loop rests, {v:g} m/s in the worst direction needs {100 * said.joint_speed:.3g} % of a "
-                "joint's velocity limit."
+                f"At the target, a tip velocity of {v:g} m/s in the worst direction needs "
+                f"{100 * said.joint_speed:.3g} % of a joint's velocity limit."
             )
     if drive is not None and not own and not drive.ideal:
         import numpy as np

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.heading import robot_and_task, start_and_target, unless_given
+from cnclik.cli.heading import dead_time, robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
 
@@ -50,8 +50,8 @@ def run(args: Args) -> None:
         told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
     given = table(args)
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
-    along = f", along {args.reference}" * (made.tables is None)
-    loop = "; ".join(filter(None, (f"{_loop(made, args.written)}{along}", drive_words(made))))
+    along = f"reference {args.reference}" * (made.tables is None)
+    loop = "; ".join(filter(None, (_loop(made, args.written), along, drive_words(made) or dead_time(made))))
     where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
@@ -59,9 +59,8 @@ def run(args: Args) -> None:
         asked_of = {"asked": [title, loop, *where], "facts": dict(facts)}
         print_json(asked_of | {"verdict": plain(told) | {"sentence": answer}, "out": str(args.out)})
     else:
-        print("\n".join([title, loop, *where]))
+        print("\n".join([title, loop, *where, answer]))
         print_table(facts, box=None, padding=(0, 2, 0, 0))
-        print(answer)
     if refused is not None:
         raise refused
     figures = _figures(data, made) if args.figures or args.report else {}
@@ -83,9 +82,9 @@ def run(args: Args) -> None:
 _CAPTIONS = {
     "joints": "Joint values over time; dashed: a limit that is near.",
     "error": "Norm of the error over time.",
-    "velocities": "Joint velocities, held during each step; dashed: a limit that is near.",
-    "status": "What was wrong in each step; an empty line is good.",
-    "tip": "Path of the tip, and of its target, in the base frame.",
+    "velocities": "Joint velocities, constant during each step; dashed: a limit that is near.",
+    "status": "Status of each step; an empty row means that no step had it.",
+    "tip": "Path of the tip and of its target in the base frame.",
 }
 
 
@@ -191,7 +190,7 @@ def _summary(made, trajectory, seconds):
     import numpy as np
 
     from cnclik.measure.metrics import measure_run
-    from cnclik.quantities import plainly
+    from cnclik.quantities import aloud, plainly
 
     law = made.law
     found = measure_run(trajectory, law, made.reference, ["max_qdot", "velocity_ratio", "chatter"])
@@ -203,32 +202,33 @@ def _summary(made, trajectory, seconds):
     rows += [] if trajectory.walls is None else _of_walls(trajectory, law)
     if trajectory.path_time is not None:
         done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
-        rows.append(("path", f"{done:.4g} s of it in {whole:.4g} s: it waits for the robot"))
+        rows.append(("path", f"{done:.4g} s of the path in {whole:.4g} s; the path waits for the robot"))
     rows.append(("steps", _counted(trajectory.status)))
     unit, share = found.units["max_qdot"], float(found.velocity_ratio)
     part = f"{100 * share:.3g} % of" if share < 10 else f"{plainly(share)} times"
     of = f", {part} a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
     rows.append(("joint velocity", f"up to {plainly(found.max_qdot)} {unit}{of}"))
-    late = "RMS joint speed that the next step reverses, second half of the run"
-    if made.pace is None or not made.pace.smooth:  # else no step takes speed back
-        rows.append(("chatter", f"{_number(found.chatter)} {found.units['chatter']} ({late})"))
+    what = "RMS joint velocity that reverses from one step to the next, second half of the run"
+    if made.pace is None or not made.pace.smooth:  # else no step reverses a velocity
+        rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
     rows.append(("time per step", f"{plainly(1e6 * seconds)} µs"))
     return rows
 
 
 def _of_task(name, run, task):
-    """Rows of what a task's error was, and of a stack's task how many of its steps have which status of its own."""
+    """Rows with the errors of a task and, in a stack, the number of steps with each status that the task has alone."""
     import numpy as np
 
     from cnclik.integrate.status import OWN
+    from cnclik.quantities import aloud
 
-    kinds = ("joint", "joint") if hasattr(task.parts[0], "wanted") else ("position", "rotation")
+    kinds = ("joint", "joint") if hasattr(task.parts[0], "wanted") else ("position", "orientation")
     for part, unit, some in zip(kinds, ("m", "rad"), (task.lengths, task.angles), strict=True):
         if some:
             size = np.linalg.norm(np.asarray(run.e, float)[:, some], axis=1)
             size = np.where(np.isfinite(size), size, np.inf)
-            rms, largest, last = map(_number, (np.sqrt(np.mean(size**2)), size.max(), size[-1]))
-            yield f"{name}{part} error", f"RMS {rms}, largest {largest}, last {last} {unit}"
+            rms, largest, last = (aloud(float(v), unit) for v in (np.sqrt(np.mean(size**2)), size.max(), size[-1]))
+            yield f"{name}{part} error", f"RMS {rms}, largest {largest}, last {last}"
     if name:
         yield f"{name}steps", _counted(np.asarray(run.status) & OWN)
 
@@ -259,7 +259,3 @@ def _counted(status) -> str:
     from cnclik.integrate.status import count
 
     return ", ".join(f"{k} {v}" for k, v in count(status).items() if v)
-
-
-def _number(value) -> str:
-    return f"{float(value):.4g}"

@@ -151,14 +151,14 @@ def _advice(args, found, rest):
 
 
 def _tell(args, advised):
-    """What to set, and how far the operating point is from what is not safe."""
+    """Print what was asked, the gains, and how far the present gain is from an unsafe one."""
     if args.json:
         print_json(_as_table(*advised))
         return
     found, rest, said = advised
-    asked = [f"Ts {1e3 * found.Ts:g} ms, {dead_time(found)}.", *start_and_target(found, table(args))]
-    asked += advice.rest_of(found, rest)
-    print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")  # what the numbers can't say comes before
+    asked = [f"{advice.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {dead_time(found)}."]
+    asked += [*start_and_target(found, table(args)), *advice.rest_of(found, rest)]
+    print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")
     for title, columns, rows in advice.tables_of(found, said, args.written):
         print_table(rows, columns, title=title)
     print(*advice.lines_of(found, said, args.written), sep="\n")
@@ -246,7 +246,7 @@ def _map(args, out, found, rest):
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     inside = agreement(endings, data.alpha.values, data.limit.values[:, None])
     seconds = time.perf_counter() - begun
-    print(f"{endings.size:,} loops in {seconds:.1f} s; agreement with the linear boundary: {inside:.2%}")
+    print(f"{endings.size:,} loops in {seconds:.1f} s; {inside:.2%} end as the linear stability limit predicts.")
     return figures, advised
 
 

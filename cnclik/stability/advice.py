@@ -97,12 +97,12 @@ def advise(
     drive: Drive | None = None,
     speed: float = SPEED,
 ) -> Advice:
-    """What to set on a robot: gains, what they cost, and the same for other libraries. In float64.
+    """Gains for a robot, what they cost, and settings for the same loop in other libraries. In float64.
 
     Args:
       law, reference, q: the loop at rest, as for `recommend`. Ts: sampling time [s]. method, stage: as for `solve`.
-      drive: what lies between command and motion; None: nothing is known of it. What is stable is then told of drives
-        that follow at once, and a gain is recommended for ASSUMED_DELAY of dead time and a lag of ASSUMED_LAG.
+      drive: what lies between command and motion; None: unknown. The stability limits are then those of drives without
+        delay, and a gain is recommended for a dead time of ASSUMED_DELAY and a lag of ASSUMED_LAG.
       speed: of the tip [m/s], for the joint velocities.
     Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself, or with
       some servos whose commands begin at the measured joints.
@@ -212,20 +212,20 @@ _MEASURE = (
 
 
 def _assumption(loop, drive, safe, chosen, Ts) -> str:
-    """What is taken for true of drives that nobody told of, and how to know better."""
+    """What is assumed of unknown drives, and how to measure them."""
     if drive is None:
         return (
             f"Assumed, as nothing is known of your drives: {1e3 * safe.delay * Ts:.3g} ms of dead time and a lag of "
-            f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} Drives that follow at once, as in "
-            "a simulation of kinematics alone: --delay 0."
+            f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} For drives without any delay, as in a "
+            "purely kinematic simulation, give --delay 0."
         )
     said, late = assumed_of(drive, Ts), drive.lumped.delay
     if not (said and late):
         return said
     lagging = min(chosen, removing(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
     return (
-        f"{said} Servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, would overshoot: at most "
-        f"{lagging:.3g} 1/s is for them. {_MEASURE}"
+        f"{said} With servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, a step would overshoot: "
+        f"use at most {lagging:.3g} 1/s for them. {_MEASURE}"
     )
 
 
@@ -234,25 +234,27 @@ def _reason(gains, chosen, drive) -> str:
         return "the largest gain that does not overshoot on the assumed drives, even with one more sample of dead time"
     if drive.feedback == "commanded":
         return (
-            "no overshoot, of the commands not even if the loop looked at them a sample late; it knows its own "
-            "commands only, so dead time doesn't limit it, and the robot follows them late"
+            "the commands do not overshoot, even if the loop uses them one sample late. The loop uses its own commands "
+            "only: dead time does not limit the gain, and the robot follows with that delay"
         )
     if chosen == MOST_Z < gains.z_recommended:
-        return f"no gain overshoots; more than z = {MOST_Z:g} gives noise more weight than it gains time"
+        return f"no gain overshoots; above z = {MOST_Z:g} noise increases more than the settling time decreases"
     late = drive.lumped.delay
     return f"the largest gain that does not overshoot, even with one more sample of dead time than the {late:g} given"
 
 
 def _left(loop, now) -> tuple:
-    """Whether the posture is one that the loop stays in."""
+    """A remark where the loop does not stay in this posture."""
     if loop.law.null_velocity is None or not loop.growing().any():
         return ()
     grows = f"a motion grows by {now.null_radius:.6g} each step, whatever the gain"
-    return (f"In the null space the arm leaves this posture by itself ({grows}): ask again where it comes to rest.",)
+    return (
+        f"In the null space the arm drifts away from this posture ({grows}). Ask again at the posture where it rests.",
+    )
 
 
 def _pulled(law, loop, alpha) -> tuple:
-    """What the null-space velocity, which is taken off at rest, leaves of an error."""
+    """A remark on the error that the null-space velocity, which is removed at rest, would leave."""
     if law.null_velocity is None:
         return ()
     velocity = np.asarray(drift_of_numbers(law, loop.held, loop.q))
@@ -260,27 +262,27 @@ def _pulled(law, loop, alpha) -> tuple:
     if pull / alpha < rest_tolerance(law.chain):
         return ()
     return (
-        f"The null-space velocity pulls at the task through this J#, by {pull:.3g} [m/s, rad/s]: about"
-        f" {pull / alpha:.3g} [m, rad] stay off at the recommended gain. pseudoinverse(), less damping or a slower one "
-        "mends it.",
+        f"With this J# the null-space velocity disturbs the task by {pull:.3g} [m/s, rad/s]: an error of about "
+        f"{pull / alpha:.3g} [m, rad] remains at the recommended gain. Use pseudoinverse(), less damping or a slower "
+        "null-space velocity.",
     )
 
 
 def _notes(loop, drive, chosen, Ts) -> tuple:
-    """What these numbers leave out."""
+    """Remarks on what these numbers ignore."""
     said = []
     if np.abs(np.imag(loop.modes(np.array([chosen]), Ts)[0])).max(initial=0.0) > 1e-9:
         said.append(
-            "The gain matrix turns the error as it shrinks it (complex eigenvalues): overshoot doesn't tell. "
-            "Go by the largest stable gain, and keep well below it."
+            "The gain matrix rotates the error (complex eigenvalues), so that overshoot says little. Keep well below "
+            "the largest stable gain."
         )
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
         said.append(
-            "Limits, noise and resolution of the drives have no part in this linear answer: `solve` shows them."
+            "This linear answer ignores limits, noise and resolution of the drives; `cnclik solve` simulates them."
         )
     if drive is not None and drive.feedback == "rebased":
         said.append(
-            f"Each position command begins at the measured joints: {REBASED}, and steady errors of the drives add up. "
+            f"Each position command starts at the measured joints: {REBASED}, and steady errors of the drives add up. "
             f"{WHERE}."
         )
     return tuple(said)

@@ -1,4 +1,4 @@
-"""Recommendations: what gain is safe at a sampling time, what sampling time at a gain, and how far off the edge is."""
+"""Recommendations: the safe gain at a sampling time, the safe sampling time at a gain, and the margin of a loop."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from cnclik.stability.spectrum import (
     spectrum_of,
 )
 
-REACH = 1e4  # z up to which is looked
-_MEASURED = "On a robot give `drive`, as `ck.fit_drive` finds it: real drives take a smaller gain."
+REACH = 1e4  # largest z that is considered
+_MEASURED = "For a robot give `drive`, as `ck.fit_drive` finds it: real drives need a smaller gain."
 
 
 @record
@@ -41,16 +41,16 @@ class Recommendation:
 
     Attributes:
       name: "alpha" or "Ts".
-      assumed: what is taken for true of drives that nobody described, in words; "" where a lag or a servo is given.
+      assumed: a sentence about the drives that are assumed; "" where a lag or a servo is given.
       largest: the largest stable value, of the law's alpha's shape; inf where every one is stable, 0 where none is,
         as with a null-space velocity that is unstable by itself.
       fastest: the value with the smallest spectral radius; inf where larger is faster without end.
       monotone: of alpha, the largest value without overshoot; None of Ts.
-      recommended: of alpha, the largest value without overshoot were the dead time a sample longer; None of Ts. It and
-        `monotone` are 0 where none is safe, as with some servos whose commands begin at the measured joints.
+      recommended: of alpha, the largest value that does not overshoot with one more sample of dead time; None of Ts. It
+        and `monotone` are 0 where none is safe, as with some servos whose commands start at the measured joints.
       z_largest, z_fastest, z_monotone, z_recommended: alpha·Ts there (largest |eigenvalue| of a gain matrix).
       radius: spectral radius at `fastest`: the factor by which a step then multiplies the error.
-      limit: what gives way first beyond `largest`, in words.
+      limit: what becomes unstable first beyond `largest`, in words.
       direction: (m,) the task direction in which it does.
       evaluations: evaluations of f that a step costs.
     """
@@ -92,7 +92,7 @@ class Margin:
       z_largest: where it becomes unstable.
       margin: z_largest/z, the factor by which alpha may still grow; below 1 the loop is unstable.
       radius: spectral radius now.
-      limit: what gives way first, in words.
+      limit: what becomes unstable first, in words.
     """
 
     z: float
@@ -104,7 +104,7 @@ class Margin:
 
 @record
 class Analysis:
-    """What stability says of a loop at rest, all of it.
+    """The whole stability analysis of a loop at rest.
 
     Attributes:
       gains: `Recommendation` of alpha at this Ts.
@@ -131,11 +131,11 @@ def recommend(
     drive: Drive = Drive(),
     reach: float = REACH,
 ) -> Recommendation:
-    """Which gain is safe at this sampling time; or, with Ts None, which sampling time at the law's gain. In float64.
+    """The safe gain at a sampling time; with Ts None, the safe sampling time at the law's gain. In float64.
 
     The spectral radius of the whole loop at rest (task directions, and null-space directions where a null-space
-    velocity moves them) is followed from small gains up to the first one above 1. It is a statement about small
-    errors; `certified_radius` and the measured maps say how far it carries.
+    velocity moves them) is followed from small gains up to the first gain where it exceeds 1. The result holds for
+    small errors; `certified_radius` and the measured maps say how large they may be.
 
     Args:
       law: its alpha, of any shape, is what is scaled.
@@ -143,8 +143,8 @@ def recommend(
       q: (n,) joint values at rest [rad, m], see `settle`.
       Ts: sampling time [s], or None.
       method, stage: as for `solve`.
-      drive: what lies between command and motion, see `Drive`; its limits and noise have no say in this.
-      reach: z up to which is looked.
+      drive: what lies between command and motion, see `Drive`; its limits and noise are ignored here.
+      reach: largest z that is considered.
     """
     return recommendation_of(loop_at_rest(law, reference, q, method, stage, drive), Ts, reach)
 
@@ -161,7 +161,7 @@ def margin(
     drive: Drive = Drive(),
     reach: float = REACH,
 ) -> Margin:
-    """The gain margin of a loop at rest: by which factor alpha may grow before it is unstable. In float64.
+    """The gain margin of a loop at rest: the factor by which alpha may grow until the loop is unstable. In float64.
 
     Args: as for `recommend`.
     """
@@ -249,7 +249,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
 
 
 def assumed_of(drive: Drive, Ts) -> str:
-    """What is taken for true where nothing but dead time is known of the drives; "" where more is, or none matters."""
+    """What is assumed of the drives where only their dead time is known; "" where more is known, or nothing matters."""
     late = drive.lumped.delay
     if drive.order or drive.feedback == "commanded":
         return ""
@@ -306,7 +306,7 @@ def _what_limits(loop, beyond, z_largest, astray) -> str:
     if callable(loop.law.null_velocity) and beyond.null_radius > max(beyond.radius, 1.0):
         return "limited by the null-space velocity"
     if not loop.drive.prompt and loop.drive.feedback != "commanded":
-        return "limited by dead time and drive: beyond, the error swings and grows"
+        return "limited by dead time and drive: beyond this limit the error oscillates and grows"
     worst = beyond.task[0]
     if abs(worst.imag) > 1e-6:
         change = f"the error turns by {abs(np.degrees(np.angle(worst))):.3g}° per step and grows"
@@ -314,4 +314,4 @@ def _what_limits(loop, beyond, z_largest, astray) -> str:
         change = "the error changes sign every step and grows" if worst.real < 0 else "the error grows"
     parts = zip(loop.law.task.names, beyond.direction, strict=True)
     along = ", ".join(f"{axis} {x:+.2f}" for axis, x in parts if abs(x) > 0.005)
-    return f"limited by {_how(loop)}: beyond, {change}, along {along}"
+    return f"limited by {_how(loop)}: beyond this limit {change}, along {along}"

@@ -1,4 +1,4 @@
-"""Settings: the same loop in other libraries, each with the feedback, the posture's gain and the lag that it has there.
+"""Settings of the same loop in other libraries, each with the feedback, posture gain and lag that it has there.
 
 Run in pink, mink and Placo, and in copies of the loops of Isaac Lab, MoveIt Servo and servoj: results/loops.
 """
@@ -16,11 +16,11 @@ LOOKAHEAD = 0.03  # [s], the least that a UR's servoj takes: a lag of its own
 # Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
 # the MuJoCo menagerie lag by k_v/k_p = 0.1 s, some by 0.2 s. Measured so: results/loops.
 ASSUMED_DELAY, ASSUMED_LAG = 0.03, 0.1  # [s]
-REBASED = "servos with ζ below 0.71 and dead time may swing or run away, and a smaller gain does not help"
-BEGINS = "each position target begins at the measured joints"
+REBASED = "servos with ζ below 0.71 and dead time may oscillate or run away, and a smaller gain does not help"
+BEGINS = "each position target starts at the measured joints"
 KNOWN = (
-    "Record a step of all joints, and ask again with what `cnclik diagnose LOG.csv --step` prints: natural frequency, "
-    "damping ratio and dead time decide"
+    "Record a step of all joints and ask again with the natural frequency, damping ratio and dead time that `cnclik "
+    "diagnose LOG.csv --step` prints"
 )
 MOST_Z = 1.0  # a recommended gain removes no more than 63 % of an error per step, or all of it by explicit Euler
 
@@ -39,21 +39,23 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     made = {}
     if measured:
         z = f"{measured:.4g}"
-        qp = f"gain {z} of FrameTask, and of PostureTask (1 if left out), dt={Ts:g}, where the configuration"
+        qp = (
+            f"FrameTask(gain={z}), the same gain for PostureTask (its default is 1), dt={Ts:g}, where the configuration"
+        )
         made |= {name: f"{qp} is measured; {own}" for name in ("pink", "mink")}
         made["Placo"] = (
-            f"each solve takes the whole error: give tasks a target {z} of the way from the measured state "
+            f"each solve removes the whole error, so give tasks a target at {z} of the way from the measured state "
             f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {own}"
         )
     of_velocities = ""
     if drive is not None and drive.order and drive.command == "velocity":
-        of_velocities = f"what is given is of velocity servos. {KNOWN}"
+        of_velocities = f"the drive that you gave is a velocity servo. {KNOWN}"
     if of_velocities:
-        made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {of_velocities}"
+        made["Isaac Lab"] = f"no k_val can be given: {BEGINS}, and {of_velocities}"
     elif drive is None or (drive.order == 0 and not drive.prompt):
-        made["Isaac Lab"] = f"no k_val is named: {BEGINS}, and {REBASED}. {KNOWN}"
+        made["Isaac Lab"] = f"no k_val can be given: {BEGINS}, and {REBASED}. {KNOWN}"
     elif again is not None and drive.order and runs_away(again, Ts):
-        made["Isaac Lab"] = f"no k_val is safe: {BEGINS}, and with this servo that may swing or run away. {WHERE}"
+        made["Isaac Lab"] = f"no k_val is safe: {BEGINS}, and this servo may then oscillate or run away. {WHERE}"
     elif rebased:
         made["Isaac Lab"] = (
             f'DifferentialIKControllerCfg(ik_method="pinv", ik_params={{"k_val": {rebased:.4g}}}): '
@@ -61,17 +63,17 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
         )
     if measured:
         made["MoveIt Servo"] = (
-            f"publish_period: {Ts:g}; publish_joint_velocities: true, publish_joint_positions: false (a position would "
-            "begin at the measured joints: another loop); pose tracking: x, y, z and angular_proportional_gain: "
+            f"publish_period: {Ts:g}; publish_joint_velocities: true, publish_joint_positions: false (positions would "
+            "start at the measured joints: another loop); pose tracking: x, y, z and angular_proportional_gain: "
             f"{measured / Ts:.4g}"
         )
     if of_velocities:
-        made["UR servoj"] = f"no alpha is named: servoj takes positions, and {of_velocities}"
+        made["UR servoj"] = f"no alpha can be given: servoj takes positions, and {of_velocities}"
     elif servoj:
         made["UR servoj"] = (
-            f"alpha = {servoj / Ts:.4g} 1/s, error and J of the measured joints; q_cmd += qdot*{Ts:g}, from the last "
-            f"q_cmd and not from the measured joints; servoj(q_cmd, t={Ts:g}, lookahead_time={LOOKAHEAD:g}), whose lag "
-            "is in this alpha"
+            f"alpha = {servoj / Ts:.4g} 1/s, with error and J at the measured joints; q_cmd += qdot*{Ts:g}, from the "
+            f"last q_cmd and not the measured joints; servoj(q_cmd, t={Ts:g}, lookahead_time={LOOKAHEAD:g}), whose lag "
+            "is accounted for"
         )
     return made
 

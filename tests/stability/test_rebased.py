@@ -135,9 +135,9 @@ def test_numbers_of_velocity_servos_are_none_of_a_position_servo():
             advise(LAW, None, Q, Ts=0.01, method="EE", drive=Drive(delay=2, command=command, **numbers)).settings
             for command in ("velocity", "position")
         ]
-        assert "of velocity servos" in lines[0]["Isaac Lab"] and "ik_params" not in lines[0]["Isaac Lab"]
+        assert "a velocity servo" in lines[0]["Isaac Lab"] and "ik_params" not in lines[0]["Isaac Lab"]
         assert "ik_params" in lines[1]["Isaac Lab"] and "MoveIt Servo" in lines[0]
-        assert "of velocity servos" in lines[0]["UR servoj"] and "no alpha is named" in lines[0]["UR servoj"]
+        assert "a velocity servo" in lines[0]["UR servoj"] and "no alpha can be given" in lines[0]["UR servoj"]
         assert lines[1]["UR servoj"].startswith("alpha = ")
 
 

@@ -232,8 +232,8 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     for words in (
         "│ right",
         "2.98 of 3",
-        "right has the least room",
-        "Above what is recommended: left, right",
+        "right has the smallest margin",
+        "Above the recommended gain: left, right",
         "Levels leak",
     ):
         assert words in told
