@@ -54,7 +54,7 @@ def table(args) -> dict:
     """The problem's part of a verb's options as a flat table, what was left out left out."""
     names = {name: name + "_" * keyword.iskeyword(name) for name in SWEPT}
     given = {name: getattr(args, field, None) for name, field in names.items()}
-    return {name: value for name, value in given.items() if value is not None}
+    return {name: value for name, value in given.items() if value not in (None, [])}
 
 
 def problem(args, **others):

@@ -216,7 +216,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
     if drive is None:
         return (
             f"Assumed, as nothing is known of your drives: {1e3 * safe.delay * Ts:.3g} ms of dead time and a lag of "
-            f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} For drives without any delay, as in a "
+            f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} For drives without delay, as in a "
             "purely kinematic simulation, give --delay 0."
         )
     said, late = assumed_of(drive, Ts), drive.lumped.delay

@@ -40,7 +40,7 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     if measured:
         z = f"{measured:.4g}"
         qp = (
-            f"FrameTask(gain={z}), the same gain for PostureTask (its default is 1), dt={Ts:g}, where the configuration"
+            f"FrameTask(gain={z}), the same gain for PostureTask (1 if left out), dt={Ts:g}, where the configuration"
         )
         made |= {name: f"{qp} is measured; {own}" for name in ("pink", "mink")}
         made["Placo"] = (

@@ -154,4 +154,4 @@ def test_plane_writes_the_limits_of_every_M_and_of_late_errors(tmp_path, capsys)
 def test_a_loop_too_slow_to_settle_is_not_said_to_settle(capsys):
     main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "6", "--lag", "40"])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "does not settle to within 2 % in the time that was looked at" in shown and "inf" not in shown
+    assert "does not settle to within 2 % in the simulated time" in shown and "inf" not in shown

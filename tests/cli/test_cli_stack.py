@@ -38,7 +38,7 @@ def test_solve(stack, tmp_path, capsys):
     main(["solve", str(BAXTER), "--stack", stack, "--N", "40", "--csv", "--out", str(out), "--report", str(page)])
     shown = " ".join(capsys.readouterr().out.split())
     for words in (
-        "baxter, tasks hands, rest, N = 40 steps of Ts = 10 ms EXP-MIDPOINT, levels Start: q0",
+        "baxter, tasks hands, rest, N = 40 steps of Ts = 10 ms EXP-MIDPOINT, levels; no dead time given Start: q0",
         "hands: x y z rx ry rz of left_gripper and right_gripper, level 1 of 2 (Damped, λ = 0.001); alpha = 10 1/s, z",
         "z = 0.1; circle from 0.6987",
         "rest: 14 joints, level 2 of 2 (Damped, λ = 0.1); alpha = 1 1/s, z = 0.01; hold (default).",
