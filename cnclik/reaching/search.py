@@ -110,7 +110,8 @@ def advance(of: Given, pose, near, bounds, roots, own: Try) -> Try:
     on = ends & ~within & ~at.arrived & short & close  # some more steps
     most = jnp.where(on, own.most + SLOW, own.most)
     inward = ends & within & own.free
-    q = jnp.clip(turned(at.best, 0.0 if near is None else near, of.asked.periods, *bounds, jnp), *bounds)
+    low, high = bounds
+    q = jnp.clip(turned(at.best, 0.0 if near is None else near, of.asked.periods, low, high, jnp), low, high)
     again = begin(q.astype(at.q.dtype), 0.0 * at.trust)._replace(looks=at.looks)
     new = Try(at, step, most, own.careful | on, own.free, ends & ~on, ends & within)
     new = choose(inward, Try(again, 0 * step, 0 * step + CAREFUL, own.careful, ~inward, ~inward, ~inward), new)
