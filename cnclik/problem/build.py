@@ -122,7 +122,7 @@ def problem_from(
     asked = None if tasks is None else Written(tasks, walls or {})
     if "stack" in given:
         if tasks is not None:
-            raise errors.fail("tasks", "be left out where `stack` is given", f"are {', '.join(tasks)}")
+            raise errors.fail("tasks", "be left out where `stack` is given", "is given")
         asked = read_stack(given["stack"])
     if walls and (asked is None or "stack" in given):
         raise errors.fail("walls", "come with `tasks`, or stand in the file of `stack`", f"are {', '.join(walls)}")
