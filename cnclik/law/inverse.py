@@ -192,7 +192,7 @@ def damped_apply(rows, shift):
         alike = jnp.sqrt(least / shift)
         apply, factor, made = damped_apply(alike[:, None] * rows, least)
         return lambda t: apply(alike * t), factor, shift * (made / least)
-    wide = dense.wide_side(rows)
+    wide = rows if m <= n else rows.T[::-1]  # the last joints first: along a tree nothing is filled in
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
     shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
@@ -201,7 +201,7 @@ def damped_apply(rows, shift):
         return lambda t: dense.cholesky_solve(factor, t) @ rows, factor, shift
 
     # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: dense.cholesky_solve(factor, wide @ t), factor, shift
+    return lambda t: dense.cholesky_solve(factor, wide @ t)[::-1], factor, shift
 
 
 def tiny_shift(rows):
