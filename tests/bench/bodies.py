@@ -164,7 +164,9 @@ def mink_run(truth, seen):
                 turn = mink.SO3.from_matrix(one[:, :3])
                 tasks[tip].set_target(mink.SE3.from_rotation_and_translation(turn, one[:, 3]))
             for _ in range(STEPS):
-                velocity = mink.solve_ik(configuration, list(tasks.values()), TS, "daqp", damping=DAMPING[1] ** 2, limits=limits)
+                velocity = mink.solve_ik(
+                    configuration, list(tasks.values()), TS, "daqp", damping=DAMPING[1] ** 2, limits=limits
+                )
                 configuration.integrate_inplace(velocity, TS)
             q = np.zeros(G1.n)
             q[BASE:] = configuration.q[at]
