@@ -159,7 +159,7 @@ def _none(value) -> bool:
 
 
 def _check(name, value, *, zero):
-    value = errors.array(name, value, (), (None,), most=LARGEST)
+    value = errors.array(name, value, (), (None,), (None, 1), most=LARGEST)
     if not errors.concrete(value):
         return value
     known = np.asarray(value, float)
@@ -174,7 +174,7 @@ def check_drive(drive, n: int) -> Drive:
     """The drive; raises ArgumentError unless it is a `Drive` whose arrays fit a chain of n joints."""
     errors.kind("drive", drive, Drive, "be Drive(...)")
     for name in _QUANTITIES:
-        if np.ndim(getattr(drive, name)) == 1:
+        if np.ndim(getattr(drive, name)):
             errors.array(name, getattr(drive, name), (n,))
     return drive
 
@@ -205,6 +205,12 @@ class Sampled:
         """States (..., n, s) a sample later, from those before, the commands on the way (the newest first), and u."""
         x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
         return x if self.late is None else x + self.late * line[self.whole][..., None]
+
+    def beside(self, axes: int):
+        """Several drives, beside which are so many more axes."""
+        at = tuple(range(-2 - axes, -2)), tuple(range(-1 - axes, -1))
+        late = None if self.late is None else np.expand_dims(self.late, at[1])
+        return replace(self, phi=np.expand_dims(self.phi, at[0]), now=np.expand_dims(self.now, at[1]), late=late)
 
     def transfer(self, at):
         """Of the motion over the command, at points of the plane (...), of a drive that is one for all joints."""

@@ -17,11 +17,8 @@ from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.stability.bounds import LimitAdvice, limit_advice, wall_advice
-from cnclik.stability.driven import (
-    POINTS,
-    SPARE,
-    driven_limits,
-)
+from cnclik.stability.driven import POINTS, driven_limits
+from cnclik.stability.drives import SPARE
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.loop import loop_at_rest

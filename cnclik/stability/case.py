@@ -16,7 +16,8 @@ from cnclik.law.walls import names_of
 from cnclik.quantities import aloud
 from cnclik.record import replace
 from cnclik.robot.posture import beyond_arm
-from cnclik.stability.driven import each_drive, modes_of, overshoot
+from cnclik.stability.driven import modes_of, overshoot
+from cnclik.stability.drives import side_by_side
 from cnclik.stability.local import Instant, maps, radii, resting, targets
 from cnclik.stability.observed import OFTEN, Observed, observe, rms
 from cnclik.stability.reasons import SLOWEST
@@ -334,7 +335,7 @@ def _at_rest(law, end, e, Ts, method, stage, drive) -> dict:
     else:
         radius = float(radii(*rest, np.ones(1), Ts, method, stage, drive)[0])
         steps = modes_of(moved, directions(rows)[2], Drive())[0]
-        beyond = max(overshoot(steps, one, Ts) for one in each_drive(drive)) if radius < 1 else 1.0
+        beyond = overshoot(steps, side_by_side(drive), Ts) if radius < 1 else 1.0
     slowest = _slowest(moved[0], rows, e) if drive.prompt and method.steps == 1 else radius
     fold = 1 / max(abs(np.log(max(radius if radius > 1 else slowest, 1e-3))), 1 / SLOWEST)
     return dict(rows=rows, radius=radius, null_radius=found.null_radius, overshoot=float(beyond), fold=float(fold))

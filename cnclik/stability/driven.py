@@ -8,18 +8,18 @@ together are one matrix. With one drive for all joints each eigenvector of Dⱼ 
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import MOST, Drive, sampled
+from cnclik.integrate.drive import Drive, sampled
 from cnclik.integrate.method import DEFAULT
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import record
 from cnclik.robot.rotations import library
+from cnclik.stability.drives import longer, own_drives, several, side_by_side
 from cnclik.stability.linear import EPS, REACH, amplification, checked, first_above, least_on
 
 SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
 _ZERO = 1e-9  # a factor below this is none
 SWING = 1e-4  # share of a factor by which it may be off the real axis: where two meet rounding parts them
 OVERSHOOT = 0.01  # of a step, up to which it counts as none
-SPARE = 1.0  # samples of dead time beyond the known ones under which a recommended gain still has no overshoot
 WORK = 1e6  # of eigenvalues looked at together: their number times the cube of the matrix's size
 POINTS = 128  # values of z that are looked at together, at most
 FAR = 1e12  # times the input, beyond which a response is not followed
@@ -50,6 +50,8 @@ def loop_matrix(steps, drive: Drive, Ts: float):
     the joint values that the method remembers.
     """
     model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], library(steps)
+    if several(drive):  # beside them are the modes; then come unit vectors and joints
+        model = model.beside(2)
     count = model.size + drive.adds_up + model.remembered + p - 1
     units = np.eye(n * count)
     x = units[:, : n * model.size].reshape(-1, n, model.size)
@@ -73,8 +75,11 @@ def looked_at_drive(drive) -> Drive:
 
 
 def driven_factors(steps, drive: Drive, Ts: float):
-    """All factors (..., S) of modes whose step is Σⱼ Dⱼ y[k−j], D (..., p), one drive for all joints."""
-    return np.linalg.eigvals(loop_matrix(np.asarray(steps)[..., None, None], looked_at_drive(drive), Ts))
+    """All factors (..., S) of modes whose step is Σⱼ Dⱼ y[k−j], D (..., p), one drive for all joints; (..., d, r, S) of
+    modes (..., r, p) through each of several, see `side_by_side`."""
+    steps = np.asarray(steps)
+    steps = steps[..., None, :, :] if several(drive) else steps
+    return np.linalg.eigvals(loop_matrix(steps[..., None, None], looked_at_drive(drive), Ts))
 
 
 def modes_of(moved, basis, drive):
@@ -122,7 +127,7 @@ def _all_factors(steps, drive, Ts):
         np.put_along_axis(found, still, 0.0, -1)
     else:
         found = driven_factors(steps, drive, Ts)
-        found = found.reshape(*found.shape[:-2], -1)
+        found, finite = found.reshape(*found.shape[:-2], -1), finite[..., None] if several(drive) else finite
     return np.where(finite[..., None], found, np.inf)
 
 
@@ -133,28 +138,28 @@ def _idle(steps) -> int:
     return int(np.sum(size <= 1e-9 * np.maximum(size[:, :1], _ZERO), -1).min(initial=newest.shape[-1]))
 
 
-def own_drives(drive) -> bool:
-    """Whether joints differ in their drives."""
-    return any(np.ndim(v) == 1 for v in (drive.lag, drive.natural_frequency, drive.damping_ratio))
-
-
 def swings(steps, drive, Ts):
-    """How far the slowest factor is from one of an error that keeps its sign: |Im λ|/|λ|, or 2 for a negative λ."""
-    found = _all_factors(steps, drive, Ts)
+    """How far the slowest factor is from one of an error that keeps its sign: |Im λ|/|λ|, or 2 for a negative λ; of
+    several drives the worst."""
+    found = _all_factors(_outermost_of_each(steps), drive, Ts)
     size = np.abs(found)
     slowest = size >= size.max(-1, keepdims=True) * (1 - 1e-6)
     with np.errstate(all="ignore"):
         off = np.where(found.real < 0, 2.0, np.abs(found.imag)) / np.where(found.real < 0, 1.0, np.maximum(size, EPS))
     off = np.where(np.isfinite(found) & (size > _ZERO), off, np.where(np.isfinite(found), 0.0, np.inf))
-    return np.where(slowest, off, 0.0).max(-1)
+    return np.where(slowest, off, 0.0).max((-2, -1) if several(drive) else -1)
 
 
 def damping_ratio(steps, drive, Ts) -> float:
-    """ζ of the slowest factor of the modes (r, p): −ln|λ|/|ln λ|, 1 of a real positive one, 0 at the edge."""
-    found = _all_factors(steps[None], drive, Ts).ravel()
-    slowest = found[np.abs(found) >= np.abs(found).max() * (1 - 1e-6)]
-    turn, fall = np.abs(np.angle(slowest)).max(), -np.log(max(np.abs(slowest).max(), _ZERO))
-    return float(fall / np.hypot(fall, turn)) if turn > SWING else 1.0
+    """ζ of the slowest factor of the modes (r, p): −ln|λ|/|ln λ|, 1 of a real positive one, 0 at the edge; of several
+    drives the least."""
+    found = _all_factors(steps[None], drive, Ts)
+    least = 1.0
+    for one in found.reshape(-1, found.shape[-1]):
+        slowest = one[np.abs(one) >= np.abs(one).max() * (1 - 1e-6)]
+        turn, fall = np.abs(np.angle(slowest)).max(), -np.log(max(np.abs(slowest).max(), _ZERO))
+        least = min(least, float(fall / np.hypot(fall, turn)) if turn > SWING else 1.0)
+    return least
 
 
 # --- limits -------------------------------------------------------------------------------------------
@@ -183,29 +188,9 @@ def looked_at(drive, size: float) -> int:
     return int(np.clip(WORK / (size + drive.lumped.delay) ** 3, 16, POINTS))
 
 
-def longer(drive) -> Drive:
-    """The drive with the dead time that a recommended gain is safe for."""
-    if drive.feedback == "commanded":  # the loop itself has none
-        return Drive(delay=SPARE)
-    if (late := drive.lumped.delay) > MOST - SPARE:
-        raise errors.fail("delay", f"be at most {MOST - SPARE:g} samples where a gain is recommended", f"is {late:g}")
-    return replace(drive, delay=drive.delay + SPARE)
-
-
-def each_drive(drive) -> list:
-    """The drives of the joints that differ, each as one for all joints."""
-    names = ("natural_frequency", "damping_ratio") if drive.order == 2 else ("lag",)
-    count = max([len(v) for name in names if np.ndim(v := getattr(drive, name)) == 1], default=0)
-    if not count:
-        return [drive]
-    values = np.stack([np.broadcast_to(np.nan if (v := getattr(drive, name)) is None else v, count) for name in names])
-    given = [name for name in names if np.ndim(getattr(drive, name)) or getattr(drive, name) not in (None, 0.0)]
-    found = np.unique(values, axis=1).T
-    return [replace(drive, **{name: np.asarray(one[names.index(name)]) for name in given}) for one in found]
-
-
 def monotone_limit(modes, drive, Ts, stable, reach, points):
-    """Largest z up to `stable` without overshoot, see `DrivenLimits`, of one drive for all joints.
+    """Largest z up to `stable` without overshoot, see `DrivenLimits`, through one drive for all joints, or the least
+    through each of several.
 
     Args:
       modes: modes(z) for z (k,) are the loop's (k, r, p), see `driven_factors`.
@@ -237,13 +222,19 @@ def driven_limits(method=DEFAULT, stage=None, *, Ts: float, drive: Drive = Drive
     errors.number("Ts", Ts, positive=True)
     if own_drives(drive):
         raise errors.fail("drive", "be one for all joints (`advise` takes one for each)", "has several numbers")
-    Ts, points = float(Ts), looked_at(drive, 2)
+    return _limits(method, stage, float(Ts), drive)
+
+
+def _limits(method, stage, Ts, drive) -> DrivenLimits:
+    """Of one drive, or the least of several."""
+    points = looked_at(drive, 2)
 
     def modes(z):
         return increments(method, stage, z)[..., None, :]
 
     def size(z):
-        return radius(modes(z), drive, Ts)
+        found = radius(modes(z), drive, Ts)
+        return found.max(-1) if several(drive) else found
 
     stable = first_above(size, 1 + SLACK, REACH, points)
     fastest, rate = least_on(size, min(stable, REACH), points)
@@ -259,28 +250,31 @@ def driven_limits(method=DEFAULT, stage=None, *, Ts: float, drive: Drive = Drive
 
 def least_limits(method, stage, Ts: float, drive: Drive) -> dict:
     """The least of `driven_limits` of the joints' drives, each as one for all: stable, monotone, recommended."""
-    each = [driven_limits(method, stage, Ts=Ts, drive=one) for one in each_drive(drive)]
-    return {name: min(getattr(one, name) for one in each) for name in ("stable", "monotone", "recommended")}
+    method, stage = checked(method, stage)
+    found = _limits(method, stage, Ts, side_by_side(drive))
+    return {name: getattr(found, name) for name in ("stable", "monotone", "recommended")}
 
 
 # --- responses ----------------------------------------------------------------------------------------
 
 
 def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
-    """A mode in time, from rest at 0: motion q (N + 1,), and steps (N,); of several modes (N + 1, r), (N, r).
+    """A mode in time, from rest at 0: motion q (N + 1,), and steps (N,); of several modes (N + 1, r), (N, r), and of
+    several drives (N + 1, d, r), (N, d, r).
 
     Args:
       steps: (p,) D of the mode, or (r, p). target: (N,) where it is to be. forward: velocity that is fed forward, a
         number or (r,). noise: (N,) added to what is measured, or None.
     """
     drive, each, one = drive.lumped, np.atleast_2d(np.asarray(steps, float)).T, np.ndim(steps) == 1
-    model, N, r = sampled(drive, Ts), len(target), each.shape[1]
-    x, sent = np.zeros((r, model.size)), np.zeros(r)
-    line, past = (np.zeros(r),) * model.remembered, [np.zeros(r)] * len(each)
-    q, asked = np.zeros((N + 1, r)), np.zeros((N, r))
+    model, N = sampled(drive, Ts), len(target)
+    shape = np.broadcast_shapes(model.now.shape[:-1], each.shape[1:])
+    x, sent = np.zeros((*shape, model.size)), np.zeros(shape)
+    line, past = (np.zeros(shape),) * model.remembered, [np.zeros(shape)] * len(each)
+    q, asked = np.zeros((N + 1, *shape)), np.zeros((N, *shape))
     with np.errstate(all="ignore"):  # what grows ends as inf
         for k in range(N):
-            seen = sent if drive.feedback == "commanded" else x[:, 0]
+            seen = sent if drive.feedback == "commanded" else x[..., 0]
             looked = seen if noise is None or drive.feedback == "commanded" else seen + noise[k]
             now = looked - target[k]
             past = [now, *past[:-1]] if k else [now] * len(past)
@@ -288,7 +282,7 @@ def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
             sent = (looked if drive.feedback == "rebased" else sent) + asked[k]
             u = sent if drive.steps_positions else asked[k] / Ts
             x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
-            q[k + 1] = x[:, 0]
+            q[k + 1] = x[..., 0]
         found = tuple(np.where(np.abs(v) < FAR, v, np.inf) for v in (q, asked))
     return (found[0][:, 0], found[1][:, 0]) if one else found
 
@@ -303,9 +297,9 @@ def until_settled(steps, drive, Ts, share=1e-3) -> int:
 
 
 def _answers(steps, drive, Ts):
-    """What each of the modes (r, p) makes of a step of the target (r, N + 1)."""
+    """What each of the modes (r, p), through each drive, makes of a step of the target (d·r, N + 1)."""
     N = until_settled(steps, drive, Ts) if len(steps) else 0
-    return respond(steps.real, drive, Ts, np.ones(N))[0].T
+    return respond(steps.real, drive, Ts, np.ones(N))[0].reshape(N + 1, -1).T
 
 
 def overshoot(steps, drive, Ts) -> float:
@@ -345,6 +339,14 @@ def outermost(steps):
     if np.imag(steps).any() or len(steps) < 2:
         return np.unique(np.round(steps, 9), axis=0)
     return steps[np.argsort(np.real(steps).sum(-1))[[-1, 0]]]
+
+
+def _outermost_of_each(steps):
+    """Of modes (k, r, p) that are real the slowest and the fastest, (k, 2, p)."""
+    if np.imag(steps).any() or steps.shape[-2] < 3:
+        return steps
+    order = np.argsort(np.real(steps).sum(-1), -1)[..., [0, -1], None]
+    return np.take_along_axis(steps, order, -2)
 
 
 def noise_limit(most: float, drive: Drive, Ts: float) -> float:

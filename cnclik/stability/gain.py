@@ -8,7 +8,6 @@ from cnclik.record import record
 from cnclik.stability.driven import (
     damping_ratio,
     delay_margin,
-    each_drive,
     noise_gain,
     outermost,
     overshoot,
@@ -16,6 +15,7 @@ from cnclik.stability.driven import (
     settling,
     until_settled,
 )
+from cnclik.stability.drives import each_drive, side_by_side
 
 KEPT = 1e-3  # share of a speed up to which a lag is settled
 
@@ -52,26 +52,23 @@ class Gain:
 
 def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
     """Of modes (r, p), see `modes_of`. Args: z_largest: the largest stable z."""
-    each = [_through(steps, one, Ts) for one in each_drive(drive)]
-    least = "delay_margin", "damping_ratio"
-    worst = {name: (min if name in least else max)(one[name] for one in each) for name in each[0]}
-    return Gain(alpha=z / Ts, z=z, gain_margin=z_largest / z, **worst)
-
-
-def _through(steps, drive, Ts) -> dict:
-    motion, speed = noise_gain(steps, drive, Ts)
-    behind, forward, start = _following(outermost(steps), drive, Ts)
-    return {
-        "damping_ratio": damping_ratio(steps, drive, Ts),
-        "overshoot": overshoot(steps, drive, Ts),
-        "settling_time": settling(steps, drive, Ts),
-        "delay_margin": delay_margin(steps, drive, Ts),
-        "noise_gain": motion,
-        "velocity_noise_gain": speed,
-        "lag": behind,
-        "lag_fed_forward": forward,
-        "start_error": start,
-    }
+    several = side_by_side(drive)
+    motion, speed = noise_gain(steps, several, Ts)
+    behind, forward, start = _following(outermost(steps), several, Ts)
+    return Gain(
+        alpha=z / Ts,
+        z=z,
+        damping_ratio=damping_ratio(steps, several, Ts),
+        overshoot=overshoot(steps, several, Ts),
+        settling_time=settling(steps, several, Ts),
+        gain_margin=z_largest / z,
+        delay_margin=min(delay_margin(steps, one, Ts) for one in each_drive(drive)),
+        noise_gain=motion,
+        velocity_noise_gain=speed,
+        lag=behind,
+        lag_fed_forward=forward,
+        start_error=start,
+    )
 
 
 def _following(steps, drive, Ts) -> tuple:
@@ -79,7 +76,7 @@ def _following(steps, drive, Ts) -> tuple:
     N, r = until_settled(steps, drive, Ts, KEPT), len(steps)
     target = Ts * np.arange(N + 1)
     q = respond(np.concatenate([steps, steps]).real, drive, Ts, target[:-1], np.repeat([0.0, 1.0], r))[0]
-    late = target[:, None] - q
-    most = np.abs(late[:, r:]).max(0)
-    at_last = np.where(np.abs(late[-1, r:]) < KEPT * most, 0.0, late[-1, r:])
-    return float(late[-1, :r].max()), float(at_last.max()), float(most.max())
+    late = target.reshape(-1, *(1,) * (q.ndim - 1)) - q
+    most = np.abs(late[..., r:]).max(0)
+    at_last = np.where(np.abs(late[-1, ..., r:]) < KEPT * most, 0.0, late[-1, ..., r:])
+    return float(late[-1, ..., :r].max()), float(at_last.max()), float(most.max())

@@ -19,7 +19,8 @@ from cnclik.law.reference import Reference, of_each
 from cnclik.precision import of_numbers
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import alike, looked_at, modes_of, own_drives, radius
+from cnclik.stability.driven import alike, looked_at, modes_of, radius
+from cnclik.stability.drives import own_drives
 from cnclik.stability.linear import checked
 from cnclik.stability.rates import Rates, rates_of
 from cnclik.stability.spectrum import (

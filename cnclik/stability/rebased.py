@@ -10,7 +10,7 @@ limits leave little of them.
 import numpy as np
 
 from cnclik.integrate.drive import Drive
-from cnclik.stability.driven import SPARE, each_drive
+from cnclik.stability.drives import SPARE, each_drive
 
 INERTIA = 2.0  # factor between a joint's inertia as it was measured, and in another posture or beside other joints
 SHARES = np.geomspace(1 / INERTIA, INERTIA, 33)  # of that inertia

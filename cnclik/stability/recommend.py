@@ -15,14 +15,8 @@ from cnclik.quantities import in_samples
 from cnclik.record import in_words, record
 from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.stability import rebased
-from cnclik.stability.driven import (
-    SLACK,
-    each_drive,
-    longer,
-    looked_at,
-    monotone_limit,
-    radius,
-)
+from cnclik.stability.driven import SLACK, looked_at, monotone_limit, radius
+from cnclik.stability.drives import longer, side_by_side
 from cnclik.stability.linear import delay_limit, first_above, least_on
 from cnclik.stability.loop import LoopAtRest, loop_at_rest
 from cnclik.stability.spectrum import (
@@ -271,10 +265,7 @@ def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:
 def without_overshoot(loop, drive, Ts, most, reach) -> float:
     """Largest z up to `most` without overshoot through a drive, see `DrivenLimits`; of several the slowest joint's."""
     prompt = loop._replace(drive=Drive())
-    each = each_drive(drive)
-    return min(
-        monotone_limit(lambda z: prompt.modes(z, Ts)[0], one, Ts, most, reach, looked_at(one, 3)) for one in each
-    )
+    return monotone_limit(lambda z: prompt.modes(z, Ts)[0], side_by_side(drive), Ts, most, reach, looked_at(drive, 3))
 
 
 LATE = 2  # samples, from which on exponential steps have a limit

@@ -7,7 +7,8 @@ import numpy as np
 
 from cnclik.integrate.drive import MOST, Drive
 from cnclik.record import replace
-from cnclik.stability.driven import SPARE, longer, settling
+from cnclik.stability.driven import settling
+from cnclik.stability.drives import SPARE, longer
 from cnclik.stability.rebased import WHERE, runs_away
 from cnclik.stability.recommend import without_overshoot
 

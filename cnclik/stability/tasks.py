@@ -16,7 +16,8 @@ from cnclik.integrate.drive import Drive
 from cnclik.law.inverse import Levels, Transpose
 from cnclik.record import record
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import SLACK, increments, least_limits, own_drives, radius
+from cnclik.stability.driven import SLACK, increments, least_limits, radius
+from cnclik.stability.drives import own_drives
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.rates import Rates, steps_of

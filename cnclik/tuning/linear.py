@@ -10,15 +10,8 @@ from cnclik.integrate.drive import Drive
 from cnclik.law.law import weighted_gain
 from cnclik.record import replace
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.stability.driven import (
-    driven_limits,
-    each_drive,
-    looked_at_drive,
-    loop_matrix,
-    modes_of,
-    noise_limit,
-    radius,
-)
+from cnclik.stability.driven import driven_limits, looked_at_drive, loop_matrix, modes_of, noise_limit, radius
+from cnclik.stability.drives import each_drive
 from cnclik.stability.linear import at_rest_as, stepped
 from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.rates import parts_at_rest

@@ -22,7 +22,8 @@ from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot.model import one_off
 from cnclik.shapes import AnyArray, Array, ArrayLike, Float
-from cnclik.stability.driven import delay_margin, each_drive, noise_gain, radius
+from cnclik.stability.driven import delay_margin, noise_gain, radius
+from cnclik.stability.drives import each_drive
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
 from cnclik.tuning import linear

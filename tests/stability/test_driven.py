@@ -15,6 +15,7 @@ from cnclik.stability.driven import (
     delay_margin,
     driven_factors,
     increments,
+    least_limits,
     noise_gain,
     noise_limit,
     open_loop,
@@ -23,6 +24,7 @@ from cnclik.stability.driven import (
     respond,
     settling,
 )
+from cnclik.stability.drives import each_drive, side_by_side
 
 Ts = 0.002
 SERVO = Drive(natural_frequency=23.25, damping_ratio=2.325, command="position")
@@ -92,6 +94,35 @@ def test_factors_are_those_of_scipy(name):
     loop[:n, :n], loop[:n, n + 1], loop[n], loop[n + 1, n] = phi, gamma[:, 0], command, 1.0
     found = driven_factors(steps(z), drive, Ts)[0]
     np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(np.linalg.eigvals(loop))), atol=1e-6)
+
+
+SEVERAL = {
+    "lag": Drive(lag=np.array([0.02, 0.05, 0.02, 0.01]), delay=1.3),
+    "servo": Drive(natural_frequency=np.array([60.0, 30.0]), damping_ratio=np.array([0.3, 0.9]), delay=2),
+    "positions": Drive(natural_frequency=np.array([40.0, 25.0]), damping_ratio=0.7, command="position", delay=0.5),
+    "rebased": Drive(lag=np.array([0.01, 0.03]), command="position", feedback="rebased", delay=1),
+    "commanded": Drive(lag=np.array([0.01, 0.03]), command="position", feedback="commanded", delay=2),
+}
+
+
+@pytest.mark.parametrize(("name", "method"), [*((name, "EE") for name in SEVERAL), ("lag", "AB2")])
+def test_several_drives_side_by_side_are_each_by_itself(name, method):
+    """Limits and responses, the worst of the joints' drives; a humanoid with one for each took a minute of CPU time."""
+    drive, z = SEVERAL[name], np.array([0.002, 0.01, 0.03])
+    each, modes, several = each_drive(drive), increments(method, None, z), side_by_side(drive)
+    assert len(each) == len(np.unique(drive.lag if drive.order == 1 else drive.natural_frequency))
+    found, alone = (responses_of(modes, one) for one in (several, *each[:1]))
+    every = [alone, *(responses_of(modes, one) for one in each[1:])]
+    for k, pick in enumerate((min, max, max, max, max)):
+        assert found[k] == pytest.approx(pick(one[k] for one in every), rel=1e-6, abs=1e-9), k
+    limits, those = least_limits(method, None, Ts, drive), [driven_limits(method, Ts=Ts, drive=one) for one in each]
+    for what, value in limits.items():
+        assert value == pytest.approx(min(getattr(one, what) for one in those), rel=2e-4, abs=1e-12), what
+
+
+def responses_of(modes, drive):
+    return (damping_ratio(modes, drive, Ts), overshoot(modes, drive, Ts), settling(modes, drive, Ts),
+            *noise_gain(modes, drive, Ts))  # fmt: skip
 
 
 @pytest.mark.parametrize("name", DRIVES)

@@ -16,7 +16,8 @@ from cnclik.integrate.trajectory import Trajectory
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.stability.case import WILD
-from cnclik.stability.driven import driven_factors, looked_at_drive, modes_of, own_drives, radius
+from cnclik.stability.driven import driven_factors, looked_at_drive, modes_of, radius
+from cnclik.stability.drives import own_drives
 from cnclik.stability.local import Instant, maps, resting
 from cnclik.stability.spectrum import directions, largest_rate, spectrum_of
 
